@@ -1,0 +1,41 @@
+# Everything from a fresh clone; each target sets up what it needs, once.
+
+.DEFAULT_GOAL := help
+.PHONY: help setup validate test test-slow check bench constraints
+
+# Empty files inside .venv remember what was set up, and vanish with it.
+PACKAGES := .venv/.packages-installed
+LIBRARIES := .venv/.libraries-found
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 14
+
+setup: $(LIBRARIES) ## set up .venv and the system libraries; nothing is done twice
+
+validate: $(LIBRARIES) ## the main job: render, track, fit, report, into out/validate
+	.venv/bin/eyespot validate --out out/validate
+
+test: $(LIBRARIES) ## run the tests
+	.venv/bin/pytest
+
+test-slow: $(LIBRARIES) ## run the tests that the default run leaves out
+	.venv/bin/pytest -m 'slow and not gpu'
+
+check: $(PACKAGES) ## lint, format, types
+	.venv/bin/ruff check
+	.venv/bin/ruff format --check
+	.venv/bin/mypy
+
+bench: $(LIBRARIES) ## measure the speeds that the README states
+	.venv/bin/python -m benchmarks
+
+constraints: ## resolve all versions anew and write constraints.txt
+	tools/pin-versions
+
+$(PACKAGES): pyproject.toml constraints.txt tools/install-packages
+	@tools/install-packages
+	@touch $@
+
+$(LIBRARIES): $(PACKAGES) scenes/llvm.py scenes/variant.py tools/install-libraries
+	@tools/install-libraries
+	@touch $@

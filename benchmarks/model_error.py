@@ -1,0 +1,156 @@
+"""How far each model of the spot is from the truth, on exact contours and on measured spots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+import optics
+from estimator import FrameLabels
+
+COMPARED = ("small_plane", "corrected", "stereographic", "exact")
+
+
+class Geometry(NamedTuple):
+    """Microscope, eye and cone that one table of errors shares; mm and rad."""
+
+    scale: float
+    pinhole_height: float
+    eye_radius: float
+    half_angle: float
+    apex_offset: float
+    incidence: float
+    incidence_azimuth: float
+
+
+class ModelError(NamedTuple):
+    """Row of model_error.csv; error = estimate - truth."""
+
+    model: str
+    source: str
+    refit: bool
+    medium: str
+    c_mm: float
+    d_mm: float
+    r_mm: float
+    z_f_mm: float
+    incidence_deg: float
+    azimuth_deg: float
+    half_angle_deg: float
+    apex_offset_mm: float
+    estimate_mm: float
+    error_mm: float
+
+
+def analytic_errors(
+    geometry: Geometry, *, eccentricities: np.ndarray, distances: np.ndarray
+) -> list[ModelError]:
+    """Errors of every model on the exact contour, at each c and d (mm)."""
+    c, d = (a.ravel() for a in np.meshgrid(eccentricities, distances, indexing="ij"))
+    axis = np.asarray(_semi_minor(geometry, c, d))
+    return _rows(geometry, "analytic", "air", c=c, d=d, semi_minor_px=axis)
+
+
+def measured_errors(
+    geometry: Geometry, *, labels: Sequence[FrameLabels], semi_minor_px: np.ndarray
+) -> list[ModelError]:
+    """Errors of every model on measured spots whose truth is known."""
+    return _rows(
+        geometry,
+        "rendered",
+        labels[0].medium,
+        c=np.array([row.c_mm for row in labels]),
+        d=np.array([row.d_mm for row in labels]),
+        semi_minor_px=semi_minor_px,
+    )
+
+
+def estimates(
+    geometry: Geometry, *, c: np.ndarray, semi_minor_px: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Distance by every model, mm, from e1' (px) at known eccentricity (mm)."""
+    cone = {"k": float(optics.slope(geometry.half_angle)), "b": geometry.apex_offset}
+    known = {
+        "semi_minor_px": semi_minor_px,
+        "scale": geometry.scale,
+        "eccentricity": c,
+        "eye_radius": geometry.eye_radius,
+        **cone,
+    }
+    return {
+        "small_plane": np.asarray(optics.small_plane_distance(**known)),
+        "corrected": np.asarray(
+            optics.corrected_distance(
+                **known,
+                inverse_working_distance=1.0 / (geometry.pinhole_height + geometry.eye_radius),
+            )
+        ),
+        "stereographic": np.asarray(optics.stereographic_distance(**known)),
+        "exact": np.asarray(_exact(geometry, c, semi_minor_px)),
+    }
+
+
+def _rows(
+    geometry: Geometry,
+    source: str,
+    medium: str,
+    *,
+    c: np.ndarray,
+    d: np.ndarray,
+    semi_minor_px: np.ndarray,
+) -> list[ModelError]:
+    return [
+        ModelError(
+            model=model,
+            source=source,
+            refit=False,
+            medium=medium,
+            c_mm=float(c[i]),
+            d_mm=float(d[i]),
+            r_mm=geometry.eye_radius,
+            z_f_mm=geometry.pinhole_height,
+            incidence_deg=math.degrees(geometry.incidence),
+            azimuth_deg=math.degrees(geometry.incidence_azimuth),
+            half_angle_deg=math.degrees(geometry.half_angle),
+            apex_offset_mm=geometry.apex_offset,
+            estimate_mm=float(estimate),
+            error_mm=float(estimate - d[i]),
+        )
+        for model, values in estimates(geometry, c=c, semi_minor_px=semi_minor_px).items()
+        for i, estimate in enumerate(values)
+    ]
+
+
+@jax.jit
+def _semi_minor(geometry: Geometry, c: jax.Array, d: jax.Array) -> jax.Array:
+    forward = partial(_at_geometry, optics.exact_semi_minor, geometry)
+    return jax.vmap(lambda c, d: forward(eccentricity=c, distance=d))(c, d)
+
+
+@jax.jit
+def _exact(geometry: Geometry, c: jax.Array, semi_minor_px: jax.Array) -> jax.Array:
+    inverse = partial(_at_geometry, optics.exact_distance, geometry)
+    return jax.vmap(lambda c, e: inverse(eccentricity=c, semi_minor_px=e))(c, semi_minor_px)
+
+
+def _at_geometry(
+    function: Callable[..., jax.Array], geometry: Geometry, **arguments: jax.Array
+) -> jax.Array:
+    return function(
+        optics.Sphere(geometry.eye_radius),
+        optics.microscope(
+            scale=geometry.scale,
+            pinhole_height=geometry.pinhole_height,
+            eye_radius=geometry.eye_radius,
+        ),
+        incidence=geometry.incidence,
+        incidence_azimuth=geometry.incidence_azimuth,
+        half_angle=geometry.half_angle,
+        apex_offset=geometry.apex_offset,
+        **arguments,
+    )

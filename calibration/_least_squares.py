@@ -1,0 +1,71 @@
+"""Levenberg-Marquardt by Optimistix, with the covariance at the solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, ArrayLike, Float
+
+_TOLERANCE = 1e-10
+_MAX_STEPS = 256
+_PADDING = 64
+
+
+class Solution(NamedTuple):
+    """Least-squares solution.
+
+    Attributes:
+        parameters: at the best point found, in the order of the start.
+        covariance: s^2 (J^T J)^-1 with s^2 = sum of squares / (n - p).
+        residuals: at the solution, in the residual function's unit.
+        converged: whether the solver says so; never silently assumed.
+    """
+
+    parameters: Float[Array, "p"]
+    covariance: Float[Array, "p p"]
+    residuals: Float[Array, "n"]
+    converged: Array
+
+
+def least_squares(
+    residual: Callable[[Float[Array, "p"]], Float[Array, "n"]],
+    start: Float[Array, "p"],
+    *,
+    count: ArrayLike,
+) -> Solution:
+    """Minimise the sum of squared residuals.
+
+    Args:
+        residual: function of the parameters, differentiable by JAX; zero where data are padding.
+        start: first guess.
+        count: number of data that are not padding.
+    """
+    solver = optx.BestSoFarLeastSquares(optx.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE))
+    result = optx.least_squares(
+        lambda parameters, _: residual(parameters), solver, start, max_steps=_MAX_STEPS, throw=False
+    )
+    value = residual(result.value)
+    jacobian = jax.jacfwd(residual)(result.value)
+    variance = jnp.sum(value**2) / (count - jacobian.shape[1])
+    return Solution(
+        parameters=result.value,
+        covariance=variance * jnp.linalg.inv(jacobian.T @ jacobian),
+        residuals=value,
+        converged=result.result == optx.RESULTS.successful,
+    )
+
+
+def padded(*columns: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "m"], ...]:
+    """Columns padded to a multiple of 64, and the weight (1, or 0 for padding) behind them.
+
+    Trials keep different numbers of frames; equal shapes spare a compilation each.
+    """
+    count = len(columns[0])
+    missing = -count % _PADDING
+    weight = np.concatenate([np.ones(count), np.zeros(missing)])
+    return (*(np.pad(column, (0, missing)) for column in columns), weight)

@@ -1,0 +1,33 @@
+"""Spots of light in microscope frames: measured, tracked, written down.
+
+::
+
+    spot.py      what a measurement returns
+    literal.py   the paper's algorithm, the reference
+    subpixel.py  the half-maximum contour, the default
+    coarse.py      bright regions of a subsampled window
+    edges.py       contour from unwrapped profiles
+    ellipse.py     ellipses and their fit to edge offsets
+    frames.py    accepted frames, windows, response curve
+    track.py     from frame to frame
+    spots.py     the spots file
+    stack.py     the stack folder: frames, masks, labels, checksums
+"""
+
+from .frames import Response as Response
+from .literal import LiteralSettings as LiteralSettings
+from .spot import NoSpot as NoSpot
+from .spot import Reason as Reason
+from .spot import Spot as Spot
+from .spots import SpotRecord as SpotRecord
+from .spots import read_spots as read_spots
+from .spots import write_spots as write_spots
+from .subpixel import SubpixelSettings as SubpixelSettings
+from .track import TrackState as TrackState
+from .track import measure as measure
+from .track import track as track
+from .stack import FrameLabels as FrameLabels
+from .stack import Stack as Stack
+from .stack import StackError as StackError
+from .stack import StackWriter as StackWriter
+from .stack import read_stack as read_stack

@@ -1,0 +1,145 @@
+"""Bright regions of a subsampled window, and the ellipses that they may be parts of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .ellipse import Ellipse
+
+_PEELS = 4  # regions sought in one window
+_FAINTEST_STEP = 4  # levels of 255 between peak and background that are not noise
+_SMALLEST_PIECE = 0.1  # of the largest piece's area
+
+
+@dataclass(frozen=True, eq=False)
+class Coarse:
+    """A subsampled window as 8-bit signal.
+
+    Attributes:
+        levels: (h, w) uint8.
+        unit: signal per level.
+        stride: px of the frame per pixel.
+        x0: column of the frame under the first pixel, px.
+        y0: row of the frame under the first pixel, px.
+    """
+
+    levels: np.ndarray
+    unit: float
+    stride: int
+    x0: int
+    y0: int
+
+    @classmethod
+    def of_signal(cls, signal: np.ndarray, *, stride: int, x0: int, y0: int) -> Coarse:
+        """Scale a float signal to 8 bits by its own maximum."""
+        unit = float(signal.max()) / 255
+        if not unit > 0:
+            return cls(np.zeros(signal.shape, np.uint8), 1.0, stride, x0, y0)
+        levels = (np.maximum(signal, 0) * (1 / unit) + 0.5).astype(np.uint8)
+        return cls(levels, unit, stride, x0, y0)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An ellipse round a bright region, good to a few px, and the region's levels.
+
+    Attributes:
+        ellipse: in the frame, px.
+        peak: median signal of the region.
+        background: median signal of what is not bright.
+        mask: of the region's pixels in the coarse window.
+    """
+
+    ellipse: Ellipse
+    peak: float
+    background: float
+    mask: np.ndarray
+
+
+@dataclass(frozen=True)
+class TooSmall:
+    """A bright region that is too small for a spot."""
+
+
+def bright_regions(
+    coarse: Coarse, *, min_contrast: float, min_area: float
+) -> Iterator[list[Candidate] | TooSmall]:
+    """Bright regions, brightest first, each as its possible readings.
+
+    A region exceeds the half level between the brightest (after a median filter) and the
+    background. Its ellipse goes through the vertices of its convex hull: where something convex
+    hides part of an ellipse, the hull's vertices still lie on the ellipse, and the hidden part is
+    bridged by a chord without vertices. A spot that a shaft splits in two is read as the whole
+    region and as its largest piece alone. What was offered is painted over and the next sought.
+
+    Args:
+        coarse: the window.
+        min_contrast: least (peak - background) / background.
+        min_area: least area of a region, px^2.
+    """
+    smooth = cv2.medianBlur(coarse.levels, 5)
+    for _ in range(_PEELS):
+        brightest = int(smooth.max())
+        background = _median_below(smooth, brightest)
+        if brightest - background < max(min_contrast * background, _FAINTEST_STEP):
+            return
+        peak = float(np.median(smooth[smooth > (brightest + background) / 2]))
+        mask = (smooth > (peak + background) / 2).view(np.uint8)
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        # A contour runs through pixel centres; half its length is the area outside them.
+        areas = [cv2.contourArea(c) + len(c) / 2 + 1 for c in contours]
+        largest = max(range(len(areas)), key=areas.__getitem__)
+        if areas[largest] * coarse.stride**2 < min_area:
+            yield TooSmall()
+        else:
+            region = np.zeros_like(mask)
+            cv2.drawContours(region, contours, largest, 1, cv2.FILLED)
+            inside = (region & mask).view(bool)
+            pieces = [
+                c
+                for c, area in zip(contours, areas, strict=True)
+                if area > _SMALLEST_PIECE * areas[largest]
+            ]
+            readings = [np.concatenate(pieces)] if len(pieces) > 1 else []
+            ellipses = [_hull_ellipse(points, coarse) for points in [*readings, contours[largest]]]
+            yield [
+                Candidate(ellipse, peak * coarse.unit, background * coarse.unit, inside)
+                for ellipse in ellipses
+                if ellipse is not None
+            ]
+        smooth = smooth.copy()
+        cv2.drawContours(smooth, contours, largest, int(background), cv2.FILLED)
+        cv2.drawContours(smooth, contours, largest, int(background), 3)
+
+
+def _median_below(levels: np.ndarray, brightest: int) -> float:
+    """Median of the pixels below half of the brightest's height over the darkest."""
+    count = np.bincount(levels.ravel(), minlength=256)
+    middle = (int(np.flatnonzero(count)[0]) + brightest) // 2
+    below = np.cumsum(count[: middle + 1])
+    return float(np.searchsorted(below, below[-1] / 2))
+
+
+def _hull_ellipse(points: np.ndarray, coarse: Coarse) -> Ellipse | None:
+    hull = cv2.convexHull(points)[:, 0]
+    height, width = coarse.levels.shape
+    inner = (hull > 0).all(axis=1) & (hull < (width - 1, height - 1)).all(axis=1)
+    hull = hull[inner]
+    if len(hull) < 5:
+        return None
+    (x, y), (first, second), degrees = cv2.fitEllipse(hull)
+    # cv2's angle is that of the first axis; the rim lies half a pixel outside pixel centres.
+    half = np.array([first, second]) / 2 + 0.5
+    if not np.isfinite([x, y, *half, degrees]).all() or half.max() > 2 * max(height, width):
+        return None
+    return Ellipse.from_axes(
+        coarse.x0 + coarse.stride * x,
+        coarse.y0 + coarse.stride * y,
+        coarse.stride * half[0],
+        coarse.stride * half[1],
+        np.deg2rad(degrees),
+    )

@@ -1,0 +1,271 @@
+"""The half-maximum contour of a bright region, from its profiles unwrapped about an ellipse."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .coarse import Candidate, Coarse
+from .ellipse import Ellipse, robust_step
+from .levels import RADII, RADIUS_STEP, Levels, levels_of
+from .unwrap import DESIGN, Patch, ring_variance
+
+REACH = 1.75
+"""Furthest radius at which a fit looks for the edge, in units of the candidate's ellipse."""
+
+_CAPTURED = 0.1  # largest error, in units of the radius, of an edge that belongs
+_SAMPLING = 0.7  # px between samples across the edge
+_SETTLED = 0.15  # move, in units of the edge's width, after which a refinement is not repeated
+_REFINEMENTS = 3
+_NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeFit:
+    """An ellipse fitted to a contour, and how well.
+
+    Attributes:
+        ellipse: px.
+        step_covariance: 5x5, of the parameters of `Ellipse.stepped`.
+        levels: peak, background, edge width.
+        offsets: (RAYS,) radial distance of each ray's edge from the ellipse, units of the radius.
+        found: (RAYS,) rays with an edge.
+        inliers: (RAYS,) rays whose edge belongs to the ellipse.
+        inside: (RAYS,) rays whose contour point lies in the frame.
+        scatter: standard deviation of the inliers' offsets, units of the radius.
+    """
+
+    ellipse: Ellipse
+    step_covariance: np.ndarray
+    levels: Levels
+    offsets: np.ndarray
+    found: np.ndarray
+    inliers: np.ndarray
+    inside: np.ndarray
+    scatter: float
+
+
+def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | None:
+    """Ellipse of the half-maximum contour near a candidate.
+
+    1. Capture: on each ray the crossing of the candidate's half level nearest to its ellipse;
+       a robust fit through the crossings.
+    2. Levels: peak, background and edge width of the inlying rays.
+    3. Refinement, once or twice: each ray's shift against the mean profile by least squares,
+       together with the ray's own gain, slope and stretch, is the offset of its edge; the ellipse
+       follows the offsets, and its size follows the half level of the mean profile.
+
+    Returns:
+        The fit, or None where the rays do not show one ellipse.
+    """
+    captured = _capture(patch, candidate)
+    if captured is None:
+        return None
+    ellipse, inliers, profiles = captured
+    levels = levels_of(profiles[inliers], coarse, ellipse, candidate)
+    if levels is None:
+        return None
+    for _ in range(_REFINEMENTS):
+        refined = _refine(patch, ellipse, inliers, levels)
+        if refined is None:
+            return None
+        settled = refined.move < _SETTLED * refined.levels.width < 0.3 * levels.width
+        ellipse, inliers, levels = refined.ellipse, refined.inliers, refined.levels
+        if settled:
+            break
+    return _finished(refined)
+
+
+def _capture(patch: Patch, candidate: Candidate) -> tuple[Ellipse, np.ndarray, np.ndarray] | None:
+    """Ellipse to a few tenths of a px, the rays on it, and the profiles; 0 outside the patch."""
+    ellipse = candidate.ellipse
+    level = (candidate.peak + candidate.background) / 2
+    tolerance = max(1.5 / ellipse.axes()[1], 0.02)
+    for _ in range(3):
+        profiles = patch.unwrapped(ellipse, RADII)
+        offsets, found = _crossings(profiles, level)
+        near = np.abs(offsets) < _CAPTURED
+        fitted = robust_step(DESIGN, offsets, found, near, tolerance=tolerance, limit=_CAPTURED)
+        if fitted is None or np.abs(fitted[0]).max() > 0.7:
+            return None
+        step, inliers = fitted
+        ellipse = ellipse.stepped(step)
+        if np.abs(step).max() < 0.1:
+            break
+    if not patch.holds(ellipse.scaled(float(RADII[-1]) + 0.1)):
+        profiles = np.nan_to_num(profiles, nan=0.0)
+    return ellipse, inliers, profiles
+
+
+def _crossings(profiles: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
+    """Falling crossing of the level nearest to the radius 1, as an offset from it, by ray."""
+    below = profiles < level
+    falling = below[:, 1:] > below[:, :-1]
+    nearest = np.argmax(falling * _NEARNESS, axis=1)
+    ray = np.arange(len(profiles))
+    before, after = profiles[ray, nearest], profiles[ray, nearest + 1]
+    found = falling[ray, nearest] & (before > after)  # a profile that leaves the patch has no edge
+    fall = np.where(found, before - after, 1)
+    offsets = RADII[nearest] - 1 + RADIUS_STEP * np.where(found, before - level, 0) / fall
+    return offsets, found
+
+
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    ellipse: Ellipse
+    move: float
+    levels: Levels
+    offsets: np.ndarray
+    found: np.ndarray
+    inliers: np.ndarray
+    inside: np.ndarray
+
+
+def _refine(
+    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
+) -> _Refined | None:
+    semi_minor = ellipse.axes()[1]
+    reach = min(max(3 * levels.width, 2.5 / semi_minor), 0.6)
+    samples = 2 * min(max(int(reach * semi_minor / _SAMPLING), 5), 16) + 1
+    from_edge = np.linspace(-reach, reach, samples)
+    profiles = patch.unwrapped(ellipse, 1 + from_edge)
+    if patch.holds(ellipse.scaled(1 + reach)):
+        inside = whole = np.ones(len(profiles), bool)
+    else:
+        inside = ~np.isnan(profiles[:, samples // 2])
+        whole = ~np.isnan(profiles[:, 0] + profiles[:, -1])
+        profiles = np.nan_to_num(profiles, nan=0.0)
+        inliers = inliers & whole
+    number = np.count_nonzero(inliers)
+    if number < 8:
+        return None
+    mean = inliers.astype(np.float32) @ profiles / np.float32(number)
+    slope = _derivative(mean, from_edge[1] - from_edge[0])
+    residual = profiles - mean
+    basis = np.stack([slope, mean, from_edge * mean, from_edge * slope], axis=1)
+    solution, rough = _regressed(residual, basis, inliers, 1e-7 * levels.amplitude**2)
+    offsets = -solution[:, 0].astype(float)
+    gain = 1 + solution[:, 1]
+    found = whole & (gain > 0.5) & (gain < 2) & (np.abs(offsets) < reach)
+    typical = np.partition(rough[inliers], number // 2)[number // 2]
+    smooth = rough < 9 * max(float(typical), 1e-5 * levels.amplitude**2)
+    fitted = robust_step(
+        DESIGN,
+        offsets,
+        _eroded(found & smooth),
+        inliers,
+        tolerance=0.05 / semi_minor,
+        limit=_CAPTURED,
+    )
+    if fitted is None or np.abs(fitted[0]).max() > 0.5:
+        return None
+    step, inliers = fitted
+    levels = _sharpened(levels, from_edge, mean, float(-slope.min()))
+    half = _half_crossing(from_edge, mean, levels)
+    if half is None:
+        return None
+    return _Refined(
+        ellipse=ellipse.stepped(step).scaled(1 + half),
+        move=max(float(np.abs(step).max()), abs(half)),
+        levels=levels,
+        offsets=offsets - DESIGN @ step,
+        found=found,
+        inliers=inliers,
+        inside=inside,
+    )
+
+
+def _derivative(values: np.ndarray, spacing: float) -> np.ndarray:
+    slope = np.empty_like(values)
+    slope[1:-1] = (values[2:] - values[:-2]) / (2 * spacing)
+    slope[0] = (values[1] - values[0]) / spacing
+    slope[-1] = (values[-1] - values[-2]) / spacing
+    return slope
+
+
+def _regressed(
+    residual: np.ndarray, basis: np.ndarray, inliers: np.ndarray, floor: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Shift, gain, slope and stretch in each ray's residual, (RAYS, 4), and what they leave.
+
+    Gain, slope (of the wall's reflectance) and stretch (an edge as wide in px all round is not as
+    wide in radii) are held by priors of zero mean, whose variances are those of the rays' plain
+    least-squares coefficients less the noise's share: none on an even wall, wide on a textured one.
+    """
+    gram = basis.T @ basis
+    gram.flat[:: len(gram) + 1] *= 1 + 1e-6
+    inverse = np.linalg.inv(gram)
+    plain = residual @ (basis @ inverse).astype(np.float32)
+    left = residual - plain @ basis.T.astype(np.float32)
+    rough = np.einsum("ij,ij->i", left, left) / (residual.shape[1] - len(gram))
+    weight = inliers.astype(np.float32) / np.float32(np.count_nonzero(inliers))
+    noise = max(float(weight @ rough), floor)
+    spread = weight @ (plain * plain) - noise * inverse.diagonal()
+    held = gram.copy()
+    held.flat[len(gram) + 1 :: len(gram) + 1] += noise / np.maximum(spread[1:], 1e-8)
+    return residual @ np.linalg.solve(held, basis.T).T.astype(np.float32), rough
+
+
+def _eroded(mask: np.ndarray) -> np.ndarray:
+    """Rays with both neighbours in the mask: a shaft's rim spoils the rays beside it."""
+    wide = np.concatenate([mask[-1:], mask, mask[:1]])
+    return wide[:-2] & mask & wide[2:]
+
+
+def _sharpened(
+    levels: Levels, from_edge: np.ndarray, mean: np.ndarray, steepest: float
+) -> Levels:
+    """The levels with what the mean profile shows better: the edge's width and its plateau."""
+    width = levels.amplitude / (math.sqrt(2 * math.pi) * max(steepest, 1e-12))
+    inner = np.searchsorted(from_edge, -2.6 * width)
+    plateau = float(mean[:inner].mean()) if inner else levels.plateau
+    if not plateau > levels.background:
+        return levels
+    return replace(levels, width=width, plateau=plateau)
+
+
+def _half_crossing(from_edge: np.ndarray, mean: np.ndarray, levels: Levels) -> float | None:
+    """Offset at which a cubic through the mean profile's middle falls to the half level."""
+    level = (levels.peak + levels.background) / 2
+    falls = np.flatnonzero((mean[1:] < level) & (mean[:-1] >= level))
+    if falls.size == 0:
+        return None
+    k = int(falls[np.argmin(np.abs(from_edge[falls]))])
+    spacing = float(from_edge[1] - from_edge[0])
+    middle = float(from_edge[k] + spacing * (mean[k] - level) / (mean[k] - mean[k + 1]))
+    span = max(1.5 * levels.width, 2.1 * spacing)
+    first, last = np.searchsorted(from_edge, (middle - span, middle + span))
+    x = (from_edge[first:last] - middle) / span
+    powers = x[:, None] ** np.arange(4)
+    c0, c1, c2, c3 = np.linalg.lstsq(powers, mean[first:last] - level)[0].tolist()
+    root = 0.0
+    for _ in range(4):
+        falling = c1 + root * (2 * c2 + 3 * root * c3)
+        if not falling < 0:
+            return None
+        root -= (c0 + root * (c1 + root * (c2 + root * c3))) / falling
+    return middle + root * span
+
+
+def _finished(refined: _Refined) -> EdgeFit:
+    levels = refined.levels
+    rows = DESIGN[refined.inliers]
+    errors = np.where(refined.inliers, refined.offsets, 0.0)
+    share = len(rows) / len(DESIGN)
+    # Harmonics 0 to 2 are fitted.
+    variance = ring_variance(errors, slice(3, 13)) / share
+    step_covariance = variance * np.linalg.inv(rows.T @ rows)
+    # All of the contour moves with the half level, by the width times sqrt(pi / 2) a relative unit.
+    step_covariance[2:4, 2:4] += math.pi / 2 * levels.width**2 * levels.dome_variance
+    return EdgeFit(
+        ellipse=refined.ellipse,
+        step_covariance=step_covariance,
+        levels=levels,
+        offsets=refined.offsets,
+        found=refined.found,
+        inliers=refined.inliers,
+        inside=refined.inside,
+        scatter=math.sqrt(float(np.mean(refined.offsets[refined.inliers] ** 2))),
+    )

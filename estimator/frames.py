@@ -1,0 +1,144 @@
+"""Frames as signals: what is accepted, which part, which channel, through which response."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+_FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0, "float64": 1.0}
+
+GREY = -1
+"""Channel number of the weighted mean of red, green and blue."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Response:
+    """How a frame's values follow from light.
+
+    Attributes:
+        curve: "linear", "srgb" (IEC 61966-2-1) or "gamma" (value = light ** (1 / gamma)).
+        gamma: exponent of the curve "gamma".
+        full_scale: value at which a pixel saturates; by default the largest of an unsigned dtype,
+            1 for floats. A 12-bit camera in uint16 needs 4095.
+    """
+
+    curve: Literal["linear", "srgb", "gamma"] = "linear"
+    gamma: float = 2.2
+    full_scale: float | None = None
+
+    def __post_init__(self) -> None:
+        """Reject curves that cannot be inverted."""
+        if self.curve not in ("linear", "srgb", "gamma"):
+            raise ValueError(
+                f"Response(curve=...) must be 'linear', 'srgb' or 'gamma'; got {self.curve!r}."
+            )
+        if not self.gamma > 0:
+            raise ValueError(f"Response(gamma=...) must be positive; got {self.gamma}.")
+        if self.full_scale is not None and not self.full_scale > 0:
+            raise ValueError(f"Response(full_scale=...) must be positive; got {self.full_scale}.")
+
+    def full_scale_of(self, frame: np.ndarray) -> float:
+        """Value at which the frame's pixels saturate."""
+        return self.full_scale or _FULL_SCALE[frame.dtype.name]
+
+    def light(self, values: np.ndarray, full_scale: float) -> np.ndarray:
+        """Invert the curve: float32 light in units in which full scale is `full_scale`."""
+        if self.curve == "linear":
+            return values.astype(np.float32)
+        if values.dtype == np.uint8:
+            table = self._invert(np.arange(256, dtype=np.float32) / full_scale)
+            return cv2.LUT(values, table * np.float32(full_scale))
+        return self._invert(values.astype(np.float32) / full_scale) * np.float32(full_scale)
+
+    def _invert(self, fraction: np.ndarray) -> np.ndarray:
+        fraction = np.maximum(fraction, np.float32(0))
+        if self.curve == "gamma":
+            return fraction ** np.float32(self.gamma)
+        return np.where(
+            fraction <= 0.04045, fraction / 12.92, ((fraction + 0.055) / 1.055) ** 2.4
+        ).astype(np.float32)
+
+
+def checked_frame(frame: np.ndarray) -> np.ndarray:
+    """A frame as (H, W) or (H, W, 3) in native byte order.
+
+    Raises:
+        ValueError: not an array of uint8, uint16, float32 or float64, not grey or RGB, empty, or
+            not finite.
+    """
+    if not isinstance(frame, np.ndarray):
+        raise ValueError(f"A frame must be a NumPy array; got {type(frame).__name__}.")
+    if frame.dtype.name not in _FULL_SCALE:
+        raise ValueError(
+            f"A frame must be uint8, uint16, float32 or float64; got {frame.dtype.name}."
+            " Convert it with astype, and give Response(full_scale=...) if its range differs."
+        )
+    if frame.ndim == 3 and frame.shape[2] == 1:
+        frame = frame[:, :, 0]
+    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3):
+        raise ValueError(
+            f"A frame must have shape (H, W) or (H, W, 3), RGB; got {frame.shape}."
+            " Drop an alpha channel with frame[:, :, :3]."
+        )
+    if frame.size == 0:
+        raise ValueError(f"A frame must have pixels; got shape {frame.shape}.")
+    if frame.dtype.kind == "f" and not np.isfinite(frame).all():
+        raise ValueError(
+            "A frame must be finite; got NaN or infinity. Replace such pixels before measuring."
+        )
+    if not frame.dtype.isnative:
+        frame = frame.astype(frame.dtype.newbyteorder("="))
+    return frame
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of a frame, in whole pixels: columns x0 <= x < x1, rows y0 <= y < y1."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @classmethod
+    def around(
+        cls, x: float, y: float, half_width: float, half_height: float, frame: np.ndarray
+    ) -> Window:
+        """The part of the frame within the half sizes of a point; never empty."""
+        height, width = frame.shape[:2]
+        x0 = int(min(max(x - half_width, 0), width - 1))
+        y0 = int(min(max(y - half_height, 0), height - 1))
+        x1 = int(min(max(x + half_width + 1, x0 + 1), width))
+        y1 = int(min(max(y + half_height + 1, y0 + 1), height))
+        return cls(x0, y0, x1, y1)
+
+    @classmethod
+    def whole(cls, frame: np.ndarray) -> Window:
+        """All of the frame."""
+        return cls(0, 0, frame.shape[1], frame.shape[0])
+
+    def of(self, frame: np.ndarray) -> np.ndarray:
+        """The window's pixels, a view."""
+        return frame[self.y0 : self.y1, self.x0 : self.x1]
+
+
+def signal_of(
+    values: np.ndarray, channel: int, response: Response, full_scale: float
+) -> np.ndarray:
+    """Light of one channel, or of the grey mean, as float32 in units of the frame's values."""
+    if values.ndim == 2:
+        return response.light(values, full_scale)
+    if channel != GREY:
+        return response.light(np.ascontiguousarray(values[:, :, channel]), full_scale)
+    if response.curve == "linear":
+        return _grey(values).astype(np.float32)
+    return _grey(response.light(values, full_scale))
+
+
+def _grey(values: np.ndarray) -> np.ndarray:
+    if values.dtype == np.float64:
+        values = values.astype(np.float32)
+    return cv2.cvtColor(np.ascontiguousarray(values), cv2.COLOR_RGB2GRAY)

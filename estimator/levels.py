@@ -1,0 +1,127 @@
+"""Peak, background and edge width of a spot, from its profiles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .coarse import Candidate, Coarse
+from .ellipse import Ellipse
+from .unwrap import RAYS, Patch, ring_variance
+
+RADII = np.linspace(0.05, 1.6, 48)
+"""Radii of the wide view, in units of the ellipse."""
+RADIUS_STEP = float(RADII[1] - RADII[0])
+
+_NEAR_EDGE = np.flatnonzero(np.abs(RADII[1:-1] - 1) < 0.35)
+_NEAR_EDGE = slice(int(_NEAR_EDGE[0]), int(_NEAR_EDGE[-1]) + 1)
+_DOUBT = 9.0  # square of the standard deviations that a dome must exceed
+_BACKGROUND_RADII = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What a spot's half level is made of.
+
+    Attributes:
+        plateau: signal next to the edge, inside it.
+        dome: height of the peak above the plateau, relative to the plateau.
+        dome_variance: of `dome`.
+        background: signal around the spot.
+        width: of the edge in units of the radius (see `Spot.edge_width_px`).
+    """
+
+    plateau: float
+    dome: float
+    dome_variance: float
+    background: float
+    width: float
+
+    @property
+    def peak(self) -> float:
+        """Signal of the spot's brightest part, noise and texture taken out."""
+        return self.plateau * (1 + self.dome)
+
+    @property
+    def amplitude(self) -> float:
+        """Peak above background."""
+        return self.peak - self.background
+
+
+def levels_of(
+    profiles: np.ndarray, coarse: Coarse, ellipse: Ellipse, candidate: Candidate
+) -> Levels | None:
+    """Levels of a spot.
+
+    Args:
+        profiles: (n, len(RADII)) of the rays whose edge belongs to the spot; 0 outside the frame.
+        coarse: shows the background.
+        ellipse: of the spot, to a px or two.
+        candidate: the levels that the spot was found with.
+
+    Returns:
+        The levels; None where the profiles do not fall.
+    """
+    mean = profiles.sum(axis=0) / len(profiles)
+    steepest = float((mean[:-2] - mean[2:])[_NEAR_EDGE].max()) / (2 * RADIUS_STEP)
+    height = candidate.peak - candidate.background
+    width = height / (math.sqrt(2 * math.pi) * steepest) if steepest > 0 else math.inf
+    if width > 2:
+        return None
+    background = _background(coarse, ellipse, 1 + 4 * width, candidate.background)
+    dark = (candidate.peak + candidate.background) / 2
+    plateau, dome, variance = _top(profiles, width, dark, 2 * candidate.peak)
+    if not plateau > background:
+        return None
+    return Levels(plateau, dome, variance, background, width)
+
+
+def _background(coarse: Coarse, ellipse: Ellipse, radius: float, fallback: float) -> float:
+    """Median signal on rings outside the edge, as far out as the window shows them."""
+    levels = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
+    for _ in range(6):
+        ring = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII).ravel()
+        if not levels.holds(ellipse.scaled(radius + 0.4)):
+            ring = ring[~np.isnan(ring)]
+        if ring.size > RAYS:
+            return float(np.partition(ring, ring.size // 2)[ring.size // 2]) * coarse.unit
+        radius = 1 + 0.75 * (radius - 1)
+    return fallback
+
+
+def _top(
+    profiles: np.ndarray, width: float, dark: float, glaring: float
+) -> tuple[float, float, float]:
+    """Plateau next to the edge, the dome's relative height above it, and that height's variance.
+
+    An even polynomial through the rings' means over what is neither dark (a shaft) nor glaring. A
+    wall's texture looks like a dome too, so the dome counts only as far as it exceeds what the
+    rays' scatter explains (the garrote of Breiman 1995).
+    """
+    outermost = min(max(1 - 2.5 * width, 0.5), 0.9)
+    rings = slice(0, max(int((outermost - RADII[0]) / RADIUS_STEP) + 1, 8), 2)
+    radii = RADII[rings]
+    inner = profiles[:, rings]
+    seen = (inner > dark) & (inner < glaring)
+    number = seen.sum(axis=0)
+    means = np.where(seen, inner, 0).sum(axis=0) / np.maximum(number, 1)
+    square = radii * radii
+    basis = np.stack([np.ones_like(square), square, square * square], axis=1)
+    weighted = basis * (radii * number)[:, None]
+    gram = weighted.T @ basis
+    gram.flat[::4] += 1e-6
+    curve = (basis @ np.linalg.solve(gram, weighted.T @ means))[number > 0]
+    if curve.size == 0:
+        return dark, 0.0, 0.0
+    plateau = float(curve[-1])
+    dome = float(curve.max()) / plateau - 1
+    whole = inner[seen.all(axis=1)]
+    if len(whole) < 8:
+        return plateau, dome, dome**2
+    contrast = np.where(np.arange(len(radii)) < len(radii) // 2, 1.0, -1.0)
+    rise = whole @ contrast.astype(np.float32) * (2 / len(radii))
+    variance = 4 * ring_variance(rise - rise.mean(), slice(1, 5)) / len(rise) / plateau**2
+    kept = max(0.0, 1 - _DOUBT * variance / dome**2) if dome > 0 else 0.0
+    return plateau, kept * dome, variance

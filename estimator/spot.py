@@ -1,0 +1,75 @@
+"""What a measurement returns: a spot, or the reason why there is none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal, final
+
+import numpy as np
+
+PARAMETERS = ("x", "y", "semi_major", "semi_minor", "angle")
+"""Order of the rows and columns of `Spot.covariance`."""
+
+
+class Reason(Enum):
+    """Why a frame yields no spot: the closed list of the spots file."""
+
+    NONE_FOUND = "none_found"
+    CLIPPED = "clipped"
+    TOO_SMALL = "too_small"
+    TOO_LARGE = "too_large"
+    SATURATED = "saturated"
+    OCCLUDED = "occluded"
+    AMBIGUOUS = "ambiguous"
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spot:
+    """Ellipse of a spot in image coordinates (pixel centres at integers), with its quality.
+
+    A value that a mode does not measure is NaN.
+
+    Attributes:
+        x_px: centre, to the right, px.
+        y_px: centre, downwards, px.
+        semi_major_px: half of the longer axis, px.
+        semi_minor_px: half of the shorter axis, px.
+        angle_rad: semi-major axis from +u (right) towards +v (down), in (-pi/2, pi/2].
+        covariance: 5x5, order `PARAMETERS`, px and rad.
+        edge_width_px: standard deviation of the Gaussian-blurred step that has the edge's slope
+            at half maximum, px.
+        coverage: fraction of the contour's length on which an edge was seen.
+        inlier_fraction: fraction of the edges seen that belong to the ellipse.
+        saturated: fraction of the spot's pixels at full scale in the channel measured.
+    """
+
+    x_px: float
+    y_px: float
+    semi_major_px: float
+    semi_minor_px: float
+    angle_rad: float
+    covariance: np.ndarray
+    edge_width_px: float
+    coverage: float
+    inlier_fraction: float
+    saturated: float
+
+    @property
+    def sigma_semi_minor_px(self) -> float:
+        """Standard deviation of the semi-minor axis, px."""
+        return math.sqrt(self.covariance[3, 3])
+
+
+@final
+@dataclass(frozen=True)
+class NoSpot:
+    """A frame without a measurable spot; falsy, and says why."""
+
+    reason: Reason
+
+    def __bool__(self) -> Literal[False]:
+        """Always false, so that `if result:` means that there is a spot."""
+        return False

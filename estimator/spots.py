@@ -1,0 +1,190 @@
+"""The spots file: CSV, one line a frame, of what was measured and what came of it.
+
+Missing values are empty cells. `schema_version` is the last column, so that a plain CSV reader
+needs no hint.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from .spot import PARAMETERS, NoSpot, Reason, Spot
+
+SCHEMA_VERSION = 1
+
+_UPPER = [(i, j) for i in range(5) for j in range(i, 5)]
+_VALUES = (
+    "x_px",
+    "y_px",
+    "semi_major_px",
+    "semi_minor_px",
+    "angle_rad",
+    "sigma_semi_minor_px",
+    "edge_width_px",
+    "coverage",
+    "inlier_fraction",
+    "saturated",
+)
+_DISTANCES = ("distance_mm", "sigma_distance_mm", "pose_age_s")
+_COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in _UPPER)
+COLUMNS = (
+    "frame",
+    "file_name",
+    "time_s",
+    "mode",
+    "status",
+    "reason",
+    *_VALUES,
+    *_DISTANCES,
+    *_COVARIANCES,
+    "schema_version",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpotRecord:
+    """One line of a spots file.
+
+    Attributes:
+        frame: index of the frame.
+        file_name: of the frame's image; empty where there is none.
+        time_s: of the frame; NaN if unknown.
+        mode: "literal" or "subpixel".
+        result: the spot, or why there is none.
+        distance_mm: from the tip to the wall along the beam; NaN without a calibration.
+        sigma_distance_mm: its standard deviation.
+        pose_age_s: age of the robot's pose that the distance used.
+    """
+
+    frame: int
+    file_name: str
+    time_s: float
+    mode: str
+    result: Spot | NoSpot
+    distance_mm: float = field(default=math.nan)
+    sigma_distance_mm: float = field(default=math.nan)
+    pose_age_s: float = field(default=math.nan)
+
+    @property
+    def status(self) -> str:
+        """The file's `status`: "spot" or "no_spot"."""
+        return "spot" if self.result else "no_spot"
+
+    @property
+    def reason(self) -> str:
+        """The file's `reason`: one of `Reason`, empty with a spot."""
+        return self.result.reason.value if isinstance(self.result, NoSpot) else ""
+
+
+def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
+    """Write a spots file.
+
+    Args:
+        path: of the CSV file.
+        records: in the order of the file's lines.
+    """
+    with Path(path).open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for record in records:
+            writer.writerow(_line(record))
+
+
+def read_spots(path: str | Path) -> list[SpotRecord]:
+    """Read a spots file.
+
+    Raises:
+        ValueError: not a spots file, of another schema version, or with a bad value; the message
+            names the file and the line.
+    """
+    with Path(path).open(newline="", encoding="utf-8") as file:
+        try:
+            rows = csv.DictReader(file, strict=True)
+            missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]
+            if missing:
+                raise ValueError(
+                    f"{path}, line 1: not a spots file: column {missing[0]!r} is missing"
+                    f" ({len(missing)} of {len(COLUMNS)} are). Write it with write_spots."
+                )
+            return [_record(row, f"{path}, line {rows.line_num}") for row in rows]
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: not a spots file: {error}.") from error
+
+
+def _line(record: SpotRecord) -> list[str]:
+    spot = record.result if isinstance(record.result, Spot) else None
+    values = [getattr(spot, name) for name in _VALUES] if spot else [math.nan] * len(_VALUES)
+    covariance = [spot.covariance[i, j] if spot else math.nan for i, j in _UPPER]
+    return [
+        str(record.frame),
+        record.file_name,
+        _cell(record.time_s),
+        record.mode,
+        record.status,
+        record.reason,
+        *map(_cell, values),
+        *(_cell(getattr(record, name)) for name in _DISTANCES),
+        *map(_cell, covariance),
+        str(SCHEMA_VERSION),
+    ]
+
+
+def _cell(value: float) -> str:
+    return "" if math.isnan(value) else repr(float(value))
+
+
+def _record(row: dict[str, str], where: str) -> SpotRecord:
+    if None in row or None in row.values():
+        raise ValueError(f"{where}: {len(COLUMNS)} cells expected, as in the header.")
+    if row["schema_version"] != str(SCHEMA_VERSION):
+        raise ValueError(
+            f"{where}: schema_version is {row['schema_version']!r}; this software reads"
+            f" {SCHEMA_VERSION}. Write the file again with this version."
+        )
+    values = {
+        name: _number(row, name, where) for name in ("time_s", *_VALUES, *_DISTANCES, *_COVARIANCES)
+    }
+    try:
+        frame = int(row["frame"])
+    except ValueError:
+        raise ValueError(f"{where}: frame must be a whole number; got {row['frame']!r}.") from None
+    return SpotRecord(
+        frame=frame,
+        file_name=row["file_name"],
+        time_s=values["time_s"],
+        mode=row["mode"],
+        result=_result(row, values, where),
+        **{name: values[name] for name in _DISTANCES},
+    )
+
+
+def _number(row: dict[str, str], name: str, where: str) -> float:
+    cell = row[name]
+    try:
+        return float(cell) if cell else math.nan
+    except ValueError:
+        raise ValueError(f"{where}: {name} must be a number or empty; got {cell!r}.") from None
+
+
+def _result(row: dict[str, str], values: dict[str, float], where: str) -> Spot | NoSpot:
+    if row["status"] == "no_spot":
+        try:
+            return NoSpot(Reason(row["reason"]))
+        except ValueError:
+            known = ", ".join(reason.value for reason in Reason)
+            raise ValueError(
+                f"{where}: reason must be one of {known}; got {row['reason']!r}."
+            ) from None
+    if row["status"] != "spot":
+        raise ValueError(f"{where}: status must be spot or no_spot; got {row['status']!r}.")
+    covariance = np.empty((5, 5))
+    for (i, j), name in zip(_UPPER, _COVARIANCES, strict=True):
+        covariance[i, j] = covariance[j, i] = values[name]
+    measured = {name: values[name] for name in _VALUES if name != "sigma_semi_minor_px"}
+    return Spot(covariance=covariance, **measured)

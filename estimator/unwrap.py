@@ -1,0 +1,82 @@
+"""Profiles along the rays of an ellipse: sampling, and statistics round the ring of rays."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .ellipse import Ellipse, offset_design
+
+RAYS = 192
+_ANGLES = 2 * np.pi * np.arange(RAYS) / RAYS
+_COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
+_ACROSS = np.stack([_COS, _SIN])
+_ALONG = np.stack([-_SIN, _COS])
+
+DESIGN = offset_design(_COS, _SIN)
+"""Radial offsets of the rays' edges by the parameters of `Ellipse.stepped`, (RAYS, 5)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Signal of a rectangle of a frame, maybe subsampled.
+
+    Attributes:
+        signal: (h, w) float32.
+        x0: column of the frame under the first pixel, px.
+        y0: row of the frame under the first pixel, px.
+        stride: px of the frame per pixel.
+    """
+
+    signal: np.ndarray
+    x0: float
+    y0: float
+    stride: float = 1.0
+
+    def unwrapped(self, ellipse: Ellipse, radii: np.ndarray) -> np.ndarray:
+        """Bilinear samples on the ellipse's rays, (RAYS, len(radii)); NaN outside the patch.
+
+        Args:
+            ellipse: in the frame, px.
+            radii: in units of the ellipse, 1 on its contour.
+        """
+        scale = 1 / self.stride
+        direction = (ellipse.shape * scale) @ _ACROSS
+        points = np.multiply.outer(direction.astype(np.float32), radii.astype(np.float32))
+        points[0] += (ellipse.centre[0] - self.x0) * scale
+        points[1] += (ellipse.centre[1] - self.y0) * scale
+        return cv2.remap(
+            self.signal,
+            points[0],
+            points[1],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=math.nan,
+        )
+
+    def holds(self, ellipse: Ellipse) -> bool:
+        """Whether the whole ellipse lies on the patch."""
+        half_width, half_height = ellipse.half_extent()
+        height, width = self.signal.shape
+        x = (ellipse.centre[0] - self.x0, half_width, (width - 1) * self.stride)
+        y = (ellipse.centre[1] - self.y0, half_height, (height - 1) * self.stride)
+        return all(half <= at <= length - half for at, half, length in (x, y))
+
+
+def share_of_contour(ellipse: Ellipse, rays: np.ndarray) -> float:
+    """Fraction of the contour's length that the rays in the mask stand for."""
+    steps = np.hypot(*(ellipse.shape @ _ALONG))
+    return float(steps[rays].sum() / steps.sum())
+
+
+def ring_variance(values: np.ndarray, harmonics: slice) -> float:
+    """Variance per ray of values round the ring, at the wavelengths of the harmonics.
+
+    Neighbouring rays share pixels and texture, so that their plain scatter understates what is left
+    in a mean over the ring; the spectrum at long wavelengths does not.
+    """
+    spectrum = np.fft.rfft(values)[harmonics]
+    return float((spectrum.real**2 + spectrum.imag**2).mean()) / values.size

@@ -1,0 +1,185 @@
+"""The command `eyespot`: reads arguments, calls the packages, turns errors into exit codes.
+
+JAX and Mitsuba take seconds to load, so every command imports what it needs when it runs.
+
+Exit codes:
+    0    done
+    1    `eyespot doctor` found something missing; any other command: a bug, with its traceback
+    2    bad input, or a part of this machine that is missing; one message on stderr says which
+    130  stopped with Ctrl-C
+"""
+
+from __future__ import annotations
+
+import errno
+import importlib.metadata
+import importlib.util
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
+
+REMEDIES = {
+    errno.EACCES: "Choose a place that you may write to.",
+    errno.EEXIST: "Name another one; nothing is written over.",
+    errno.ENOENT: "Check the path.",
+    errno.ENOSPC: "Free some space, or choose another disk.",
+    errno.ENOTDIR: "A part of this path is a file; choose a folder.",
+    errno.EROFS: "Choose a place that can be written to.",
+}
+"""What to do about an error of the operating system."""
+
+app = typer.Typer(
+    help="How far can a distance be trusted that was read off a spot of light in a microscope "
+    "image?",
+    epilog="EYESPOT_TRACEBACK=1 in the environment shows where an error message came from.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+scene_commands = typer.Typer(help="Write and check scene files.", no_args_is_help=True)
+app.add_typer(scene_commands, name="scene")
+
+OutputFolder = Annotated[
+    Path, typer.Option("--out", metavar="DIR", help="Folder for the results; made if missing.")
+]
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
+
+
+@app.command()
+def validate(
+    out: OutputFolder,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer frames, for a first look.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of camera noise and wall texture.", min=0)] = 0,
+    source: Annotated[
+        Literal["both", "lens", "cone"],
+        typer.Option(help="The fibre with its glue lens, the ideal sharp cone, or both."),
+    ] = "both",
+) -> None:
+    """Repeat the paper's static experiment on rendered images and write a report.
+
+    A run that was stopped goes on where it was when it is given the same folder.
+    """
+    from benchmarks import validate as experiment
+
+    experiment.run(out=out, quick=quick, seed=seed, source=source)
+
+
+@app.command()
+def render(scene: SceneFile, out: OutputFolder) -> None:
+    """Render a scene file to an image stack with labels."""
+    from rich.progress import Progress
+
+    import scenes
+
+    settings = scenes.load_scene(scene)
+    with Progress(transient=True) as progress:
+        task = progress.add_task("Rendering", total=settings.withdrawal.frames)
+        scenes.render_stack(settings, out, progress=lambda: progress.advance(task))
+    typer.echo(f"Wrote the stack {out}.")
+
+
+@scene_commands.command("init")
+def scene_init(
+    path: Annotated[Path, typer.Argument(help="File to write.")] = Path("scene.toml"),
+) -> None:
+    """Write a scene file with every key, its unit and its default."""
+    import scenes
+
+    with path.open("x", encoding="utf-8") as file:
+        file.write(scenes.scene_template())
+    typer.echo(f"Wrote {path}. Edit it, then: eyespot scene check {path}")
+
+
+@scene_commands.command("check")
+def scene_check(scene: SceneFile) -> None:
+    """Say whether a scene file can be rendered, and if not, why not."""
+    import scenes
+    from scenes import geometry, labels
+
+    settings = scenes.load_scene(scene)
+    # What the keys alone do not tell, such as a spot that leaves the window.
+    labels.truth(
+        settings, geometry.lens_table(settings) if settings.source.kind == "lens" else None
+    )
+    typer.echo(f"{scene}: fine.")
+
+
+@app.command()
+def doctor() -> None:
+    """Say what this machine can do, and what to do about each thing that is missing."""
+    from scenes import doctor as examination
+
+    raise typer.Exit(examination.report())
+
+
+@app.command()
+def version() -> None:
+    """Print the version of eyespot."""
+    typer.echo(importlib.metadata.version("eyespot"))
+
+
+def main() -> None:
+    """Runs the command line; the one place that decides what an error looks like.
+
+    Our functions raise ValueError for what a person can put right, and the operating system
+    raises OSError; their messages are printed as they are. Whatever else arrives here is a bug
+    and keeps its traceback.
+    """
+    try:
+        _refuse_foreign_packages()
+        app()
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except Exception as error:
+        message = _message_for_a_person(error)
+        if message is None or os.environ.get("EYESPOT_TRACEBACK"):
+            raise
+        print(f"eyespot: {message}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _message_for_a_person(error: Exception) -> str | None:
+    """What to tell about an expected error; None for a bug."""
+    # Classes of modules that were never loaded cannot have been raised.
+    pydantic, variant = sys.modules.get("pydantic"), sys.modules.get("scenes.variant")
+    if pydantic and isinstance(error, pydantic.ValidationError):
+        return "\n".join(
+            f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}; got {problem['input']!r}"
+            for problem in error.errors()
+        )
+    if variant and isinstance(error, variant.RendererUnavailable):
+        return str(error)
+    if isinstance(error, ModuleNotFoundError) and error.name not in PACKAGES:
+        return f"the Python package {error.name} is not installed. Run `make setup` again."
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}. {REMEDIES.get(error.errno or 0, '')}".rstrip()
+    if isinstance(error, ValueError | OSError):
+        return str(error)
+    return None
+
+
+def _refuse_foreign_packages() -> None:
+    """Our packages have common names; another distribution's `benchmarks` would be run for ours."""
+    home = Path(__file__).resolve().parent
+    for name in PACKAGES:
+        spec = importlib.util.find_spec(name)
+        if spec is None or spec.origin is None:
+            raise ValueError(f"eyespot's package {name} is missing in {home}. Install it again.")
+        found = Path(spec.origin).resolve().parent
+        if found != home / name:
+            owners = importlib.metadata.packages_distributions().get(name, [])
+            owner = next((owner for owner in owners if owner != "eyespot"), "its distribution")
+            raise ValueError(
+                f"the package {name} that Python finds is {found}, not eyespot's. Uninstall "
+                f"{owner}, or give eyespot an environment of its own (`make setup`)."
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""Physics of the spot as pure, differentiable functions: mm, rad, px; JAX in float64.
+
+_camera      Microscope: pinhole at any height, telecentric limit, distortion
+_surface     Sphere, Plane: intersections with a status, frames at a wall point
+_beam        Beam: cone by tip and axis, by spot and distance, through a trocar; contact
+_ellipse     the ellipse of a contour
+_contour     the exact spot: cone and wall intersected, projected, fitted
+_models      planar, small_plane, corrected, stereographic; the paper's terms one by one
+_distance    exact: the distance whose exact contour was measured
+_half_maximum  the spot's edge by light on any wall
+_truth       what is true of a spot at each distance: the numbers behind labels
+_indirect    light scattered back by a closed matt eyeball
+_lens        GlueLens and its presets
+_irradiance  vector irradiance of the lens: quadrature and table
+"""
+
+import jax
+
+# Half a micrometre at 200 mm needs more than float32's seven digits.
+jax.config.update("jax_enable_x64", True)
+
+from optics._beam import Beam as Beam
+from optics._beam import beam_at_spot as beam_at_spot
+from optics._beam import beam_through_trocar as beam_through_trocar
+from optics._beam import contact_distance as contact_distance
+from optics._beam import perpendicular_frame as perpendicular_frame
+from optics._beam import slope as slope
+from optics._camera import Microscope as Microscope
+from optics._camera import microscope as microscope
+from optics._camera import microscope_from_camera_matrix as microscope_from_camera_matrix
+from optics._contour import cone_contour as cone_contour
+from optics._contour import spot_contour as spot_contour
+from optics._contour import spot_ellipse as spot_ellipse
+from optics._distance import exact_distance as exact_distance
+from optics._distance import exact_semi_minor as exact_semi_minor
+from optics._ellipse import Ellipse as Ellipse
+from optics._ellipse import ellipse_of_contour as ellipse_of_contour
+from optics._ellipse import ellipse_points as ellipse_points
+from optics._half_maximum import half_maximum_contour as half_maximum_contour
+from optics._half_maximum import wall_irradiance as wall_irradiance
+from optics._indirect import indirect_irradiance as indirect_irradiance
+from optics._irradiance_table import IrradianceTable as IrradianceTable
+from optics._models import MODELS as MODELS
+from optics._models import corrected_distance as corrected_distance
+from optics._models import corrected_factor as corrected_factor
+from optics._models import paper_angle_s_d_e as paper_angle_s_d_e
+from optics._models import paper_foreshortening as paper_foreshortening
+from optics._models import paper_pinhole_distance as paper_pinhole_distance
+from optics._models import planar_distance as planar_distance
+from optics._models import planar_semi_minor as planar_semi_minor
+from optics._models import sagitta as sagitta
+from optics._models import small_plane_distance as small_plane_distance
+from optics._models import small_plane_spot_radius as small_plane_spot_radius
+from optics._models import sphere_distance as sphere_distance
+from optics._models import square_spot_axes as square_spot_axes
+from optics._models import square_spot_radius as square_spot_radius
+from optics._models import stereographic_distance as stereographic_distance
+from optics._models import stereographic_semi_axis as stereographic_semi_axis
+from optics._surface import BEHIND as BEHIND
+from optics._surface import HIT as HIT
+from optics._surface import MISS as MISS
+from optics._surface import Intersection as Intersection
+from optics._surface import Plane as Plane
+from optics._surface import Sphere as Sphere
+from optics._surface import Surface as Surface
+from optics._surface import WallFrame as WallFrame
+from optics._surface import pole_plane as pole_plane
+from optics._truth import SpotTruth as SpotTruth
+from optics._truth import spot_truth as spot_truth

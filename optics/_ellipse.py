@@ -1,0 +1,155 @@
+"""The ellipse of a contour, by one definition that labels, models and fits share."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+_REWEIGHTINGS = 2
+
+
+class Ellipse(NamedTuple):
+    """Ellipse in an image (px) or on a plane (mm).
+
+    Attributes:
+        centre: (u, v).
+        semi_major: half of the longer axis.
+        semi_minor: half of the shorter axis.
+        angle: of the semi-major axis from +u towards +v, rad, in (-pi/2, pi/2].
+    """
+
+    centre: Float[Array, "*batch 2"]
+    semi_major: Float[Array, "*batch"]
+    semi_minor: Float[Array, "*batch"]
+    angle: Float[Array, "*batch"]
+
+
+def ellipse_of_contour(contour: Float[Array, "*batch n 2"]) -> Ellipse:
+    r"""Ellipse of a closed contour: algebraic least squares, uniform in the ellipse's own angle.
+
+    The conic $A x^2 + B xy + C y^2 + D x + E y = 1$ about the centroid minimises the unweighted sum
+    of squared residuals over points that are uniform in the ellipse's eccentric angle t. The
+    contour is given at equal steps of another parameter (the generator's angle), so each point
+    carries the weight dt of its step: the trapezoid rule of the same integral, which on a periodic
+    smooth curve converges faster than any power of n. t needs the ellipse; it is found from
+    uniform weights and twice refined.
+
+    Args:
+        contour: points in order round the curve; n of 32 or more.
+
+    Returns:
+        The ellipse; exact (to rounding) if the contour is one.
+    """
+    weights = jnp.ones(contour.shape[:-1])
+    ellipse = _fit(contour, weights)
+    for _ in range(_REWEIGHTINGS):
+        ellipse = _fit(contour, _steps_of_eccentric_angle(contour, ellipse))
+    return ellipse
+
+
+def ellipse_points(ellipse: Ellipse, angles: Float[Array, "n"]) -> Float[Array, "*batch n 2"]:
+    """Points of an ellipse at eccentric angles (rad)."""
+    cos_t = ellipse.semi_major[..., None] * jnp.cos(angles)
+    sin_t = ellipse.semi_minor[..., None] * jnp.sin(angles)
+    c, s = jnp.cos(ellipse.angle)[..., None], jnp.sin(ellipse.angle)[..., None]
+    around = jnp.stack([c * cos_t - s * sin_t, s * cos_t + c * sin_t], axis=-1)
+    return ellipse.centre[..., None, :] + around
+
+
+def _steps_of_eccentric_angle(
+    contour: Float[Array, "*batch n 2"], ellipse: Ellipse
+) -> Float[Array, "*batch n"]:
+    """dt between neighbours, per point, from the cross product of its neighbours' chords."""
+    c, s = jnp.cos(ellipse.angle)[..., None], jnp.sin(ellipse.angle)[..., None]
+    x = contour[..., 0] - ellipse.centre[..., 0, None]
+    y = contour[..., 1] - ellipse.centre[..., 1, None]
+    p = (c * x + s * y) / ellipse.semi_major[..., None]
+    q = (c * y - s * x) / ellipse.semi_minor[..., None]
+    dp = jnp.roll(p, -1, axis=-1) - jnp.roll(p, 1, axis=-1)
+    dq = jnp.roll(q, -1, axis=-1) - jnp.roll(q, 1, axis=-1)
+    return jnp.abs(p * dq - q * dp) / (p * p + q * q)
+
+
+def _fit(contour: Float[Array, "*batch n 2"], weights: Float[Array, "*batch n"]) -> Ellipse:
+    total = jnp.sum(weights, axis=-1)
+    centroid = jnp.sum(contour * weights[..., None], axis=-2) / total[..., None]
+    x = contour[..., 0] - centroid[..., 0, None]
+    y = contour[..., 1] - centroid[..., 1, None]
+    size = jnp.sqrt(jnp.sum(weights * (x * x + y * y), axis=-1) / total)
+    x, y = x / size[..., None], y / size[..., None]
+    columns = (x * x, x * y, y * y, x, y)
+    weighted = [weights * column for column in columns]
+    normal = [
+        [jnp.sum(weighted[i] * columns[j], axis=-1) for j in range(i + 1)] for i in range(5)
+    ]
+    target = [jnp.sum(column, axis=-1) for column in weighted]
+    a, b, c, d, e = _solve_cholesky(normal, target)
+    return _from_conic(a, b, c, d, e, centroid=centroid, size=size)
+
+
+def _from_conic(
+    a: Float[Array, "*batch"],
+    b: Float[Array, "*batch"],
+    c: Float[Array, "*batch"],
+    d: Float[Array, "*batch"],
+    e: Float[Array, "*batch"],
+    *,
+    centroid: Float[Array, "*batch 2"],
+    size: Float[Array, "*batch"],
+) -> Ellipse:
+    """Ellipse of a x^2 + b xy + c y^2 + d x + e y = 1 in coordinates about `centroid`."""
+    determinant = 4.0 * a * c - b * b
+    x0 = (b * e - 2.0 * c * d) / determinant
+    y0 = (b * d - 2.0 * a * e) / determinant
+    level = 1.0 + a * x0 * x0 + b * x0 * y0 + c * y0 * y0
+    mean, half_difference = 0.5 * (a + c), 0.5 * (a - c)
+    circular = (half_difference == 0) & (b == 0)
+    # A circle has no direction; the inner `where`s keep the derivatives finite there.
+    safe = jnp.where(circular, 1.0, half_difference)
+    spread = jnp.where(circular, 0.0, jnp.sqrt(safe**2 + 0.25 * b * b))
+    angle = jnp.where(circular, 0.0, 0.5 * jnp.arctan2(-b, -safe))
+    return Ellipse(
+        centre=centroid + size[..., None] * jnp.stack([x0, y0], axis=-1),
+        semi_major=size * jnp.sqrt(level / (mean - spread)),
+        semi_minor=size * jnp.sqrt(level / (mean + spread)),
+        angle=angle,
+    )
+
+
+def _solve_cholesky(
+    lower: list[list[Float[Array, "*batch"]]], target: list[Float[Array, "*batch"]]
+) -> list[Float[Array, "*batch"]]:
+    """Solution of a small positive definite system, unrolled.
+
+    A batched LAPACK call costs about 2 us a system on a CPU; unrolled, the arithmetic is
+    vectorised over the batch and costs a twentieth of it.
+
+    Args:
+        lower: rows of the lower triangle, each entry a batch.
+        target: right-hand side.
+    """
+    n = len(target)
+    factor: list[list[Float[Array, "*batch"]]] = []
+    for i in range(n):
+        row: list[Float[Array, "*batch"]] = []
+        for j in range(i + 1):
+            value = lower[i][j]
+            for k in range(j):
+                value = value - row[k] * (row[k] if i == j else factor[j][k])
+            row.append(jnp.sqrt(value) if i == j else value / factor[j][j])
+        factor.append(row)
+    forward: list[Float[Array, "*batch"]] = []
+    for i in range(n):
+        value = target[i]
+        for k in range(i):
+            value = value - factor[i][k] * forward[k]
+        forward.append(value / factor[i][i])
+    solution = forward
+    for i in reversed(range(n)):
+        value = solution[i]
+        for k in range(i + 1, n):
+            value = value - factor[k][i] * solution[k]
+        solution = [*solution[:i], value / factor[i][i], *solution[i + 1 :]]
+    return solution

@@ -1,0 +1,261 @@
+"""GlueLens: a drop of glue on the end of a fibre, its shape, its light and its presets.
+
+Frame of the lens: the tip S, the cap's vertex, is the origin; +s runs along the axis away from the
+fibre. The cap is s = -sagitta(rho), the core's face is the disc s = -glue_length.
+"""
+
+import math
+import tomllib
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+_PRESETS = Path(__file__).parent / "lenses"
+_SCHEMA = 1
+
+
+class GlueLens(eqx.Module):
+    """A spherical cap of glue on a fibre's core, lit by the core through a numerical aperture.
+
+    Radiance on the core's face, per unit power, with p the distance from the core's centre and
+    theta the angle to the axis inside the glue:
+
+        L(p, theta) ~ exp(-2 (p / launch_radius)^2) exp(-2 (n_g sin theta / launch_aperture)^2)
+
+    for p <= core_radius and n_g sin theta <= numerical_aperture, 0 elsewhere. Infinite launch
+    radius and aperture (the default) are a core and a cone filled uniformly; finite ones are a
+    Gaussian launch's 1/e^2 radii. Only what passes the cap at its first try counts: light that
+    the cap throws back into the glue, or that meets the drop's side, is lost.
+
+    Attributes:
+        core_radius: a_c, mm.
+        glue_length: L, from the core's face to the cap's vertex, mm, at least the sag.
+        aperture_radius: a, of the cap's rim and of the glue's cylinder, mm, at least a_c.
+        sag: h, height of the cap over its rim, mm; 0 is a flat end.
+        glue_index: n_g.
+        numerical_aperture: NA of the light in the core.
+        launch_radius: 1/e^2 radius of the radiance on the core's face, mm.
+        launch_aperture: 1/e^2 half-width of the radiance in n_g sin theta.
+    """
+
+    core_radius: ArrayLike
+    glue_length: ArrayLike
+    aperture_radius: ArrayLike
+    sag: ArrayLike
+    glue_index: ArrayLike
+    numerical_aperture: ArrayLike
+    launch_radius: ArrayLike
+    launch_aperture: ArrayLike
+
+    @property
+    def curvature(self) -> Float[Array, ""]:
+        """Curvature of the cap, 2h/(a² + h²), 1/mm: exact for the flat end, where R is infinite."""
+        return 2.0 * self.sag / (jnp.square(self.aperture_radius) + jnp.square(self.sag))
+
+    @property
+    def sine_limit(self) -> Float[Array, ""]:
+        """Largest sine of the light's angle to the axis inside the glue, NA/n_g."""
+        return jnp.asarray(self.numerical_aperture) / self.glue_index
+
+    def focal_length(self, *, medium_index: ArrayLike) -> Float[Array, ""]:
+        """Distance from the vertex to the paraxial focus in the medium, n0 R/(n_g - n0), mm.
+
+        Infinite for a flat end or an index-matched medium, negative where the cap diverges.
+
+        Args:
+            medium_index: n0, refractive index of the medium.
+        """
+        return medium_index / (self.curvature * (jnp.asarray(self.glue_index) - medium_index))
+
+    def sagitta(self, radius: ArrayLike) -> Float[Array, "*batch"]:
+        """Depth of the cap's surface below its vertex, κρ²/(1 + √(1 - κ²ρ²)), mm.
+
+        Args:
+            radius: distance from the axis, mm, in [0, aperture_radius].
+        """
+        squared = jnp.square(radius)
+        root = jnp.sqrt(1.0 - jnp.square(self.curvature) * squared)
+        return self.curvature * squared / (1.0 + root)
+
+    def radiance(
+        self, *, face_radius_squared: ArrayLike, sine_squared: ArrayLike
+    ) -> Float[Array, "*batch"]:
+        """Radiance on the core's face per unit power that leaves it, 1/(mm² sr).
+
+        Args:
+            face_radius_squared: squared distance from the core's centre, mm².
+            sine_squared: squared sine of the angle to the axis inside the glue.
+
+        Returns:
+            The profile of the class's docstring without its limits, which the caller applies.
+        """
+        launch_sine = jnp.asarray(self.launch_aperture) / self.glue_index
+        shape = jnp.exp(
+            -2.0 * face_radius_squared / jnp.square(self.launch_radius)
+            - 2.0 * sine_squared / jnp.square(launch_sine)
+        )
+        etendue = _gaussian_disc(self.core_radius, self.launch_radius) * _gaussian_disc(
+            self.sine_limit, launch_sine
+        )
+        return shape / etendue
+
+
+def _gaussian_disc(radius: ArrayLike, waist: ArrayLike) -> Float[Array, ""]:
+    """Integral of exp(-2 r²/waist²) over a disc; its area for an infinite waist."""
+    exponent = 2.0 * jnp.square(jnp.asarray(radius) / waist)
+    curved = exponent > 0.0
+    safe = jnp.where(curved, exponent, 1.0)
+    return jnp.pi * jnp.square(radius) * jnp.where(curved, -jnp.expm1(-safe) / safe, 1.0)
+
+
+def glue_lens(
+    *,
+    core_radius: ArrayLike,
+    glue_length: ArrayLike,
+    aperture_radius: ArrayLike,
+    sag: ArrayLike,
+    glue_index: ArrayLike,
+    numerical_aperture: ArrayLike,
+    launch_radius: ArrayLike = math.inf,
+    launch_aperture: ArrayLike = math.inf,
+) -> GlueLens:
+    """Make a lens whose values are checked as far as they are known (not under tracing).
+
+    Args:
+        core_radius: a_c, mm.
+        glue_length: L, core face to vertex, mm.
+        aperture_radius: a, mm.
+        sag: h, mm.
+        glue_index: n_g.
+        numerical_aperture: NA of the light in the core.
+        launch_radius: 1/e² radius of a Gaussian launch on the core's face, mm.
+        launch_aperture: 1/e² half-width of a Gaussian launch in n_g sin theta.
+
+    Raises:
+        ValueError: a value outside its range; the message says which and how to mend it.
+    """
+    lens = GlueLens(
+        core_radius,
+        glue_length,
+        aperture_radius,
+        sag,
+        glue_index,
+        numerical_aperture,
+        launch_radius,
+        launch_aperture,
+    )
+    leaves = jax.tree.leaves(lens)
+    if not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        _check(*(float(leaf) for leaf in leaves))
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), lens)
+
+
+def _check(
+    core_radius: float,
+    glue_length: float,
+    aperture_radius: float,
+    sag: float,
+    glue_index: float,
+    numerical_aperture: float,
+    launch_radius: float,
+    launch_aperture: float,
+) -> None:
+    rules = (
+        (
+            core_radius > 0.0,
+            "core_radius",
+            f"must be positive; got {core_radius:g} mm. Give the radius of the fibre's core",
+        ),
+        (
+            aperture_radius >= core_radius,
+            "aperture_radius",
+            f"must be at least the core's radius; got aperture_radius={aperture_radius:g} mm, "
+            f"core_radius={core_radius:g} mm. Raise aperture_radius or lower core_radius",
+        ),
+        (
+            0.0 <= sag <= aperture_radius,
+            "sag",
+            f"must lie in [0, aperture_radius]; got sag={sag:g} mm, "
+            f"aperture_radius={aperture_radius:g} mm. Lower sag or raise aperture_radius",
+        ),
+        (
+            glue_length >= sag and math.isfinite(glue_length),
+            "glue_length",
+            f"must be at least the sag (the core's face lies under the cap's rim); got "
+            f"glue_length={glue_length:g} mm, sag={sag:g} mm. Raise glue_length or lower sag",
+        ),
+        (
+            1.0 <= glue_index <= 4.0,
+            "glue_index",
+            f"must lie in [1, 4]; got {glue_index:g}. Cyanoacrylate has 1.48 to 1.50",
+        ),
+        (
+            0.0 < numerical_aperture < glue_index,
+            "numerical_aperture",
+            f"must lie in (0, glue_index); got numerical_aperture={numerical_aperture:g}, "
+            f"glue_index={glue_index:g}. Lower numerical_aperture",
+        ),
+        (
+            launch_radius > 0.0,
+            "launch_radius",
+            f"must be positive; got {launch_radius:g} mm. Leave it out for a uniform core",
+        ),
+        (
+            launch_aperture > 0.0,
+            "launch_aperture",
+            f"must be positive; got {launch_aperture:g}. Leave it out for a uniform cone",
+        ),
+    )
+    for holds, name, rule in rules:
+        if not holds:
+            raise ValueError(f"GlueLens({name}=...) {rule}.")
+
+
+def lens_names() -> tuple[str, ...]:
+    """Names of the lenses that come with the package."""
+    return tuple(sorted(path.stem for path in _PRESETS.glob("*.toml")))
+
+
+def load_lens(name_or_path: str | Path) -> GlueLens:
+    """Read a lens from a preset's name or from a TOML file of the presets' form.
+
+    Args:
+        name_or_path: one of `lens_names()`, or the path of a `.toml` file.
+
+    Raises:
+        ValueError: no such preset or file, another schema, an unknown, missing or wrong key.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = _PRESETS / f"{name_or_path}.toml"
+    if not path.is_file():
+        raise ValueError(
+            f"load_lens({str(name_or_path)!r}): no such lens. Presets: {', '.join(lens_names())}; "
+            "or give the path of a .toml file."
+        )
+    with path.open("rb") as file:
+        try:
+            content = tomllib.load(file)
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"load_lens: {path.name} is not TOML: {error}.") from error
+    if content.get("schema") != _SCHEMA:
+        raise ValueError(
+            f"load_lens: {path.name} must have schema = {_SCHEMA}; got {content.get('schema')!r}. "
+            "Compare it with the presets in optics/lenses."
+        )
+    values = content.get("lens", {})
+    known = [*GlueLens.__annotations__]
+    required = known[:-2]
+    wrong = [key for key in values if key not in known or not isinstance(values[key], int | float)]
+    missing = [key for key in required if key not in values]
+    if wrong or missing:
+        raise ValueError(
+            f"load_lens: [lens] of {path.name} must hold the numbers {', '.join(required)} and may "
+            f"hold {', '.join(known[-2:])}; wrong: {', '.join(wrong) or 'none'}, missing: "
+            f"{', '.join(missing) or 'none'}."
+        )
+    return glue_lens(**values)

@@ -1,0 +1,280 @@
+"""The models that turn a spot's size into a distance: planar, small_plane, corrected, stereographic.
+
+Each is a closed form for a beam square to the wall; the terms of the paper's derivation are
+functions of their own, so that a study can say which approximation costs what. `exact` needs the
+beam's direction and lives in `_distance`.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact")
+"""The models' names, everywhere: command line, files, code."""
+
+Batch = Float[Array, "*batch"]
+
+
+def planar_distance(*, semi_minor_px: ArrayLike, scale: ArrayLike, k: ArrayLike, b: ArrayLike):
+    """Distance on a plane that is parallel to the sensor, d = delta k e1' + b.
+
+    Zhou et al. 2020, eq. 7.
+
+    Args:
+        semi_minor_px: e1', px.
+        scale: delta, mm/px.
+        k: 1/tan(half-angle).
+        b: apex offset, mm.
+
+    Returns:
+        d, mm.
+    """
+    return scale * k * jnp.asarray(semi_minor_px) + b
+
+
+def planar_semi_minor(*, distance: ArrayLike, scale: ArrayLike, k: ArrayLike, b: ArrayLike):
+    """e1' in px of a spot at distance d (mm) on a plane; inverse of `planar_distance`."""
+    return (jnp.asarray(distance) - b) / (scale * k)
+
+
+def sagitta(*, spot_radius: ArrayLike, eye_radius: ArrayLike) -> Batch:
+    """S'O = r - sqrt(r^2 - e1^2), depth of the spot's cap, mm (Zhou et al. 2020, eq. 5).
+
+    Written e1^2/(r + sqrt(r^2 - e1^2)), which does not cancel for small spots.
+    """
+    squared = jnp.asarray(spot_radius) ** 2
+    return squared / (eye_radius + jnp.sqrt(jnp.asarray(eye_radius) ** 2 - squared))
+
+
+def sphere_distance(*, spot_radius: ArrayLike, k: ArrayLike, b: ArrayLike, eye_radius: ArrayLike):
+    """d = k e1 + b + r - sqrt(r^2 - e1^2), mm (Zhou et al. 2020, eq. 6); exact if square."""
+    return (
+        k * jnp.asarray(spot_radius) + b + sagitta(spot_radius=spot_radius, eye_radius=eye_radius)
+    )
+
+
+def square_spot_radius(
+    *, distance: ArrayLike, k: ArrayLike, b: ArrayLike, eye_radius: ArrayLike
+) -> Batch:
+    """Radius of the lit circle in a sphere for a square beam, mm; inverse of `sphere_distance`.
+
+    e1 solves (1 + k^2) e1^2 + 2 k q e1 + q^2 = r^2 with q = r - d + b.
+    """
+    q = jnp.asarray(eye_radius) - distance + b
+    k2 = 1.0 + jnp.asarray(k) ** 2
+    return (jnp.sqrt(jnp.asarray(eye_radius) ** 2 * k2 - q**2) - k * q) / k2
+
+
+def paper_foreshortening(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> Batch:
+    """cos(atan(c / sqrt(r^2 - c^2))) = cos(phi), the factor of Zhou et al. 2020, eq. 10."""
+    return jnp.sqrt(1.0 - (jnp.asarray(eccentricity) / eye_radius) ** 2)
+
+
+def paper_pinhole_distance(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> Batch:
+    """FP = r + sqrt(r^2 - c^2), mm: eq. 9 of Zhou et al. 2020 puts the pinhole on the sphere."""
+    r = jnp.asarray(eye_radius)
+    return r + jnp.sqrt(r**2 - jnp.asarray(eccentricity) ** 2)
+
+
+def paper_angle_s_d_e(
+    *, eccentricity: ArrayLike, eye_radius: ArrayLike, spot_radius: ArrayLike
+) -> Batch:
+    """Angle S'DE of Zhou et al. 2020, eq. 9, rad; the paper drops the term with its cosine."""
+    phi = jnp.arcsin(jnp.asarray(eccentricity) / eye_radius)
+    fp = paper_pinhole_distance(eccentricity=eccentricity, eye_radius=eye_radius)
+    return jnp.arctan(fp * jnp.cos(0.5 * phi) / spot_radius)
+
+
+def small_plane_spot_radius(
+    *, semi_minor_px: ArrayLike, scale: ArrayLike, eccentricity: ArrayLike, eye_radius: ArrayLike
+) -> Batch:
+    """e1 = delta e1' cos(phi), mm (Zhou et al. 2020, eq. 10)."""
+    foreshortening = paper_foreshortening(eccentricity=eccentricity, eye_radius=eye_radius)
+    return scale * jnp.asarray(semi_minor_px) * foreshortening
+
+
+def small_plane_distance(
+    *,
+    semi_minor_px: ArrayLike,
+    scale: ArrayLike,
+    k: ArrayLike,
+    b: ArrayLike,
+    eccentricity: ArrayLike,
+    eye_radius: ArrayLike,
+) -> Batch:
+    """The paper's distance in the eyeball: eq. 10 put into eq. 6 (Zhou et al. 2020, eq. 11).
+
+    Args:
+        semi_minor_px: e1', px.
+        scale: delta, mm/px at the pole.
+        k: 1/tan(half-angle).
+        b: apex offset, mm.
+        eccentricity: c, mm.
+        eye_radius: r, mm.
+
+    Returns:
+        d, mm.
+    """
+    radius = small_plane_spot_radius(
+        semi_minor_px=semi_minor_px, scale=scale, eccentricity=eccentricity, eye_radius=eye_radius
+    )
+    return sphere_distance(spot_radius=radius, k=k, b=b, eye_radius=eye_radius)
+
+
+def corrected_factor(
+    *,
+    eccentricity: ArrayLike,
+    eye_radius: ArrayLike,
+    inverse_working_distance: ArrayLike,
+) -> Batch:
+    r"""e1/(delta e1') to first order in the spot's size, for a pinhole at any height.
+
+    $\frac{z_F + r\cos\varphi}{z_F + r} / \min(1, m)$ with
+    $m = \cos\varphi + \frac{r\sin^2\varphi}{z_F + r\cos\varphi}$: magnification with depth, and
+    foreshortening where the meridional axis is the shorter one. With $\kappa = 1/(z_F + r)$,
+    $z_F + r\cos\varphi = (1 - \kappa r (1 - \cos\varphi))/\kappa$, finite for $\kappa = 0$.
+
+    Args:
+        eccentricity: c, mm.
+        eye_radius: r, mm.
+        inverse_working_distance: kappa, 1/mm.
+    """
+    r = jnp.asarray(eye_radius)
+    sin_phi = jnp.asarray(eccentricity) / r
+    cos_phi = jnp.sqrt(1.0 - sin_phi**2)
+    depth = 1.0 - inverse_working_distance * r * (1.0 - cos_phi)
+    meridional = cos_phi + inverse_working_distance * r * sin_phi**2 / depth
+    return depth / jnp.minimum(1.0, meridional)
+
+
+def corrected_distance(
+    *,
+    semi_minor_px: ArrayLike,
+    scale: ArrayLike,
+    k: ArrayLike,
+    b: ArrayLike,
+    eccentricity: ArrayLike,
+    eye_radius: ArrayLike,
+    inverse_working_distance: ArrayLike,
+) -> Batch:
+    """Distance in the eyeball with the right first-order factor for the pinhole's height.
+
+    Args:
+        semi_minor_px: e1', px.
+        scale: delta, mm/px at the pole.
+        k: 1/tan(half-angle).
+        b: apex offset, mm.
+        eccentricity: c, mm.
+        eye_radius: r, mm.
+        inverse_working_distance: 1/(z_F + r), 1/mm; 0 is telecentric.
+
+    Returns:
+        d, mm.
+    """
+    factor = corrected_factor(
+        eccentricity=eccentricity,
+        eye_radius=eye_radius,
+        inverse_working_distance=inverse_working_distance,
+    )
+    radius = scale * jnp.asarray(semi_minor_px) * factor
+    return sphere_distance(spot_radius=radius, k=k, b=b, eye_radius=eye_radius)
+
+
+def stereographic_semi_axis(
+    *,
+    spot_radius: ArrayLike,
+    eccentricity: ArrayLike,
+    eye_radius: ArrayLike,
+    scale: ArrayLike,
+) -> Batch:
+    r"""Image radius of a lit circle for a pinhole on the sphere (z_F = r).
+
+    $e_1' = f\sin\beta/(\cos\varphi + \cos\beta)$ with $\sin\beta = R/r$, $\sin\varphi = c/r$ and
+    $f = 2r/\delta$: the pinhole is the centre of a stereographic projection, so the image is a
+    circle (c is that of O, the beam's axis on the wall, not of the image circle's centre).
+
+    Args:
+        spot_radius: R, mm.
+        eccentricity: c of O, mm.
+        eye_radius: r, mm.
+        scale: delta, mm/px at the pole.
+
+    Returns:
+        e1', px.
+    """
+    r = jnp.asarray(eye_radius)
+    sin_beta = jnp.asarray(spot_radius) / r
+    cos_beta = jnp.sqrt(1.0 - sin_beta**2)
+    cos_phi = jnp.sqrt(1.0 - (jnp.asarray(eccentricity) / r) ** 2)
+    return 2.0 * r / scale * sin_beta / (cos_phi + cos_beta)
+
+
+def stereographic_distance(
+    *,
+    semi_minor_px: ArrayLike,
+    scale: ArrayLike,
+    k: ArrayLike,
+    b: ArrayLike,
+    eccentricity: ArrayLike,
+    eye_radius: ArrayLike,
+) -> Batch:
+    r"""Distance in the eyeball from a pinhole on the sphere, exact for a square beam.
+
+    $m = e_1'/f$, $\beta = \arctan m + \arcsin(m\cos\varphi/\sqrt{1+m^2})$, $R = r\sin\beta$.
+
+    Args:
+        semi_minor_px: e1', px.
+        scale: delta, mm/px at the pole.
+        k: 1/tan(half-angle).
+        b: apex offset, mm.
+        eccentricity: c of O, mm.
+        eye_radius: r, mm.
+
+    Returns:
+        d, mm.
+    """
+    r = jnp.asarray(eye_radius)
+    m = jnp.asarray(semi_minor_px) * scale / (2.0 * r)
+    cos_phi = jnp.sqrt(1.0 - (jnp.asarray(eccentricity) / r) ** 2)
+    beta = jnp.arctan(m) + jnp.arcsin(m * cos_phi / jnp.sqrt(1.0 + m**2))
+    return sphere_distance(spot_radius=r * jnp.sin(beta), k=k, b=b, eye_radius=eye_radius)
+
+
+def square_spot_axes(
+    *,
+    spot_radius: ArrayLike,
+    eccentricity: ArrayLike,
+    eye_radius: ArrayLike,
+    scale: ArrayLike,
+    inverse_working_distance: ArrayLike,
+) -> tuple[Batch, Batch]:
+    r"""Image semi-axes of the lit circle of a square beam, any pinhole height, closed form.
+
+    The circle $(p + q\cos t, R\sin t)$ seen at depth $A - B\cos t$ images as an ellipse with axes
+    along and across the meridian:
+    $a_m = (qA + pB)/(A^2 - B^2)/\delta$, $a_t = R/\sqrt{A^2 - B^2}/\delta$,
+    $p = \sqrt{r^2 - R^2}\sin\varphi$, $q = R\cos\varphi$,
+    $A = 1 - \kappa(r - \sqrt{r^2 - R^2}\cos\varphi)$, $B = \kappa R\sin\varphi$.
+
+    Args:
+        spot_radius: R, mm.
+        eccentricity: c of O, mm.
+        eye_radius: r, mm.
+        scale: delta, mm/px at the pole.
+        inverse_working_distance: kappa, 1/mm; 0 is telecentric.
+
+    Returns:
+        Meridional and tangential semi-axis, px; e1' is the smaller.
+    """
+    r, spot = jnp.asarray(eye_radius), jnp.asarray(spot_radius)
+    sin_phi = jnp.asarray(eccentricity) / r
+    cos_phi = jnp.sqrt(1.0 - sin_phi**2)
+    height = jnp.sqrt(r**2 - spot**2)
+    kappa = inverse_working_distance
+    a = 1.0 - kappa * (r - height * cos_phi)
+    b = kappa * spot * sin_phi
+    denominator = a**2 - b**2
+    meridional = (spot * cos_phi * a + height * sin_phi * b) / denominator
+    tangential = spot / jnp.sqrt(denominator)
+    return meridional / scale, tangential / scale

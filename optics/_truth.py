@@ -1,0 +1,108 @@
+"""What is true of a spot at each distance of a trial: the numbers behind every label."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from optics._beam import Beam, beam_at_spot
+from optics._camera import Microscope
+from optics._contour import cone_contour
+from optics._ellipse import Ellipse, ellipse_of_contour
+from optics._half_maximum import half_maximum_contour
+from optics._irradiance_table import IrradianceTable
+from optics._surface import Surface
+
+
+class SpotTruth(NamedTuple):
+    """Truth of a spot; the leading axis runs over distances; mm, px, rad.
+
+    Attributes:
+        beam: tip, axis and cone.
+        distance: d = |SO|.
+        nearest: distance from the tip to the nearest wall point.
+        origin: O on the wall.
+        cone: ellipse of the cone's edge in the image.
+        half_max: ellipse of half of the direct peak in the image.
+        contour: the half-maximum contour on the wall.
+        contour_px: its image.
+    """
+
+    beam: Beam
+    distance: Float[Array, "n"]
+    nearest: Float[Array, "n"]
+    origin: Float[Array, "n 3"]
+    cone: Ellipse
+    half_max: Ellipse
+    contour: Float[Array, "n points 3"]
+    contour_px: Float[Array, "n points 2"]
+
+
+def spot_truth(
+    surface: Surface,
+    microscope: Microscope,
+    table: IrradianceTable | None,
+    *,
+    distances: Float[Array, "n"],
+    eccentricity: ArrayLike,
+    azimuth: ArrayLike,
+    incidence: ArrayLike,
+    incidence_azimuth: ArrayLike,
+    half_angle: ArrayLike,
+    apex_offset: ArrayLike,
+) -> SpotTruth:
+    """Truth at each distance along a beam that keeps its axis.
+
+    The ideal cone is evenly bright up to its edge, so without a table the half-maximum contour
+    is the cone's edge.
+
+    Args:
+        surface: the wall.
+        microscope: the camera.
+        table: vector irradiance of a lens, or None for the ideal cone.
+        distances: d, mm.
+        eccentricity, azimuth, incidence, incidence_azimuth, half_angle, apex_offset: as
+            `beam_at_spot`, mm and rad.
+    """
+    pose = {
+        "eccentricity": eccentricity,
+        "azimuth": azimuth,
+        "incidence": incidence,
+        "incidence_azimuth": incidence_azimuth,
+        "half_angle": half_angle,
+        "apex_offset": apex_offset,
+    }
+    # As arrays, so that one compilation serves every trial.
+    pose = {name: jnp.asarray(value, float) for name, value in pose.items()}
+    return _truth(surface, microscope, table, jnp.asarray(distances, float), pose)
+
+
+@eqx.filter_jit
+def _truth(
+    surface: Surface,
+    microscope: Microscope,
+    table: IrradianceTable | None,
+    distances: Float[Array, "n"],
+    pose: dict[str, Float[Array, ""]],
+) -> SpotTruth:
+    def at(distance: Float[Array, ""]) -> SpotTruth:
+        beam = beam_at_spot(surface, distance=distance, **pose)
+        edge = cone_contour(beam, surface).point
+        contour = edge if table is None else half_maximum_contour(table, beam, surface)
+        spot, contour_px = beam.spot(surface), microscope.project(contour)
+        return SpotTruth(
+            beam=beam,
+            distance=spot.distance,
+            nearest=surface.nearest_distance(beam.tip),
+            origin=spot.point,
+            cone=ellipse_of_contour(microscope.project(edge)),
+            half_max=ellipse_of_contour(contour_px),
+            contour=contour,
+            contour_px=contour_px,
+        )
+
+    return jax.vmap(at)(distances)

@@ -1,0 +1,349 @@
+"""The camera: noise-free light in, digital numbers out, after EMVA 1288 (release 4.0, linear).
+
+The standard's linear model counts electrons: their mean is the light collected plus the dark
+signal, their number is Poisson, the read noise is normal, and the overall system gain K turns
+electrons into digital numbers (DN):
+
+    dn = round(black level + K (n_e + offset + read noise)),
+    K = (full scale - black level) / full well.
+
+Light enters as a fraction of the full well, so quantum efficiency, pixel area and exposure time are
+one factor, `exposure`. A response curve, where the camera has one, acts on dn / full scale.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+# At 50 electrons a normal number has the mean and variance of a Poisson number and misses its
+# skewness of 1/sqrt(50) = 0.14; below, the electrons are counted.
+POISSON_BELOW_E = 50.0
+
+# Samples per pass: the working arrays of one pass stay in the cache.
+_BLOCK = 1 << 16
+
+# The 16-bit converter ahead of a response curve: its step is a twentieth of the step of an 8-bit
+# output even on the toe of sRGB, where the curve's slope is 12.92.
+_CONVERTER_MAX = (1 << 16) - 1
+
+_NonNegative = Annotated[float, Field(ge=0)]
+_Positive = Annotated[float, Field(gt=0)]
+
+
+class CameraSettings(BaseModel):
+    """What a data sheet after EMVA 1288 says of a camera, and how it writes its images.
+
+    The defaults are a USB microscope of 8 bits whose small pixels hold 5,000 electrons: temporal
+    noise is 3 DN a channel at 180 DN.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    full_well_e: _Positive = Field(default=5000.0, description="Electrons at full scale.")
+    read_noise_e: _NonNegative = Field(
+        default=10.0, description="Standard deviation of a dark pixel over frames, electrons."
+    )
+    dark_signal_e: _NonNegative = Field(
+        default=0.0, description="Mean thermal electrons of a pixel in one exposure."
+    )
+    prnu: float = Field(
+        default=0.0, ge=0, lt=1, description="Standard deviation of the pixels' gain over its mean."
+    )
+    dsnu_e: _NonNegative = Field(
+        default=0.0, description="Standard deviation of the pixels' dark values, electrons."
+    )
+    black_level_dn: _NonNegative = Field(
+        default=4.0, description="Mean of a dark image before the response curve, DN."
+    )
+    bit_depth: int = Field(default=8, ge=8, le=16, description="Bits of a sample in the file.")
+    response: Literal["linear", "srgb"] | _Positive = Field(
+        default="linear",
+        description='"linear", "srgb" (IEC 61966-2-1), or g for the curve x^(1/g).',
+    )
+
+    @model_validator(mode="after")
+    def _black_is_below_white(self) -> CameraSettings:
+        if self.black_level_dn >= self.full_scale_dn:
+            raise ValueError(
+                f"CameraSettings(black_level_dn=...) must lie below full scale; got black_level_dn="
+                f"{self.black_level_dn:g} DN, full scale {self.full_scale_dn} DN at bit_depth="
+                f"{self.bit_depth}. Lower black_level_dn or raise bit_depth."
+            )
+        return self
+
+    @property
+    def full_scale_dn(self) -> int:
+        """Largest digital number."""
+        return (1 << self.bit_depth) - 1
+
+    @property
+    def system_gain(self) -> float:
+        """Overall system gain K before the response curve, DN per electron."""
+        return (self.full_scale_dn - self.black_level_dn) / self.full_well_e
+
+
+class FixedPatterns(NamedTuple):
+    """What differs from pixel to pixel and stays the same from frame to frame.
+
+    Attributes:
+        gain: 1 + PRNU, a pixel's sensitivity over the mean sensitivity.
+        offset_e: DSNU, a pixel's dark value less the mean dark value, electrons.
+    """
+
+    gain: NDArray[np.float32]
+    offset_e: NDArray[np.float32]
+
+
+def fixed_patterns(
+    *, settings: CameraSettings, shape: tuple[int, ...], seed: int | np.random.SeedSequence
+) -> FixedPatterns:
+    """Photo-response and dark-signal non-uniformity (PRNU, DSNU of EMVA 1288) of one sensor.
+
+    Both are white and normal: the sensor has no rows, columns or defect pixels.
+
+    Args:
+        settings: the camera, whose `prnu` and `dsnu_e` are the standard deviations.
+        shape: shape of the images that the sensor takes.
+        seed: the sensor's; the same seed is the same sensor.
+
+    Returns:
+        Maps of that shape.
+    """
+    rng = np.random.default_rng(seed)
+    gain = rng.standard_normal(shape, dtype=np.float32)
+    gain *= np.float32(settings.prnu)
+    gain += np.float32(1.0)
+    # With a PRNU of tens of percent the normal tail reaches below zero: such a pixel is dead.
+    np.maximum(gain, 0.0, out=gain)
+    offset_e = rng.standard_normal(shape, dtype=np.float32)
+    offset_e *= np.float32(settings.dsnu_e)
+    return FixedPatterns(gain=gain, offset_e=offset_e)
+
+
+def expose(
+    linear: NDArray[np.floating],
+    *,
+    exposure: float,
+    settings: CameraSettings,
+    rng: np.random.Generator,
+    patterns: FixedPatterns | None = None,
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Take one photograph of a noise-free linear image.
+
+    Args:
+        linear: light in any linear unit, not negative; any shape (H x W, H x W x 3, a mosaic).
+        exposure: full wells per unit of `linear`: where exposure * linear is 1, the well is full.
+        settings: the camera.
+        rng: source of the temporal noise; the call advances it.
+        patterns: the sensor's, of the image's shape; needed where `settings` has PRNU or DSNU.
+
+    Returns:
+        Digital numbers of the image's shape: uint8 at 8 bits, uint16 above.
+
+    Raises:
+        ValueError: a negative or undefined image or exposure; patterns missing or misshapen.
+    """
+    light = np.ascontiguousarray(linear, dtype=np.float32)
+    _check_light(light, exposure, settings)
+    _check_patterns(light.shape, settings, patterns)
+
+    dn = np.empty(light.shape, np.uint8 if settings.bit_depth == 8 else np.uint16)
+    curve = _response_table(settings)
+    converter_max = settings.full_scale_dn if curve is None else _CONVERTER_MAX
+    per_dn = converter_max / settings.full_scale_dn
+    gain = np.float32(settings.system_gain * per_dn)
+    # Half a step added here makes the truncation at the end a rounding.
+    black = np.float32(settings.black_level_dn * per_dn + 0.5)
+    e_per_unit = np.float32(exposure * settings.full_well_e)
+    dark_e = np.float32(settings.dark_signal_e)
+    read_variance = np.float32(settings.read_noise_e**2)
+
+    flat_light, flat_dn = light.reshape(-1), dn.reshape(-1)
+    noise = np.empty(_BLOCK, np.float32)
+    for start in range(0, flat_light.size, _BLOCK):
+        part = slice(start, start + _BLOCK)
+        mean = flat_light[part] * e_per_unit
+        if patterns is not None:
+            mean *= patterns.gain.reshape(-1)[part]
+        mean += dark_e
+        # One normal number serves shot and read noise, whose variances add; where electrons are
+        # counted it is left with the read noise.
+        variance = mean + read_variance
+        for few in _few_electrons(mean):
+            mean[few] = _poisson(mean[few], rng)
+            variance[few] = read_variance
+        electrons = noise[: mean.size]
+        rng.standard_normal(out=electrons, dtype=np.float32)
+        electrons *= np.sqrt(variance, out=variance)
+        electrons += mean
+        if patterns is not None:
+            electrons += patterns.offset_e.reshape(-1)[part]
+        electrons *= gain
+        electrons += black
+        np.clip(electrons, 0, converter_max, out=electrons)
+        flat_dn[part] = electrons if curve is None else curve[electrons.astype(np.uint16)]
+    return dn
+
+
+def metered_exposure(
+    linear: NDArray[np.floating],
+    *,
+    settings: CameraSettings,
+    peak_fraction: float = 0.8,
+    mask: NDArray[np.bool_] | None = None,
+) -> float:
+    """Exposure that puts the brightest channel's peak at a fraction of full scale.
+
+    The peak is a channel's 99.9th percentile, not its maximum, so that one glint or one stray
+    sample of the renderer does not darken the frame: of 640 x 480 pixels 307 lie above it.
+
+    Args:
+        linear: light, H x W or H x W x channels, as for `expose`.
+        settings: the camera; black level, dark signal and response curve are allowed for.
+        peak_fraction: where the peak shall lie, over the largest digital number.
+        mask: H x W, the pixels to meter on; without it, all.
+
+    Returns:
+        Full wells per unit of `linear`.
+
+    Raises:
+        ValueError: nothing to meter on, or a fraction out of range.
+    """
+    if not 0 < peak_fraction <= 1:
+        raise ValueError(
+            f"metered_exposure(peak_fraction=...) must lie in (0, 1]; got {peak_fraction:g}."
+        )
+    level = float(_full_wells(np.array(peak_fraction), settings))
+    if level <= 0:
+        raise ValueError(
+            f"metered_exposure(peak_fraction=...) must lie above the dark image; got peak_fraction="
+            f"{peak_fraction:g}, black_level_dn={settings.black_level_dn:g} DN, dark_signal_e="
+            f"{settings.dark_signal_e:g}. Raise peak_fraction or lower the black level."
+        )
+    image = np.asarray(linear, dtype=np.float32)
+    pixels = image.reshape(image.shape[0] * image.shape[1], -1)
+    if mask is not None:
+        if mask.shape != image.shape[:2]:
+            raise ValueError(
+                f"metered_exposure(mask=...) must have the image's height and width "
+                f"{image.shape[:2]}; got {mask.shape}."
+            )
+        pixels = pixels[mask.reshape(-1)]
+    if len(pixels) == 0:
+        raise ValueError("metered_exposure(mask=...) must hold at least one pixel; it holds none.")
+    rank = math.ceil(0.999 * len(pixels)) - 1
+    peak = float(np.partition(pixels, rank, axis=0)[rank].max())
+    if not 0 < peak < math.inf:
+        raise ValueError(
+            f"metered_exposure needs light to meter on; the 99.9th percentile of the brightest "
+            f"channel is {peak:g}. Give a mask with the spot in it, or set the exposure by hand."
+        )
+    return level / peak
+
+
+def linearise(dn: NDArray[np.integer], *, settings: CameraSettings) -> NDArray[np.float32]:
+    """Undo response curve, black level and mean dark signal: the inverse of `expose` but for noise.
+
+    Args:
+        dn: digital numbers of that camera.
+        settings: the camera.
+
+    Returns:
+        Light in full wells, of the same shape; negative where noise took a pixel below black.
+    """
+    levels = np.arange(settings.full_scale_dn + 1) / settings.full_scale_dn
+    return _full_wells(levels, settings).astype(np.float32)[dn]
+
+
+def _full_wells(fraction: NDArray[np.float64], settings: CameraSettings) -> NDArray[np.float64]:
+    """Light, in full wells, of a noise-free pixel that is written at a fraction of full scale."""
+    if settings.response == "linear":
+        straight = fraction
+    elif settings.response == "srgb":
+        power = ((fraction + 0.055) / 1.055) ** 2.4
+        straight = np.where(fraction <= 0.04045, fraction / 12.92, power)
+    else:
+        straight = fraction**settings.response
+    black = settings.black_level_dn / settings.full_scale_dn
+    return (straight - black) / (1.0 - black) - settings.dark_signal_e / settings.full_well_e
+
+
+def _response_table(settings: CameraSettings) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
+    """Output for every converter value, or None for a linear camera."""
+    if settings.response == "linear":
+        return None
+    straight = np.arange(_CONVERTER_MAX + 1) / _CONVERTER_MAX
+    if settings.response == "srgb":
+        power = 1.055 * straight ** (1 / 2.4) - 0.055
+        curved = np.where(straight <= 0.0031308, 12.92 * straight, power)
+    else:
+        curved = straight ** (1.0 / settings.response)
+    output = np.rint(curved * settings.full_scale_dn)
+    return output.astype(np.uint8 if settings.bit_depth == 8 else np.uint16)
+
+
+def _few_electrons(mean: NDArray[np.float32]) -> list[NDArray[np.intp]]:
+    """Indices of the pixels whose electrons are counted, those of like mean together."""
+    if mean.min() >= POISSON_BELOW_E:
+        return []
+    edges = (-math.inf, 6.0, POISSON_BELOW_E)
+    return [np.flatnonzero((mean >= low) & (mean < high)) for low, high in pairwise(edges)]
+
+
+def _poisson(mean: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Poisson numbers of small mean, by inversion with sequential search (Devroye 1986, X.3.3).
+
+    All pixels search in step: for the few electrons of an unlit wall that is several times faster
+    than `rng.poisson`, which takes pixels one by one.
+    """
+    count = np.zeros(mean.shape, np.uint8)
+    # The chances below sum to 1 within 5e-7 in single precision: a search for more would not end.
+    rest = rng.random(mean.shape, dtype=np.float32) - np.float32(1e-6)
+    chance = np.exp(-mean)
+    n = 0
+    while True:
+        rest -= chance
+        more = rest > 0
+        if not more.any():
+            return count
+        count += more
+        n += 1
+        chance *= mean
+        chance *= np.float32(1 / n)
+
+
+def _check_light(light: NDArray[np.float32], exposure: float, settings: CameraSettings) -> None:
+    if not 0 <= exposure < math.inf:
+        raise ValueError(f"expose(exposure=...) must be finite and not negative; got {exposure:g}.")
+    if light.size == 0:
+        raise ValueError(f"expose(linear=...) must hold pixels; got shape {light.shape}.")
+    low, high = float(light.min()), float(light.max())
+    # Far inside single precision, in which the electrons are summed.
+    if not (low >= 0 and high * exposure * settings.full_well_e < 1e30):
+        raise ValueError(
+            f"expose(linear=...) must be finite and not negative; got values from "
+            f"{low:g} to {high:g} at exposure={exposure:g}. Clip what a filter with negative lobes "
+            f"left behind, or lower the exposure."
+        )
+
+
+def _check_patterns(
+    shape: tuple[int, ...], settings: CameraSettings, patterns: FixedPatterns | None
+) -> None:
+    if patterns is None:
+        if settings.prnu > 0 or settings.dsnu_e > 0:
+            raise ValueError(
+                f"expose(patterns=...) is needed for a camera with prnu={settings.prnu:g} and "
+                f"dsnu_e={settings.dsnu_e:g}. Call fixed_patterns once for the whole stack."
+            )
+    elif patterns.gain.shape != shape or patterns.offset_e.shape != shape:
+        raise ValueError(
+            f"expose(patterns=...) must have the image's shape {shape}; got "
+            f"{patterns.gain.shape} and {patterns.offset_e.shape}. Make them with that shape."
+        )

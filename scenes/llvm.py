@@ -1,0 +1,171 @@
+"""Finds a libLLVM that Dr.Jit can compile kernels with; needs nothing but the standard library.
+
+Dr.Jit takes the first libLLVM it meets. A stock Debian 12 carries 14 to 16: Dr.Jit refuses 14,
+and 15 and 16 abort the whole process ("Cannot select: fmaximum"). So a file is accepted only
+after a child process has loaded it and told its version; too old a version never gets near
+Dr.Jit. 19 and 22 are known to work; 17 and 18 have not been tried and count as too old.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, final
+
+OLDEST_USABLE = 19
+ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"
+# Dr.Jit links to libatomic too, and a bare Debian has none: one command for both.
+DEBIAN_COMMAND = "apt-get install libllvm19 libatomic1"
+REMEDY = (
+    f"Install LLVM {OLDEST_USABLE} or newer (Debian, as root: `{DEBIAN_COMMAND}`), or set "
+    f"{ENVIRONMENT_VARIABLE} to the libLLVM of such a version."
+)
+
+LIBRARY_FOLDERS = (
+    f"{sys.prefix}/lib",
+    "/usr/local/lib",
+    "/usr/lib/*-linux-gnu",
+    "/usr/lib64",
+    "/usr/lib",
+    "/usr/lib/llvm-*/lib",
+)
+
+# libLLVM.so, libLLVM-14.so.1, libLLVM-14.0.6.so.1, libLLVM.so.19.1, libLLVM.dylib
+_FILE_NAME = re.compile(
+    r"libLLVM(?:-(?P<before>\d+)[\d.]*)?\.(?:so|dylib)(?:\.(?P<after>\d+)[\d.]*)?"
+)
+
+# LLVMGetVersion exists since LLVM 16; a library without it is older than that.
+_ASK_VERSION = """
+import ctypes, sys
+library = ctypes.CDLL(sys.argv[1])
+numbers = [ctypes.c_uint() for _ in range(3)]
+library.LLVMGetVersion(*map(ctypes.byref, numbers))
+print(*(number.value for number in numbers))
+"""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A libLLVM that was found and must not be used, with the reason."""
+
+    path: Path
+    reason: str
+
+
+@final
+@dataclass(frozen=True)
+class Llvm:
+    """A libLLVM that a child process could load, new enough for Dr.Jit.
+
+    Attributes:
+        path: the library file.
+        version: major, minor, patch.
+        refused: files that were found beside it and must not be used.
+    """
+
+    path: Path
+    version: tuple[int, int, int]
+    refused: tuple[Refused, ...] = ()
+
+
+@final
+@dataclass(frozen=True)
+class NoLlvm:
+    """No usable libLLVM; falsy, so that `if llvm := find_llvm():` reads as it should.
+
+    Attributes:
+        refused: the files that were found, each with its reason.
+        remedy: what to do about it.
+    """
+
+    refused: tuple[Refused, ...] = ()
+    remedy: str = REMEDY
+
+    def __bool__(self) -> Literal[False]:
+        return False
+
+    def __str__(self) -> str:
+        found = "; ".join(f"{item.path}: {item.reason}" for item in self.refused) or "none"
+        return f"no usable libLLVM (found: {found}). {self.remedy}"
+
+
+def find_llvm(
+    *,
+    environment: Mapping[str, str] = os.environ,
+    folders: Iterable[str] = LIBRARY_FOLDERS,
+) -> Llvm | NoLlvm:
+    """The libLLVM to use: the one that DRJIT_LIBLLVM_PATH names, else the newest usable one.
+
+    A path that was set and cannot be used is an answer by itself; no other file is tried, so
+    that nobody works with another version than the one asked for.
+
+    Args:
+        environment: where to look up DRJIT_LIBLLVM_PATH.
+        folders: library folders to search, with shell wildcards.
+    """
+    if asked := environment.get(ENVIRONMENT_VARIABLE):
+        candidates = [Path(asked)]
+        remedy = f"{ENVIRONMENT_VARIABLE} names this file. Unset it, or: {REMEDY}"
+    else:
+        candidates = _candidates(folders)
+        remedy = REMEDY
+
+    refused: list[Refused] = []
+    usable: Llvm | None = None
+    for path in candidates:
+        outcome = _examine(path)
+        if isinstance(outcome, Refused):
+            refused.append(outcome)
+        elif usable is None or outcome.version > usable.version:
+            usable = outcome
+    if usable is None:
+        return NoLlvm(tuple(refused), remedy)
+    return Llvm(usable.path, usable.version, tuple(refused))
+
+
+def _candidates(folders: Iterable[str]) -> list[Path]:
+    """Every libLLVM in the folders, one name for each file behind the links."""
+    names: dict[Path, Path] = {}
+    for pattern in folders:
+        anchor = Path(pattern).anchor
+        for folder in sorted(Path(anchor).glob(pattern.removeprefix(anchor))):
+            for path in sorted(folder.glob("libLLVM*")):
+                if _FILE_NAME.fullmatch(path.name) and path.exists():
+                    names.setdefault(path.resolve(), path)
+    return list(names.values())
+
+
+def _examine(path: Path) -> Llvm | Refused:
+    """Whether one file can be used; a version that its name already rules out is not loaded."""
+    if not path.is_file():
+        return Refused(path, "there is no such file")
+    if match := _FILE_NAME.fullmatch(path.resolve().name):
+        # A lone ".1" after .so is the library's revision (libLLVM-14.so.1), not LLVM's version.
+        major = match["before"] or match["after"]
+        if major and int(major) < OLDEST_USABLE:
+            return Refused(path, _too_old(f"LLVM {major}"))
+    child = subprocess.run(
+        [sys.executable, "-I", "-c", _ASK_VERSION, str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if child.returncode != 0:
+        problem = child.stderr.strip().splitlines()[-1:] or [f"exit code {child.returncode}"]
+        if "LLVMGetVersion" in problem[0]:
+            return Refused(path, _too_old("older than LLVM 16"))
+        return Refused(path, f"cannot be loaded ({problem[0]})")
+    major, minor, patch = (int(number) for number in child.stdout.split())
+    if major < OLDEST_USABLE:
+        return Refused(path, _too_old(f"LLVM {major}"))
+    return Llvm(path, (major, minor, patch))
+
+
+def _too_old(version: str) -> str:
+    return f"{version}, but Dr.Jit needs {OLDEST_USABLE} or newer"

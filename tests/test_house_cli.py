@@ -1,0 +1,214 @@
+"""The command line: what a person sees when something goes wrong, and the exit codes."""
+
+from __future__ import annotations
+
+import errno
+import importlib.metadata
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pydantic
+import pytest
+
+import eyespot
+from scenes import doctor
+from scenes.llvm import ENVIRONMENT_VARIABLE
+from scenes.variant import RendererUnavailable
+
+# The installed command; `python -m eyespot` would search the current folder for packages first.
+EYESPOT = Path(sys.executable).with_name("eyespot")
+
+
+class Outcome(NamedTuple):
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+
+def run_process(*arguments, **environment):
+    """Runs the command as a person does, with additions to the environment."""
+    child = subprocess.run(
+        [EYESPOT, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"COLUMNS": "400"} | environment,
+    )
+    return Outcome(child.returncode, child.stdout, child.stderr)
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Runs a command in this process, which has loaded JAX already."""
+
+    def run_here(*arguments):
+        monkeypatch.setattr(sys, "argv", ["eyespot", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as exit_:
+            eyespot.main()
+        return Outcome(int(exit_.value.code or 0), *capsys.readouterr())
+
+    return run_here
+
+
+def assert_bad_input(outcome, *words):
+    """Exit code 2 and one message that holds the words, without a traceback."""
+    assert outcome.code == 2, outcome.err
+    assert outcome.err.startswith("eyespot: ")
+    assert "Traceback" not in outcome.err
+    for word in words:
+        assert word in outcome.err
+
+
+def fail_with(monkeypatch, error):
+    """Lets `eyespot version` raise the error, as a stand-in for any command."""
+
+    def raise_error(_):
+        raise error
+
+    monkeypatch.setattr(importlib.metadata, "version", raise_error)
+
+
+def test_version_is_that_of_the_distribution(run):
+    assert run("version").out.strip() == importlib.metadata.version("eyespot")
+
+
+def test_an_unknown_option_is_bad_input(run):
+    assert run("version", "--colour").code == 2
+
+
+@pytest.mark.parametrize("command", [["scene", "check"], ["render", "--out", "out"]])
+def test_a_missing_scene_file_is_bad_input(run, tmp_path, command):
+    scene = tmp_path / "missing.toml"
+    assert_bad_input(run(*command, scene), str(scene))
+
+
+def test_a_scene_file_that_is_no_toml_is_bad_input(run, tmp_path):
+    scene = tmp_path / "scene.toml"
+    scene.write_text("[eye\nradius = ")
+    assert_bad_input(run("scene", "check", scene), "line 1")
+
+
+def test_a_new_scene_file_is_fine_and_is_not_written_over(run, tmp_path):
+    scene = tmp_path / "scene.toml"
+    assert run("scene", "init", scene).code == 0
+    assert run("scene", "check", scene).code == 0
+    before = scene.read_bytes()
+    assert_bad_input(run("scene", "init", scene), str(scene), "File exists")
+    assert scene.read_bytes() == before
+
+
+def test_a_misspelt_key_is_answered_with_the_nearest_one(run, tmp_path):
+    scene = tmp_path / "scene.toml"
+    run("scene", "init", scene)
+    scene.write_text(scene.read_text().replace("incidence_deg", "incidense_deg", 1))
+    assert_bad_input(run("scene", "check", scene), "incidense_deg", "incidence_deg")
+
+
+def test_a_spot_that_leaves_the_window_is_bad_input(run, tmp_path):
+    scene = tmp_path / "scene.toml"
+    run("scene", "init", scene)
+    # 0.0067 mm/px: a window of 16 px shows 0.1 mm, less than the fibre's own 0.5 mm.
+    scene.write_text(scene.read_text().replace("width_px = 640", "width_px = 16", 1))
+    assert_bad_input(run("scene", "check", scene), "window", "px")
+
+
+def test_a_results_folder_that_cannot_be_made_is_bad_input(run, tmp_path):
+    # Permissions do not stop root; a file where a folder should be stops everybody.
+    (tmp_path / "file").touch()
+    out = tmp_path / "file" / "out"
+    assert_bad_input(run("validate", "--quick", "--out", out), str(tmp_path / "file"))
+
+
+@pytest.mark.parametrize("command", ["render", "validate"])
+def test_without_llvm_the_remedy_is_named_and_nothing_is_left_behind(run, tmp_path, command):
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    run("scene", "init", scene)
+    arguments = {"render": [scene], "validate": ["--quick"]}[command]
+    environment = {ENVIRONMENT_VARIABLE: str(tmp_path / "libLLVM-19.so")}
+    outcome = run_process(command, *arguments, "--out", out, **environment)
+    assert_bad_input(outcome, "no such file", "apt-get install libllvm19")
+    assert not out.exists()
+
+
+def test_a_foreign_package_of_the_same_name_is_named_and_refused(tmp_path):
+    foreign = tmp_path / "benchmarks"
+    foreign.mkdir()
+    (foreign / "__init__.py").touch()
+    assert_bad_input(run_process("version", PYTHONPATH=str(tmp_path)), str(foreign), "Uninstall")
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (ValueError("Sphere(radius=...) must be positive"), "Sphere(radius=...) must be positive"),
+        (RendererUnavailable("no usable libLLVM"), "no usable libLLVM"),
+        (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "a.png"), "a.png: No space left"),
+        (ModuleNotFoundError("No module named 'jax'", name="jax"), "the Python package jax is not"),
+    ],
+)
+def test_an_expected_error_is_one_message_and_exit_code_2(run, monkeypatch, error, message):
+    fail_with(monkeypatch, error)
+    assert_bad_input(run("version"), f"eyespot: {message}")
+
+
+def test_each_problem_of_a_settings_file_is_one_line(run, monkeypatch):
+    class Eye(pydantic.BaseModel):
+        radius_mm: float
+        pinhole_mm: float
+
+    with pytest.raises(pydantic.ValidationError) as caught:
+        Eye.model_validate({"radius_mm": "wide", "pinhole_mm": None})
+    fail_with(monkeypatch, caught.value)
+    lines = run("version").err.splitlines()
+    assert len(lines) == 2
+    assert "radius_mm" in lines[0]
+    assert "'wide'" in lines[0]
+    assert "pinhole_mm" in lines[1]
+
+
+def test_a_bug_keeps_its_traceback(run, monkeypatch):
+    fail_with(monkeypatch, KeyError("semi_minor"))
+    with pytest.raises(KeyError):
+        run("version")
+
+
+def test_the_environment_can_ask_for_the_traceback_of_an_expected_error(run, monkeypatch):
+    fail_with(monkeypatch, ValueError("too large"))
+    monkeypatch.setenv("EYESPOT_TRACEBACK", "1")
+    with pytest.raises(ValueError, match="too large"):
+        run("version")
+
+
+def test_ctrl_c_ends_with_the_exit_code_of_an_interrupt(run, monkeypatch):
+    fail_with(monkeypatch, KeyboardInterrupt())
+    assert run("version").code == 130  # 128 + SIGINT
+
+
+def test_doctor_finds_the_main_variant_working():
+    outcome = run_process("doctor")
+    assert outcome.code == 0, outcome.out
+    line = next(line for line in outcome.out.splitlines() if "llvm_ad_rgb" in line)
+    assert "renders" in line
+
+
+def test_doctor_names_a_refused_llvm_and_the_remedy(monkeypatch, tmp_path):
+    old = tmp_path / "libLLVM-15.so.1"
+    old.touch()
+    monkeypatch.setenv(ENVIRONMENT_VARIABLE, str(old))
+    missing, refused = doctor.llvm_findings()
+    assert missing.state is doctor.State.MISSING
+    assert "apt-get install libllvm19" in missing.remedy
+    assert f"{old}: LLVM 15" in refused.found
+
+
+@pytest.mark.parametrize(("state", "code"), [("ok", 0), ("note", 0), ("missing", 1)])
+def test_doctor_fails_only_where_something_needed_is_missing(run, monkeypatch, state, code):
+    finding = doctor.Finding("cores", "2", doctor.State(state))
+    monkeypatch.setattr(doctor, "examine", lambda: [finding])
+    assert run("doctor").code == code

@@ -1,0 +1,144 @@
+"""Who may import whom, and what an import must not load."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import estimator
+
+HOME = Path(__file__).resolve().parents[1]
+PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
+
+MAY_IMPORT_OF_OURS = {
+    "optics": set(),
+    "estimator": {"optics"},
+    "scenes": {"optics", "estimator"},
+    "calibration": {"optics", "estimator"},
+    "benchmarks": set(PACKAGES),
+}
+MAY_BE_IMPORTED_BY = {
+    "cv2": {"estimator", "scenes"},
+    "mitsuba": {"scenes"},
+    "drjit": {"scenes"},
+    "optimistix": {"calibration"},
+    "jax": {"optics", "calibration", "benchmarks"},
+    "jaxlib": {"optics", "calibration", "benchmarks"},
+    "equinox": {"optics", "calibration", "benchmarks"},
+    "lineax": {"calibration"},
+}
+
+
+# What `scenes` may take from `estimator`: the schemas, readers and writers of files.
+FILE_FORMATS = {"estimator.stack", "estimator.spots"}
+
+
+class Import(NamedTuple):
+    """An imported module: its dotted name, its line, whether a function holds the statement, and
+    the names that are taken from it.
+    """
+
+    module: str
+    line: int
+    late: bool
+    names: tuple[str, ...] = ()
+
+
+def imports_of(source: str) -> Iterator[Import]:
+    """Every absolute import in the source, `importlib.import_module("...")` among them."""
+
+    def visit(node: ast.AST, late: bool) -> Iterator[Import]:
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield Import(alias.name, node.lineno, late)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names = tuple(alias.name for alias in node.names)
+            yield Import(node.module, node.lineno, late, names)
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            called = ast.unparse(node.func)
+            if called in {"importlib.import_module", "import_module", "__import__"}:
+                yield Import(str(node.args[0].value), node.lineno, late)
+        late = late or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        for child in ast.iter_child_nodes(node):
+            yield from visit(child, late)
+
+    yield from visit(ast.parse(source), late=False)
+
+
+def imports_of_package(package: str) -> Iterator[tuple[str, Import]]:
+    for path in sorted((HOME / package).rglob("*.py")):
+        for found in imports_of(path.read_text(encoding="utf-8")):
+            yield path.relative_to(HOME).as_posix(), found
+
+
+def test_every_form_of_import_is_seen():
+    source = (
+        "import jax.numpy as jnp, os\n"
+        "from optics import planar\n"
+        "from . import _beam\n"
+        "def late():\n"
+        "    import cv2\n"
+        "    importlib.import_module('mitsuba')\n"
+    )
+    assert list(imports_of(source)) == [
+        ("jax.numpy", 1, False, ()),
+        ("os", 1, False, ()),
+        ("optics", 2, False, ("planar",)),
+        ("cv2", 5, True, ()),
+        ("mitsuba", 6, True, ()),
+    ]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_imports_only_what_the_table_allows(package):
+    broken = []
+    for path, (module, line, _, _) in imports_of_package(package):
+        top = module.partition(".")[0]
+        ours_forbidden = top in PACKAGES and top not in MAY_IMPORT_OF_OURS[package] | {package}
+        theirs_forbidden = package not in MAY_BE_IMPORTED_BY.get(top, {package})
+        if ours_forbidden or theirs_forbidden:
+            broken.append(f"{path}:{line} imports {module}")
+    assert not broken
+
+
+def test_the_estimator_reaches_for_optics_only_where_a_spot_becomes_a_distance():
+    found = [
+        (path, imported.late)
+        for path, imported in imports_of_package("estimator")
+        if imported.module.partition(".")[0] == "optics"
+    ]
+    assert set(found) <= {("estimator/distance.py", True)}
+
+
+def test_scenes_take_file_formats_from_the_estimator_and_nothing_else():
+    taken = {
+        getattr(estimator, name).__module__ if module == "estimator" else module
+        for _, (module, _, _, names) in imports_of_package("scenes")
+        if module.partition(".")[0] == "estimator"
+        for name in names or [""]
+    }
+    assert taken <= FILE_FORMATS
+
+
+@pytest.mark.parametrize(
+    ("module", "unwanted"),
+    [
+        ("estimator", ["jax", "mitsuba", "drjit", "optics", "skimage"]),
+        ("eyespot", ["jax", "mitsuba", "drjit", "cv2", "numpy", "matplotlib", "pydantic"]),
+        ("optics", ["mitsuba", "drjit", "cv2"]),
+        ("scenes", ["mitsuba", "drjit"]),
+        ("calibration", ["mitsuba", "drjit"]),
+    ],
+)
+def test_an_import_leaves_heavy_libraries_alone(module, unwanted):
+    code = f"import sys, {module}; print(*sys.modules)"
+    child = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOME
+    )
+    assert not set(unwanted) & set(child.stdout.split())

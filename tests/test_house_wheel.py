@@ -1,0 +1,77 @@
+"""The wheel holds all that eyespot needs to run away from its checkout."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import pytest
+
+HOME = Path(__file__).resolve().parents[1]
+PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
+
+
+@pytest.fixture(scope="module")
+def fresh_python(tmp_path_factory):
+    """The interpreter of a new environment with the wheel in it, and our dependencies beside.
+
+    The dependencies are lent through a .pth file: its folder is searched after the wheel's, and
+    .pth files inside it, the editable install's among them, are not read.
+    """
+    folder = tmp_path_factory.mktemp("wheel")
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder],
+        cwd=HOME,
+        check=True,
+        capture_output=True,
+    )
+    (wheel,) = folder.glob("eyespot-*.whl")
+
+    environment = folder / "environment"
+    venv.create(environment)
+    python = environment / "bin" / "python"
+    pip = [sys.executable, "-m", "pip", "--python", python, "install"]
+    subprocess.run([*pip, "--no-deps", "--no-index", wheel], check=True, capture_output=True)
+    (site,) = environment.glob("lib/python*/site-packages")
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    return python
+
+
+def run_away_from_the_checkout(fresh_python, *arguments):
+    return subprocess.run(
+        [fresh_python, *arguments],
+        cwd=fresh_python.parent,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout
+
+
+def test_all_five_packages_are_imported_from_the_wheel(fresh_python):
+    code = f"import {', '.join(PACKAGES)}\nfor p in {', '.join(PACKAGES)}: print(p.__file__)"
+    files = run_away_from_the_checkout(fresh_python, "-c", code).split()
+    environment = fresh_python.parents[1]
+    assert len(files) == len(PACKAGES)
+    assert all(Path(file).is_relative_to(environment) for file in files), files
+
+
+def test_every_file_of_the_packages_is_in_the_wheel(fresh_python):
+    (site,) = fresh_python.parents[1].glob("lib/python*/site-packages")
+    in_checkout = {
+        path.relative_to(HOME)
+        for package in PACKAGES
+        for path in (HOME / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    missing = {path for path in in_checkout if not (site / path).is_file()}
+    assert not missing
+    # Data beside the code is what wheels lose most easily, so make sure that there was some.
+    assert any(path.suffix == ".toml" for path in in_checkout)
+
+
+def test_the_command_of_the_wheel_runs(fresh_python):
+    command = fresh_python.with_name("eyespot")
+    assert "validate" in run_away_from_the_checkout(fresh_python, command, "--help")

@@ -1,0 +1,285 @@
+"""The camera against EMVA 1288's own measurements and closed forms, on images of known light."""
+
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from scenes.exposure import (
+    CameraSettings,
+    expose,
+    fixed_patterns,
+    linearise,
+    metered_exposure,
+)
+
+SIDE = 512
+
+
+def photograph(level, *, settings, seed, shape=(SIDE, SIDE), patterns=None):
+    """Frame of a uniform wall whose light is a fraction of the full well."""
+    rng = np.random.default_rng(seed)
+    wall = np.full(shape, level, np.float32)
+    return expose(wall, exposure=1.0, settings=settings, rng=rng, patterns=patterns)
+
+
+def poisson(mean):
+    """Chances of 0 to 199 electrons."""
+    return np.array([math.exp(k * math.log(mean) - mean - math.lgamma(k + 1)) for k in range(200)])
+
+
+def temporal_variance(level, *, settings, seed, **kwargs):
+    """EMVA 1288's: half the variance of the difference of two frames, less that of rounding."""
+    first, second = (
+        photograph(level, settings=settings, seed=(seed, frame), **kwargs).astype(float)
+        for frame in (0, 1)
+    )
+    return (first - second).var() / 2 - 1 / 12, (first + second).mean() / 2
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        CameraSettings(read_noise_e=20.0, black_level_dn=8.0),
+        CameraSettings(bit_depth=10, black_level_dn=64.0),
+        CameraSettings(bit_depth=12, full_well_e=12_000.0, black_level_dn=100.0),
+        CameraSettings(bit_depth=16, full_well_e=30_000.0, read_noise_e=5.0, black_level_dn=500.0),
+    ],
+    ids=lambda s: f"{s.bit_depth} bits",
+)
+def test_the_photon_transfer_curve_gives_back_gain_and_read_noise(settings):
+    # n = 2^18 pixels a level: a variance from two frames has a relative deviation of sqrt(2/n) =
+    # 0.28 %, the slope over 15 levels about 0.1 %; the dark deviation has 1/sqrt(2 n) = 0.14 %.
+    # So 1 % is seven of its standard deviations, and it is what the standard's users quote.
+    levels = np.linspace(0.05, 0.9, 15)
+    points = [temporal_variance(x, settings=settings, seed=i) for i, x in enumerate(levels)]
+    variance, mean = np.transpose(points)
+    dark_variance, dark_mean = temporal_variance(0.0, settings=settings, seed=99)
+    excess, signal = variance - dark_variance, mean - dark_mean
+    gain = (excess / signal).mean()  # every level weighs alike: its relative deviation is the same
+
+    true_gain = (2**settings.bit_depth - 1 - settings.black_level_dn) / settings.full_well_e
+    assert gain == pytest.approx(true_gain, rel=0.01)
+    assert math.sqrt(dark_variance) / gain == pytest.approx(settings.read_noise_e, rel=0.01)
+    assert dark_mean == pytest.approx(settings.black_level_dn, abs=0.02)
+
+
+def test_the_default_camera_has_three_digital_numbers_of_noise_at_180():
+    settings = CameraSettings()
+    level = (180 - settings.black_level_dn) / (255 - settings.black_level_dn)
+    frame = photograph(level, settings=settings, seed=1)
+    assert frame.mean() == pytest.approx(180, abs=0.05)
+    # The requirement is "about 3"; the estimate's own deviation is 0.004.
+    assert frame.std() == pytest.approx(3.0, abs=0.1)
+
+
+def test_the_mean_is_linear_in_light():
+    settings = CameraSettings(bit_depth=12)
+    levels = np.linspace(0.0, 0.9, 10)
+    means = [photograph(x, settings=settings, seed=i).mean() for i, x in enumerate(levels)]
+    expected = settings.black_level_dn + (4095 - settings.black_level_dn) * levels
+    # Noise is at most 55 DN a pixel, 0.11 DN in a mean of 2^18; four deviations. The dark frame,
+    # 4 DN above zero with a noise of 8, loses its lower tail and is left out.
+    assert np.abs(means - expected)[1:].max() < 0.45
+
+
+def test_light_beyond_the_full_well_is_full_scale():
+    for bit_depth, dtype in ((8, np.uint8), (9, np.uint16), (16, np.uint16)):
+        frame = photograph(3.0, settings=CameraSettings(bit_depth=bit_depth), seed=2)
+        assert frame.dtype == dtype
+        assert (frame == 2**bit_depth - 1).all()
+
+
+@pytest.mark.parametrize("mean_e", [0.3, 3.0, 5.9, 6.1, 20.0, 49.5])
+def test_few_electrons_are_counted(mean_e):
+    # One electron is one digital number, so a frame is the counts themselves.
+    settings = CameraSettings(
+        full_well_e=65535.0, bit_depth=16, black_level_dn=0.0, read_noise_e=0.0
+    )
+    n = 1 << 20
+    counts = photograph(mean_e / 65535.0, settings=settings, seed=(3, int(mean_e)), shape=(n,))
+    expected = n * poisson(mean_e)
+    often = expected > 20  # the usual rule for the chi-squared test; all others make one class
+    seen = np.bincount(counts, minlength=len(expected))
+    classes = np.append(seen[often], n - seen[often].sum())
+    model = np.append(expected[often], n - expected[often].sum())
+    chi_squared, freedom = ((classes - model) ** 2 / model).sum(), len(model) - 1
+    # Chi-squared has this mean and deviation; four of them.
+    assert chi_squared < freedom + 4 * math.sqrt(2 * freedom)
+
+
+def test_a_normal_number_passes_for_poisson_above_fifty_electrons():
+    settings = CameraSettings(
+        full_well_e=65535.0, bit_depth=16, black_level_dn=0.0, read_noise_e=0.0
+    )
+    mean_e, n = 51.0, 1 << 20
+    counts = photograph(mean_e / 65535.0, settings=settings, seed=4, shape=(n,)).astype(float)
+    # Edgeworth: with rounding for a continuity correction the two distributions differ by
+    # skewness / 6 sqrt(2 pi) = 0.0093 at most, to first order in 1/sqrt(mean). The sample adds
+    # 1.95 / sqrt(n) = 0.0019 (Kolmogorov, one in a thousand).
+    k = np.arange(200)
+    sampled = np.searchsorted(np.sort(counts), k, side="right") / n
+    bound = 1 / math.sqrt(mean_e) / (6 * math.sqrt(2 * math.pi)) + 1.95 / math.sqrt(n)
+    assert np.abs(sampled - np.cumsum(poisson(mean_e))).max() < bound
+    # Mean and variance are Poisson's; four deviations, and the rounding's variance of 1/12.
+    assert counts.mean() == pytest.approx(mean_e, abs=4 * math.sqrt(mean_e / n))
+    assert counts.var() - 1 / 12 == pytest.approx(mean_e, rel=4 * math.sqrt(2 / n))
+
+
+def test_dark_signal_adds_its_mean_and_its_shot_noise():
+    settings = CameraSettings(
+        bit_depth=12, full_well_e=4000.0, dark_signal_e=30.0, read_noise_e=4.0, black_level_dn=95.0
+    )  # one electron a digital number
+    variance, mean = temporal_variance(0.0, settings=settings, seed=5)
+    # Deviations: 0.01 DN of the mean, 0.28 % of the variance; four of each.
+    assert mean == pytest.approx(95 + 30, abs=0.05)
+    assert variance == pytest.approx(30 + 4**2, rel=0.012)
+
+
+def test_fixed_patterns_stay_over_a_stack_and_have_their_size():
+    settings = CameraSettings(bit_depth=12, prnu=0.02, dsnu_e=15.0, black_level_dn=200.0)
+    shape = (128, 128, 3)
+    patterns = fixed_patterns(settings=settings, shape=shape, seed=6)
+    kwargs = {"settings": settings, "shape": shape, "patterns": patterns}
+
+    def pattern(level, seeds):
+        frames = [photograph(level, seed=seed, **kwargs).astype(float) for seed in seeds]
+        mean = np.mean(frames, axis=0)
+        return mean - mean.mean()
+
+    for level, expected_e in ((0.0, 15.0), (0.6, math.hypot(0.6 * 5000 * 0.02, 15.0))):
+        first, second = pattern(level, range(10, 30)), pattern(level, range(30, 50))
+        # The temporal noise that is left in either half is independent, so the covariance is the
+        # pattern's variance: n = 49,152 pixels, relative deviation below 1.5 %; four of those,
+        # halved by the square root.
+        covariance = (first * second).mean()
+        assert math.sqrt(covariance) == pytest.approx(expected_e * settings.system_gain, rel=0.03)
+
+
+def test_a_sensor_is_its_seed():
+    settings = CameraSettings(prnu=0.01, dsnu_e=2.0)
+    same, again, other = (
+        fixed_patterns(settings=settings, shape=(32, 32), seed=seed) for seed in (1, 1, 2)
+    )
+    assert np.array_equal(same.gain, again.gain)
+    assert np.array_equal(same.offset_e, again.offset_e)
+    # Independent sensors: a correlation of 1,024 pixels has a deviation of 1/32; four of those.
+    assert abs(np.corrcoef(same.gain.ravel(), other.gain.ravel())[0, 1]) < 4 / 32
+
+
+def test_a_frame_is_its_seed_in_any_memory_layout():
+    wall = np.linspace(0, 1, 60 * 80 * 3).reshape(60, 80, 3).astype(np.float32)
+    frames = [
+        expose(image, exposure=1.0, settings=CameraSettings(), rng=np.random.default_rng(7))
+        for image in (wall, wall, np.asfortranarray(wall), wall.astype(np.float64))
+    ]
+    assert all(np.array_equal(frames[0], frame) for frame in frames[1:])
+    other = expose(wall, exposure=1.0, settings=CameraSettings(), rng=np.random.default_rng(8))
+    assert not np.array_equal(frames[0], other)
+
+
+@pytest.mark.parametrize("response", ["linear", "srgb", 2.2, 0.8])
+@pytest.mark.parametrize("bit_depth", [8, 10, 12])
+def test_linearising_undoes_the_response(response, bit_depth):
+    # A well of 1e12 electrons has a noise of 1e-6 of full scale and less.
+    settings = CameraSettings(
+        full_well_e=1e12, response=response, bit_depth=bit_depth, dark_signal_e=1e10
+    )
+    light = np.linspace(0.002, 0.97, 5000).astype(np.float32)
+    dn = expose(light, exposure=1.0, settings=settings, rng=np.random.default_rng(9))
+    found = linearise(dn, settings=settings)
+    # A number stands for half a step to either side; the step is wider by the 2^-16 of the
+    # converter ahead of the curve, and single precision rounds the light itself.
+    one_down = linearise(np.maximum(dn, 1) - 1, settings=settings)
+    one_up = linearise(np.minimum(dn, settings.full_scale_dn - 1) + 1, settings=settings)
+    half_step = 0.5 * np.maximum(found - one_down, one_up - found)
+    assert (np.abs(found - light) < 1.1 * half_step + 2.0**-16).all()
+
+
+def test_srgb_shows_middle_grey_as_118_and_half_as_188():
+    # IEC 61966-2-1: linear 0.18 and 0.5 are 117.6 and 187.5(2) of 255.
+    settings = CameraSettings(full_well_e=1e12, response="srgb", black_level_dn=0.0)
+    for light, dn in ((0.18, 118), (0.5, 188), (0.001, 3)):
+        assert (photograph(light, settings=settings, seed=1, shape=(4, 4)) == dn).all()
+
+
+@pytest.mark.parametrize("response", ["linear", "srgb", 2.2])
+def test_metering_puts_the_brightest_channel_where_it_is_asked(response):
+    settings = CameraSettings(full_well_e=1e9, response=response, dark_signal_e=1e7)
+    y, x = np.mgrid[0:240, 0:320]
+    spot = ((x - 160) ** 2 + (y - 120) ** 2 < 40**2).astype(np.float32)
+    wall = 7.0 * spot[..., None] * np.array([0.6, 0.3, 0.1], np.float32)
+    wall[0, 0] = 1e4  # a glint
+    exposure = metered_exposure(wall, settings=settings, peak_fraction=0.7)
+    frame = expose(wall, exposure=exposure, settings=settings, rng=np.random.default_rng(1))
+    # 0.7 of 255 is 178.5: rounded either way.
+    assert frame[120, 160].max() in (178, 179)
+    assert frame[120, 160, 0] == frame[120, 160].max()
+
+
+def test_metering_looks_only_at_the_mask():
+    wall = np.ones((40, 40, 3), np.float32)
+    wall[:, 20:] = 5.0
+    mask = np.zeros((40, 40), bool)
+    mask[:, :20] = True
+    settings = CameraSettings(black_level_dn=0.0)
+    # Linear and without black level the exposure is the fraction itself over the light.
+    assert metered_exposure(wall, settings=settings, mask=mask) == pytest.approx(0.8)
+    assert metered_exposure(wall, settings=settings) == pytest.approx(0.8 / 5)
+
+
+@pytest.mark.parametrize(
+    ("image", "kwargs", "message"),
+    [
+        (np.full((2, 2), -1.0), {}, "not negative; got values from -1"),
+        (np.full((2, 2), np.nan), {}, "finite"),
+        (np.full((2, 2), np.inf), {}, "finite"),
+        (np.ones((0, 2)), {}, "hold pixels"),
+        (np.ones((2, 2)), {"exposure": -1.0}, "exposure="),
+        (np.ones((2, 2)), {"exposure": math.nan}, "exposure="),
+        (np.ones((2, 2)), {"settings": CameraSettings(prnu=0.01)}, "fixed_patterns"),
+        (
+            np.ones((2, 2)),
+            {"patterns": fixed_patterns(settings=CameraSettings(), shape=(2, 3), seed=0)},
+            r"shape \(2, 2\)",
+        ),
+    ],
+)
+def test_bad_light_is_named(image, kwargs, message):
+    defaults = {"exposure": 1.0, "settings": CameraSettings(), "rng": np.random.default_rng(0)}
+    with pytest.raises(ValueError, match=message):
+        expose(image, **(defaults | kwargs))
+
+
+@pytest.mark.parametrize(
+    ("image", "kwargs", "message"),
+    [
+        (np.zeros((4, 4, 3)), {}, "needs light"),
+        (np.ones((4, 4, 3)), {"peak_fraction": 1.2}, "peak_fraction"),
+        (np.ones((4, 4, 3)), {"peak_fraction": 0.01}, "above the dark image"),
+        (np.ones((4, 4, 3)), {"mask": np.zeros((4, 4), bool)}, "at least one pixel"),
+        (np.ones((4, 4, 3)), {"mask": np.ones((4, 5), bool)}, "height and width"),
+    ],
+)
+def test_bad_metering_is_named(image, kwargs, message):
+    with pytest.raises(ValueError, match=message):
+        metered_exposure(image, settings=CameraSettings(), **kwargs)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"bit_depth": 7},
+        {"bit_depth": 17},
+        {"full_well_e": 0.0},
+        {"read_noise_e": math.inf},
+        {"black_level_dn": 255.0},
+        {"response": "log"},
+        {"response": 0.0},
+        {"fullwell": 1.0},
+    ],
+)
+def test_impossible_cameras_are_refused(setting):
+    with pytest.raises(ValidationError, match=next(iter(setting))):
+        CameraSettings(**setting)
