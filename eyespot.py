@@ -104,9 +104,7 @@ def scene_check(scene: SceneFile) -> None:
 
     settings = scenes.load_scene(scene)
     # What the keys alone do not tell, such as a spot that leaves the window.
-    labels.truth(
-        settings, geometry.lens_table(settings) if settings.source.kind == "lens" else None
-    )
+    labels.truth(settings, geometry.lens_table(settings))
     typer.echo(f"{scene}: fine.")
 
 

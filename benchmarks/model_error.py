@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -75,7 +75,7 @@ def estimates(
 ) -> dict[str, np.ndarray]:
     """Distance by every model, mm, from e1' (px) at known eccentricity (mm)."""
     cone = {"k": float(optics.slope(geometry.half_angle)), "b": geometry.apex_offset}
-    known = {
+    known: dict[str, Any] = {
         "semi_minor_px": semi_minor_px,
         "scale": geometry.scale,
         "eccentricity": c,

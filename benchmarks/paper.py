@@ -38,3 +38,9 @@ TABLE_II = {
 
 ACCEPTABLE_ERROR_MM = 0.5
 """The error that the paper calls acceptable."""
+
+MAX_ERROR_IN_TEXT_MM = 0.372
+"""The largest error in a sphere by the abstract and section IV; Table II has a larger one."""
+
+LARGEST_VIEW_MM = 10.0
+"""The microscope's view that section III-A builds its approximation on."""

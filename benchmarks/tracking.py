@@ -22,6 +22,9 @@ from estimator import (
 
 _VISIBLE_ENOUGH = 0.5
 
+USED = "used"
+"""Outcome of a frame that enters the fits."""
+
 
 @dataclass(frozen=True)
 class Way:
@@ -78,7 +81,11 @@ class Tracked:
     def semi_minor_px(self) -> np.ndarray:
         """e1' of the frames used, px."""
         return np.array(
-            [r.semi_minor_px for r, used in zip(self.results, self.used, strict=True) if used]
+            [
+                result.semi_minor_px
+                for result, used in zip(self.results, self.used, strict=True)
+                if used and isinstance(result, Spot)
+            ]
         )
 
     @property
@@ -97,15 +104,20 @@ class Tracked:
         return np.array([row.d_mm - self.labels[0].d_mm for row in self.used_labels])
 
     @property
+    def outcomes(self) -> tuple[str, ...]:
+        """What became of each frame: "used", or why it was left out."""
+
+        def outcome(result: Spot | NoSpot, used: bool) -> str:
+            if isinstance(result, NoSpot):
+                return result.reason.value.replace("_", " ")
+            return USED if used else "less than half of the contour in view"
+
+        return tuple(map(outcome, self.results, self.used))
+
+    @property
     def left_out(self) -> Counter[str]:
         """Number of frames left out, by reason."""
-        reasons: Counter[str] = Counter()
-        for row, result, used in zip(self.labels, self.results, self.used, strict=True):
-            if isinstance(result, NoSpot):
-                reasons[result.reason.value.replace("_", " ")] += 1
-            elif not used:
-                reasons["less than half of the contour in view"] += 1
-        return reasons
+        return Counter(outcome for outcome in self.outcomes if outcome != USED)
 
 
 def track_stack(stack: Stack, way: Way, *, spots_file: Path) -> Tracked:

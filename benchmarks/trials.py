@@ -45,10 +45,7 @@ def paper_trials(*, source: str, quick: bool, seed: int) -> list[Trial]:
         seed: of camera noise and wall texture.
     """
     frames = 13 if quick else 61
-    plane = [
-        (f"plane {n}", "plane", c)
-        for n, c in enumerate(_PLANE_ECCENTRICITIES_MM, start=1)
-    ]
+    plane = [(f"plane {n}", "plane", c) for n, c in enumerate(_PLANE_ECCENTRICITIES_MM, start=1)]
     sphere = [(name, "sphere", row.c) for name, row in TABLE_II.items()]
     return [
         Trial(

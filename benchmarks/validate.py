@@ -1,11 +1,11 @@
 """The main job: the paper's static experiment on rendered images, and its model against the truth.
 
-    DIR/run.json         what was asked for; a folder with another run.json is refused
-        stacks/…         labelled image stacks, one a trial
-        spots/…          what each way of measuring found in them
-        *.csv, figures/  the numbers and pictures of the report
-        summary.json     what was found
-        report.html      the same, for people
+DIR/run.json         what was asked for; a folder with another run.json is refused
+    stacks/…         labelled image stacks, one a trial
+    spots/…          what each way of measuring found in them
+    *.csv, figures/  the numbers and pictures of the report
+    summary.json     what was found
+    report.html      the same, for people
 """
 
 from __future__ import annotations
@@ -88,6 +88,7 @@ def run(*, out: Path, quick: bool, seed: int, source: str) -> Findings:
         "seed": seed,
         "source": source,
     }
+    scenes.load_mitsuba()  # a machine that cannot render leaves no folder behind
     _claim(out, settings)
     sources = ("lens", "cone") if source == "both" else (source,)
     trials = [
@@ -173,9 +174,7 @@ def _measure(trial: Trial, stack: Stack, out: Path) -> dict[str, Tracked]:
     if trial.kind == "grid":
         ways = [way for way in ways if way.name == SUBPIXEL]
     return {
-        way.name: track_stack(
-            stack, way, spots_file=out / "spots" / f"{trial.name}-{way.slug}.csv"
-        )
+        way.name: track_stack(stack, way, spots_file=out / "spots" / f"{trial.name}-{way.slug}.csv")
         for way in ways
     }
 

@@ -29,7 +29,7 @@ class Solution(NamedTuple):
     parameters: Float[Array, "p"]
     covariance: Float[Array, "p p"]
     residuals: Float[Array, "n"]
-    converged: Array
+    converged: bool | Array
 
 
 def least_squares(
@@ -45,8 +45,10 @@ def least_squares(
         start: first guess.
         count: number of data that are not padding.
     """
-    solver = optx.BestSoFarLeastSquares(optx.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE))
-    result = optx.least_squares(
+    solver: optx.AbstractLeastSquaresSolver = optx.BestSoFarLeastSquares(
+        optx.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
+    )
+    result: optx.Solution = optx.least_squares(
         lambda parameters, _: residual(parameters), solver, start, max_steps=_MAX_STEPS, throw=False
     )
     value = residual(result.value)

@@ -67,7 +67,7 @@ class SphereFit(NamedTuple):
     at_bound: bool
 
 
-def fit_plane(*, semi_minor_px: Float[Array, "n"], distance: Float[Array, "n"]) -> PlaneFit:
+def fit_plane(*, semi_minor_px: Float[ArrayLike, "n"], distance: Float[ArrayLike, "n"]) -> PlaneFit:
     """Fit delta k and b to spots on a plane (Zhou et al. 2020, eq. 7).
 
     Args:
@@ -102,8 +102,8 @@ def fit_plane(*, semi_minor_px: Float[Array, "n"], distance: Float[Array, "n"]) 
 
 def fit_eccentricity(
     *,
-    semi_minor_px: Float[Array, "n"],
-    distance: Float[Array, "n"],
+    semi_minor_px: Float[ArrayLike, "n"],
+    distance: Float[ArrayLike, "n"],
     delta_k: float,
     b: float,
     scale: float,
@@ -148,19 +148,21 @@ def fit_eccentricity(
 
 
 @eqx.filter_jit
-def _solve_plane(axis: Array, reading: Array, weight: Array) -> Solution:
+def _solve_plane(axis: ArrayLike, reading: ArrayLike, weight: ArrayLike) -> Solution:
     def residual(parameters: Array) -> Array:
         delta_k, b = parameters
-        return weight * (optics.planar_distance(semi_minor_px=axis, scale=delta_k, k=1.0, b=b) - reading)
+        return weight * (
+            optics.planar_distance(semi_minor_px=axis, scale=delta_k, k=1.0, b=b) - reading
+        )
 
     return least_squares(residual, jnp.array([0.1, 0.0]), count=jnp.sum(weight))
 
 
 @eqx.filter_jit
 def _solve_sphere(
-    axis: Array,
-    reading: Array,
-    weight: Array,
+    axis: ArrayLike,
+    reading: ArrayLike,
+    weight: ArrayLike,
     *,
     delta_k: ArrayLike,
     b: ArrayLike,
@@ -177,6 +179,6 @@ def _solve_sphere(
             eccentricity=eye_radius * jnp.sin(parameters[0]),
             eye_radius=eye_radius,
         )
-        return weight * (estimate - reading)
+        return jnp.asarray(weight) * (estimate - reading)
 
     return least_squares(residual, jnp.array([0.4]), count=jnp.sum(weight))

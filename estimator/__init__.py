@@ -22,12 +22,12 @@ from .spot import Spot as Spot
 from .spots import SpotRecord as SpotRecord
 from .spots import read_spots as read_spots
 from .spots import write_spots as write_spots
-from .subpixel import SubpixelSettings as SubpixelSettings
-from .track import TrackState as TrackState
-from .track import measure as measure
-from .track import track as track
 from .stack import FrameLabels as FrameLabels
 from .stack import Stack as Stack
 from .stack import StackError as StackError
 from .stack import StackWriter as StackWriter
 from .stack import read_stack as read_stack
+from .subpixel import SubpixelSettings as SubpixelSettings
+from .track import TrackState as TrackState
+from .track import measure as measure
+from .track import track as track

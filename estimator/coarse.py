@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -81,14 +82,17 @@ def bright_regions(
         min_contrast: least (peak - background) / background.
         min_area: least area of a region, px^2.
     """
-    smooth = cv2.medianBlur(coarse.levels, 5)
+    smooth = cv2.medianBlur(coarse.levels, 3)
     for _ in range(_PEELS):
-        brightest = int(smooth.max())
-        background = _median_below(smooth, brightest)
+        count = np.bincount(smooth.ravel(), minlength=256)
+        present = np.flatnonzero(count)
+        darkest, brightest = int(present[0]), int(present[-1])
+        background = _median_level(count[: (darkest + brightest) // 2 + 1])
         if brightest - background < max(min_contrast * background, _FAINTEST_STEP):
             return
-        peak = float(np.median(smooth[smooth > (brightest + background) / 2]))
-        mask = (smooth > (peak + background) / 2).view(np.uint8)
+        middle = (brightest + background) // 2
+        peak = middle + 1 + _median_level(count[middle + 1 :])
+        mask = (smooth > (peak + background) // 2).view(np.uint8)
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         # A contour runs through pixel centres; half its length is the area outside them.
         areas = [cv2.contourArea(c) + len(c) / 2 + 1 for c in contours]
@@ -112,34 +116,32 @@ def bright_regions(
                 if ellipse is not None
             ]
         smooth = smooth.copy()
-        cv2.drawContours(smooth, contours, largest, int(background), cv2.FILLED)
-        cv2.drawContours(smooth, contours, largest, int(background), 3)
+        cv2.drawContours(smooth, contours, largest, background, cv2.FILLED)
+        cv2.drawContours(smooth, contours, largest, background, 3)
 
 
-def _median_below(levels: np.ndarray, brightest: int) -> float:
-    """Median of the pixels below half of the brightest's height over the darkest."""
-    count = np.bincount(levels.ravel(), minlength=256)
-    middle = (int(np.flatnonzero(count)[0]) + brightest) // 2
-    below = np.cumsum(count[: middle + 1])
-    return float(np.searchsorted(below, below[-1] / 2))
+def _median_level(count: np.ndarray) -> int:
+    """Median of the pixels that a histogram counts."""
+    below = np.cumsum(count)
+    return int(np.searchsorted(below, below[-1] / 2))
 
 
 def _hull_ellipse(points: np.ndarray, coarse: Coarse) -> Ellipse | None:
     hull = cv2.convexHull(points)[:, 0]
     height, width = coarse.levels.shape
-    inner = (hull > 0).all(axis=1) & (hull < (width - 1, height - 1)).all(axis=1)
-    hull = hull[inner]
+    x, y = hull[:, 0], hull[:, 1]
+    hull = hull[(x > 0) & (y > 0) & (x < width - 1) & (y < height - 1)]
     if len(hull) < 5:
         return None
-    (x, y), (first, second), degrees = cv2.fitEllipse(hull)
+    (u, v), (first, second), degrees = cv2.fitEllipse(hull)
     # cv2's angle is that of the first axis; the rim lies half a pixel outside pixel centres.
-    half = np.array([first, second]) / 2 + 0.5
-    if not np.isfinite([x, y, *half, degrees]).all() or half.max() > 2 * max(height, width):
+    half = first / 2 + 0.5, second / 2 + 0.5
+    if not (max(half) < 2 * max(height, width) and math.isfinite(u + v + degrees)):
         return None
     return Ellipse.from_axes(
-        coarse.x0 + coarse.stride * x,
-        coarse.y0 + coarse.stride * y,
+        coarse.x0 + coarse.stride * u,
+        coarse.y0 + coarse.stride * v,
         coarse.stride * half[0],
         coarse.stride * half[1],
-        np.deg2rad(degrees),
+        math.radians(degrees),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from .coarse import Candidate, Coarse
@@ -17,8 +18,10 @@ REACH = 1.75
 
 _CAPTURED = 0.1  # largest error, in units of the radius, of an edge that belongs
 _SAMPLING = 0.7  # px between samples across the edge
-_SETTLED = 0.15  # move, in units of the edge's width, after which a refinement is not repeated
+_SETTLED = 0.05  # move, in units of the edge's width, after which a refinement is not repeated
 _REFINEMENTS = 3
+_PLATEAU = 2.6  # edge widths from the edge to where its blur no longer shows ...
+_TAIL = 0.997  # ... much: this part of the plateau is reached on average from there to 3 widths
 _NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
 
 
@@ -71,7 +74,8 @@ def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | No
         refined = _refine(patch, ellipse, inliers, levels)
         if refined is None:
             return None
-        settled = refined.move < _SETTLED * refined.levels.width < 0.3 * levels.width
+        sharper = refined.levels.width < 0.7 * levels.width
+        settled = refined.move < _SETTLED * refined.levels.width and not sharper
         ellipse, inliers, levels = refined.ellipse, refined.inliers, refined.levels
         if settled:
             break
@@ -123,9 +127,7 @@ class _Refined:
     inside: np.ndarray
 
 
-def _refine(
-    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
-) -> _Refined | None:
+def _refine(patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels) -> _Refined | None:
     semi_minor = ellipse.axes()[1]
     reach = min(max(3 * levels.width, 2.5 / semi_minor), 0.6)
     samples = 2 * min(max(int(reach * semi_minor / _SAMPLING), 5), 16) + 1
@@ -144,10 +146,7 @@ def _refine(
     mean = inliers.astype(np.float32) @ profiles / np.float32(number)
     slope = _derivative(mean, from_edge[1] - from_edge[0])
     residual = profiles - mean
-    basis = np.stack([slope, mean, from_edge * mean, from_edge * slope], axis=1)
-    solution, rough = _regressed(residual, basis, inliers, 1e-7 * levels.amplitude**2)
-    offsets = -solution[:, 0].astype(float)
-    gain = 1 + solution[:, 1]
+    offsets, gain, rough = _shifts(residual, mean, slope, from_edge, inliers)
     found = whole & (gain > 0.5) & (gain < 2) & (np.abs(offsets) < reach)
     typical = np.partition(rough[inliers], number // 2)[number // 2]
     smooth = rough < 9 * max(float(typical), 1e-5 * levels.amplitude**2)
@@ -185,27 +184,38 @@ def _derivative(values: np.ndarray, spacing: float) -> np.ndarray:
     return slope
 
 
-def _regressed(
-    residual: np.ndarray, basis: np.ndarray, inliers: np.ndarray, floor: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Shift, gain, slope and stretch in each ray's residual, (RAYS, 4), and what they leave.
+def _shifts(
+    residual: np.ndarray,
+    mean: np.ndarray,
+    slope: np.ndarray,
+    from_edge: np.ndarray,
+    inliers: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Outward shift of each ray's profile against the mean, its gain, and the variance left.
 
-    Gain, slope (of the wall's reflectance) and stretch (an edge as wide in px all round is not as
-    wide in radii) are held by priors of zero mean, whose variances are those of the rays' plain
-    least-squares coefficients less the noise's share: none on an even wall, wide on a textured one.
+    A ray differs from the mean by its shift (times minus the slope), by the wall's reflectance (a
+    gain and a gradient along the ray) and by its stretch (an edge as wide in px all round is not as
+    wide in radii). The latter three are random with the variances that the rays show beyond the
+    noise, and the shift is estimated by generalised least squares (Aitken 1935): its signature
+    counts as far as the others, in the strength in which they occur, do not imitate it.
     """
+    basis = np.stack([mean, from_edge * mean, from_edge * slope, -slope], axis=1).astype(float)
     gram = basis.T @ basis
-    gram.flat[:: len(gram) + 1] *= 1 + 1e-6
-    inverse = np.linalg.inv(gram)
-    plain = residual @ (basis @ inverse).astype(np.float32)
-    left = residual - plain @ basis.T.astype(np.float32)
-    rough = np.einsum("ij,ij->i", left, left) / (residual.shape[1] - len(gram))
-    weight = inliers.astype(np.float32) / np.float32(np.count_nonzero(inliers))
-    noise = max(float(weight @ rough), floor)
-    spread = weight @ (plain * plain) - noise * inverse.diagonal()
-    held = gram.copy()
-    held.flat[len(gram) + 1 :: len(gram) + 1] += noise / np.maximum(spread[1:], 1e-8)
-    return residual @ np.linalg.solve(held, basis.T).T.astype(np.float32), rough
+    gram.flat[::5] *= 1 + 1e-9
+    triangle = np.linalg.cholesky(gram)
+    orthonormal = basis @ cv2.invert(triangle)[1].T
+    parts = residual @ orthonormal.astype(np.float32)
+    squares = parts * parts
+    rough = np.einsum("ij,ij->i", residual, residual) - squares.sum(axis=1)
+    rough = np.maximum(rough, 0) / max(residual.shape[1] - 4, 1)
+    weight = inliers / np.count_nonzero(inliers)
+    noise = float(weight @ rough)
+    total = weight @ squares
+    signature = triangle[3]
+    filtered = signature * np.minimum(noise / np.maximum(total, 1e-12), 1)
+    filtered[3] = signature[3]
+    offsets = parts @ (filtered / (filtered @ signature))
+    return offsets, 1 + parts[:, 0] / triangle[0, 0], rough
 
 
 def _eroded(mask: np.ndarray) -> np.ndarray:
@@ -214,32 +224,37 @@ def _eroded(mask: np.ndarray) -> np.ndarray:
     return wide[:-2] & mask & wide[2:]
 
 
-def _sharpened(
-    levels: Levels, from_edge: np.ndarray, mean: np.ndarray, steepest: float
-) -> Levels:
+def _sharpened(levels: Levels, from_edge: np.ndarray, mean: np.ndarray, steepest: float) -> Levels:
     """The levels with what the mean profile shows better: the edge's width and its plateau."""
     width = levels.amplitude / (math.sqrt(2 * math.pi) * max(steepest, 1e-12))
-    inner = np.searchsorted(from_edge, -2.6 * width)
-    plateau = float(mean[:inner].mean()) if inner else levels.plateau
+    inner = int(np.searchsorted(from_edge, -_PLATEAU * width))
+    if inner == 0:
+        return replace(levels, width=width)
+    plateau = levels.background + float(mean[:inner].mean() - levels.background) / _TAIL
     if not plateau > levels.background:
         return levels
-    return replace(levels, width=width, plateau=plateau)
+    share = float(levels.share_of_peak(1 + from_edge[:inner]).mean())
+    return replace(levels, width=width, peak=plateau / share)
 
 
 def _half_crossing(from_edge: np.ndarray, mean: np.ndarray, levels: Levels) -> float | None:
     """Offset at which a cubic through the mean profile's middle falls to the half level."""
-    level = (levels.peak + levels.background) / 2
+    level = levels.half
     falls = np.flatnonzero((mean[1:] < level) & (mean[:-1] >= level))
     if falls.size == 0:
         return None
     k = int(falls[np.argmin(np.abs(from_edge[falls]))])
     spacing = float(from_edge[1] - from_edge[0])
     middle = float(from_edge[k] + spacing * (mean[k] - level) / (mean[k] - mean[k + 1]))
-    span = max(1.5 * levels.width, 2.1 * spacing)
+    span = max(1.8 * levels.width, 2.6 * spacing)
     first, last = np.searchsorted(from_edge, (middle - span, middle + span))
     x = (from_edge[first:last] - middle) / span
-    powers = x[:, None] ** np.arange(4)
-    c0, c1, c2, c3 = np.linalg.lstsq(powers, mean[first:last] - level)[0].tolist()
+    # A weight that ends smoothly: no sample joins or leaves with a jump of the result.
+    weight = 1 - x * x
+    powers = np.stack([weight, x * weight, x * x * weight, x * x * x * weight], axis=1)
+    heights = (mean[first:last] - level) * weight
+    _, cubic = cv2.solve(powers, heights[:, None], flags=cv2.DECOMP_QR)
+    c0, c1, c2, c3 = cubic[:, 0].tolist()
     root = 0.0
     for _ in range(4):
         falling = c1 + root * (2 * c2 + 3 * root * c3)
@@ -256,7 +271,7 @@ def _finished(refined: _Refined) -> EdgeFit:
     share = len(rows) / len(DESIGN)
     # Harmonics 0 to 2 are fitted.
     variance = ring_variance(errors, slice(3, 13)) / share
-    step_covariance = variance * np.linalg.inv(rows.T @ rows)
+    step_covariance = variance * cv2.invert(rows.T @ rows)[1]
     # All of the contour moves with the half level, by the width times sqrt(pi / 2) a relative unit.
     step_covariance[2:4, 2:4] += math.pi / 2 * levels.width**2 * levels.dome_variance
     return EdgeFit(

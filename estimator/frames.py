@@ -13,6 +13,9 @@ _FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0, "float64": 1.0
 GREY = -1
 """Channel number of the weighted mean of red, green and blue."""
 
+GREY_WEIGHTS = (0.299, 0.587, 0.114)
+"""Of red, green and blue in cv2's RGB2GRAY."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Response:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from .coarse import Candidate, Coarse
@@ -26,28 +27,34 @@ class Levels:
     """What a spot's half level is made of.
 
     Attributes:
-        plateau: signal next to the edge, inside it.
-        dome: height of the peak above the plateau, relative to the plateau.
-        dome_variance: of `dome`.
+        peak: signal of the spot's brightest part, noise and texture taken out.
+        dome: signal over the peak's, a polynomial in the squared radius.
+        dome_variance: of the dome's height relative to the peak.
         background: signal around the spot.
         width: of the edge in units of the radius (see `Spot.edge_width_px`).
     """
 
-    plateau: float
-    dome: float
+    peak: float
+    dome: tuple[float, float, float]
     dome_variance: float
     background: float
     width: float
 
     @property
-    def peak(self) -> float:
-        """Signal of the spot's brightest part, noise and texture taken out."""
-        return self.plateau * (1 + self.dome)
-
-    @property
     def amplitude(self) -> float:
         """Peak above background."""
         return self.peak - self.background
+
+    @property
+    def half(self) -> float:
+        """The level of the contour."""
+        return (self.peak + self.background) / 2
+
+    def share_of_peak(self, radii: np.ndarray) -> np.ndarray:
+        """Signal over the peak's inside the edge, at radii inside it."""
+        c0, c1, c2 = self.dome
+        square = radii * radii
+        return c0 + square * (c1 + square * c2)
 
 
 def levels_of(
@@ -72,10 +79,10 @@ def levels_of(
         return None
     background = _background(coarse, ellipse, 1 + 4 * width, candidate.background)
     dark = (candidate.peak + candidate.background) / 2
-    plateau, dome, variance = _top(profiles, width, dark, 2 * candidate.peak)
-    if not plateau > background:
+    peak, dome, variance = _top(profiles, width, dark, 2 * candidate.peak)
+    if not peak > background:
         return None
-    return Levels(plateau, dome, variance, background, width)
+    return Levels(peak, dome, variance, background, width)
 
 
 def _background(coarse: Coarse, ellipse: Ellipse, radius: float, fallback: float) -> float:
@@ -93,8 +100,8 @@ def _background(coarse: Coarse, ellipse: Ellipse, radius: float, fallback: float
 
 def _top(
     profiles: np.ndarray, width: float, dark: float, glaring: float
-) -> tuple[float, float, float]:
-    """Plateau next to the edge, the dome's relative height above it, and that height's variance.
+) -> tuple[float, tuple[float, float, float], float]:
+    """Peak, the dome under it (see `Levels`), and the variance of the dome's height.
 
     An even polynomial through the rings' means over what is neither dark (a shaft) nor glaring. A
     wall's texture looks like a dome too, so the dome counts only as far as it exceeds what the
@@ -103,25 +110,26 @@ def _top(
     outermost = min(max(1 - 2.5 * width, 0.5), 0.9)
     rings = slice(0, max(int((outermost - RADII[0]) / RADIUS_STEP) + 1, 8), 2)
     radii = RADII[rings]
-    inner = profiles[:, rings]
+    inner = profiles[::2, rings]
     seen = (inner > dark) & (inner < glaring)
-    number = seen.sum(axis=0)
-    means = np.where(seen, inner, 0).sum(axis=0) / np.maximum(number, 1)
+    number = np.count_nonzero(seen, axis=0)
+    means = (inner * seen).sum(axis=0) / np.maximum(number, 1)
     square = radii * radii
     basis = np.stack([np.ones_like(square), square, square * square], axis=1)
     weighted = basis * (radii * number)[:, None]
     gram = weighted.T @ basis
     gram.flat[::4] += 1e-6
-    curve = (basis @ np.linalg.solve(gram, weighted.T @ means))[number > 0]
-    if curve.size == 0:
-        return dark, 0.0, 0.0
-    plateau = float(curve[-1])
-    dome = float(curve.max()) / plateau - 1
+    _, coefficients = cv2.solve(gram, weighted.T @ means[:, None])
+    curve = basis @ coefficients
+    top, plateau = float(curve.max()), float(curve[-1, 0])
+    height = top / plateau - 1 if plateau > dark / 2 else 0.0
     whole = inner[seen.all(axis=1)]
-    if len(whole) < 8:
-        return plateau, dome, dome**2
+    if len(whole) < 8 or not height > 0:
+        return plateau, (1.0, 0.0, 0.0), 0.0
     contrast = np.where(np.arange(len(radii)) < len(radii) // 2, 1.0, -1.0)
     rise = whole @ contrast.astype(np.float32) * (2 / len(radii))
     variance = 4 * ring_variance(rise - rise.mean(), slice(1, 5)) / len(rise) / plateau**2
-    kept = max(0.0, 1 - _DOUBT * variance / dome**2) if dome > 0 else 0.0
-    return plateau, kept * dome, variance
+    kept = max(0.0, 1 - _DOUBT * variance / height**2)
+    c0, c1, c2 = (coefficients[:, 0] / top).tolist()
+    dome = (1 - kept + kept * c0, kept * c1, kept * c2)
+    return plateau / (1 - kept + kept * plateau / top), dome, variance

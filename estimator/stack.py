@@ -201,8 +201,9 @@ def read_stack(folder: Path) -> Stack:
             f"{folder / 'stack.toml'} has schema {description.get('schema')}; this version reads "
             f"{SCHEMA}. Render the stack again."
         )
-    return Stack(folder, tuple(_parse(folder, n, line) for n, line in enumerate(lines, 1)),
-                 description)
+    return Stack(
+        folder, tuple(_parse(folder, n, line) for n, line in enumerate(lines, 1)), description
+    )
 
 
 def _parse(folder: Path, number: int, line: str) -> FrameLabels:

@@ -4,8 +4,9 @@ The edge of a spot is where its light, the wall's reflectance taken out, falls t
 the spot's own peak (of a bell) or plateau (of a disc, domed or flat) and the background around it.
 It does not move with exposure nor, where the edge is symmetric about its middle, with blur.
 
-Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), which has the least
-noise, unless a channel is saturated in the spot: then on the least saturated channel.
+Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), unless one channel is
+so much brighter in the spot that it has the better signal-to-noise ratio alone (on a retina red, in
+which vessels hardly show), or a channel is saturated: then on the least saturated one.
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ import numpy as np
 from .coarse import Candidate, Coarse, TooSmall, bright_regions
 from .edges import REACH, EdgeFit, fit_edge
 from .ellipse import Ellipse, covariance_of_axes
-from .frames import GREY, Response, Window, signal_of
+from .frames import GREY, GREY_WEIGHTS, Response, Window, signal_of
 from .spot import NoSpot, Reason, Spot
 from .unwrap import Patch, share_of_contour
 
 _SATURATED = 0.005  # fraction of a spot's pixels at full scale that its half level notices
+_GREY_GAIN = 1.5  # signal to noise of equally bright channels' grey mean, over that of one
 _FAINTEST_CHANNEL = 0.1  # of full scale: least peak of a channel that may stand in for grey
 _ROUGHEST = 0.06  # scatter of the edges, in units of the radius, of something that is an ellipse
 _SHORTEST_ARC = 0.2  # fraction of a contour from which an ellipse is recognised as hidden
@@ -104,30 +106,23 @@ def spots_in(
     values = _subsampled(window.of(frame), settings.stride)
     if min(values.shape[:2]) < 5:
         return
-    channel = GREY
-    regions = _regions(values, channel, window, settings, full_scale)
-    for region in regions:
+    for region in _regions(values, GREY, window, settings, full_scale):
         if isinstance(region, TooSmall):
             yield NoSpot(Reason.TOO_SMALL)
             continue
         coarse, readings = region
         if not readings:
             continue
-        saturated = _saturated_fractions(values, readings[0].mask, full_scale)
-        if saturated.max() > _SATURATED and values.ndim == 3:
-            channel = _least_saturated(values, readings[0].mask, saturated, full_scale)
+        channel = _channel(values, readings[0].mask, settings, full_scale)
+        if channel != GREY:
             again = _overlapping(
                 _regions(values, channel, window, settings, full_scale), readings[0].mask
             )
             if again is None:
                 continue
             coarse, readings = again
-            saturated = _saturated_fractions(values, readings[0].mask, full_scale)
-        else:
-            channel = GREY
-        yield _best_reading(
-            frame, channel, coarse, readings, settings, full_scale, float(saturated[channel])
-        )
+        saturated = _saturated_fractions(values, readings[0].mask, full_scale)[channel]
+        yield _best_reading(frame, channel, coarse, readings, settings, full_scale, saturated)
 
 
 def _subsampled(values: np.ndarray, stride: int) -> np.ndarray:
@@ -167,21 +162,29 @@ def _overlapping(regions: Iterator[_Region | TooSmall], mask: np.ndarray) -> _Re
     return None
 
 
-def _saturated_fractions(values: np.ndarray, mask: np.ndarray, full_scale: float) -> np.ndarray:
-    """Fraction of the mask's pixels at full scale: of red, green, blue and the worst of them."""
-    full = values[mask] >= full_scale
-    if full.ndim == 1:
-        return np.array([full.mean()])
-    fractions = full.mean(axis=0)
-    return np.append(fractions, fractions.max())
-
-
-def _least_saturated(
-    values: np.ndarray, mask: np.ndarray, saturated: np.ndarray, full_scale: float
+def _channel(
+    values: np.ndarray, mask: np.ndarray, settings: SubpixelSettings, full_scale: float
 ) -> int:
-    peaks = values[mask].mean(axis=0)
-    usable = [k for k in range(3) if peaks[k] > _FAINTEST_CHANNEL * full_scale]
-    return min(usable, key=lambda k: (saturated[k] > _SATURATED, saturated[k], -peaks[k]))
+    """The channel to measure the masked region in."""
+    if values.ndim == 2:
+        return GREY
+    peaks = cv2.mean(values, mask.view(np.uint8))[:3]
+    saturated = _saturated_fractions(values, mask, full_scale)
+    usable = [k for k in range(3) if peaks[k] > _FAINTEST_CHANNEL * full_scale] or [0, 1, 2]
+    if saturated[GREY] > _SATURATED:
+        return min(usable, key=lambda k: (max(saturated[k], _SATURATED), -peaks[k]))
+    brightest = max(usable, key=lambda k: peaks[k])
+    grey = float(np.dot(peaks, GREY_WEIGHTS))
+    return brightest if peaks[brightest] > _GREY_GAIN * grey else GREY
+
+
+def _saturated_fractions(
+    values: np.ndarray, mask: np.ndarray, full_scale: float
+) -> tuple[float, ...]:
+    """Fraction of the mask's pixels at full scale: of red, green, blue and, last, the worst."""
+    _, full = cv2.threshold(values, full_scale * (1 - 1e-6), 1, cv2.THRESH_BINARY)
+    fractions = cv2.mean(full, mask.view(np.uint8))
+    return fractions[:1] if values.ndim == 2 else (*fractions[:3], max(fractions))
 
 
 def _best_reading(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from optics._surface import Intersection, Sphere, Surface
 
@@ -24,10 +23,22 @@ class Beam(eqx.Module):
         apex_offset: b, mm.
     """
 
-    tip: Float[Array, "3"] = eqx.field(converter=jnp.asarray)
-    axis: Float[Array, "3"] = eqx.field(converter=jnp.asarray)
-    half_angle: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    apex_offset: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    tip: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    half_angle: Float[Array, ""]
+    apex_offset: Float[Array, ""]
+
+    def __init__(
+        self,
+        *,
+        tip: Float[ArrayLike, "3"],
+        axis: Float[ArrayLike, "3"],
+        half_angle: ScalarLike,
+        apex_offset: ScalarLike,
+    ) -> None:
+        self.tip, self.axis = jnp.asarray(tip, float), jnp.asarray(axis, float)
+        self.half_angle = jnp.asarray(half_angle, float)
+        self.apex_offset = jnp.asarray(apex_offset, float)
 
     @property
     def apex(self) -> Float[Array, "3"]:
@@ -53,13 +64,13 @@ def slope(half_angle: ArrayLike) -> Array:
 def beam_at_spot(
     surface: Surface,
     *,
-    eccentricity: ArrayLike,
-    distance: ArrayLike,
-    azimuth: ArrayLike = 0.0,
-    incidence: ArrayLike = 0.0,
-    incidence_azimuth: ArrayLike = 0.0,
-    half_angle: ArrayLike,
-    apex_offset: ArrayLike,
+    eccentricity: ScalarLike,
+    distance: ScalarLike,
+    azimuth: ScalarLike = 0.0,
+    incidence: ScalarLike = 0.0,
+    incidence_azimuth: ScalarLike = 0.0,
+    half_angle: ScalarLike,
+    apex_offset: ScalarLike,
 ) -> Beam:
     """Beam that meets the wall at a given spot, from a given distance.
 
@@ -81,16 +92,21 @@ def beam_at_spot(
         jnp.cos(incidence_azimuth) * frame.meridional + jnp.sin(incidence_azimuth) * frame.azimuthal
     )
     axis = jnp.cos(incidence) * frame.outward + jnp.sin(incidence) * sideways
-    return Beam(frame.origin - distance * axis, axis, half_angle, apex_offset)
+    return Beam(
+        tip=frame.origin - distance * axis,
+        axis=axis,
+        half_angle=half_angle,
+        apex_offset=apex_offset,
+    )
 
 
 def beam_through_trocar(
     *,
     trocar: Float[Array, "3"],
     spot: Float[Array, "3"],
-    distance: ArrayLike,
-    half_angle: ArrayLike,
-    apex_offset: ArrayLike,
+    distance: ScalarLike,
+    half_angle: ScalarLike,
+    apex_offset: ScalarLike,
 ) -> Beam:
     """Beam whose shaft passes a trocar (remote centre of motion) towards a wall point.
 
@@ -103,11 +119,13 @@ def beam_through_trocar(
     """
     towards = spot - trocar
     axis = towards / jnp.linalg.norm(towards)
-    return Beam(spot - distance * axis, axis, half_angle, apex_offset)
+    return Beam(
+        tip=spot - distance * axis, axis=axis, half_angle=half_angle, apex_offset=apex_offset
+    )
 
 
 def contact_distance(
-    surface: Surface, *, incidence: ArrayLike, rim_radius: ArrayLike
+    surface: Surface, *, incidence: ScalarLike, rim_radius: ArrayLike
 ) -> Float[Array, ""]:
     r"""Distance d along the beam at which the rim of a tilted flat tip touches the wall.
 
@@ -125,7 +143,7 @@ def contact_distance(
     if isinstance(surface, Sphere):
         r = surface.radius
         return r * jnp.cos(incidence) - jnp.sqrt(r**2 - (r * jnp.sin(incidence) + rim_radius) ** 2)
-    return rim_radius * jnp.tan(jnp.asarray(incidence, float))
+    return jnp.asarray(rim_radius) * jnp.tan(jnp.asarray(incidence, float))
 
 
 def generator_angles(count: int) -> np.ndarray:
@@ -134,10 +152,10 @@ def generator_angles(count: int) -> np.ndarray:
 
 
 def perpendicular_frame(
-    axis: Float[Array, "3"],
+    axis: Float[ArrayLike, "3"],
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """Two unit vectors that complete `axis` to a right-handed frame (Duff et al. 2017)."""
-    x, y, z = axis
+    x, y, z = jnp.asarray(axis)
     sign = jnp.where(z >= 0, 1.0, -1.0)
     a = -1.0 / (sign + z)
     b = x * y * a

@@ -5,7 +5,7 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 _UNDISTORT_STEPS = 12
 
@@ -64,7 +64,7 @@ class Microscope(eqx.Module):
         return self.principal_point + _distort(offset, self.distortion, self.inverse_focal)
 
     def ray(
-        self, pixels: Float[Array, "*batch 2"]
+        self, pixels: Float[ArrayLike, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
         """Line of sight of pixels, the inverse of `project`.
 
@@ -75,7 +75,9 @@ class Microscope(eqx.Module):
             A point of the line at the pole's height in mm and the unit direction away from
             the microscope.
         """
-        offset = _undistort(pixels - self.principal_point, self.distortion, self.inverse_focal)
+        offset = _undistort(
+            jnp.asarray(pixels) - self.principal_point, self.distortion, self.inverse_focal
+        )
         xy = offset * jnp.array([1.0, -1.0]) * self.scale
         height = jnp.broadcast_to(self.pole_height, (*xy.shape[:-1], 1))
         slope = jnp.concatenate(
@@ -123,17 +125,18 @@ def microscope(
         ValueError: scale or the working distance z_F + r is not positive.
     """
     # Traced values cannot be judged; what a person types can.
-    if not isinstance(scale, jax.core.Tracer) and not scale > 0:
+    if _known(scale) and not scale > 0:
         raise ValueError(f"microscope(scale=...) must be positive; got {scale} mm/px.")
-    reach = pinhole_height + eye_radius
-    if not isinstance(reach, jax.core.Tracer) and not reach > 0:
+    scale = jnp.asarray(scale, float)
+    reach = jnp.asarray(pinhole_height, float) + eye_radius
+    if _known(reach) and not reach > 0:
         raise ValueError(
             "microscope(pinhole_height=...) must lie above the retinal pole at -eye_radius; got "
             f"{pinhole_height} mm with eye_radius={eye_radius} mm. Raise pinhole_height."
         )
     return Microscope(
-        scale=jnp.asarray(scale, float),
-        inverse_working_distance=jnp.asarray(1.0 / reach, float),
+        scale=scale,
+        inverse_working_distance=1.0 / reach,
         pole_height=-jnp.asarray(eye_radius, float),
         principal_point=jnp.asarray(principal_point, float),
         distortion=jnp.asarray(distortion, float),
@@ -172,6 +175,10 @@ def microscope_from_camera_matrix(
         principal_point=(float(matrix[0][2]), float(matrix[1][2])),
         distortion=distortion,
     )
+
+
+def _known(value: Array) -> bool:
+    return not isinstance(value, jax.core.Tracer)
 
 
 def _distort(

@@ -6,7 +6,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float, ScalarLike
 
 from optics._beam import beam_at_spot
 from optics._camera import Microscope
@@ -20,13 +20,13 @@ def exact_semi_minor(
     surface: Surface,
     microscope: Microscope,
     *,
-    distance: ArrayLike,
-    eccentricity: ArrayLike,
-    azimuth: ArrayLike = 0.0,
-    incidence: ArrayLike = 0.0,
-    incidence_azimuth: ArrayLike = 0.0,
-    half_angle: ArrayLike,
-    apex_offset: ArrayLike,
+    distance: ScalarLike,
+    eccentricity: ScalarLike,
+    azimuth: ScalarLike = 0.0,
+    incidence: ScalarLike = 0.0,
+    incidence_azimuth: ScalarLike = 0.0,
+    half_angle: ScalarLike,
+    apex_offset: ScalarLike,
 ) -> Float[Array, ""]:
     """e1' of the exact contour, px; arguments as `beam_at_spot`, in mm and rad."""
     beam = beam_at_spot(
@@ -46,13 +46,13 @@ def exact_distance(
     surface: Surface,
     microscope: Microscope,
     *,
-    semi_minor_px: ArrayLike,
-    eccentricity: ArrayLike,
-    azimuth: ArrayLike = 0.0,
-    incidence: ArrayLike = 0.0,
-    incidence_azimuth: ArrayLike = 0.0,
-    half_angle: ArrayLike,
-    apex_offset: ArrayLike,
+    semi_minor_px: ScalarLike,
+    eccentricity: ScalarLike,
+    azimuth: ScalarLike = 0.0,
+    incidence: ScalarLike = 0.0,
+    incidence_azimuth: ScalarLike = 0.0,
+    half_angle: ScalarLike,
+    apex_offset: ScalarLike,
 ) -> Float[Array, ""]:
     """Distance from a semi-minor axis where spot position and beam direction are known.
 

@@ -81,9 +81,7 @@ def _fit(contour: Float[Array, "*batch n 2"], weights: Float[Array, "*batch n"])
     x, y = x / size[..., None], y / size[..., None]
     columns = (x * x, x * y, y * y, x, y)
     weighted = [weights * column for column in columns]
-    normal = [
-        [jnp.sum(weighted[i] * columns[j], axis=-1) for j in range(i + 1)] for i in range(5)
-    ]
+    normal = [[jnp.sum(weighted[i] * columns[j], axis=-1) for j in range(i + 1)] for i in range(5)]
     target = [jnp.sum(column, axis=-1) for column in weighted]
     a, b, c, d, e = _solve_cholesky(normal, target)
     return _from_conic(a, b, c, d, e, centroid=centroid, size=size)
@@ -109,12 +107,14 @@ def _from_conic(
     # A circle has no direction; the inner `where`s keep the derivatives finite there.
     safe = jnp.where(circular, 1.0, half_difference)
     spread = jnp.where(circular, 0.0, jnp.sqrt(safe**2 + 0.25 * b * b))
-    angle = jnp.where(circular, 0.0, 0.5 * jnp.arctan2(-b, -safe))
+    angle = 0.5 * jnp.arctan2(-0.5 * b, -safe)
+    # (-pi/2, pi/2]: the major axis along v is +pi/2, whatever the sign of a zero.
+    angle = jnp.where(angle <= -0.5 * jnp.pi, 0.5 * jnp.pi, angle)
     return Ellipse(
         centre=centroid + size[..., None] * jnp.stack([x0, y0], axis=-1),
         semi_major=size * jnp.sqrt(level / (mean - spread)),
         semi_minor=size * jnp.sqrt(level / (mean + spread)),
-        angle=angle,
+        angle=jnp.where(circular, 0.0, angle),
     )
 
 

@@ -73,7 +73,7 @@ def half_maximum_contour(
     def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         inside, outside = bracket
         middle = 0.5 * (inside + outside)
-        value, _ = wall_irradiance(table, beam, surface, radius=middle, angle=angles)
+        value, _point = wall_irradiance(table, beam, surface, radius=middle, angle=angles)
         bright = value >= level
         return jnp.where(bright, middle, inside), jnp.where(bright, outside, middle)
 

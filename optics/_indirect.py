@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 
@@ -23,5 +24,5 @@ def indirect_irradiance(
     Returns:
         Irradiance, W/mm^2.
     """
-    area = 4.0 * 3.141592653589793 * eye_radius**2
-    return reflectance * flux / (area * (1.0 - reflectance))
+    rho = jnp.asarray(reflectance)
+    return rho * flux / (4.0 * jnp.pi * jnp.square(eye_radius) * (1.0 - rho))

@@ -24,12 +24,12 @@ from optics._lens_trace import trace_backwards
 _MERIDIAN = 64  # cells of the scan along the meridian
 _ZOOM = 16  # cells of the second scan, for a lit part smaller than a cell
 _BREAKS = 6  # radii between which rings are lit alike: a disc and a ring, both cut through
-_RINGS = 4  # Gauss-Legendre nodes between two breaks
+_RINGS = 6  # Gauss-Legendre nodes between two breaks
 _CELLS = 6  # cells of the scan along a ring
-_CROSSINGS = 3  # ends of lit arcs on half a ring: two arcs
+_CROSSINGS = 2  # ends of lit arcs on half a ring
 _ARC = 4  # Gauss-Legendre nodes on an arc
-_STEPS = 4  # of false position
-_BATCH = 512  # wall points at a time
+_STEPS = 6  # towards a boundary
+_BATCH = 256  # wall points at a time: what they need stays in the cache
 _FEW = 16
 
 _Excess = Callable[[Array], Array]
@@ -57,15 +57,19 @@ def vector_irradiance(
         jnp.asarray(radius, dtype=float), jnp.asarray(distance, dtype=float)
     )
     medium_index = jnp.asarray(medium_index, dtype=float)
-    # Whole batches only, so that two compilations serve every number of wall points.
-    width = _BATCH if radius.size > _FEW else _FEW
+    size = radius.size
     wall = jnp.stack([radius.ravel(), distance.ravel()])
-    wall = jnp.pad(wall, ((0, 0), (0, -radius.size % width)), mode="edge")
-    fields = [
-        _batch_field(lens, medium_index, *batch)
-        for batch in wall.reshape(2, -1, width).transpose(1, 0, 2)
-    ]
-    field = jnp.concatenate(fields, axis=1)[:, : radius.size]
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lens, medium_index, wall)))
+    # Known wall points come in whole batches, so that two compilations serve every number of them.
+    width = min(size, _BATCH) if traced else (_BATCH if size > _FEW else _FEW)
+    wall = jnp.pad(wall, ((0, 0), (0, -size % width)), mode="edge")
+    batches = wall.reshape(2, -1, width).transpose(1, 0, 2)
+    if traced:
+        field = lax.map(lambda batch: _batch_field(lens, medium_index, *batch), batches)
+    else:
+        pending = [_batch_field(lens, medium_index, *batch) for batch in np.asarray(batches)]
+        field = jnp.asarray(np.stack(pending))
+    field = field.transpose(1, 0, 2).reshape(2, -1)[:, :size]
     return field[0].reshape(radius.shape), field[1].reshape(radius.shape)
 
 
@@ -107,22 +111,26 @@ def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
     node, weight = node[:, None], weight[:, None]
     total = jnp.zeros(2)
     for first, last in _lit_arcs(excess, ring.size):
-        first, last = _angle(haversine(first)), _angle(haversine(last))
+        first, last = _quarter_tangent(haversine(first)), _quarter_tangent(haversine(last))
         half = 0.5 * (last - first)
-        light = trace(
-            cap_radius=ring, haversine=jnp.square(jnp.sin(0.5 * (first + half * (1.0 + node))))
-        )
+        tangent = first + half * (1.0 + node)
+        stretch = 1.0 + jnp.square(tangent)
+        light = trace(cap_radius=ring, haversine=jnp.square(2.0 * tangent / stretch))
         # Twice, for the half of the ring on the other side of the meridian's plane.
-        area = 2.0 * ring * ring_weight * half * weight
+        area = 2.0 * ring * ring_weight * (4.0 * half / stretch) * weight
         total = total + jnp.stack([jnp.sum(area * light.lateral), jnp.sum(area * light.axial)])
     return total
 
 
-def _angle(haversine: Array) -> Array:
-    """Angle from its sin²(phi/2), with a zero derivative at the ends 0 and pi."""
+def _quarter_tangent(haversine: Array) -> Array:
+    """tan(phi/4) from sin²(phi/2), with a zero derivative at the ends 0 and pi.
+
+    As a variable of integration it is as smooth as phi, and needs no sines, which are slow.
+    """
     inside = (haversine > 0.0) & (haversine < 1.0)
-    angle = 2.0 * jnp.arcsin(jnp.sqrt(jnp.where(inside, haversine, 0.5)))
-    return jnp.where(inside, angle, jnp.where(haversine > 0.5, np.pi, 0.0))
+    safe = jnp.where(inside, haversine, 0.5)
+    tangent = jnp.sqrt(safe) / (1.0 + jnp.sqrt(1.0 - safe))
+    return jnp.where(inside, tangent, jnp.where(haversine > 0.5, 1.0, 0.0))
 
 
 def _ring_breaks(lens: GlueLens, excess: _Excess, radius, distance) -> Float[Array, "breaks"]:
@@ -131,25 +139,27 @@ def _ring_breaks(lens: GlueLens, excess: _Excess, radius, distance) -> Float[Arr
     They only place the quadrature's nodes, so they carry no derivative.
     """
     aperture = jnp.asarray(lens.aperture_radius)
-    # Samples equidistant in angle resolve the lit part of a wall point near the cap (small beside
-    # the aperture) and of one far away (all of the aperture) alike.
+    # Samples (nearly) equidistant in the angle seen from the wall point resolve the lit part of one
+    # near the cap (small beside the aperture) and of one far away (all of the aperture) alike.
     gap = distance + lens.sagitta(jnp.minimum(radius, 0.999 * aperture))
-    first, last = jnp.arctan((-aperture - radius) / gap), jnp.arctan((aperture - radius) / gap)
+    first, last = _half_tangent((-aperture - radius) / gap), _half_tangent((aperture - radius) / gap)
 
-    def place(angle):
-        return jnp.clip(radius + gap * jnp.tan(angle), -aperture, aperture)
+    def place(tangent):
+        x = radius + gap * 2.0 * tangent / (1.0 - jnp.square(tangent))
+        return jnp.clip(x, -aperture, aperture)
 
-    angle = first + (last - first) * np.linspace(0.0, 1.0, _MERIDIAN + 1)
-    x = place(angle)
+    tangent = first + (last - first) * np.linspace(0.0, 1.0, _MERIDIAN + 1)
+    x = place(tangent)
     values = excess(x)
-    near = angle[jnp.argmin(values)]
+    near = tangent[jnp.argmin(values)]
     zoomed = place(near + (last - first) / _MERIDIAN * np.linspace(-1.0, 1.0, _ZOOM + 1))
-    found, *bracket = jax.tree.map(
+    found, lit, dark = jax.tree.map(
         partial(jnp.where, jnp.any(values < 0.0)),
-        _sign_changes(x, values, _BREAKS),
-        _sign_changes(zoomed, excess(zoomed), _BREAKS),
+        _boundaries(x, values, _BREAKS),
+        _boundaries(zoomed, excess(zoomed), _BREAKS),
     )
-    crossing = jnp.abs(_false_position(excess, *bracket))
+    crossing = _dark_side(excess, lit, dark)
+    crossing = jnp.abs(_implicit(excess, crossing, low=-aperture, high=aperture))
     inner = jnp.min(jnp.where(found, crossing, aperture))
     outer = jnp.max(jnp.where(found, crossing, 0.0))
     inner, outer = jnp.minimum(inner, outer), jnp.maximum(inner, outer)
@@ -159,57 +169,82 @@ def _ring_breaks(lens: GlueLens, excess: _Excess, radius, distance) -> Float[Arr
     return lax.stop_gradient(jnp.sort(breaks))
 
 
+def _half_tangent(tangent: Array) -> Array:
+    """tan(x/2) from tan(x)."""
+    return tangent / (1.0 + jnp.sqrt(1.0 + jnp.square(tangent)))
+
+
 def _lit_arcs(excess: _Excess, rings: int) -> list[tuple[Array, Array]]:
     """First and last tau in [0, 1] of the lit arcs of all rings, empty arcs included."""
     tau = jnp.broadcast_to(np.linspace(0.0, 1.0, _CELLS + 1)[:, None], (_CELLS + 1, rings))
-    values = lax.stop_gradient(excess(tau))
-    found, *bracket = _sign_changes(tau, values, _CROSSINGS)
-    root = _polished(excess, _false_position(excess, *bracket))
-    ends = [jnp.where(here, end, 1.0) for here, end in zip(found, root, strict=True)]
-    from_start = [jnp.zeros(rings), *ends]
-    from_first = [*ends, jnp.ones(rings)]
-    bounds = [jnp.where(values[0] < 0.0, a, b) for a, b in zip(from_start, from_first, strict=True)]
-    return list(zip(bounds[0::2], bounds[1::2], strict=True))
+    values = excess(tau)
+    found, lit, dark = _boundaries(tau, values, _CROSSINGS)
+    root = _implicit(excess, _dark_side(excess, lit, dark), low=0.0, high=1.0)
+    zero, one = jnp.zeros(rings), jnp.ones(rings)
+    end, other = jnp.where(found, root, one)
+    starts_lit = values[0] < 0.0
+    first_arc = jnp.where(starts_lit, zero, end), jnp.where(starts_lit, end, other)
+    second_arc = jnp.where(starts_lit, other, one), one
+    return [first_arc, second_arc]
 
 
-def _sign_changes(
+def _boundaries(
     x: Float[Array, "samples *batch"], values: Float[Array, "samples *batch"], count: int
-) -> tuple[Bool[Array, "count *batch"], Array, Array, Array, Array]:
-    """The first sign changes of a scan: whether there are so many, x and values on both sides."""
-    lit = values < 0.0
-    changes = lit[1:] != lit[:-1]
-    number = np.arange(1, count + 1).reshape(-1, *(1 for _ in values.shape))
-    here = changes & (jnp.cumsum(changes, axis=0) == number)
+) -> tuple[Bool[Array, "count *batch"], Array, Array]:
+    """The first boundaries along a scan: whether there are so many, lit and dark neighbours."""
+    number = np.arange(count).reshape(-1, *(1 for _ in values.shape[1:]))
 
-    def pick(samples):
-        return jnp.sum(jnp.where(here, samples, 0.0), axis=1)
+    def visit(state, cell):
+        passed, lit, dark = state
+        left, right, left_lit, right_lit = cell
+        changes = left_lit != right_lit
+        here = changes & (passed == number)
+        return (
+            passed + changes,
+            jnp.where(here, jnp.where(left_lit, left, right), lit),
+            jnp.where(here, jnp.where(left_lit, right, left), dark),
+        ), None
 
-    return (jnp.any(here, axis=1), pick(x[:-1]), pick(x[1:]), pick(values[:-1]), pick(values[1:]))
+    is_lit = values < 0.0
+    nowhere = jnp.zeros((count, *values.shape[1:]))
+    start = (jnp.zeros(values.shape[1:], dtype=int), nowhere, nowhere)
+    # Not a cumulative sum with a gather: XLA's are thirty times slower here.
+    cells = (x[:-1], x[1:], is_lit[:-1], is_lit[1:])
+    (passed, lit, dark), _ = lax.scan(visit, start, cells, unroll=8)
+    return passed > number, lit, dark
 
 
-def _false_position(excess: _Excess, low: Array, high: Array, at_low: Array, at_high: Array):
-    """Zeros between samples of opposite signs, after Illinois (Dowell & Jarratt, 1971)."""
+def _dark_side(excess: _Excess, lit: Array, dark: Array) -> Array:
+    """Place near the boundary between a lit and a dark place, on its dark side.
+
+    Newton steps from the dark side, where the limit that is broken first is the largest, and
+    bisection where such a step leaves the pair: the excess has kinks where limits take turns.
+    """
+
+    def measure(x):
+        return jax.jvp(excess, (x,), (jnp.ones_like(x),))
 
     def step(_, state):
-        low, high, at_low, at_high = state
-        rise = at_high - at_low
-        middle = high - at_high * (high - low) / jnp.where(rise == 0.0, 1.0, rise)
-        value = excess(middle)
-        crossed = (value < 0.0) != (at_high < 0.0)
+        lit, dark, value, slope = state
+        newton = dark - value / jnp.where(slope == 0.0, 1.0, slope)
+        within = (newton - lit) * (newton - dark) < 0.0
+        x = jnp.where(within, newton, 0.5 * (lit + dark))
+        at_x, slope_at_x = measure(x)
+        is_lit = at_x < 0.0
         return (
-            jnp.where(crossed, high, low),
-            middle,
-            jnp.where(crossed, at_high, 0.5 * at_low),
-            value,
+            jnp.where(is_lit, x, lit),
+            jnp.where(is_lit, dark, x),
+            jnp.where(is_lit, value, at_x),
+            jnp.where(is_lit, slope, slope_at_x),
         )
 
-    state = lax.stop_gradient((low, high, at_low, at_high))
-    return lax.stop_gradient(lax.fori_loop(0, _STEPS, step, state)[1])
+    lit, dark = lax.stop_gradient((lit, dark))
+    return lax.stop_gradient(lax.fori_loop(0, _STEPS, step, (lit, dark, *measure(dark)))[1])
 
 
-def _polished(excess: _Excess, root: Array) -> Array:
+def _implicit(excess: _Excess, root: Array, *, low: ArrayLike, high: ArrayLike) -> Array:
     """Roots after a Newton step, which also gives them the implicit function's derivative."""
     value, slope = jax.jvp(excess, (root,), (jnp.ones_like(root),))
     slope = lax.stop_gradient(slope)
     step = jnp.where(slope == 0.0, 0.0, value / jnp.where(slope == 0.0, 1.0, slope))
-    return jnp.clip(root - step, 0.0, 1.0)
+    return jnp.clip(root - step, low, high)

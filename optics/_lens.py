@@ -26,9 +26,9 @@ class GlueLens(eqx.Module):
 
         L(p, theta) ~ exp(-2 (p / launch_radius)^2) exp(-2 (n_g sin theta / launch_aperture)^2)
 
-    for p <= core_radius and n_g sin theta <= numerical_aperture, 0 elsewhere. Infinite launch
-    radius and aperture (the default) are a core and a cone filled uniformly; finite ones are a
-    Gaussian launch's 1/e^2 radii. Only what passes the cap at its first try counts: light that
+    for p <= core_radius and n_g sin theta <= numerical_aperture, 0 elsewhere. Without a launch
+    radius or aperture the core or the cone is filled uniformly; with them they are the 1/e^2 radii
+    of a Gaussian launch. Only what passes the cap at its first try counts: light that
     the cap throws back into the glue, or that meets the drop's side, is lost.
 
     Attributes:
@@ -38,8 +38,8 @@ class GlueLens(eqx.Module):
         sag: h, height of the cap over its rim, mm; 0 is a flat end.
         glue_index: n_g.
         numerical_aperture: NA of the light in the core.
-        launch_radius: 1/e^2 radius of the radiance on the core's face, mm.
-        launch_aperture: 1/e^2 half-width of the radiance in n_g sin theta.
+        launch_radius: 1/e^2 radius of the radiance on the core's face, mm, or None.
+        launch_aperture: 1/e^2 half-width of the radiance in n_g sin theta, or None.
     """
 
     core_radius: ArrayLike
@@ -48,8 +48,8 @@ class GlueLens(eqx.Module):
     sag: ArrayLike
     glue_index: ArrayLike
     numerical_aperture: ArrayLike
-    launch_radius: ArrayLike
-    launch_aperture: ArrayLike
+    launch_radius: ArrayLike | None
+    launch_aperture: ArrayLike | None
 
     @property
     def curvature(self) -> Float[Array, ""]:
@@ -93,23 +93,18 @@ class GlueLens(eqx.Module):
         Returns:
             The profile of the class's docstring without its limits, which the caller applies.
         """
-        launch_sine = jnp.asarray(self.launch_aperture) / self.glue_index
-        shape = jnp.exp(
-            -2.0 * face_radius_squared / jnp.square(self.launch_radius)
-            - 2.0 * sine_squared / jnp.square(launch_sine)
-        )
-        etendue = _gaussian_disc(self.core_radius, self.launch_radius) * _gaussian_disc(
-            self.sine_limit, launch_sine
-        )
-        return shape / etendue
-
-
-def _gaussian_disc(radius: ArrayLike, waist: ArrayLike) -> Float[Array, ""]:
-    """Integral of exp(-2 r²/waist²) over a disc; its area for an infinite waist."""
-    exponent = 2.0 * jnp.square(jnp.asarray(radius) / waist)
-    curved = exponent > 0.0
-    safe = jnp.where(curved, exponent, 1.0)
-    return jnp.pi * jnp.square(radius) * jnp.where(curved, -jnp.expm1(-safe) / safe, 1.0)
+        exponent, etendue = 0.0, 1.0
+        for squared, radius, waist in (
+            (face_radius_squared, self.core_radius, self.launch_radius),
+            (sine_squared * self.glue_index**2, self.numerical_aperture, self.launch_aperture),
+        ):
+            area = jnp.pi * jnp.square(radius)
+            if waist is not None:
+                exponent = exponent - 2.0 * squared / jnp.square(waist)
+                edge = 2.0 * jnp.square(jnp.asarray(radius) / waist)
+                area = area * -jnp.expm1(-edge) / edge
+            etendue = etendue * area
+        return jnp.exp(exponent) * self.glue_index**2 / etendue
 
 
 def glue_lens(
@@ -120,8 +115,8 @@ def glue_lens(
     sag: ArrayLike,
     glue_index: ArrayLike,
     numerical_aperture: ArrayLike,
-    launch_radius: ArrayLike = math.inf,
-    launch_aperture: ArrayLike = math.inf,
+    launch_radius: ArrayLike | None = None,
+    launch_aperture: ArrayLike | None = None,
 ) -> GlueLens:
     """Make a lens whose values are checked as far as they are known (not under tracing).
 
@@ -132,8 +127,8 @@ def glue_lens(
         sag: h, mm.
         glue_index: n_g.
         numerical_aperture: NA of the light in the core.
-        launch_radius: 1/e² radius of a Gaussian launch on the core's face, mm.
-        launch_aperture: 1/e² half-width of a Gaussian launch in n_g sin theta.
+        launch_radius: 1/e² radius of a Gaussian launch on the core's face, mm, or None.
+        launch_aperture: 1/e² half-width of a Gaussian launch in n_g sin theta, or None.
 
     Raises:
         ValueError: a value outside its range; the message says which and how to mend it.
@@ -148,21 +143,21 @@ def glue_lens(
         launch_radius,
         launch_aperture,
     )
-    leaves = jax.tree.leaves(lens)
-    if not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-        _check(*(float(leaf) for leaf in leaves))
+    if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(lens)):
+        _check(**{name: value if value is None else float(value) for name, value in vars(lens).items()})
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), lens)
 
 
 def _check(
+    *,
     core_radius: float,
     glue_length: float,
     aperture_radius: float,
     sag: float,
     glue_index: float,
     numerical_aperture: float,
-    launch_radius: float,
-    launch_aperture: float,
+    launch_radius: float | None,
+    launch_aperture: float | None,
 ) -> None:
     rules = (
         (
@@ -200,14 +195,14 @@ def _check(
             f"glue_index={glue_index:g}. Lower numerical_aperture",
         ),
         (
-            launch_radius > 0.0,
+            launch_radius is None or launch_radius > 0.0,
             "launch_radius",
-            f"must be positive; got {launch_radius:g} mm. Leave it out for a uniform core",
+            f"must be positive; got {launch_radius} mm. Leave it out for a uniform core",
         ),
         (
-            launch_aperture > 0.0,
+            launch_aperture is None or launch_aperture > 0.0,
             "launch_aperture",
-            f"must be positive; got {launch_aperture:g}. Leave it out for a uniform cone",
+            f"must be positive; got {launch_aperture}. Leave it out for a uniform cone",
         ),
     )
     for holds, name, rule in rules:

@@ -1,4 +1,4 @@
-"""The models that turn a spot's size into a distance: planar, small_plane, corrected, stereographic.
+"""Models from spot size to distance: planar, small_plane, corrected, stereographic.
 
 Each is a closed form for a beam square to the wall; the terms of the paper's derivation are
 functions of their own, so that a study can say which approximation costs what. `exact` needs the
@@ -91,7 +91,7 @@ def small_plane_spot_radius(
 ) -> Batch:
     """e1 = delta e1' cos(phi), mm (Zhou et al. 2020, eq. 10)."""
     foreshortening = paper_foreshortening(eccentricity=eccentricity, eye_radius=eye_radius)
-    return scale * jnp.asarray(semi_minor_px) * foreshortening
+    return jnp.asarray(scale) * semi_minor_px * foreshortening
 
 
 def small_plane_distance(
@@ -143,7 +143,7 @@ def corrected_factor(
     r = jnp.asarray(eye_radius)
     sin_phi = jnp.asarray(eccentricity) / r
     cos_phi = jnp.sqrt(1.0 - sin_phi**2)
-    depth = 1.0 - inverse_working_distance * r * (1.0 - cos_phi)
+    depth = 1.0 - jnp.asarray(inverse_working_distance) * r * (1.0 - cos_phi)
     meridional = cos_phi + inverse_working_distance * r * sin_phi**2 / depth
     return depth / jnp.minimum(1.0, meridional)
 

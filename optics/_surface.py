@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 
 HIT, MISS, BEHIND = 0, 1, 2
 """Status of an intersection: the wall lies ahead, is never met, or lies behind the origin."""
@@ -51,7 +51,10 @@ class Sphere(eqx.Module):
         radius: r, mm.
     """
 
-    radius: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    radius: Float[Array, ""]
+
+    def __init__(self, radius: ScalarLike) -> None:
+        self.radius = jnp.asarray(radius, float)
 
     def intersect(
         self, origin: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"]
@@ -66,13 +69,11 @@ class Sphere(eqx.Module):
         status = jnp.where(meets, jnp.where(distance > 0, HIT, BEHIND), MISS)
         return Intersection(distance, point, -point / self.radius, status)
 
-    def frame_at(
-        self, *, eccentricity: Float[Array, ""], azimuth: Float[Array, ""]
-    ) -> WallFrame:
+    def frame_at(self, *, eccentricity: ScalarLike, azimuth: ScalarLike) -> WallFrame:
         """Frame at the wall point with the given distance from the axis (mm) and azimuth (rad)."""
-        sin_phi = eccentricity / self.radius
+        sin_phi = jnp.asarray(eccentricity) / self.radius
         cos_phi = jnp.sqrt(1.0 - sin_phi**2)
-        cos_a, sin_a = jnp.cos(azimuth), jnp.sin(azimuth)
+        cos_a, sin_a = jnp.cos(jnp.asarray(azimuth)), jnp.sin(jnp.asarray(azimuth))
         outward = jnp.stack([sin_phi * cos_a, sin_phi * sin_a, -cos_phi])
         meridional = jnp.stack([cos_phi * cos_a, cos_phi * sin_a, sin_phi])
         azimuthal = jnp.stack([-sin_a, cos_a, jnp.zeros_like(sin_a)])
@@ -91,8 +92,11 @@ class Plane(eqx.Module):
         inward: unit normal towards the instrument.
     """
 
-    point: Float[Array, "3"] = eqx.field(converter=jnp.asarray)
-    inward: Float[Array, "3"] = eqx.field(converter=jnp.asarray)
+    point: Float[Array, "3"]
+    inward: Float[Array, "3"]
+
+    def __init__(self, *, point: Float[ArrayLike, "3"], inward: Float[ArrayLike, "3"]) -> None:
+        self.point, self.inward = jnp.asarray(point, float), jnp.asarray(inward, float)
 
     def intersect(
         self, origin: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"]
@@ -106,13 +110,12 @@ class Plane(eqx.Module):
         point = origin + distance[..., None] * direction
         return Intersection(distance, point, jnp.broadcast_to(self.inward, point.shape), status)
 
-    def frame_at(
-        self, *, eccentricity: Float[Array, ""], azimuth: Float[Array, ""]
-    ) -> WallFrame:
+    def frame_at(self, *, eccentricity: ScalarLike, azimuth: ScalarLike) -> WallFrame:
         """Frame at the wall point with the given distance from the axis (mm) and azimuth (rad)."""
-        radial = jnp.stack([jnp.cos(azimuth), jnp.sin(azimuth), jnp.zeros_like(azimuth)])
+        angle = jnp.asarray(azimuth, float)
+        radial = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
         vertical = jnp.array([0.0, 0.0, 1.0])
-        foot = eccentricity * radial
+        foot = jnp.asarray(eccentricity) * radial
         drop = jnp.dot(self.point - foot, self.inward) / jnp.dot(vertical, self.inward)
         tangent = radial - vertical * jnp.dot(radial, self.inward) / jnp.dot(vertical, self.inward)
         meridional = tangent / jnp.linalg.norm(tangent)
@@ -129,7 +132,7 @@ Surface = Sphere | Plane
 
 
 def pole_plane(
-    *, eye_radius: float, tilt: float = 0.0, tilt_azimuth: float = 0.0
+    *, eye_radius: ScalarLike, tilt: ScalarLike = 0.0, tilt_azimuth: ScalarLike = 0.0
 ) -> Plane:
     """Plane phantom through the retinal pole, tilted about it.
 
@@ -138,11 +141,7 @@ def pole_plane(
         tilt: angle between its normal and the microscope's axis, rad.
         tilt_azimuth: direction into which the normal leans, rad.
     """
-    inward = jnp.stack(
-        [
-            jnp.sin(tilt) * jnp.cos(tilt_azimuth),
-            jnp.sin(tilt) * jnp.sin(tilt_azimuth),
-            jnp.cos(jnp.asarray(tilt, float)),
-        ]
-    )
-    return Plane(point=jnp.array([0.0, 0.0, -eye_radius]), inward=inward)
+    lean, towards = jnp.asarray(tilt, float), jnp.asarray(tilt_azimuth, float)
+    sideways = jnp.sin(lean)
+    inward = jnp.stack([sideways * jnp.cos(towards), sideways * jnp.sin(towards), jnp.cos(lean)])
+    return Plane(point=jnp.stack([0.0, 0.0, -jnp.asarray(eye_radius)]), inward=inward)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from optics._beam import Beam, beam_at_spot
 from optics._camera import Microscope
@@ -47,13 +47,13 @@ def spot_truth(
     microscope: Microscope,
     table: IrradianceTable | None,
     *,
-    distances: Float[Array, "n"],
-    eccentricity: ArrayLike,
-    azimuth: ArrayLike,
-    incidence: ArrayLike,
-    incidence_azimuth: ArrayLike,
-    half_angle: ArrayLike,
-    apex_offset: ArrayLike,
+    distances: Float[ArrayLike, "n"],
+    eccentricity: ScalarLike,
+    azimuth: ScalarLike,
+    incidence: ScalarLike,
+    incidence_azimuth: ScalarLike,
+    half_angle: ScalarLike,
+    apex_offset: ScalarLike,
 ) -> SpotTruth:
     """Truth at each distance along a beam that keeps its axis.
 
@@ -65,10 +65,14 @@ def spot_truth(
         microscope: the camera.
         table: vector irradiance of a lens, or None for the ideal cone.
         distances: d, mm.
-        eccentricity, azimuth, incidence, incidence_azimuth, half_angle, apex_offset: as
-            `beam_at_spot`, mm and rad.
+        eccentricity: c of O, mm.
+        azimuth: of O, rad.
+        incidence: angle between the beam and the outward normal at O, rad.
+        incidence_azimuth: as `beam_at_spot`, rad.
+        half_angle: of the cone, rad.
+        apex_offset: b, mm.
     """
-    pose = {
+    given = {
         "eccentricity": eccentricity,
         "azimuth": azimuth,
         "incidence": incidence,
@@ -77,7 +81,7 @@ def spot_truth(
         "apex_offset": apex_offset,
     }
     # As arrays, so that one compilation serves every trial.
-    pose = {name: jnp.asarray(value, float) for name, value in pose.items()}
+    pose = {name: jnp.asarray(value, float) for name, value in given.items()}
     return _truth(surface, microscope, table, jnp.asarray(distances, float), pose)
 
 

@@ -13,7 +13,7 @@ import optics
 import scenes.plugins  # noqa: F401  (registers the plugins by name)
 from scenes import geometry
 from scenes.fundus import fundus
-from scenes.settings import GAUGE_DIAMETER_MM, MEDIA, Scene
+from scenes.settings import GAUGE_DIAMETER_MM, Scene
 
 _TEXTURE_MM, _TEXTURE_PX = 24.0, 2048
 # Longer cylinders lose the 1e-6 to which Mitsuba wants a transform free of shear in float32; with
@@ -37,8 +37,11 @@ def mitsuba_dict(
         uniform: indirect irradiance per colour channel, mW/mm2.
     """
     microscope = geometry.microscope(scene)
-    parts = {"wall": _wall(scene), **_instrument(scene)} if scene.instrument.visible else {
-        "wall": _wall(scene)}
+    parts = (
+        {"wall": _wall(scene), **_instrument(scene)}
+        if scene.instrument.visible
+        else {"wall": _wall(scene)}
+    )
     return {
         "type": "scene",
         **parts,
@@ -103,8 +106,8 @@ def _wall(scene: Scene) -> dict[str, Any]:
         }
     matt = {"type": "diffuse", "reflectance": reflectance}
     if scene.phantom.kind == "plane":
-        surface = geometry.wall(scene)
-        place = _frame(np.asarray(surface.point), np.asarray(surface.inward))
+        pole = geometry.wall(scene).frame_at(eccentricity=0.0, azimuth=0.0)
+        place = _frame(np.asarray(pole.origin), -np.asarray(pole.outward))
         half = np.diag([_TEXTURE_MM / 2, _TEXTURE_MM / 2, 1.0, 1.0])
         return {"type": "rectangle", "to_world": mi.ScalarTransform4f(place @ half), "bsdf": matt}
     if "bitmap" in reflectance:
@@ -118,9 +121,9 @@ def _wall(scene: Scene) -> dict[str, Any]:
     }
 
 
-# Mitsuba's sphere has its coordinate poles on its own z axis, where a map is pinched, and the seam of
-# its longitude at +x. Turned so that its -x axis points to the retinal pole and its -z axis along Y,
-# the middle of the map lies on the retina.
+# Mitsuba's sphere has its coordinate poles on its own z axis, where a map is pinched, and the seam
+# of its longitude at +x. Turned so that its -x axis points to the retinal pole and its -z axis
+# along Y, the middle of the map lies on the retina.
 _EQUATOR_AT_POLE = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
@@ -272,8 +275,8 @@ def _inside_the_eye(scene: Scene, microscope: optics.Microscope) -> float:
     chord = along**2 + r**2 - np.sum(point * point, axis=-1)
     if chord.min() <= 0:
         raise ValueError(
-            f"the window of {settings.width_px} x {settings.height_px} px looks past the eyeball of "
-            f"radius {r:g} mm. Lower spot.eccentricity_mm or the window's size."
+            f"the window of {settings.width_px} x {settings.height_px} px looks past the eyeball "
+            f"of radius {r:g} mm. Lower spot.eccentricity_mm or the window's size."
         )
     entry = point[:, 2] + (along - np.sqrt(chord)) * direction[:, 2]
     return min(float(entry.min()) - 1e-3 * r, settings.pinhole_height_mm - _NEAR_MM)

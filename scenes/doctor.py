@@ -17,6 +17,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from scenes.llvm import find_llvm
 
@@ -75,15 +76,16 @@ def report() -> int:
     colours = {State.OK: "green", State.NOTE: "yellow", State.MISSING: "red"}
     something_missing = False
     for finding in examine():
-        colour = colours[finding.state]
-        table.add_row(finding.what, finding.found, f"[{colour}]{finding.state}[/]", finding.remedy)
+        # Text, because rich would read the square brackets of an error message as markup.
+        state = Text(finding.state, style=colours[finding.state])
+        table.add_row(Text(finding.what), Text(finding.found), state, Text(finding.remedy))
         something_missing |= finding.state is State.MISSING
     Console().print(table)
     return int(something_missing)
 
 
 def examine() -> Iterator[Finding]:
-    """Everything worth knowing, the main job's needs first."""
+    """Everything worth knowing about this machine, one finding at a time."""
     yield from _versions()
     yield Finding("eyespot's packages", str(HOME))
     yield from llvm_findings()

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 import optics
-from scenes.settings import MEDIA, SceneError, Scene
+from scenes.settings import MEDIA, Scene, SceneError
 
 _CALIBRATED_RANGE_MM = (0.5, 6.0)
 """Distances over which a lens's effective cone is regressed: those of the paper's trials."""
@@ -48,8 +48,10 @@ def microscope(scene: Scene) -> optics.Microscope:
     return camera.centred_on(spot.origin, width=settings.width_px, height=settings.height_px)
 
 
-def lens_table(scene: Scene) -> optics.IrradianceTable:
-    """Vector irradiance of the scene's glue lens in its medium, per unit power."""
+def lens_table(scene: Scene) -> optics.IrradianceTable | None:
+    """Vector irradiance of the glue lens in its medium, per unit power; None for the cone."""
+    if scene.source.kind == "cone":
+        return None
     return _lens_table(scene.source.lens, MEDIA[scene.source.medium])
 
 
@@ -96,7 +98,8 @@ def check_window(scene: Scene, contour: np.ndarray) -> None:
     """
     width, height = scene.microscope.width_px, scene.microscope.height_px
     low, high = contour.min(axis=0), contour.max(axis=0)
-    if not np.isfinite(contour).all() or low.min() < 0 or high[0] > width - 1 or high[1] > height - 1:
+    room = (width - 1, height - 1)
+    if not np.isfinite(contour).all() or (low < 0).any() or (high > room).any():
         raise SceneError(
             f"the spot leaves the {width} x {height} px window: it reaches from "
             f"({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}) px at the largest "

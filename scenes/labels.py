@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -38,11 +39,11 @@ def truth(scene: Scene, table: optics.IrradianceTable | None) -> optics.SpotTrut
     return found
 
 
-def spot_labels(scene: Scene, truth: optics.SpotTruth, frame: int) -> dict[str, object]:
+def spot_labels(scene: Scene, truth: optics.SpotTruth, frame: int) -> dict[str, Any]:
     """The labels of `estimator.FrameLabels` that geometry decides, of one moment."""
     phantom, spot, withdrawal = scene.phantom, scene.spot, scene.withdrawal
     sin_phi = spot.eccentricity_mm / phantom.radius_mm if phantom.kind == "eyeball" else 0.0
-    labels: dict[str, object] = {
+    labels: dict[str, Any] = {
         "frame": frame,
         "time_s": float(truth.distance[frame] - truth.distance[0]) / withdrawal.speed_mm_s,
         "d_mm": float(truth.distance[frame]),

@@ -1,4 +1,4 @@
-"""How bright the scene is: indirect light, and the exposure that makes a threshold mean something."""
+"""How bright the scene is: indirect light, and the exposure behind the `paper` frames."""
 
 from __future__ import annotations
 
@@ -29,9 +29,7 @@ def uniform_irradiance(scene: Scene, *, wall_colour: np.ndarray) -> np.ndarray:
     share = 1.0
     if scene.source.kind == "lens":
         lens = optics.load_lens(scene.source.lens)
-        share = float(
-            optics.transmitted_power(lens, medium_index=MEDIA[scene.source.medium])
-        )
+        share = float(optics.transmitted_power(lens, medium_index=MEDIA[scene.source.medium]))
     return np.asarray(
         optics.indirect_irradiance(
             flux=share * scene.source.power_mw,

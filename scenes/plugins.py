@@ -5,6 +5,8 @@ Import after `load_mitsuba`: the base classes exist only once a variant is set.
 
 from __future__ import annotations
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 
@@ -15,7 +17,7 @@ class ConeEmitter(mi.Emitter):
     Wraps Mitsuba's `spot`, which keeps the light; only the end of the shadow ray moves.
     """
 
-    def __init__(self, props: mi.Properties) -> None:
+    def __init__(self, props):
         super().__init__(props)
         self.light = props["light"]
         self.tip = mi.Point3f(props["tip"])
@@ -54,12 +56,12 @@ class SpotIntegrator(mi.SamplingIntegrator):
     is the part of a pixel in which the wall is seen.
     """
 
-    def __init__(self, props: mi.Properties) -> None:
+    def __init__(self, props):
         super().__init__(props)
         self.uniform = mi.Color3f(props["uniform"])
         self.coaxial = mi.Float(props["coaxial"])
-        self.pinhole_height = props["pinhole_height"]
-        self.pole_height = props["pole_height"]
+        self.pinhole_height = float(props["pinhole_height"])
+        self.pole_height = float(props["pole_height"])
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
         """Radiance along camera rays, and whether they meet the wall."""
@@ -83,7 +85,7 @@ class SpotIntegrator(mi.SamplingIntegrator):
 
     def _falloff(self, si):
         """Irradiance of the light at the pinhole relative to that at the pole, before cosines."""
-        if dr.isinf(self.pinhole_height):
+        if math.isinf(self.pinhole_height):
             return mi.Float(1)
         reach = self.pinhole_height - self.pole_height
         return reach**2 / dr.squared_norm(si.p - mi.Point3f(0, 0, self.pinhole_height))

@@ -52,7 +52,7 @@ class Renderer:
         from scenes import build  # its plugins need the variant
 
         self.scene = scene
-        self.table = geometry.lens_table(scene) if scene.source.kind == "lens" else None
+        self.table = geometry.lens_table(scene)
         self.truth = labels.truth(scene, self.table)
         self.wall_colour = build.wall_colour(scene)
         uniform = photometry.uniform_irradiance(scene, wall_colour=self.wall_colour)
@@ -118,9 +118,7 @@ def render_stack(
     """
     with StackWriter(Path(out)) as writer:
         renderer = Renderer(scene, variant=variant)
-        fixed = photometry.paper_exposure(
-            scene, renderer.table, wall_colour=renderer.wall_colour
-        )
+        fixed = photometry.paper_exposure(scene, renderer.table, wall_colour=renderer.wall_colour)
         writer.describe(
             stack={
                 "scene": scene.model_dump(mode="json", by_alias=True),
@@ -172,7 +170,7 @@ def _expose_and_write(
         image = expose(
             linear.radiance, exposure=gain, settings=scene.camera, rng=rng, patterns=patterns
         )
-        saturated = (image >= scene.camera.full_scale_dn).any(axis=-1)[mask]
+        saturated = np.any(image >= scene.camera.full_scale_dn, axis=-1)[mask]
         number = frame * len(scene.exposures.kinds) + order
         row = FrameLabels(
             file_name=f"frames/{number:06d}.png",

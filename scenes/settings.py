@@ -22,7 +22,7 @@ GAUGE_DIAMETER_MM = {20: 0.91, 23: 0.64, 25: 0.51}
 
 
 class SceneError(ValueError):
-    """A scene file is missing, broken, or describes what cannot be; the text says what to change."""
+    """A scene is missing, broken, or describes what cannot be; the text says what to change."""
 
 
 class _Settings(BaseModel):
@@ -89,7 +89,7 @@ class Instrument(_Settings):
 class MicroscopeSettings(_Settings):
     """Pinhole microscope; its window is centred on the spot."""
 
-    pinhole_height_mm: float = Field(11.5, description="z_F above the eyeball's centre; inf allowed.")
+    pinhole_height_mm: float = Field(11.5, description="z_F above the eye's centre; inf allowed.")
     scale_mm_px: float = Field(0.0067, gt=0, description="At the pole.")
     width_px: int = Field(640, ge=16, le=8192)
     height_px: int = Field(480, ge=16, le=8192)
@@ -119,7 +119,7 @@ class Exposures(_Settings):
 class Scene(_Settings):
     """One trial: everything that an image stack depends on."""
 
-    schema_version: Literal[1] = Field(SCHEMA, alias="schema")
+    schema_version: Literal[1] = Field(1, alias="schema")
     seed: int = Field(0, ge=0, description="Of the camera's noise.")
     phantom: Phantom = Phantom()
     source: Source = Source()
@@ -148,8 +148,8 @@ class Scene(_Settings):
         elif math.radians(self.phantom.tilt_deg + self.spot.incidence_deg) >= math.pi / 2:
             raise ValueError(
                 "phantom.tilt_deg + spot.incidence_deg must stay below 90; got "
-                f"{self.phantom.tilt_deg:g} + {self.spot.incidence_deg:g} deg, so the beam may miss "
-                "the plane. Lower one."
+                f"{self.phantom.tilt_deg:g} + {self.spot.incidence_deg:g} deg, so the beam may "
+                "miss the plane. Lower one."
             )
         return self
 
@@ -201,8 +201,11 @@ def scene_toml(scene: Scene) -> str:
 
 def scene_template() -> str:
     """A scene file with every key at its default, each explained."""
-    lines = ["# eyespot scene: lengths in mm, angles in degrees, inf allowed where it makes sense",
-             f"schema = {SCHEMA}", f"seed = 0  # {Scene.model_fields['seed'].description}"]
+    lines = [
+        "# eyespot scene: lengths in mm, angles in degrees, inf allowed where it makes sense",
+        f"schema = {SCHEMA}",
+        f"seed = 0  # {Scene.model_fields['seed'].description}",
+    ]
     for name, field in Scene.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             lines += ["", f"# {(field.annotation.__doc__ or '').splitlines()[0]}", f"[{name}]"]
@@ -211,7 +214,8 @@ def scene_template() -> str:
 
 
 def _documented(key: str, field: Any) -> str:
-    default = tomli_w.dumps({key: field.default}).replace("\n    ", " ").replace(",\n]", "]").strip()
+    text = tomli_w.dumps({key: field.default}).strip()
+    default = text.replace("\n    ", " ").replace(",\n]", " ]")
     choices = get_args(field.annotation)
     names = [repr(c) for c in choices if isinstance(c, str | int)]
     notes = [n for n in (" | ".join(names), field.description) if n]

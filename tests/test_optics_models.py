@@ -1,0 +1,122 @@
+"""The models against the exact geometry and against figures found by another program."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import optics
+
+R_EYE, SCALE, K, B = 11.5, 0.0067, 20.0, -5.117
+CONE = {"half_angle": float(np.arctan(1 / K)), "apex_offset": B}
+
+
+def exact(height, *, d, c):
+    eye = optics.microscope(scale=SCALE, pinhole_height=height, eye_radius=R_EYE)
+    return optics.exact_semi_minor(optics.Sphere(R_EYE), eye, distance=d, eccentricity=c, **CONE)
+
+
+# Errors of small_plane at c = 3 mm, mm, from an independent computation (three decimals given).
+ROWS = {
+    11.5: {0.5: -0.098, 2.0: -0.124, 4.0: -0.157, 6.0: -0.190},
+    100.0: {0.5: -0.325, 2.0: -0.412, 4.0: -0.528, 6.0: -0.643},
+}
+
+
+@pytest.mark.parametrize(
+    ("height", "d", "error"), [(h, d, e) for h, r in ROWS.items() for d, e in r.items()]
+)
+def test_small_plane_is_off_by_the_known_rows(height, d, error):
+    estimate = optics.small_plane_distance(
+        semi_minor_px=exact(height, d=d, c=3.0),
+        scale=SCALE,
+        k=K,
+        b=B,
+        eccentricity=3.0,
+        eye_radius=R_EYE,
+    )
+    # Half a unit of the third decimal, and a hair for 0.18960 printed as 0.190.
+    assert float(estimate) - d == pytest.approx(error, abs=5.1e-4)
+
+
+@pytest.mark.parametrize("height", [0.0, 5.0, 11.5, 30.0, 100.0, float("inf")])
+@pytest.mark.parametrize("c", [0.0, 2.5, 5.0])
+def test_corrected_is_within_5_um_for_spots_to_0_4_mm(height, c):
+    d = 2.885  # R = 0.400 mm
+    estimate = optics.corrected_distance(
+        semi_minor_px=exact(height, d=d, c=c),
+        scale=SCALE,
+        k=K,
+        b=B,
+        eccentricity=c,
+        eye_radius=R_EYE,
+        inverse_working_distance=1.0 / (height + R_EYE),
+    )
+    # The lowest pinhole is the exception: 6.0 um at c = 5.
+    limit = 0.0061 if height == 0.0 else 0.005
+    assert abs(float(estimate) - d) < limit
+
+
+@pytest.mark.parametrize("c", [0.0, 3.0, 7.0])
+def test_stereographic_is_exact_from_the_sphere(c):
+    for d in (0.5, 6.0):
+        estimate = optics.stereographic_distance(
+            semi_minor_px=exact(R_EYE, d=d, c=c),
+            scale=SCALE,
+            k=K,
+            b=B,
+            eccentricity=c,
+            eye_radius=R_EYE,
+        )
+        # Rounding of e1' (1e-13 relative) times k delta e1' of 11 mm.
+        np.testing.assert_allclose(estimate, d, atol=1e-10)
+
+
+def test_small_plane_is_right_to_first_order_for_a_pinhole_at_the_centre():
+    for c in (1.0, 3.0):
+        estimate = optics.small_plane_distance(
+            semi_minor_px=exact(0.0, d=6.0, c=c),
+            scale=SCALE,
+            k=K,
+            b=B,
+            eccentricity=c,
+            eye_radius=R_EYE,
+        )
+        assert abs(float(estimate) - 6.0) < 0.014
+
+
+def test_models_agree_at_the_pole_up_to_the_sagitta():
+    axis = jnp.linspace(30.0, 90.0, 7)
+    planar = optics.planar_distance(semi_minor_px=axis, scale=SCALE, k=K, b=B)
+    small = optics.small_plane_distance(
+        semi_minor_px=axis, scale=SCALE, k=K, b=B, eccentricity=0.0, eye_radius=R_EYE
+    )
+    sagitta = optics.sagitta(spot_radius=SCALE * axis, eye_radius=R_EYE)
+    np.testing.assert_allclose(small - planar, sagitta, rtol=1e-9)
+    # Series of r - sqrt(r^2 - R^2) to fourth order; the next term is R^6/16r^5 = 1.5e-8 mm.
+    radius = SCALE * np.asarray(axis)
+    series = radius**2 / (2 * R_EYE) + radius**4 / (8 * R_EYE**3)
+    np.testing.assert_allclose(sagitta, series, atol=2e-8)
+
+
+def test_planar_and_square_models_invert():
+    d = jnp.linspace(0.2, 6.0, 30)
+    axis = optics.planar_semi_minor(distance=d, scale=SCALE, k=K, b=B)
+    np.testing.assert_allclose(optics.planar_distance(semi_minor_px=axis, scale=SCALE, k=K, b=B), d)
+    radius = optics.square_spot_radius(distance=d, k=K, b=B, eye_radius=R_EYE)
+    again = optics.sphere_distance(spot_radius=radius, k=K, b=B, eye_radius=R_EYE)
+    np.testing.assert_allclose(again, d, atol=1e-12)
+
+
+def test_the_papers_dropped_angle_is_87_5_degrees_at_the_edge_of_its_view():
+    # "the minimum value of S'DE is more than 87.5 degrees" for a view of 10 mm (c = 5) and spots
+    # of about 1 mm radius and less (Zhou et al. 2020, below eq. 9).
+    angle = optics.paper_angle_s_d_e(eccentricity=5.0, eye_radius=11.5, spot_radius=0.95)
+    assert 87.4 < np.degrees(float(angle)) < 87.6
+
+
+def test_indirect_light_of_a_closed_sphere_keeps_the_energy():
+    # What the wall absorbs is what the source gives: (1 - rho)(direct + indirect) over the wall.
+    flux, rho = 2.0, np.array([0.1, 0.6, 0.9])
+    indirect = optics.indirect_irradiance(flux=flux, reflectance=rho, eye_radius=R_EYE)
+    area = 4 * np.pi * R_EYE**2
+    np.testing.assert_allclose((1 - rho) * (flux + indirect * area), flux, rtol=1e-14)
