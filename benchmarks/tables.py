@@ -20,6 +20,9 @@ from benchmarks.validate import Findings
 from calibration import PlaneFit
 from estimator import Spot
 
+ALL_PLANES = "all planes"
+"""The fit of all plane trials together."""
+
 CHOSEN_DISTANCES_MM = (0.5, 2.0, 4.0, 6.0)
 """Distances that tables and error curves show."""
 
@@ -212,11 +215,11 @@ def rendered_accuracy(errors: Sequence[ModelError]) -> list[Accuracy]:
     return rows
 
 
-def square_rows(findings: Findings, *, c: float) -> list[ModelError]:
-    """Errors on exact contours of a beam square to the wall, at one c and the chosen distances."""
+def square_rows(errors: Iterable[ModelError], *, c: float) -> list[ModelError]:
+    """Those of a beam square to the wall, at one eccentricity and the chosen distances."""
     return [
         e
-        for e in findings.analytic
+        for e in errors
         if e.incidence_deg == 0
         and math.isclose(e.c_mm, c)
         and any(math.isclose(e.d_mm, d) for d in CHOSEN_DISTANCES_MM)
@@ -251,6 +254,7 @@ def _spot_rows(trial: Trial, way: str, tracked: Tracked, findings: Findings) -> 
     measured = np.array(
         [r.semi_minor_px if isinstance(r, Spot) else math.nan for r in tracked.results]
     )
+    outcomes = tracked.outcomes
     travel = np.array([row.d_mm - tracked.labels[0].d_mm for row in tracked.labels])
     estimate = np.where(tracked.used, _estimate(trial, way, measured, findings), math.nan)
     return [
@@ -266,7 +270,7 @@ def _spot_rows(trial: Trial, way: str, tracked: Tracked, findings: Findings) -> 
             d_r_mm=float(travel[i]),
             visible_fraction=row.visible_fraction,
             saturated_fraction=row.saturated_fraction,
-            outcome=tracked.outcomes[i],
+            outcome=outcomes[i],
             measured_px=float(measured[i]),
             half_max_px=row.half_max_semi_minor_px,
             cone_px=row.cone_semi_minor_px,
@@ -288,7 +292,7 @@ def _estimate(trial: Trial, way: str, semi_minor_px: np.ndarray, findings: Findi
         return np.full(semi_minor_px.shape, math.nan)
     return small_plane_curve(
         semi_minor_px,
-        plane=planes["all planes"],
+        plane=planes[ALL_PLANES],
         c=sphere.c,
         scale=trial.scene.microscope.scale_mm_px,
         eye_radius=trial.scene.phantom.radius_mm,

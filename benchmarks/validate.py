@@ -39,6 +39,9 @@ from estimator import Stack, read_stack
 
 _RUN_SCHEMA = 1
 _ALL_PLANES = "all planes"
+_RANGE_LIMITS_MM = (3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0)
+_READING_SLACK_MM = 1e-6  # readings are sums of steps
+_FEWEST_IN_RANGE = 6
 SUBPIXEL = WAYS[-1].name
 
 
@@ -51,6 +54,8 @@ class Findings:
         trials: all trials in order.
         tracked: by (trial name, way of measuring).
         plane_fits: by (source, way), then by "plane 1" … and "all planes".
+        range_fits: by (source, way): (limit, fit of all planes up to that reading in mm); a lens is
+            no cone, so what the fit says depends on how far the trial went.
         sphere_fits: by (source, way), then by "sphere 1" …
         analytic: model errors on exact contours.
         rendered: model errors on measured spots of the ideal cone.
@@ -61,6 +66,7 @@ class Findings:
     trials: list[Trial]
     tracked: dict[tuple[str, str], Tracked]
     plane_fits: dict[tuple[str, str], dict[str, PlaneFit]] = field(default_factory=dict)
+    range_fits: dict[tuple[str, str], list[tuple[float, PlaneFit]]] = field(default_factory=dict)
     sphere_fits: dict[tuple[str, str], dict[str, SphereFit]] = field(default_factory=dict)
     analytic: list[ModelError] = field(default_factory=list)
     rendered: list[ModelError] = field(default_factory=list)
@@ -198,11 +204,16 @@ def _fit(findings: Findings) -> None:
                 group: fit_plane(semi_minor_px=t.semi_minor_px, distance=t.travel_mm)
                 for group, t in planes.items()
             }
-            pooled = fit_plane(
-                semi_minor_px=np.concatenate([t.semi_minor_px for t in planes.values()]),
-                distance=np.concatenate([t.travel_mm for t in planes.values()]),
-            )
+            axis = np.concatenate([t.semi_minor_px for t in planes.values()])
+            reading = np.concatenate([t.travel_mm for t in planes.values()])
+            pooled = fit_plane(semi_minor_px=axis, distance=reading)
             findings.plane_fits[key] = {**fits, _ALL_PLANES: pooled}
+            findings.range_fits[key] = [
+                (limit, fit_plane(semi_minor_px=axis[near], distance=reading[near]))
+                for limit in _RANGE_LIMITS_MM
+                if np.count_nonzero(near := reading <= limit + _READING_SLACK_MM)
+                >= _FEWEST_IN_RANGE
+            ]
             scene = paper[0].scene
             findings.sphere_fits[key] = {
                 group: fit_eccentricity(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -50,8 +50,8 @@ class Candidate:
 
     Attributes:
         ellipse: in the frame, px.
-        peak: median signal of the region.
-        background: median signal of what is not bright.
+        peak: typical signal of the region.
+        background: typical signal of what is not bright.
         mask: of the region's pixels in the coarse window.
     """
 
@@ -59,6 +59,12 @@ class Candidate:
     peak: float
     background: float
     mask: np.ndarray
+
+    def relevelled(self, coarse: Coarse) -> Candidate:
+        """The same region with its mean levels in another channel."""
+        mask = self.mask.view(np.uint8)
+        peak, background = cv2.mean(coarse.levels, mask)[0], cv2.mean(coarse.levels, 1 - mask)[0]
+        return replace(self, peak=peak * coarse.unit, background=background * coarse.unit)
 
 
 @dataclass(frozen=True)
@@ -71,8 +77,8 @@ def bright_regions(
 ) -> Iterator[list[Candidate] | TooSmall]:
     """Bright regions, brightest first, each as its possible readings.
 
-    A region exceeds the half level between the brightest (after a median filter) and the
-    background. Its ellipse goes through the vertices of its convex hull: where something convex
+    A region exceeds the half level between the bright and the dark part of the window (after a
+    median filter). Its ellipse goes through the vertices of its convex hull: where something convex
     hides part of an ellipse, the hull's vertices still lie on the ellipse, and the hidden part is
     bridged by a chord without vertices. A spot that a shaft splits in two is read as the whole
     region and as its largest piece alone. What was offered is painted over and the next sought.
@@ -85,13 +91,15 @@ def bright_regions(
     smooth = cv2.medianBlur(coarse.levels, 3)
     for _ in range(_PEELS):
         count = np.bincount(smooth.ravel(), minlength=256)
-        present = np.flatnonzero(count)
-        darkest, brightest = int(present[0]), int(present[-1])
-        background = _median_level(count[: (darkest + brightest) // 2 + 1])
-        if brightest - background < max(min_contrast * background, _FAINTEST_STEP):
+        split = _otsu_level(count)
+        background = _median_level(count[: split + 1])
+        peak = split + 1 + _median_level(count[split + 1 :])
+        if peak - background < max(min_contrast * background, _FAINTEST_STEP):
             return
-        middle = (brightest + background) // 2
-        peak = middle + 1 + _median_level(count[middle + 1 :])
+        if 2 * count[split + 1 :].sum() > smooth.size:
+            # What is dark is a shaft before a bright wall: the wall is the background.
+            smooth = np.maximum(smooth, np.uint8(peak))
+            continue
         mask = (smooth > (peak + background) // 2).view(np.uint8)
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         # A contour runs through pixel centres; half its length is the area outside them.
@@ -115,9 +123,22 @@ def bright_regions(
                 for ellipse in ellipses
                 if ellipse is not None
             ]
+        painted = contours if areas[largest] * coarse.stride**2 < min_area else [contours[largest]]
         smooth = smooth.copy()
-        cv2.drawContours(smooth, contours, largest, background, cv2.FILLED)
-        cv2.drawContours(smooth, contours, largest, background, 3)
+        cv2.drawContours(smooth, painted, -1, background, cv2.FILLED)
+        cv2.drawContours(smooth, painted, -1, background, 3)
+
+
+def _otsu_level(count: np.ndarray) -> int:
+    """Level that splits a histogram best in two, by Otsu 1979; small glints hardly move it."""
+    below = np.cumsum(count)[:-1]
+    above = below[-1] + count[-1] - below
+    weighted = count * np.arange(len(count))
+    sum_below = np.cumsum(weighted)[:-1]
+    sum_above = sum_below[-1] + weighted[-1] - sum_below
+    both = np.maximum(below * above, 1)
+    difference = (sum_above * below - sum_below * above) / both
+    return int(np.argmax(difference * difference * both))
 
 
 def _median_level(count: np.ndarray) -> int:

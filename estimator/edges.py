@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from .bell import BROAD, refine_bell
 from .coarse import Candidate, Coarse
 from .ellipse import Ellipse, robust_step
 from .levels import RADII, RADIUS_STEP, Levels, levels_of
+from .refine import FURTHEST, Refined, refine_edge
 from .unwrap import DESIGN, Patch, ring_variance
 
 REACH = 1.75
 """Furthest radius at which a fit looks for the edge, in units of the candidate's ellipse."""
 
-_CAPTURED = 0.1  # largest error, in units of the radius, of an edge that belongs
-_SAMPLING = 0.7  # px between samples across the edge
 _SETTLED = 0.05  # move, in units of the edge's width, after which a refinement is not repeated
 _REFINEMENTS = 3
-_PLATEAU = 2.6  # edge widths from the edge to where its blur no longer shows ...
-_TAIL = 0.997  # ... much: this part of the plateau is reached on average from there to 3 widths
 _NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
 
 
@@ -71,13 +69,13 @@ def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | No
     if levels is None:
         return None
     for _ in range(_REFINEMENTS):
-        refined = _refine(patch, ellipse, inliers, levels)
+        refine = refine_bell if levels.width > BROAD else refine_edge
+        refined = refine(patch, ellipse, inliers, levels)
         if refined is None:
             return None
         sharper = refined.levels.width < 0.7 * levels.width
-        settled = refined.move < _SETTLED * refined.levels.width and not sharper
         ellipse, inliers, levels = refined.ellipse, refined.inliers, refined.levels
-        if settled:
+        if refined.move < _SETTLED * levels.width and not sharper:
             break
     return _finished(refined)
 
@@ -90,8 +88,8 @@ def _capture(patch: Patch, candidate: Candidate) -> tuple[Ellipse, np.ndarray, n
     for _ in range(3):
         profiles = patch.unwrapped(ellipse, RADII)
         offsets, found = _crossings(profiles, level)
-        near = np.abs(offsets) < _CAPTURED
-        fitted = robust_step(DESIGN, offsets, found, near, tolerance=tolerance, limit=_CAPTURED)
+        near = np.abs(offsets) < FURTHEST
+        fitted = robust_step(DESIGN, offsets, found, near, tolerance=tolerance, limit=FURTHEST)
         if fitted is None or np.abs(fitted[0]).max() > 0.7:
             return None
         step, inliers = fitted
@@ -116,155 +114,7 @@ def _crossings(profiles: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarr
     return offsets, found
 
 
-@dataclass(frozen=True, eq=False)
-class _Refined:
-    ellipse: Ellipse
-    move: float
-    levels: Levels
-    offsets: np.ndarray
-    found: np.ndarray
-    inliers: np.ndarray
-    inside: np.ndarray
-
-
-def _refine(patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels) -> _Refined | None:
-    semi_minor = ellipse.axes()[1]
-    reach = min(max(3 * levels.width, 2.5 / semi_minor), 0.6)
-    samples = 2 * min(max(int(reach * semi_minor / _SAMPLING), 5), 16) + 1
-    from_edge = np.linspace(-reach, reach, samples)
-    profiles = patch.unwrapped(ellipse, 1 + from_edge)
-    if patch.holds(ellipse.scaled(1 + reach)):
-        inside = whole = np.ones(len(profiles), bool)
-    else:
-        inside = ~np.isnan(profiles[:, samples // 2])
-        whole = ~np.isnan(profiles[:, 0] + profiles[:, -1])
-        profiles = np.nan_to_num(profiles, nan=0.0)
-        inliers = inliers & whole
-    number = np.count_nonzero(inliers)
-    if number < 8:
-        return None
-    mean = inliers.astype(np.float32) @ profiles / np.float32(number)
-    slope = _derivative(mean, from_edge[1] - from_edge[0])
-    residual = profiles - mean
-    offsets, gain, rough = _shifts(residual, mean, slope, from_edge, inliers)
-    found = whole & (gain > 0.5) & (gain < 2) & (np.abs(offsets) < reach)
-    typical = np.partition(rough[inliers], number // 2)[number // 2]
-    smooth = rough < 9 * max(float(typical), 1e-5 * levels.amplitude**2)
-    fitted = robust_step(
-        DESIGN,
-        offsets,
-        _eroded(found & smooth),
-        inliers,
-        tolerance=0.05 / semi_minor,
-        limit=_CAPTURED,
-    )
-    if fitted is None or np.abs(fitted[0]).max() > 0.5:
-        return None
-    step, inliers = fitted
-    levels = _sharpened(levels, from_edge, mean, float(-slope.min()))
-    half = _half_crossing(from_edge, mean, levels)
-    if half is None:
-        return None
-    return _Refined(
-        ellipse=ellipse.stepped(step).scaled(1 + half),
-        move=max(float(np.abs(step).max()), abs(half)),
-        levels=levels,
-        offsets=offsets - DESIGN @ step,
-        found=found,
-        inliers=inliers,
-        inside=inside,
-    )
-
-
-def _derivative(values: np.ndarray, spacing: float) -> np.ndarray:
-    slope = np.empty_like(values)
-    slope[1:-1] = (values[2:] - values[:-2]) / (2 * spacing)
-    slope[0] = (values[1] - values[0]) / spacing
-    slope[-1] = (values[-1] - values[-2]) / spacing
-    return slope
-
-
-def _shifts(
-    residual: np.ndarray,
-    mean: np.ndarray,
-    slope: np.ndarray,
-    from_edge: np.ndarray,
-    inliers: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Outward shift of each ray's profile against the mean, its gain, and the variance left.
-
-    A ray differs from the mean by its shift (times minus the slope), by the wall's reflectance (a
-    gain and a gradient along the ray) and by its stretch (an edge as wide in px all round is not as
-    wide in radii). The latter three are random with the variances that the rays show beyond the
-    noise, and the shift is estimated by generalised least squares (Aitken 1935): its signature
-    counts as far as the others, in the strength in which they occur, do not imitate it.
-    """
-    basis = np.stack([mean, from_edge * mean, from_edge * slope, -slope], axis=1).astype(float)
-    gram = basis.T @ basis
-    gram.flat[::5] *= 1 + 1e-9
-    triangle = np.linalg.cholesky(gram)
-    orthonormal = basis @ cv2.invert(triangle)[1].T
-    parts = residual @ orthonormal.astype(np.float32)
-    squares = parts * parts
-    rough = np.einsum("ij,ij->i", residual, residual) - squares.sum(axis=1)
-    rough = np.maximum(rough, 0) / max(residual.shape[1] - 4, 1)
-    weight = inliers / np.count_nonzero(inliers)
-    noise = float(weight @ rough)
-    total = weight @ squares
-    signature = triangle[3]
-    filtered = signature * np.minimum(noise / np.maximum(total, 1e-12), 1)
-    filtered[3] = signature[3]
-    offsets = parts @ (filtered / (filtered @ signature))
-    return offsets, 1 + parts[:, 0] / triangle[0, 0], rough
-
-
-def _eroded(mask: np.ndarray) -> np.ndarray:
-    """Rays with both neighbours in the mask: a shaft's rim spoils the rays beside it."""
-    wide = np.concatenate([mask[-1:], mask, mask[:1]])
-    return wide[:-2] & mask & wide[2:]
-
-
-def _sharpened(levels: Levels, from_edge: np.ndarray, mean: np.ndarray, steepest: float) -> Levels:
-    """The levels with what the mean profile shows better: the edge's width and its plateau."""
-    width = levels.amplitude / (math.sqrt(2 * math.pi) * max(steepest, 1e-12))
-    inner = int(np.searchsorted(from_edge, -_PLATEAU * width))
-    if inner == 0:
-        return replace(levels, width=width)
-    plateau = levels.background + float(mean[:inner].mean() - levels.background) / _TAIL
-    if not plateau > levels.background:
-        return levels
-    share = float(levels.share_of_peak(1 + from_edge[:inner]).mean())
-    return replace(levels, width=width, peak=plateau / share)
-
-
-def _half_crossing(from_edge: np.ndarray, mean: np.ndarray, levels: Levels) -> float | None:
-    """Offset at which a cubic through the mean profile's middle falls to the half level."""
-    level = levels.half
-    falls = np.flatnonzero((mean[1:] < level) & (mean[:-1] >= level))
-    if falls.size == 0:
-        return None
-    k = int(falls[np.argmin(np.abs(from_edge[falls]))])
-    spacing = float(from_edge[1] - from_edge[0])
-    middle = float(from_edge[k] + spacing * (mean[k] - level) / (mean[k] - mean[k + 1]))
-    span = max(1.8 * levels.width, 2.6 * spacing)
-    first, last = np.searchsorted(from_edge, (middle - span, middle + span))
-    x = (from_edge[first:last] - middle) / span
-    # A weight that ends smoothly: no sample joins or leaves with a jump of the result.
-    weight = 1 - x * x
-    powers = np.stack([weight, x * weight, x * x * weight, x * x * x * weight], axis=1)
-    heights = (mean[first:last] - level) * weight
-    _, cubic = cv2.solve(powers, heights[:, None], flags=cv2.DECOMP_QR)
-    c0, c1, c2, c3 = cubic[:, 0].tolist()
-    root = 0.0
-    for _ in range(4):
-        falling = c1 + root * (2 * c2 + 3 * root * c3)
-        if not falling < 0:
-            return None
-        root -= (c0 + root * (c1 + root * (c2 + root * c3))) / falling
-    return middle + root * span
-
-
-def _finished(refined: _Refined) -> EdgeFit:
+def _finished(refined: Refined) -> EdgeFit:
     levels = refined.levels
     rows = DESIGN[refined.inliers]
     errors = np.where(refined.inliers, refined.offsets, 0.0)

@@ -128,7 +128,7 @@ def _top(
         return plateau, (1.0, 0.0, 0.0), 0.0
     contrast = np.where(np.arange(len(radii)) < len(radii) // 2, 1.0, -1.0)
     rise = whole @ contrast.astype(np.float32) * (2 / len(radii))
-    variance = 4 * ring_variance(rise - rise.mean(), slice(1, 5)) / len(rise) / plateau**2
+    variance = 4 * ring_variance(rise - rise.mean(), slice(2, 6)) / len(rise) / plateau**2
     kept = max(0.0, 1 - _DOUBT * variance / height**2)
     c0, c1, c2 = (coefficients[:, 0] / top).tolist()
     dome = (1 - kept + kept * c0, kept * c1, kept * c2)

@@ -4,9 +4,9 @@ The edge of a spot is where its light, the wall's reflectance taken out, falls t
 the spot's own peak (of a bell) or plateau (of a disc, domed or flat) and the background around it.
 It does not move with exposure nor, where the edge is symmetric about its middle, with blur.
 
-Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), unless one channel is
-so much brighter in the spot that it has the better signal-to-noise ratio alone (on a retina red, in
-which vessels hardly show), or a channel is saturated: then on the least saturated one.
+Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), which has the least
+noise, unless one channel is clearly brighter in the spot, where texture is weaker (on a retina red,
+in which vessels hardly show), or a channel is saturated: then on the least saturated one.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ from .frames import GREY, GREY_WEIGHTS, Response, Window, signal_of
 from .spot import NoSpot, Reason, Spot
 from .unwrap import Patch, share_of_contour
 
-_SATURATED = 0.005  # fraction of a spot's pixels at full scale that its half level notices
-_GREY_GAIN = 1.5  # signal to noise of equally bright channels' grey mean, over that of one
+_SATURATED = 0.02  # fraction of a spot's pixels at full scale that its half level notices
+_GREY_GAIN = (
+    1.2  # brightness over grey from which one channel is taken: least texture for its noise
+)
 _FAINTEST_CHANNEL = 0.1  # of full scale: least peak of a channel that may stand in for grey
 _ROUGHEST = 0.06  # scatter of the edges, in units of the radius, of something that is an ellipse
 _SHORTEST_ARC = 0.2  # fraction of a contour from which an ellipse is recognised as hidden
@@ -92,37 +94,76 @@ class SubpixelSettings:
         return max(1, min(4, int(self.min_semi_minor_px / 3.5)))
 
 
-def spots_in(
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A bright region of a frame that may be a spot.
+
+    Attributes:
+        frame: that it was found in.
+        settings: that it was found with.
+        coarse: the window that it was found in, in the channel that it is to be measured in.
+        channel: 0, 1, 2 or `frames.GREY`.
+        saturated: fraction of its pixels at full scale in that channel.
+        readings: ellipses that it may be a part of.
+    """
+
+    frame: np.ndarray
+    settings: SubpixelSettings
+    coarse: Coarse
+    channel: int
+    saturated: float
+    readings: list[Candidate]
+
+    @property
+    def area_px(self) -> float:
+        """Number of the frame's pixels in the region."""
+        return float(np.count_nonzero(self.readings[0].mask)) * self.coarse.stride**2
+
+    def measured(self) -> Spot | NoSpot:
+        """The region's spot, through the reading of which the most contour is seen."""
+        fits: list[EdgeFit] = []
+        for candidate in self.readings:
+            patch = _patch(self.frame, self.channel, candidate.ellipse, self.settings)
+            fit = fit_edge(patch, self.coarse, candidate)
+            if fit is not None:
+                fits.append(fit)
+                if fit.inliers.mean() > self.settings.min_coverage:
+                    break
+        if not fits:
+            return NoSpot(Reason.NONE_FOUND)
+        best = max(fits, key=lambda fit: np.count_nonzero(fit.inliers))
+        return _verdict(best, self.settings, self.saturated)
+
+
+def regions_in(
     frame: np.ndarray, window: Window, settings: SubpixelSettings
-) -> Iterator[Spot | NoSpot]:
-    """Measured spots of a window, brightest first, and the reasons where one could not be.
+) -> Iterator[Region | NoSpot]:
+    """Bright regions of a window, brightest first, and the reasons why others are none.
 
     Args:
         frame: checked (`frames.checked_frame`).
-        window: where to look for the spot's body; its edge is followed beyond.
+        window: where to look for a spot's body; its edge is followed beyond.
         settings: of the mode.
     """
-    full_scale = settings.response.full_scale_of(frame)
     values = _subsampled(window.of(frame), settings.stride)
     if min(values.shape[:2]) < 5:
         return
-    for region in _regions(values, GREY, window, settings, full_scale):
-        if isinstance(region, TooSmall):
+    full_scale = settings.response.full_scale_of(frame)
+    grey = _coarse(values, GREY, window, settings, full_scale)
+    smallest = 0.7 * math.pi * settings.min_semi_minor_px**2
+    for readings in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
+        if isinstance(readings, TooSmall):
             yield NoSpot(Reason.TOO_SMALL)
-            continue
-        coarse, readings = region
-        if not readings:
-            continue
-        channel = _channel(values, readings[0].mask, settings, full_scale)
-        if channel != GREY:
-            again = _overlapping(
-                _regions(values, channel, window, settings, full_scale), readings[0].mask
-            )
-            if again is None:
-                continue
-            coarse, readings = again
-        saturated = _saturated_fractions(values, readings[0].mask, full_scale)[channel]
-        yield _best_reading(frame, channel, coarse, readings, settings, full_scale, saturated)
+        elif readings:
+            mask = readings[0].mask
+            channel = _channel(values, mask, full_scale)
+            saturated = _saturated_fractions(values, mask, full_scale)[channel]
+            if channel == GREY:
+                yield Region(frame, settings, grey, channel, saturated, readings)
+            else:
+                coarse = _coarse(values, channel, window, settings, full_scale)
+                relevelled = [candidate.relevelled(coarse) for candidate in readings]
+                yield Region(frame, settings, coarse, channel, saturated, relevelled)
 
 
 def _subsampled(values: np.ndarray, stride: int) -> np.ndarray:
@@ -136,46 +177,32 @@ def _subsampled(values: np.ndarray, stride: int) -> np.ndarray:
     return cv2.resize(whole, (width, height), interpolation=cv2.INTER_NEAREST)
 
 
-_Region = tuple[Coarse, list[Candidate]]
-
-
-def _regions(
+def _coarse(
     values: np.ndarray,
     channel: int,
     window: Window,
     settings: SubpixelSettings,
     full_scale: float,
-) -> Iterator[_Region | TooSmall]:
+) -> Coarse:
     signal = signal_of(values, channel, settings.response, full_scale)
-    coarse = Coarse.of_signal(signal, stride=settings.stride, x0=window.x0, y0=window.y0)
-    smallest = 0.7 * math.pi * settings.min_semi_minor_px**2
-    for region in bright_regions(coarse, min_contrast=settings.min_contrast, min_area=smallest):
-        yield region if isinstance(region, TooSmall) else (coarse, region)
+    return Coarse.of_signal(signal, stride=settings.stride, x0=window.x0, y0=window.y0)
 
 
-def _overlapping(regions: Iterator[_Region | TooSmall], mask: np.ndarray) -> _Region | None:
-    for region in regions:
-        if isinstance(region, TooSmall) or not region[1]:
-            continue
-        if (region[1][0].mask & mask).any():
-            return region
-    return None
-
-
-def _channel(
-    values: np.ndarray, mask: np.ndarray, settings: SubpixelSettings, full_scale: float
-) -> int:
+def _channel(values: np.ndarray, mask: np.ndarray, full_scale: float) -> int:
     """The channel to measure the masked region in."""
     if values.ndim == 2:
         return GREY
     peaks = cv2.mean(values, mask.view(np.uint8))[:3]
     saturated = _saturated_fractions(values, mask, full_scale)
     usable = [k for k in range(3) if peaks[k] > _FAINTEST_CHANNEL * full_scale] or [0, 1, 2]
-    if saturated[GREY] > _SATURATED:
-        return min(usable, key=lambda k: (max(saturated[k], _SATURATED), -peaks[k]))
-    brightest = max(usable, key=lambda k: peaks[k])
+    # What saturates every channel is a glint, and no channel is better off.
+    least = min(saturated[k] for k in usable)
+    unspoilt = [k for k in usable if saturated[k] <= least + _SATURATED]
+    brightest = max(unspoilt, key=lambda k: peaks[k])
     grey = float(np.dot(peaks, GREY_WEIGHTS))
-    return brightest if peaks[brightest] > _GREY_GAIN * grey else GREY
+    if len(unspoilt) < len(usable) or peaks[brightest] > _GREY_GAIN * grey:
+        return brightest
+    return GREY
 
 
 def _saturated_fractions(
@@ -187,43 +214,11 @@ def _saturated_fractions(
     return fractions[:1] if values.ndim == 2 else (*fractions[:3], max(fractions))
 
 
-def _best_reading(
-    frame: np.ndarray,
-    channel: int,
-    coarse: Coarse,
-    readings: list[Candidate],
-    settings: SubpixelSettings,
-    full_scale: float,
-    saturated: float,
-) -> Spot | NoSpot:
-    best: tuple[float, EdgeFit] | None = None
-    for candidate in readings:
-        if candidate.ellipse.axes()[1] < settings.min_semi_minor_px / 2:
-            continue
-        patch = _patch(frame, channel, candidate.ellipse, settings, full_scale)
-        fit = fit_edge(patch, coarse, candidate)
-        if fit is None:
-            continue
-        covered = float(fit.inliers.mean())
-        if best is None or covered > best[0]:
-            best = covered, fit
-        if covered > settings.min_coverage:
-            break
-    if best is None:
-        return NoSpot(Reason.NONE_FOUND)
-    return _verdict(best[1], settings, saturated)
-
-
-def _patch(
-    frame: np.ndarray,
-    channel: int,
-    ellipse: Ellipse,
-    settings: SubpixelSettings,
-    full_scale: float,
-) -> Patch:
+def _patch(frame: np.ndarray, channel: int, ellipse: Ellipse, settings: SubpixelSettings) -> Patch:
     half_width, half_height = ellipse.half_extent()
     x, y = ellipse.centre.tolist()
     window = Window.around(x, y, REACH * half_width, REACH * half_height, frame)
+    full_scale = settings.response.full_scale_of(frame)
     signal = signal_of(window.of(frame), channel, settings.response, full_scale)
     return Patch(signal, window.x0, window.y0)
 

@@ -11,7 +11,7 @@ import numpy as np
 from .frames import Window, checked_frame
 from .literal import LiteralSettings, measure_literal
 from .spot import NoSpot, Reason, Spot
-from .subpixel import SubpixelSettings, spots_in
+from .subpixel import Region, SubpixelSettings, regions_in
 
 _RIVAL = 0.5  # area of a second spot, relative to the first's, that makes the choice ambiguous
 
@@ -53,7 +53,7 @@ def measure(
     frame = checked_frame(frame)
     if isinstance(settings, LiteralSettings):
         result = measure_literal(frame, state.at_px, settings)
-        if result:
+        if isinstance(result, Spot):
             state = TrackState(at_px=(result.x_px, result.y_px), spot=result)
         return result, state
     return _measure_subpixel(frame, state, settings)
@@ -81,11 +81,11 @@ def _measure_subpixel(
     frame: np.ndarray, state: TrackState, settings: SubpixelSettings
 ) -> tuple[Spot | NoSpot, TrackState]:
     if state.at_px is not None:
-        near = _near(frame, state, settings)
+        near = _near(frame, state.at_px, state.spot, settings)
         if near:
             return near, TrackState(at_px=(near.x_px, near.y_px), spot=near)
     result = _searched(frame, settings)
-    if not result:
+    if isinstance(result, NoSpot):
         return result, TrackState()
     found = TrackState(at_px=(result.x_px, result.y_px), spot=result)
     if state.spot is not None and not _continues(result, state.spot, settings):
@@ -93,17 +93,23 @@ def _measure_subpixel(
     return result, found
 
 
-def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> Spot | None:
-    """The spot that continues the last one, or the one nearest to the start point."""
-    x, y = state.at_px
-    half = settings.search_half_width_px
-    if state.spot is not None:
-        # The background of a bell is seen only several edge widths away.
-        half = max(half, state.spot.semi_major_px + 5 * state.spot.edge_width_px)
-    window = Window.around(x, y, half, half, frame)
-    for spot in spots_in(frame, window, settings):
-        if spot and (state.spot is None or _continues(spot, state.spot, settings)):
-            return spot
+def _near(
+    frame: np.ndarray,
+    at: tuple[float, float],
+    last: Spot | None,
+    settings: SubpixelSettings,
+) -> Spot | None:
+    """The spot that continues the last one, or the brightest near the start point."""
+    half = float(settings.search_half_width_px)
+    if last is not None:
+        # A bell's background is seen only several edge widths away.
+        reach = last.semi_major_px + max(settings.max_jump_px, 5 * last.edge_width_px)
+        half = max(half, reach)
+    for region in regions_in(frame, Window.around(*at, half, half, frame), settings):
+        if region:
+            spot = region.measured()
+            if spot and (last is None or _continues(spot, last, settings)):
+                return spot
     return None
 
 
@@ -114,14 +120,18 @@ def _continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
 
 
 def _searched(frame: np.ndarray, settings: SubpixelSettings) -> Spot | NoSpot:
-    """The one spot of the whole frame; of several, the largest unless another is much like it."""
+    """The one spot of the whole frame, unless there is another much like it."""
     spots: list[Spot] = []
     failure = NoSpot(Reason.NONE_FOUND)
-    for result in spots_in(frame, Window.whole(frame), settings):
-        if not result:
-            failure = max(failure, result, key=_told)
-        elif not any(_same(result, spot) for spot in spots):
-            spots.append(result)
+    for region in regions_in(frame, Window.whole(frame), settings):
+        if not region:
+            failure = max(failure, region, key=_told)
+        elif not any(_is_rest_of(region, spot) for spot in spots):
+            result = region.measured()
+            if result:
+                spots.append(result)
+            else:
+                failure = max(failure, result, key=_told)
     if not spots:
         return failure
     spots.sort(key=_area, reverse=True)
@@ -146,10 +156,11 @@ def _told(failure: NoSpot) -> int:
 
 
 def _area(spot: Spot) -> float:
-    return spot.semi_major_px * spot.semi_minor_px
+    return math.pi * spot.semi_major_px * spot.semi_minor_px
 
 
-def _same(one: Spot, other: Spot) -> bool:
-    """Whether one spot is the halo of the other."""
-    distance = math.hypot(one.x_px - other.x_px, one.y_px - other.y_px)
-    return distance < max(one.semi_major_px, other.semi_major_px)
+def _is_rest_of(region: Region, spot: Spot) -> bool:
+    """Whether a region is too small for a rival, or the halo or a severed part of a spot."""
+    x, y = region.readings[0].ellipse.centre.tolist()
+    near = math.hypot(x - spot.x_px, y - spot.y_px) < 1.5 * spot.semi_major_px
+    return near or region.area_px < _RIVAL / 2 * _area(spot)

@@ -7,11 +7,15 @@ _ellipse     the ellipse of a contour
 _contour     the exact spot: cone and wall intersected, projected, fitted
 _models      planar, small_plane, corrected, stereographic; the paper's terms one by one
 _distance    exact: the distance whose exact contour was measured
+_pose        tip and axis from one contour, with the mirror solution
 _half_maximum  the spot's edge by light on any wall
 _truth       what is true of a spot at each distance: the numbers behind labels
 _indirect    light scattered back by a closed matt eyeball
 _lens        GlueLens and its presets
-_irradiance  vector irradiance of the lens: quadrature and table
+_emission    rays from the core through the cap; transmitted power
+_irradiance  vector irradiance of the lens, by quadrature
+_irradiance_table  the same for look-up, by renderer, labels and fits
+_profile     what a spot's radius means behind a lens
 """
 
 import jax
@@ -36,10 +40,18 @@ from optics._distance import exact_semi_minor as exact_semi_minor
 from optics._ellipse import Ellipse as Ellipse
 from optics._ellipse import ellipse_of_contour as ellipse_of_contour
 from optics._ellipse import ellipse_points as ellipse_points
+from optics._emission import EmittedRays as EmittedRays
+from optics._emission import emitted_rays as emitted_rays
 from optics._half_maximum import half_maximum_contour as half_maximum_contour
 from optics._half_maximum import wall_irradiance as wall_irradiance
 from optics._indirect import indirect_irradiance as indirect_irradiance
+from optics._irradiance import vector_irradiance as vector_irradiance
 from optics._irradiance_table import IrradianceTable as IrradianceTable
+from optics._irradiance_table import irradiance_table as irradiance_table
+from optics._lens import GlueLens as GlueLens
+from optics._lens import glue_lens as glue_lens
+from optics._lens import lens_names as lens_names
+from optics._lens import load_lens as load_lens
 from optics._models import MODELS as MODELS
 from optics._models import corrected_distance as corrected_distance
 from optics._models import corrected_factor as corrected_factor
@@ -56,6 +68,16 @@ from optics._models import square_spot_axes as square_spot_axes
 from optics._models import square_spot_radius as square_spot_radius
 from optics._models import stereographic_distance as stereographic_distance
 from optics._models import stereographic_semi_axis as stereographic_semi_axis
+from optics._profile import EffectiveCone as EffectiveCone
+from optics._profile import ambiguous_distances as ambiguous_distances
+from optics._profile import effective_cone as effective_cone
+from optics._profile import half_maximum_radius as half_maximum_radius
+from optics._profile import isophote_radius as isophote_radius
+from optics._pose import DirectionPrior as DirectionPrior
+from optics._pose import Pose as Pose
+from optics._pose import PoseEstimate as PoseEstimate
+from optics._pose import pose_from_contour as pose_from_contour
+from optics._pose import tip_from_contour as tip_from_contour
 from optics._surface import BEHIND as BEHIND
 from optics._surface import HIT as HIT
 from optics._surface import MISS as MISS

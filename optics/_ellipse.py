@@ -7,6 +7,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from optics._cholesky import solve_cholesky
+
 _REWEIGHTINGS = 2
 
 
@@ -83,7 +85,7 @@ def _fit(contour: Float[Array, "*batch n 2"], weights: Float[Array, "*batch n"])
     weighted = [weights * column for column in columns]
     normal = [[jnp.sum(weighted[i] * columns[j], axis=-1) for j in range(i + 1)] for i in range(5)]
     target = [jnp.sum(column, axis=-1) for column in weighted]
-    a, b, c, d, e = _solve_cholesky(normal, target)
+    a, b, c, d, e = solve_cholesky(normal, target)
     return _from_conic(a, b, c, d, e, centroid=centroid, size=size)
 
 
@@ -116,40 +118,3 @@ def _from_conic(
         semi_minor=size * jnp.sqrt(level / (mean + spread)),
         angle=jnp.where(circular, 0.0, angle),
     )
-
-
-def _solve_cholesky(
-    lower: list[list[Float[Array, "*batch"]]], target: list[Float[Array, "*batch"]]
-) -> list[Float[Array, "*batch"]]:
-    """Solution of a small positive definite system, unrolled.
-
-    A batched LAPACK call costs about 2 us a system on a CPU; unrolled, the arithmetic is
-    vectorised over the batch and costs a twentieth of it.
-
-    Args:
-        lower: rows of the lower triangle, each entry a batch.
-        target: right-hand side.
-    """
-    n = len(target)
-    factor: list[list[Float[Array, "*batch"]]] = []
-    for i in range(n):
-        row: list[Float[Array, "*batch"]] = []
-        for j in range(i + 1):
-            value = lower[i][j]
-            for k in range(j):
-                value = value - row[k] * (row[k] if i == j else factor[j][k])
-            row.append(jnp.sqrt(value) if i == j else value / factor[j][j])
-        factor.append(row)
-    forward: list[Float[Array, "*batch"]] = []
-    for i in range(n):
-        value = target[i]
-        for k in range(i):
-            value = value - factor[i][k] * forward[k]
-        forward.append(value / factor[i][i])
-    solution = forward
-    for i in reversed(range(n)):
-        value = solution[i]
-        for k in range(i + 1, n):
-            value = value - factor[k][i] * solution[k]
-        solution = [*solution[:i], value / factor[i][i], *solution[i + 1 :]]
-    return solution

@@ -58,7 +58,7 @@ class IrradianceTable(eqx.Module):
         share = np.linspace(0.0, 1.0, self.values.shape[0])
         return self.nearest * (self.farthest / self.nearest) ** share
 
-    def vector_irradiance(
+    def __call__(
         self, *, radius: ArrayLike, distance: ArrayLike
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Look up V_rho and V_s, 1/mm² per unit power in the core.

@@ -13,17 +13,28 @@ from optics._refraction import fresnel_transmittance, refracted_cosine
 class BackwardRays(NamedTuple):
     """What the rays through cap points tell of the light that reaches a wall point.
 
+    The light keeps four limits, each given as an excess that is negative where it is kept.
+
     Attributes:
-        excess: largest of the limits' relative excesses, negative where light arrives: the ray
-            lies in the cone of the numerical aperture, starts on the core's face, passes the
-            rim's plane inside the drop, and the cap point faces the wall point.
+        cone: sin² of the angle to the axis inside the glue over that of the numerical aperture,
+            less 1.
+        face: squared radius at which the ray starts over the core's, less 1.
+        drop: the larger excess of two: the squared radius at which the ray passes the rim's plane
+            over the aperture's, less 1, and minus the cosine at which the cap faces the wall point.
         lateral: dV_rho per area of the aperture's plane, the limits apart, 1/mm⁴.
         axial: dV_s per area of the aperture's plane, the limits apart, 1/mm⁴.
     """
 
-    excess: Float[Array, "*batch"]
+    cone: Float[Array, "*batch"]
+    face: Float[Array, "*batch"]
+    drop: Float[Array, "*batch"]
     lateral: Float[Array, "*batch"]
     axial: Float[Array, "*batch"]
+
+    @property
+    def excess(self) -> Float[Array, "*batch"]:
+        """Largest excess: negative where light arrives."""
+        return jnp.maximum(jnp.maximum(self.cone, self.face), self.drop)
 
 
 def trace_backwards(
@@ -82,15 +93,6 @@ def trace_backwards(
 
     face_squared = crossing_squared((lens.glue_length - depth) * per_forward)
     rim_squared = crossing_squared((lens.sag - depth) * per_forward)
-    # One array, not one a limit: XLA would trace the ray again for each.
-    excess = jnp.maximum(
-        jnp.maximum(opening / jnp.square(lens.sine_limit) - 1.0, -cos_medium),
-        jnp.maximum(
-            face_squared / jnp.square(lens.core_radius) - 1.0,
-            rim_squared / jnp.square(lens.aperture_radius) - 1.0,
-        ),
-    )
-
     transmittance = fresnel_transmittance(
         cos_incident=cos_medium,
         cos_transmitted=cos_glue,
@@ -101,4 +103,10 @@ def trace_backwards(
     facing = jnp.maximum(cos_medium, 0.0)
     per_area = radiance * transmittance * jnp.square(ratio) * facing / (normal_s * length_squared)
     out_meridian = (radius - cap_radius * cos) * per_length
-    return BackwardRays(excess=excess, lateral=per_area * out_meridian, axial=per_area * out_s)
+    return BackwardRays(
+        cone=opening / jnp.square(lens.sine_limit) - 1.0,
+        face=face_squared / jnp.square(lens.core_radius) - 1.0,
+        drop=jnp.maximum(rim_squared / jnp.square(lens.aperture_radius) - 1.0, -cos_medium),
+        lateral=per_area * out_meridian,
+        axial=per_area * out_s,
+    )

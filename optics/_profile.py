@@ -133,7 +133,7 @@ def _profile(table: IrradianceTable, distance: ArrayLike) -> tuple[Array, Array]
     """Radii (last axis) and irradiance on square planes, at the table's own columns."""
     distance = jnp.asarray(distance, dtype=float)[..., None]
     radius = table.envelope(distance) * np.linspace(0.0, 1.0, table.values.shape[1])
-    return radius, table.vector_irradiance(radius=radius, distance=distance)[1]
+    return radius, table(radius=radius, distance=distance)[1]
 
 
 def _outermost_crossing(radius: Array, irradiance: Array, level: Array) -> Array:

@@ -178,7 +178,11 @@ def _source(scene: Scene, table: optics.IrradianceTable | None) -> dict[str, Any
     return {
         "type": "eyespot_lens",
         **placed,
-        "table": table,
+        "values": mi.TensorXf(np.asarray(table.values, dtype=np.float32)),
+        "contact_radius": float(table.contact_radius),
+        "slope": float(table.slope),
+        "nearest": float(table.nearest),
+        "farthest": float(table.farthest),
         "power": scene.source.power_mw,
     }
 

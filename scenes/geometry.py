@@ -68,7 +68,7 @@ def cone(scene: Scene, table: optics.IrradianceTable | None) -> Cone:
         return Cone(math.atan(1.0 / k), b)
     nearest, farthest = _CALIBRATED_RANGE_MM
     effective = optics.effective_cone(table, from_distance=nearest, to_distance=farthest)
-    return Cone(float(effective.half_angle), float(effective.apex_offset))
+    return Cone(float(effective.half_angle), float(effective.b))
 
 
 def distances(scene: Scene) -> np.ndarray:

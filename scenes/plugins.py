@@ -11,25 +11,15 @@ import drjit as dr
 import mitsuba as mi
 
 
-class ConeEmitter(mi.Emitter):
-    """An emitter whose apex lies inside the fibre: shadow rays end at the plane of the tip.
-
-    Wraps Mitsuba's `spot`, which keeps the light; only the end of the shadow ray moves.
-    """
+class _PointEmitter(mi.Emitter):
+    """What emitters without a surface have in common: a tip, an axis, and no chance hits."""
 
     def __init__(self, props):
         super().__init__(props)
-        self.light = props["light"]
         self.tip = mi.Point3f(props["tip"])
         self.axis = mi.Vector3f(props["axis"])
+        # Without a shape, an emitter that does not say so is dropped by the scene.
         self.m_flags = +mi.EmitterFlags.DeltaPosition
-
-    def sample_direction(self, ref, sample, active=True):
-        """Direction to the apex, with the end point moved along it to the plane of the tip."""
-        ds, weight = self.light.sample_direction(ref, sample, active)
-        ds.dist = dr.dot(self.tip - ref.p, self.axis) / dr.dot(ds.d, self.axis)
-        ds.p = ref.p + ds.dist * ds.d
-        return ds, weight & (ds.dist > 0)
 
     def pdf_direction(self, ref, ds, active=True):
         """0: a point light is never met by chance."""
@@ -41,9 +31,78 @@ class ConeEmitter(mi.Emitter):
 
     def traverse(self, callback):
         """Parameters that a withdrawal changes."""
-        callback.put("light", self.light, mi.ParamFlags.Differentiable)
         callback.put("tip", self.tip, mi.ParamFlags.NonDifferentiable)
         callback.put("axis", self.axis, mi.ParamFlags.NonDifferentiable)
+
+
+class ConeEmitter(_PointEmitter):
+    """An emitter whose apex lies inside the fibre: shadow rays end at the plane of the tip.
+
+    Wraps Mitsuba's `spot`, which keeps the light; only the end of the shadow ray moves.
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.light = props["light"]
+
+    def sample_direction(self, ref, sample, active=True):
+        """Direction to the apex, with the end point moved along it to the plane of the tip."""
+        ds, weight = self.light.sample_direction(ref, sample, active)
+        ds.dist = dr.dot(self.tip - ref.p, self.axis) / dr.dot(ds.d, self.axis)
+        ds.p = ref.p + ds.dist * ds.d
+        return ds, weight & (ds.dist > 0)
+
+    def traverse(self, callback):
+        """Parameters that a withdrawal changes."""
+        super().traverse(callback)
+        callback.put("light", self.light, mi.ParamFlags.Differentiable)
+
+
+class LensEmitter(_PointEmitter):
+    """The glue lens by its vector irradiance V, looked up in `optics.IrradianceTable`.
+
+    A matt wall with inward normal n receives E = -n . V. The emitter says that its light comes from
+    the direction of -V with the strength |V|, which gives just that; the shadow ray ends at the
+    tip.
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        values = mi.TensorXf(props["values"])
+        self.rows, self.columns = values.shape[:2]
+        self.field = mi.Texture2f(values, filter_mode=dr.FilterMode.Linear)
+        self.contact_radius, self.slope = props["contact_radius"], props["slope"]
+        self.nearest, self.farthest = props["nearest"], props["farthest"]
+        self.power = mi.Float(props["power"])
+
+    def vector_irradiance(self, point):
+        """V at a point, mW/mm2: the look-up that `optics.IrradianceTable` defines."""
+        offset = point - self.tip
+        distance = dr.dot(offset, self.axis)
+        lateral = offset - distance * self.axis
+        radius = dr.norm(lateral)
+        envelope = self.contact_radius + self.slope * distance
+        x = radius / envelope
+        y = dr.log(dr.clip(distance, self.nearest, self.farthest) / self.nearest)
+        y /= math.log(self.farthest / self.nearest)
+        # Texels have their centres at (i + 1/2)/n, the table's samples at i/(n - 1).
+        across = (x * (self.columns - 1) + 0.5) / self.columns
+        along = (y * (self.rows - 1) + 0.5) / self.rows
+        v_lateral, v_axial = self.field.eval(mi.Point2f(across, along))
+        scale = dr.select((x <= 1) & (distance >= 0), self.power / dr.square(envelope), 0)
+        return scale * (v_lateral * lateral * dr.rcp(dr.maximum(radius, 1e-9)) + v_axial * self.axis)
+
+    def sample_direction(self, ref, sample, active=True):
+        """Direction against V; weight |V|; shadow rays end at the tip."""
+        vector = self.vector_irradiance(ref.p)
+        strength = dr.norm(vector)
+        lit = active & (strength > 0)
+        ds = dr.zeros(mi.DirectionSample3f)
+        ds.p, ds.n, ds.time, ds.pdf, ds.delta = self.tip, self.axis, ref.time, 1, True
+        ds.dist = dr.norm(self.tip - ref.p)
+        ds.d = dr.select(lit, -vector / dr.select(lit, strength, 1), -self.axis)
+        ds.emitter = mi.EmitterPtr(self)
+        return ds, mi.Color3f(strength) & lit
 
 
 class SpotIntegrator(mi.SamplingIntegrator):
@@ -95,4 +154,5 @@ class SpotIntegrator(mi.SamplingIntegrator):
 
 
 mi.register_emitter("eyespot_cone", ConeEmitter)
+mi.register_emitter("eyespot_lens", LensEmitter)
 mi.register_integrator("eyespot_spot", SpotIntegrator)

@@ -42,6 +42,13 @@ class Renderer:
         scene: the scene.
         variant: of Mitsuba.
 
+    Attributes:
+        scene: as given.
+        table: vector irradiance of the lens, or None for the cone.
+        truth: of every moment.
+        wall_colour: mean reflectance of the wall per channel.
+        mitsuba_scene: for other integrators on the same scene.
+
     Raises:
         SceneError: the spot leaves the window.
         RendererUnavailable: Mitsuba cannot run that variant here.
@@ -57,8 +64,8 @@ class Renderer:
         self.wall_colour = build.wall_colour(scene)
         uniform = photometry.uniform_irradiance(scene, wall_colour=self.wall_colour)
         content = build.mitsuba_dict(scene, table=self.table, uniform=uniform)
-        self._scene = self._mi.load_dict(content)
-        self._parameters = self._mi.traverse(self._scene)
+        self.mitsuba_scene = self._mi.load_dict(content)
+        self._parameters = self._mi.traverse(self.mitsuba_scene)
         self._place = functools.partial(build.pose_parameters, scene)
 
     def render(self, frame: int) -> LinearFrame:
@@ -68,7 +75,7 @@ class Renderer:
         for name, value in self._place(tip=tip, axis=axis, apex=apex).items():
             self._parameters[name] = value
         self._parameters.update()
-        image = np.asarray(self._mi.render(self._scene, seed=0))
+        image = np.asarray(self._mi.render(self.mitsuba_scene, seed=0))
         return LinearFrame(image[..., :3], image[..., 3], self._visible_fraction(frame))
 
     def mask(self, frame: int, linear: LinearFrame) -> np.ndarray:
@@ -85,11 +92,11 @@ class Renderer:
         size = np.array([self.scene.microscope.width_px, self.scene.microscope.height_px])
         u, v = ((contour + 0.5) / size).T
         inside = (u > 0) & (u < 1) & (v > 0) & (v < 1)
-        ray, _ = self._scene.sensors()[0].sample_ray(
+        ray, _ = self.mitsuba_scene.sensors()[0].sample_ray(
             0.0, 0.5, mi.Point2f(mi.Float(u), mi.Float(v)), mi.Point2f(0.5)
         )
-        wall = next(s for s in self._scene.shapes() if s.id() == "wall")
-        seen = np.asarray(self._scene.ray_intersect(ray).shape == mi.ShapePtr(wall))
+        wall = next(s for s in self.mitsuba_scene.shapes() if s.id() == "wall")
+        seen = np.asarray(self.mitsuba_scene.ray_intersect(ray).shape == mi.ShapePtr(wall))
         return float(np.mean(inside & seen))
 
 

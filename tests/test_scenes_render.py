@@ -92,7 +92,7 @@ def test_the_integrator_agrees_with_mitsubas_path_tracer():
     renderer = Renderer(settings)
     ours = renderer.render(0).radiance
     path = mi.load_dict({"type": "path", "max_depth": 2})
-    theirs = np.asarray(mi.render(renderer._scene, integrator=path, seed=1))[..., :3]
+    theirs = np.asarray(mi.render(renderer.mitsuba_scene, integrator=path, seed=1))[..., :3]
     # One point light: the same radiance at the same grid of samples, but for float32.
     np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-6 * ours.max())
 

@@ -1,0 +1,12 @@
+"""`make bench`: every claim of speed or accuracy, printed in one run beside its alternatives."""
+
+from __future__ import annotations
+
+import runpy
+
+BENCHES = ("geometry_speed", "render_speed", "estimator_accuracy")
+
+if __name__ == "__main__":
+    for bench in BENCHES:
+        print(f"\n== benchmarks.{bench}", flush=True)
+        runpy.run_module(f"benchmarks.{bench}", run_name="__main__")

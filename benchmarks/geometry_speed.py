@@ -1,0 +1,128 @@
+"""A million exact spots: 128-point contour, ellipse and distance, each of another geometry."""
+
+from __future__ import annotations
+
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import optics
+
+_COUNT = 1_000_000
+_NUMPY_COUNT = 2_000
+_BATCH = 128
+_EYE, _SCALE, _HEIGHT, _APEX = 11.5, 0.0067, 200.0, -5.117
+_LIMITS = {
+    "eccentricity": (0.0, 6.0),
+    "azimuth": (0.0, 6.28),
+    "distance": (0.3, 6.0),
+    "incidence": (0.0, 0.6),
+    "incidence_azimuth": (0.0, 6.28),
+    "half_angle": (0.03, 0.08),
+}
+
+
+def main() -> None:
+    """Print seconds for a million geometries by JAX and by a NumPy loop over geometries."""
+    rng = np.random.default_rng(0)
+    poses = {name: jnp.asarray(rng.uniform(*ends, _COUNT)) for name, ends in _LIMITS.items()}
+    run = jax.jit(lambda poses: jax.lax.map(_distance, poses, batch_size=_BATCH))
+    run(poses).block_until_ready()
+    began = time.perf_counter()
+    ours = run(poses).block_until_ready()
+    seconds = time.perf_counter() - began
+
+    columns = {name: np.asarray(values[:_NUMPY_COUNT]) for name, values in poses.items()}
+    began = time.perf_counter()
+    theirs = [
+        _numpy_distance(**{name: values[i] for name, values in columns.items()})
+        for i in range(_NUMPY_COUNT)
+    ]
+    numpy_seconds = (time.perf_counter() - began) * _COUNT / _NUMPY_COUNT
+    table = Table("way", "s per million", "ratio", title="contour, ellipse, distance")
+    table.add_row("optics, jit", f"{seconds:.1f}", "1")
+    table.add_row(
+        f"NumPy, over the points ({_NUMPY_COUNT} timed)",
+        f"{numpy_seconds:.0f}",
+        f"{numpy_seconds / seconds:.0f}",
+    )
+    Console().print(table)
+    worst = np.max(np.abs(np.asarray(ours[:_NUMPY_COUNT]) - theirs))
+    print(f"largest difference between the two: {worst:.1e} mm")
+
+
+def _distance(pose: dict[str, jax.Array]) -> jax.Array:
+    sphere = optics.Sphere(_EYE)
+    camera = optics.microscope(scale=_SCALE, pinhole_height=_HEIGHT, eye_radius=_EYE)
+    beam = optics.beam_at_spot(sphere, apex_offset=_APEX, **pose)
+    return optics.corrected_distance(
+        semi_minor_px=optics.spot_ellipse(beam, sphere, camera).semi_minor,
+        scale=_SCALE,
+        k=optics.slope(pose["half_angle"]),
+        b=_APEX,
+        eccentricity=pose["eccentricity"],
+        eye_radius=_EYE,
+        inverse_working_distance=camera.inverse_working_distance,
+    )
+
+
+def _numpy_distance(
+    *,
+    eccentricity: float,
+    azimuth: float,
+    distance: float,
+    incidence: float,
+    incidence_azimuth: float,
+    half_angle: float,
+) -> float:
+    """The same by plain NumPy, written for one geometry: the alternative to compare with."""
+    sin_phi = eccentricity / _EYE
+    cos_phi = np.sqrt(1 - sin_phi**2)
+    ca, sa = np.cos(azimuth), np.sin(azimuth)
+    outward = np.array([sin_phi * ca, sin_phi * sa, -cos_phi])
+    meridional = np.array([cos_phi * ca, cos_phi * sa, sin_phi])
+    sideways = np.cos(incidence_azimuth) * meridional + np.sin(incidence_azimuth) * np.array(
+        [-sa, ca, 0.0]
+    )
+    axis = np.cos(incidence) * outward + np.sin(incidence) * sideways
+    apex = _EYE * outward - (distance - _APEX) * axis
+    first = np.cross(axis, outward if incidence > 1e-3 else [1.0, 0.0, 0.0])
+    first /= np.linalg.norm(first)
+    second = np.cross(axis, first)
+    t = np.arange(128) * (2 * np.pi / 128)
+    around = np.cos(t)[:, None] * first + np.sin(t)[:, None] * second
+    direction = np.cos(half_angle) * axis + np.sin(half_angle) * around
+    along = direction @ apex
+    reach = np.sqrt(along**2 + _EYE**2 - apex @ apex) - along
+    points = apex + reach[:, None] * direction
+    depth = 1 - (points[:, 2] + _EYE) / (_HEIGHT + _EYE)
+    image = points[:, :2] * [1.0, -1.0] / (_SCALE * depth[:, None])
+    weights = np.ones(128)
+    for _ in range(3):
+        centre = weights @ image / weights.sum()
+        x, y = (image - centre).T
+        size = np.sqrt(weights @ (x * x + y * y) / weights.sum())
+        x, y = x / size, y / size
+        design = np.stack([x * x, x * y, y * y, x, y], axis=1)
+        a, b, c, d, e = np.linalg.solve(design.T @ (weights[:, None] * design), design.T @ weights)
+        x0, y0 = np.linalg.solve([[2 * a, b], [b, 2 * c]], [-d, -e])
+        level = 1 + a * x0 * x0 + b * x0 * y0 + c * y0 * y0
+        (small, large), vectors = np.linalg.eigh([[a, b / 2], [b / 2, c]])
+        major, minor = np.sqrt(level / small), np.sqrt(level / large)
+        p, q = (np.stack([x - x0, y - y0], axis=1) @ vectors / [major, minor]).T
+        dp, dq = np.roll(p, -1) - np.roll(p, 1), np.roll(q, -1) - np.roll(q, 1)
+        weights = np.abs(p * dq - q * dp) / (p * p + q * q)
+    kappa = 1 / (_HEIGHT + _EYE)
+    near = 1 - kappa * _EYE * (1 - cos_phi)
+    factor = near / min(1.0, cos_phi + kappa * _EYE * sin_phi**2 / near)
+    radius = _SCALE * minor * size * factor
+    sagitta = _EYE - np.sqrt(_EYE**2 - radius**2)
+    return radius / np.tan(half_angle) + _APEX + sagitta
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,199 @@
+"""Writes what a run found: report.html for people, summary.json, CSV and figures for the rest.
+
+Everything is made in a folder beside its place and moved there file by file once all of it is
+whole, so a report that cannot be finished leaves an earlier one as it was.
+"""
+
+from __future__ import annotations
+
+import base64
+import importlib.metadata
+import io
+import json
+import math
+import os
+import platform
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from benchmarks import analysis, figures, page, strip, tables
+from benchmarks.conclusions import CHOSEN_ECCENTRICITIES_MM, Conclusion, conclusions
+from benchmarks.model_error import ModelError
+from benchmarks.tables import Accuracy, FrameRow, PlaneRow, SphereRow, SpotRow
+from benchmarks.tracking import USED
+from benchmarks.validate import Findings
+from estimator import read_stack
+
+SCHEMA = 1
+_PACKAGES = (
+    "eyespot",
+    "mitsuba",
+    "drjit",
+    "jax",
+    "equinox",
+    "optimistix",
+    "numpy",
+    "opencv-python-headless",
+    "scikit-image",
+    "matplotlib",
+)
+_STRIPS = ("plane 1", "sphere 1")
+
+
+def write(findings: Findings, out: Path) -> None:
+    """Write the report of a run into its folder.
+
+    Args:
+        findings: the run.
+        out: its folder, which holds the trials' stacks in `stacks/`.
+
+    Raises:
+        StackError: a stack that the strip of frames needs is missing or broken.
+    """
+    out = Path(out)
+    with _published(out) as folder:
+        rows = _write_tables(findings, folder)
+        found = conclusions(findings)
+        versions = _versions(findings, out / "stacks")
+        summary = _summary(findings, found, versions)
+        (folder / "summary.json").write_text(
+            json.dumps(_finite(summary), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+        )
+        images = _write_figures(findings, rows, folder, stacks=out / "stacks")
+        html = page.render(findings, found=found, versions=versions, images=images)
+        (folder / "report.html").write_text(html, encoding="utf-8")
+
+
+@contextmanager
+def _published(out: Path) -> Iterator[Path]:
+    """A folder whose files move into `out` when the block has ended well."""
+    folder = out / ".report.partial"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    try:
+        yield folder
+        for path in sorted(folder.rglob("*")):
+            target = out / path.relative_to(folder)
+            if path.is_dir():
+                target.mkdir(exist_ok=True)
+            else:
+                os.replace(path, target)
+    finally:
+        shutil.rmtree(folder)
+
+
+def _write_tables(findings: Findings, folder: Path) -> list[SpotRow]:
+    """All CSV files but the strip's; returns the spots, which the figures share."""
+    spots = tables.spot_rows(findings)
+    contents: dict[str, tuple[type[Any], list[Any]]] = {
+        "table_1.csv": (PlaneRow, tables.plane_rows(findings)),
+        "table_2.csv": (SphereRow, tables.sphere_rows(findings)),
+        "spots.csv": (SpotRow, spots),
+        "frames.csv": (FrameRow, tables.frame_rows(findings)),
+        "model_error.csv": (ModelError, findings.analytic + findings.rendered),
+        "rendered_accuracy.csv": (Accuracy, tables.rendered_accuracy(findings.rendered)),
+    }
+    for name, (row_type, rows) in contents.items():
+        tables.write_csv(folder / name, row_type, rows)
+    return spots
+
+
+def _write_figures(
+    findings: Findings, rows: list[SpotRow], folder: Path, *, stacks: Path
+) -> dict[str, str]:
+    """Every figure as PNG and SVG; returns them as data URIs by name."""
+    (folder / "figures").mkdir()
+    shown = []
+    images = {}
+    with matplotlib.rc_context(figures.STYLE):
+        for group in _STRIPS:
+            lines = strip.shown_frames(findings, group)
+            shown += [strip.strip_row(frame) for line in lines for frame in line]
+            name = f"strip_{group.replace(' ', '_')}"
+            # Noise of a camera is what JPEG is for: a tenth of the SVG, with PNG inside.
+            figure = strip.strip(lines, stacks=stacks)
+            images[name] = _save(figure, folder / "figures" / name, inline="jpeg")
+        for name, figure in _plots(findings, rows):
+            images[name] = _save(figure, folder / "figures" / name, inline="svg")
+    tables.write_csv(folder / "strip.csv", strip.StripRow, shown)
+    return images
+
+
+def _plots(findings: Findings, rows: list[SpotRow]) -> Iterator[tuple[str, Figure]]:
+    if findings.plane_fits:
+        yield "plane_fit", figures.plane_fit(findings, rows)
+        yield "plane_residuals", figures.residuals(findings, rows, "plane")
+        yield "sphere_fit", figures.sphere_fit(findings, rows)
+        yield "sphere_residuals", figures.residuals(findings, rows, "sphere")
+    yield "bias", figures.bias(findings, rows)
+    curve = analysis.half_maximum_curve(findings)
+    if curve is not None:
+        ambiguous = analysis.ambiguous_range(*curve)
+        yield "half_maximum", figures.half_maximum(findings, rows, ambiguous)
+    yield "model_error", figures.model_error(findings)
+    yield "model_error_size", figures.model_error_size(findings)
+
+
+def _save(figure: Figure, path: Path, *, inline: str) -> str:
+    """Write PNG and SVG; returns the figure as a data URI."""
+    figure.savefig(path.with_suffix(".png"))
+    figure.set_layout_engine("none")  # it is laid out by now, and doing so takes half of the time
+    # Without a date the same data give the same file.
+    figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
+    if inline == "svg":
+        data, kind = path.with_suffix(".svg").read_bytes(), "svg+xml"
+    else:
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="jpeg", pil_kwargs={"quality": 88})
+        data, kind = buffer.getvalue(), "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def _summary(
+    findings: Findings, found: list[Conclusion], versions: dict[str, dict[str, str]]
+) -> dict[str, Any]:
+    chosen = [
+        error
+        for c in CHOSEN_ECCENTRICITIES_MM
+        for error in tables.square_rows(findings.analytic, c=c)
+    ]
+    left_out = [row for row in tables.frame_rows(findings) if row.outcome != USED]
+    by_reason: dict[str, int] = {}
+    for row in left_out:
+        by_reason[row.outcome] = by_reason.get(row.outcome, 0) + row.frames
+    return {
+        "schema_version": SCHEMA,
+        "settings": findings.settings,
+        "found": [c._asdict() for c in found],
+        "plane_fits": [row._asdict() for row in tables.plane_rows(findings)],
+        "sphere_fits": [row._asdict() for row in tables.sphere_rows(findings)],
+        "model_errors": [row._asdict() for row in chosen],
+        "rendered_accuracy": [row._asdict() for row in tables.rendered_accuracy(findings.rendered)],
+        "left_out": by_reason,
+        "left_out_by_trial": [row._asdict() for row in left_out],
+        "versions": versions,
+        "seconds": findings.seconds,
+    }
+
+
+def _finite(value: Any) -> Any:
+    """The value with null for every number that JSON has no word for."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _versions(findings: Findings, stacks: Path) -> dict[str, dict[str, str]]:
+    """Versions that rendered (by the stacks themselves) and that measured and fitted."""
+    run = read_stack(stacks / findings.trials[0].name).description.get("run", {})
+    measured = {"python": platform.python_version()}
+    measured |= {name: importlib.metadata.version(name) for name in _PACKAGES}
+    return {"rendered": run.get("versions", {}), "measured": measured}
