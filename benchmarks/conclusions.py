@@ -11,7 +11,13 @@ import numpy as np
 from benchmarks import analysis
 from benchmarks.model_error import ModelError
 from benchmarks.paper import ACCEPTABLE_ERROR_MM
-from benchmarks.tables import ALL_PLANES, rendered_accuracy, sphere_rows, square_rows
+from benchmarks.tables import (
+    ALL_PLANES,
+    CHOSEN_DISTANCES_MM,
+    rendered_accuracy,
+    sphere_rows,
+    square_rows,
+)
 from benchmarks.tracking import USED, WAYS
 from benchmarks.trials import Trial
 from benchmarks.validate import SUBPIXEL, Findings
@@ -25,12 +31,14 @@ class Conclusion(NamedTuple):
     """A statement about the run.
 
     Attributes:
-        title: what it is about.
-        text: one or a few sentences.
-        holds: which way it fell, where it is a question of yes or no.
+        topic: what it is about, the same in every run.
+        headline: which way it fell.
+        text: the numbers behind it.
+        holds: the answer, where the topic is a question of yes or no.
     """
 
-    title: str
+    topic: str
+    headline: str
     text: str
     holds: bool | None = None
 
@@ -76,22 +84,22 @@ def _table_one(findings: Findings) -> Iterable[Conclusion]:
         if fits is None or len(fits) == 1:
             continue
         criteria = analysis.reproduction(fits)
-        got = "; ".join(
-            f"{c.quantity} {_span(c.values, c.digits)}{c.unit} ({'' if c.met else 'not '}within "
-            f"{number(c.low, c.digits)} to {number(c.high, c.digits)})"
-            for c in criteria
-        )
         missed = [c.quantity for c in criteria if not c.met]
-        holds = not missed
-        verdict = "reproduces" if holds else "does not reproduce"
-        why = "all demands are met" if holds else f"it fails on {_list(missed)}"
-        text = (
-            f"The {source_name(findings, source)}, measured as the paper does ({PAPERS_WAY}), "
-            f"{verdict} Table I: {why}. {got}."
+        name = source_name(findings, source)
+        yield Conclusion(
+            f"{source} reproduces Table I",
+            f"The {name} does not reproduce Table I: it fails on {_list(missed)}."
+            if missed
+            else f"The {name} reproduces Table I.",
+            f"Measured as the paper does ({PAPERS_WAY}): "
+            + "; ".join(
+                f"{c.quantity} {_span(c.values, c.digits)}{c.unit} (asked: {_short(c.low)} to "
+                f"{_short(c.high)}{'' if c.met else '; missed'})"
+                for c in criteria
+            )
+            + ".",
+            not missed,
         )
-        if source == "cone":
-            text += " A cone is what the table assumes, so this shows what the measuring changes."
-        yield Conclusion("Table I", text, holds)
 
 
 def _half_maximum(findings: Findings) -> Iterable[Conclusion]:
@@ -99,20 +107,21 @@ def _half_maximum(findings: Findings) -> Iterable[Conclusion]:
     if curve is None:
         return
     d, radius = curve
-    name = source_name(findings, "lens")
     shared = analysis.ambiguous_range(d, radius)
-    least = int(np.argmin(radius))
-    chosen = dict.fromkeys((0, least, len(d) - 1))
-    points = ", ".join(f"{number(radius[i], 3)} mm at d = {number(d[i])} mm" for i in chosen)
-    if shared is None:
-        text = f"The half-maximum radius of the {name} grows with distance all the way: {points}."
-    else:
-        text = (
-            f"The half-maximum radius of the {name} does not grow with distance all the way: "
-            f"{points}. Between {number(shared[0])} and {number(shared[1])} mm one radius belongs "
-            "to several distances, whatever measures it."
+    chosen = sorted({0, int(np.argmin(radius)), len(d) - 1})
+    text = "It is " + _list([f"{number(radius[i], 3)} mm at d = {number(d[i])} mm" for i in chosen])
+    if shared is not None:
+        text += (
+            f"; between {number(shared[0])} and {number(shared[1])} mm one radius belongs to "
+            "several distances"
         )
-    yield Conclusion("The edge at half maximum", text + _straightness(findings), shared is None)
+    yield Conclusion(
+        "half-maximum radius grows with distance",
+        f"The lens's half-maximum radius {'grows' if shared is None else 'does not grow'} with "
+        "distance all the way.",
+        f"{text}.{_straightness(findings)}",
+        shared is None,
+    )
 
 
 def _straightness(findings: Findings) -> str:
@@ -121,54 +130,52 @@ def _straightness(findings: Findings) -> str:
     if best is None:
         return ""
     text = (
-        f" Sub-pixel mode follows that radius to {number(_rms_bias(findings), 3)} px (rms), and a "
-        f"straight line through its readings has an RMSE of {number(best[ALL_PLANES].rmse, 3)} mm"
+        f" Sub-pixel mode follows it to {number(_rms_bias(findings), 3)} px (rms), and a straight "
+        f"line through its readings has an RMSE of {number(best[ALL_PLANES].rmse, 3)} mm"
     )
     paper = findings.plane_fits.get(("lens", PAPERS_WAY))
     if paper is None:
         return text + "."
     text += f"; through those of the fixed threshold, {number(paper[ALL_PLANES].rmse, 3)} mm"
     if paper[ALL_PLANES].rmse < best[ALL_PLANES].rmse:
-        text += (
-            ". So the straight line comes from the threshold and the exposure, not from the edge"
-        )
+        text += ": here the line is straight by threshold and exposure, not by the edge"
     return text + "."
 
 
 def _small_plane(findings: Findings) -> Iterable[Conclusion]:
     errors = [e for e in findings.analytic if e.model == "small_plane"]
+    if not errors:
+        return
     offs, leaving, staying = [], [], []
     for height, radius in _heights(errors):
-        spans = []
-        for c in CHOSEN_ECCENTRICITIES_MM:
-            square = [e for e in square_rows(errors, c=c) if e.z_f_mm == height]
-            if square:
-                size = _span([e.error_mm for e in square], 3, sign=True)
-                nearest, farthest = (f([e.d_mm for e in square]) for f in (min, max))
-                spans.append(f"{size} mm at c = {c:g} mm")
-        if spans:
-            offs.append(f"{' and '.join(spans)} ({pinhole(height, radius)})")
-        limit = analysis.limit_eccentricity(
-            [e for e in errors if e.z_f_mm == height], ACCEPTABLE_ERROR_MM
-        )
+        here = [e for e in errors if e.z_f_mm == height]
+        spans = [
+            f"{_span([e.error_mm for e in square], 3, sign=True)} mm at c = {c:g} mm"
+            for c in CHOSEN_ECCENTRICITIES_MM
+            if (square := square_rows(here, c=c))
+        ]
+        offs.append(f"{pinhole(height, radius)}: {_list(spans)}")
+        limit = analysis.limit_eccentricity(here, ACCEPTABLE_ERROR_MM)
         if limit is None:
             staying.append(f"z_F = {height:g} mm")
         else:
-            leaving.append(f"at c = {number(limit, 1)} mm for z_F = {height:g} mm")
-    if not offs:
-        return
-    text = (
-        f"With the cone known, the beam square to the wall and d from {nearest:g} to {farthest:g} "
-        f"mm, the paper's model is off by {'; by '.join(offs)}. "
-    )
+            leaving.append(f"c = {number(limit, 1)} mm for z_F = {height:g} mm")
+    headline = []
     if leaving:
-        text += f"It leaves the {ACCEPTABLE_ERROR_MM:g} mm that the paper calls acceptable "
-        text += f"{_list(leaving)}. "
+        headline.append(f"leaves the acceptable {ACCEPTABLE_ERROR_MM:g} mm at {_list(leaving)}")
     if staying:
-        farthest_c = max(e.c_mm for e in errors)
-        text += f"It stays within {ACCEPTABLE_ERROR_MM:g} mm up to c = {farthest_c:g} mm for "
-        text += f"{_list(staying)}. "
-    yield Conclusion("The small-plane model", text.strip(), not leaving)
+        most = max(e.c_mm for e in errors)
+        headline.append(
+            f"stays within {ACCEPTABLE_ERROR_MM:g} mm up to c = {most:g} mm for {_list(staying)}"
+        )
+    nearest, farthest = CHOSEN_DISTANCES_MM[0], CHOSEN_DISTANCES_MM[-1]
+    yield Conclusion(
+        "small_plane stays within the acceptable error",
+        f"The paper's model {' and '.join(headline)}.",
+        f"Its error with the cone known, the beam square to the wall and d from {nearest:g} to "
+        f"{farthest:g} mm: {'; '.join(offs)}.",
+        not leaving,
+    )
 
 
 def _other_models(findings: Findings) -> Iterable[Conclusion]:
@@ -178,20 +185,25 @@ def _other_models(findings: Findings) -> Iterable[Conclusion]:
     parts = []
     for height, radius in _heights(findings.rendered):
         rows = [row for row in accuracy if row.z_f_mm == height]
-        sizes = ", ".join(f"{row.model} {number(row.max_abs_error_mm, 3)}" for row in rows)
-        parts.append(f"{sizes} mm in {rows[0].spots} spots ({pinhole(height, radius)})")
-    models = list(dict.fromkeys(row.model for row in accuracy))
+        sizes = _list([f"{row.model} {number(row.max_abs_error_mm, 3)}" for row in rows])
+        parts.append(f"{pinhole(height, radius)}: {sizes} mm ({rows[0].spots} spots)")
+    models = dict.fromkeys(row.model for row in accuracy)
     bad = {row.model for row in accuracy if row.max_abs_error_mm >= ACCEPTABLE_ERROR_MM}
     good = [model for model in models if model not in bad]
-    text = f"Largest errors on rendered spots of the ideal cone: {'; '.join(parts)}. "
-    if good:
-        stay = "stays" if len(good) == 1 else "stay"
-        text += f"At every pinhole height {_list(good)} {stay} within {ACCEPTABLE_ERROR_MM:g} mm"
-    else:
-        text += f"None stays within {ACCEPTABLE_ERROR_MM:g} mm at every pinhole height"
+    headline = (
+        f"{_list(good)} {'stays' if len(good) == 1 else 'stay'} within {ACCEPTABLE_ERROR_MM:g} mm "
+        "on rendered spots"
+        if good
+        else f"No model stays within {ACCEPTABLE_ERROR_MM:g} mm on rendered spots"
+    )
     if "stereographic" in bad:
-        text += "; stereographic holds only for a pinhole on the sphere"
-    yield Conclusion("The other models", f"{text}.", not bad)
+        headline += ", stereographic only for a pinhole on the sphere"
+    yield Conclusion(
+        "the other models stay within the acceptable error",
+        f"{headline[0].upper()}{headline[1:]}.",
+        f"Largest errors on the ideal cone, sub-pixel mode: {'; '.join(parts)}.",
+        not bad,
+    )
 
 
 def _fitted_eccentricity(findings: Findings) -> Iterable[Conclusion]:
@@ -202,27 +214,26 @@ def _fitted_eccentricity(findings: Findings) -> Iterable[Conclusion]:
     rows = [row for row in every if (row.source, row.way) == key]
     if not rows:
         return
-    pairs = _list(
-        [f"{number(row.c_fitted_mm)} mm where it is {number(row.c_true_mm)}" for row in rows]
+    fitted, true, expected = (
+        _list([number(value) for value in values])
+        for values in zip(
+            *((row.c_fitted_mm, row.c_true_mm, row.c_expected_mm) for row in rows), strict=True
+        )
     )
-    expected = _list([number(row.c_expected_mm) for row in rows])
     scene = next(t for t in findings.trials if t.kind == "sphere").scene
     where = pinhole(scene.microscope.pinhole_height_mm, scene.phantom.radius_mm)
     largest = number(max(row.max_error_mm for row in rows), 3)
-    text = f"Fitted as in Table II ({key[0]}, {key[1]}), c comes out as {pairs} mm. "
     smaller = all(row.c_fitted_mm < row.c_true_mm for row in rows)
-    if smaller:
-        text += (
-            f"The paper's cos φ is too small a factor for this pinhole ({where}), and the fit "
-            f"makes up for it with a smaller c: {expected} mm are expected. The model's error "
-            f"hides there, and the residuals, {largest} mm at most, do not show it."
-        )
-    else:
-        text += (
-            f"It is not smaller than the true c throughout, as the pinhole ({where}) would have "
-            f"it: {expected} mm are expected. The residuals are {largest} mm at most."
-        )
-    yield Conclusion("The fitted eccentricity", text, smaller)
+    yield Conclusion(
+        "fitted c is smaller than true c",
+        "A fitted c is smaller than the true one and hides the model's error."
+        if smaller
+        else "A fitted c is not smaller than the true one in every trial.",
+        f"Fitted as in Table II ({key[0]}, {key[1]}), c comes out as {fitted} mm where it is "
+        f"{true} mm; {expected} mm make the paper's cos φ equal to the right factor for this "
+        f"pinhole ({where}). The residuals, {largest} mm at most, are no test of the model.",
+        smaller,
+    )
 
 
 def _cone_returned(findings: Findings) -> Iterable[Conclusion]:
@@ -232,35 +243,32 @@ def _cone_returned(findings: Findings) -> Iterable[Conclusion]:
     trial, fit = _first_plane(findings, "cone"), fits[ALL_PLANES]
     source = trial.scene.source
     contact = findings.tracked[trial.name, SUBPIXEL].labels[0].d_mm
-    delta_k = trial.scene.microscope.scale_mm_px * source.cone_k
-    b = source.cone_apex_offset_mm - contact
+    slope = 100 * (fit.delta_k / (trial.scene.microscope.scale_mm_px * source.cone_k) - 1)
+    b = fit.b - (source.cone_apex_offset_mm - contact)
     yield Conclusion(
-        "What went in comes out",
-        f"On the plane the ideal cone comes back from sub-pixel mode with δk = "
-        f"{number(fit.delta_k, 5)} mm/px, {number(100 * (fit.delta_k / delta_k - 1), 2, sign=True)}"
-        f" % off, and b = {number(fit.b, 3)} mm, {number(fit.b - b, 3, sign=True)} mm off: d_r "
-        f"begins where the tip's rim touches and its axis has {number(contact, 3)} mm to go, which "
-        f"the fit must add to {number(source.cone_apex_offset_mm, 3)} mm.",
+        "the ideal cone is returned",
+        f"Sub-pixel mode returns the ideal cone with δk {number(slope, 2, sign=True)} % and b "
+        f"{number(b, 3, sign=True)} mm off.",
+        f"The fitted b is {number(fit.b, 3)} mm, because d_r begins at contact, where the tip's "
+        f"rim touches and its axis has {number(contact, 3)} mm to go.",
     )
 
 
 def _left_out(findings: Findings) -> Iterable[Conclusion]:
-    outcomes = {
-        way.name: [
-            outcome
-            for (_, name), tracked in findings.tracked.items()
-            if name == way.name
-            for outcome in tracked.outcomes
-        ]
-        for way in WAYS
-    }
-    total = sum(map(len, outcomes.values()))
-    used = sum(o.count(USED) for o in outcomes.values())
-    text = f"{used} of {total} measurements enter the fits and comparisons."
-    for name, found in outcomes.items():
-        if found and USED not in found:
-            text += f" “{name}” yields no spot that counts in any of its {len(found)} frames."
-    yield Conclusion("Frames left out", text)
+    outcomes: dict[str, list[str]] = {}
+    for (_, way), tracked in findings.tracked.items():
+        outcomes.setdefault(way, []).extend(tracked.outcomes)
+    used = sum(found.count(USED) for found in outcomes.values())
+    blind = [
+        f"“{way}” sees no spot that counts in any of its {len(found)} frames"
+        for way, found in outcomes.items()
+        if USED not in found
+    ]
+    yield Conclusion(
+        "frames left out",
+        f"{used} of {sum(map(len, outcomes.values()))} measurements enter the fits.",
+        f"{_list(blind)}." if blind else "",
+    )
 
 
 def _rms_bias(findings: Findings) -> float:
@@ -281,6 +289,10 @@ def _first_plane(findings: Findings, source: str) -> Trial:
 def _heights(errors: Sequence[ModelError]) -> list[tuple[float, float]]:
     """Pinhole heights with the eye's radius, in order."""
     return list(dict.fromkeys((e.z_f_mm, e.r_mm) for e in errors))
+
+
+def _short(value: float) -> str:
+    return f"{value:g}".replace("-", "−")
 
 
 def _span(values: Sequence[float], digits: int, *, sign: bool = False) -> str:

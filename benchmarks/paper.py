@@ -1,4 +1,4 @@
-"""What Zhou et al. 2020 report, as printed: Tables I and II, and where they disagree with the text."""
+"""What Zhou et al. 2020 report, as printed: Tables I and II."""
 
 from __future__ import annotations
 

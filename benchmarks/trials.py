@@ -1,4 +1,4 @@
-"""The trials of the main job: the paper's six, and a grid over eccentricity for the model's error."""
+"""The trials of the main job: the paper's six, and a grid over eccentricity."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Trial:
 
     @property
     def source(self) -> str:
-        """ "lens" or "cone"."""
+        """Kind of light: "lens" or "cone"."""
         return self.scene.source.kind
 
 

@@ -12,15 +12,19 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from .censored import READABLE
 from .ellipse import Ellipse, robust_step
 from .levels import RADII, Levels
 from .refine import FURTHEST, Refined
+from .spot import NoSpot, Reason
 from .unwrap import DESIGN, Patch
 
 BROAD = 0.33
 """Edge width, in radii, from which a spot is treated as a bell; a Gaussian has 0.58."""
 
 _FAINTEST = 0.1  # of the peak: signal above background that still counts
+_CLIPPED = 0.03  # part of a ring at full scale from which its mean is wrong
+_HIDDEN_TOP = 0.5  # radius to which the bell may be saturated and its peak still be extrapolated
 _OUTLYING = 0.6  # difference from the mean bell, of logarithms, of what is not the lit wall
 _SQUARE = RADII * RADII
 _POWERS = np.stack([_SQUARE**k for k in range(4)], axis=1)
@@ -29,7 +33,7 @@ _POWERS_SLOPE = np.stack([2 * k * _SQUARE**k for k in range(4)], axis=1)  # RADI
 
 def refine_bell(
     patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
-) -> Refined | None:
+) -> Refined | NoSpot:
     """Ellipse of a bell's half-maximum contour.
 
     The logarithm of the signal above background is an even polynomial q(t) of the elliptical
@@ -43,20 +47,24 @@ def refine_bell(
         levels: of the spot.
 
     Returns:
-        The refined ellipse; None where the rays do not show one.
+        The refined ellipse, or why there is none.
     """
     profiles = patch.unwrapped(ellipse, RADII)
     inside = ~np.isnan(profiles[:, np.searchsorted(RADII, 1.0)])
     above = np.nan_to_num(profiles, nan=0.0) - levels.background
     counts = above > _FAINTEST * levels.amplitude
+    clipped = np.mean(profiles[inliers] > READABLE * patch.ceiling, axis=0) > _CLIPPED
+    if clipped[RADII > _HIDDEN_TOP].any():
+        return NoSpot(Reason.SATURATED)
+    counts[:, clipped] = False
     logs = np.log(np.where(counts, above, 1.0) / levels.amplitude)
     mean = _mean_bell(logs, counts & inliers[:, None])
     if mean is None:
-        return None
+        return NoSpot(Reason.NONE_FOUND)
     counts &= np.abs(logs - _POWERS @ mean) < _OUTLYING
     mean = _mean_bell(logs, counts & inliers[:, None])
     if mean is None:
-        return None
+        return NoSpot(Reason.NONE_FOUND)
     signature = -_POWERS_SLOPE @ mean
     weight = counts * (RADII * signature)
     strength = weight @ signature
@@ -65,16 +73,18 @@ def refine_bell(
     fitted = robust_step(DESIGN, offsets, found, inliers, tolerance=FURTHEST, limit=2 * FURTHEST)
     half = _half_radius(mean)
     if fitted is None or half is None or np.abs(fitted[0]).max() > 0.5:
-        return None
+        return NoSpot(Reason.NONE_FOUND)
     step, inliers = fitted
     peak, radius, steepness = half
+    width = 2 / (math.sqrt(2 * math.pi) * steepness)
     return Refined(
         ellipse=ellipse.stepped(step).scaled(radius),
         move=max(float(np.abs(step).max()), abs(radius - 1)),
+        size_variance=math.pi / 2 * width**2 * levels.dome_variance,
         levels=replace(
             levels,
             peak=levels.background + levels.amplitude * peak,
-            width=2 / (math.sqrt(2 * math.pi) * steepness),
+            width=width,
         ),
         offsets=offsets - DESIGN @ step,
         found=found,

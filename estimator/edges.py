@@ -13,6 +13,7 @@ from .coarse import Candidate, Coarse
 from .ellipse import Ellipse, robust_step
 from .levels import RADII, RADIUS_STEP, Levels, levels_of
 from .refine import FURTHEST, Refined, refine_edge
+from .spot import NoSpot, Reason
 from .unwrap import DESIGN, Patch, ring_variance
 
 REACH = 1.75
@@ -48,7 +49,7 @@ class EdgeFit:
     scatter: float
 
 
-def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | None:
+def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | NoSpot:
     """Ellipse of the half-maximum contour near a candidate.
 
     1. Capture: on each ray the crossing of the candidate's half level nearest to its ellipse;
@@ -59,20 +60,20 @@ def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | No
        follows the offsets, and its size follows the half level of the mean profile.
 
     Returns:
-        The fit, or None where the rays do not show one ellipse.
+        The fit, or why the rays do not show one ellipse.
     """
     captured = _capture(patch, candidate)
     if captured is None:
-        return None
+        return NoSpot(Reason.NONE_FOUND)
     ellipse, inliers, profiles = captured
     levels = levels_of(profiles[inliers], coarse, ellipse, candidate)
     if levels is None:
-        return None
+        return NoSpot(Reason.NONE_FOUND)
     for _ in range(_REFINEMENTS):
         refine = refine_bell if levels.width > BROAD else refine_edge
         refined = refine(patch, ellipse, inliers, levels)
-        if refined is None:
-            return None
+        if isinstance(refined, NoSpot):
+            return refined
         sharper = refined.levels.width < 0.7 * levels.width
         ellipse, inliers, levels = refined.ellipse, refined.inliers, refined.levels
         if refined.move < _SETTLED * levels.width and not sharper:
@@ -122,8 +123,7 @@ def _finished(refined: Refined) -> EdgeFit:
     # Harmonics 0 to 2 are fitted.
     variance = ring_variance(errors, slice(3, 13)) / share
     step_covariance = variance * cv2.invert(rows.T @ rows)[1]
-    # All of the contour moves with the half level, by the width times sqrt(pi / 2) a relative unit.
-    step_covariance[2:4, 2:4] += math.pi / 2 * levels.width**2 * levels.dome_variance
+    step_covariance[2:4, 2:4] += refined.size_variance
     return EdgeFit(
         ellipse=refined.ellipse,
         step_covariance=step_covariance,

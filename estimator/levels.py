@@ -16,8 +16,7 @@ RADII = np.linspace(0.05, 1.6, 48)
 """Radii of the wide view, in units of the ellipse."""
 RADIUS_STEP = float(RADII[1] - RADII[0])
 
-_NEAR_EDGE = np.flatnonzero(np.abs(RADII[1:-1] - 1) < 0.35)
-_NEAR_EDGE = slice(int(_NEAR_EDGE[0]), int(_NEAR_EDGE[-1]) + 1)
+_NEAR_EDGE = np.abs(RADII[1:-1] - 1) < 0.35
 _DOUBT = 9.0  # square of the standard deviations that a dome must exceed
 _BACKGROUND_RADII = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 
@@ -69,7 +68,7 @@ def levels_of(
         candidate: the levels that the spot was found with.
 
     Returns:
-        The levels; None where the profiles do not fall.
+        The levels; None where the profiles do not fall, or fall on from something brighter.
     """
     mean = profiles.sum(axis=0) / len(profiles)
     steepest = float((mean[:-2] - mean[2:])[_NEAR_EDGE].max()) / (2 * RADIUS_STEP)
@@ -79,7 +78,10 @@ def levels_of(
         return None
     background = _background(coarse, ellipse, 1 + 4 * width, candidate.background)
     dark = (candidate.peak + candidate.background) / 2
-    peak, dome, variance = _top(profiles, width, dark, 2 * candidate.peak)
+    glaring = 2 * candidate.peak
+    if 2 * np.count_nonzero(profiles[:, :16] > glaring) > profiles[:, :16].size:
+        return None  # the halo of something brighter
+    peak, dome, variance = _top(profiles, width, dark, glaring)
     if not peak > background:
         return None
     return Levels(peak, dome, variance, background, width)

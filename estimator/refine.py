@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from .censored import READABLE, hidden_edge
 from .ellipse import Ellipse, robust_step
 from .levels import Levels
+from .spot import NoSpot, Reason
 from .unwrap import DESIGN, Patch
 
 FURTHEST = 0.1
@@ -26,6 +28,7 @@ class Refined:
     Attributes:
         ellipse: px.
         move: how far the contour moved at most, units of the radius.
+        size_variance: of the contour's common offset, beyond what the offsets' scatter shows.
         levels: sharpened by what the refinement saw.
         offsets: (RAYS,) radial distance of each ray's edge from the ellipse, units of the radius.
         found: (RAYS,) rays with an edge.
@@ -35,6 +38,7 @@ class Refined:
 
     ellipse: Ellipse
     move: float
+    size_variance: float
     levels: Levels
     offsets: np.ndarray
     found: np.ndarray
@@ -44,7 +48,7 @@ class Refined:
 
 def refine_edge(
     patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
-) -> Refined | None:
+) -> Refined | NoSpot:
     """Ellipse of the half-maximum contour, from one that is off by less than the edge's width.
 
     Each ray's shift against the mean profile is the offset of its edge; the ellipse follows the
@@ -57,7 +61,7 @@ def refine_edge(
         levels: of the spot.
 
     Returns:
-        The refined ellipse; None where the rays do not show one.
+        The refined ellipse, or why there is none.
     """
     semi_minor = ellipse.axes()[1]
     reach = min(max(3 * levels.width, 2.5 / semi_minor), 0.6)
@@ -73,7 +77,7 @@ def refine_edge(
         inliers = inliers & whole
     number = np.count_nonzero(inliers)
     if number < 8:
-        return None
+        return NoSpot(Reason.NONE_FOUND)
     mean = inliers.astype(np.float32) @ profiles / np.float32(number)
     slope = _derivative(mean, from_edge[1] - from_edge[0])
     residual = profiles - mean
@@ -90,15 +94,26 @@ def refine_edge(
         limit=FURTHEST,
     )
     if fitted is None or np.abs(fitted[0]).max() > 0.5:
-        return None
+        return NoSpot(Reason.NONE_FOUND)
     step, inliers = fitted
-    levels = _sharpened(levels, from_edge, mean, float(-slope.min()))
-    half = _half_crossing(from_edge, mean, levels)
-    if half is None:
-        return None
+    variance = 0.0
+    half: float | None
+    if mean[0] > READABLE * patch.ceiling:
+        hidden = hidden_edge(patch, ellipse, inliers, levels, reach)
+        if hidden is None:
+            return NoSpot(Reason.SATURATED)
+        levels, half, variance = hidden
+    else:
+        levels = _sharpened(levels, from_edge, mean, float(-slope.min()))
+        half = _half_crossing(from_edge, mean, levels)
+        if half is None:
+            return NoSpot(Reason.NONE_FOUND)
+    # All of the contour moves with the half level: by sqrt(pi / 2) widths for the relative unit.
+    variance += math.pi / 2 * levels.width**2 * levels.dome_variance
     return Refined(
         ellipse=ellipse.stepped(step).scaled(1 + half),
         move=max(float(np.abs(step).max()), abs(half)),
+        size_variance=variance,
         levels=levels,
         offsets=offsets - DESIGN @ step,
         found=found,

@@ -121,18 +121,17 @@ class Region:
 
     def measured(self) -> Spot | NoSpot:
         """The region's spot, through the reading of which the most contour is seen."""
-        fits: list[EdgeFit] = []
+        best: EdgeFit | NoSpot = NoSpot(Reason.NONE_FOUND)
         for candidate in self.readings:
             patch = _patch(self.frame, self.channel, candidate.ellipse, self.settings)
             fit = fit_edge(patch, self.coarse, candidate)
-            if fit is not None:
-                fits.append(fit)
-                if fit.inliers.mean() > self.settings.min_coverage:
-                    break
-        if not fits:
-            return NoSpot(Reason.NONE_FOUND)
-        best = max(fits, key=lambda fit: np.count_nonzero(fit.inliers))
-        return _verdict(best, self.settings, self.saturated)
+            if isinstance(fit, NoSpot):
+                best = best or fit
+            elif not best or fit.inliers.sum() > best.inliers.sum():
+                best = fit
+            if best and best.inliers.mean() > self.settings.min_coverage:
+                break
+        return _verdict(best, self.settings, self.saturated) if best else best
 
 
 def regions_in(
@@ -220,7 +219,7 @@ def _patch(frame: np.ndarray, channel: int, ellipse: Ellipse, settings: Subpixel
     window = Window.around(x, y, REACH * half_width, REACH * half_height, frame)
     full_scale = settings.response.full_scale_of(frame)
     signal = signal_of(window.of(frame), channel, settings.response, full_scale)
-    return Patch(signal, window.x0, window.y0)
+    return Patch(signal, window.x0, window.y0, ceiling=full_scale)
 
 
 def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:

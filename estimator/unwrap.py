@@ -29,12 +29,14 @@ class Patch:
         x0: column of the frame under the first pixel, px.
         y0: row of the frame under the first pixel, px.
         stride: px of the frame per pixel.
+        ceiling: signal at full scale.
     """
 
     signal: np.ndarray
     x0: float
     y0: float
     stride: float = 1.0
+    ceiling: float = math.inf
 
     def unwrapped(self, ellipse: Ellipse, radii: np.ndarray) -> np.ndarray:
         """Bilinear samples on the ellipse's rays, (RAYS, len(radii)); NaN outside the patch.

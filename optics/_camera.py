@@ -124,10 +124,10 @@ def microscope(
     Raises:
         ValueError: scale or the working distance z_F + r is not positive.
     """
+    delta = jnp.asarray(scale, float)
     # Traced values cannot be judged; what a person types can.
-    if _known(scale) and not scale > 0:
+    if _known(delta) and not delta > 0:
         raise ValueError(f"microscope(scale=...) must be positive; got {scale} mm/px.")
-    scale = jnp.asarray(scale, float)
     reach = jnp.asarray(pinhole_height, float) + eye_radius
     if _known(reach) and not reach > 0:
         raise ValueError(
@@ -135,7 +135,7 @@ def microscope(
             f"{pinhole_height} mm with eye_radius={eye_radius} mm. Raise pinhole_height."
         )
     return Microscope(
-        scale=scale,
+        scale=delta,
         inverse_working_distance=1.0 / reach,
         pole_height=-jnp.asarray(eye_radius, float),
         principal_point=jnp.asarray(principal_point, float),

@@ -73,8 +73,10 @@ def ring_breaks(
         )
     )
     crossing = jnp.abs(implicit_root(excess, settle(excess, lit, dark)))
-    ends = jnp.min(jnp.where(found, crossing, aperture)), jnp.max(jnp.where(found, crossing, 0.0))
-    inner, outer = jnp.minimum(*ends), jnp.maximum(*ends)
+    reaches_rim = (values[0] < 0.0) | (values[-1] < 0.0)
+    inner = jnp.min(jnp.where(found, crossing, aperture))
+    outer = jnp.where(reaches_rim, aperture, jnp.max(jnp.where(found, crossing, 0.0)))
+    inner, outer = jnp.minimum(inner, outer), jnp.maximum(inner, outer)
     is_met, meeting = _meetings(rays, inner, outer)
     found, breaks = jnp.append(found, is_met), jnp.append(crossing, meeting)
     # Breaks that are not needed divide the range evenly instead.

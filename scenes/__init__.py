@@ -24,4 +24,3 @@ from scenes.settings import scene_template as scene_template
 from scenes.settings import scene_toml as scene_toml
 from scenes.variant import RendererUnavailable as RendererUnavailable
 from scenes.variant import load_mitsuba as load_mitsuba
-

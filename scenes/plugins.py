@@ -90,7 +90,8 @@ class LensEmitter(_PointEmitter):
         along = (y * (self.rows - 1) + 0.5) / self.rows
         v_lateral, v_axial = self.field.eval(mi.Point2f(across, along))
         scale = dr.select((x <= 1) & (distance >= 0), self.power / dr.square(envelope), 0)
-        return scale * (v_lateral * lateral * dr.rcp(dr.maximum(radius, 1e-9)) + v_axial * self.axis)
+        outwards = lateral * dr.rcp(dr.maximum(radius, 1e-9))
+        return scale * (v_lateral * outwards + v_axial * self.axis)
 
     def sample_direction(self, ref, sample, active=True):
         """Direction against V; weight |V|; shadow rays end at the tip."""

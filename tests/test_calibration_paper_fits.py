@@ -81,8 +81,13 @@ def test_data_that_ask_for_no_eccentricity_are_flagged():
 
 def test_too_few_spots_are_refused():
     with pytest.raises(ValueError, match="3 spots or more of different sizes; got 2"):
-        fit_plane(semi_minor_px=[1.0, 2.0], distance=[1.0, 2.0])
+        fit_plane(semi_minor_px=np.array([1.0, 2.0]), distance=np.array([1.0, 2.0]))
     with pytest.raises(ValueError, match="2 spots or more; got 1"):
         fit_eccentricity(
-            semi_minor_px=[50.0], distance=[1.0], delta_k=0.1, b=-5.0, scale=0.01, eye_radius=11.5
+            semi_minor_px=np.array([50.0]),
+            distance=np.array([1.0]),
+            delta_k=0.1,
+            b=-5.0,
+            scale=0.01,
+            eye_radius=11.5,
         )

@@ -1,5 +1,7 @@
 """Five-parameter pose from one contour: round trips, bounds, the mirror, what is not observable."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 import optics
 
 WALL = optics.Sphere(11.5)
-CONE = {"half_angle": float(np.arctan(1 / 20)), "apex_offset": -5.117}
+CONE: dict[str, Any] = {"half_angle": float(np.arctan(1 / 20)), "apex_offset": -5.117}
 SIGMA_PX = 0.05
 
 

@@ -1,16 +1,18 @@
 """Rendered frames against closed forms, labels and Mitsuba's own integrator."""
 
+from typing import Any
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import optics
-from estimator import SubpixelSettings, StackError, TrackState, measure, read_stack
+from estimator import Spot, StackError, SubpixelSettings, TrackState, measure, read_stack
 from scenes import Renderer, Scene, SceneError, load_mitsuba, render_stack
 
 
 def scene(**parts) -> Scene:
     """A uniform wall under the ideal cone's direct light alone, unless told otherwise."""
-    plain = {
+    plain: dict[str, Any] = {
         "schema": 1,
         "phantom": {"wall": "uniform", "indirect": "off"},
         "source": {"kind": "cone"},
@@ -40,7 +42,7 @@ def test_mitsubas_camera_is_the_microscope_of_the_labels(kind, height):
     ray, _ = loaded.sensors()[0].sample_ray(
         0.0, 0.5, mi.Point2f(mi.Float(u), mi.Float(v)), mi.Point2f(0.5)
     )
-    points = np.array(loaded.ray_intersect(ray).p).T
+    points = jnp.asarray(np.array(loaded.ray_intersect(ray).p).T)
     seen = np.asarray(geometry.microscope(settings).project(points))
     # float32 at 12 mm is 1e-6 mm = 1.5e-4 px; a few operations.
     np.testing.assert_allclose(seen, pixels, atol=2e-3)
@@ -68,6 +70,7 @@ def test_every_label_is_found_again_in_the_pixels(kind):
     for frame in range(2):
         image = renderer.render(frame).radiance
         spot, _ = measure(image / image.max() * 0.8, TrackState(), SubpixelSettings())
+        assert isinstance(spot, Spot)
         truth = renderer.truth.cone
         found = (spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px)
         expected = (
@@ -125,7 +128,7 @@ def test_the_instrument_hides_the_spot_that_the_labels_say_it_hides():
 
 
 def test_a_spot_outside_the_window_is_refused_with_the_way_out():
-    with pytest.raises(SceneError, match="leaves the 100 x 100 px window.*Lower"):
+    with pytest.raises(SceneError, match=r"leaves the 100 x 100 px window.*Lower"):
         Renderer(scene(microscope={"width_px": 100, "height_px": 100}))
 
 
