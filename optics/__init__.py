@@ -12,7 +12,8 @@ _half_maximum  the spot's edge by light on any wall
 _truth       what is true of a spot at each distance: the numbers behind labels
 _indirect    light scattered back by a closed matt eyeball
 _lens        GlueLens and its presets
-_emission    rays from the core through the cap; transmitted power
+_emission    rays from the core through the cap
+_power       what of the light leaves the cap
 _irradiance  vector irradiance of the lens, by quadrature
 _irradiance_table  the same for look-up, by renderer, labels and fits
 _profile     what a spot's radius means behind a lens
@@ -73,6 +74,7 @@ from optics._pose import Pose as Pose
 from optics._pose import PoseEstimate as PoseEstimate
 from optics._pose import pose_from_contour as pose_from_contour
 from optics._pose import tip_from_contour as tip_from_contour
+from optics._power import transmitted_power as transmitted_power
 from optics._profile import EffectiveCone as EffectiveCone
 from optics._profile import ambiguous_distances as ambiguous_distances
 from optics._profile import effective_cone as effective_cone

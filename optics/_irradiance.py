@@ -17,7 +17,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from optics._irradiance_edges import implicit_root, ring_breaks, scan_boundaries, settle
+from optics._irradiance_edges import Excess, implicit_root, ring_breaks, scan_boundaries, settle
 from optics._lens import GlueLens
 from optics._lens_trace import BackwardRays, trace_backwards
 
@@ -93,22 +93,21 @@ def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
     start, width = breaks[:-1, None], jnp.diff(breaks)[:, None]
     ring, ring_weight = (start + width * share).ravel(), (width * share_weight).ravel()
 
+    # Axes from here on: node of an arc, arc, ring.
     node, weight = np.polynomial.legendre.leggauss(_ARC)
-    node, weight = node[:, None], weight[:, None]
-    total = jnp.zeros(2)
-    for arc in _lit_arcs(lambda tau: rays(ring, tau).excess, ring.size):
-        first, last = (_quarter_tangent(haversine(ring, tau)) for tau in arc)
-        half = 0.5 * (last - first)
-        tangent = first + half * (1.0 + node)
-        stretch = 1.0 + jnp.square(tangent)
-        light = trace(cap_radius=ring, haversine=jnp.square(2.0 * tangent / stretch))
-        # Twice, for the half of the ring on the other side of the meridian's plane.
-        area = 2.0 * ring * ring_weight * (4.0 * half / stretch) * weight
-        total = total + jnp.stack([jnp.sum(area * light.lateral), jnp.sum(area * light.axial)])
-    return total
+    node, weight = node[:, None, None], weight[:, None, None]
+    arcs = _lit_arcs(lambda tau: rays(ring, tau).excess, ring.size)
+    first, last = _quarter_tangent(haversine(ring, arcs))
+    half = 0.5 * (last - first)
+    tangent = first + half * (1.0 + node)
+    stretch = 1.0 + jnp.square(tangent)
+    light = trace(cap_radius=ring, haversine=jnp.square(2.0 * tangent / stretch))
+    # Twice, for the half of the ring on the other side of the meridian's plane.
+    area = 2.0 * ring * ring_weight * (4.0 * half / stretch) * weight
+    return jnp.stack([jnp.sum(area * light.lateral), jnp.sum(area * light.axial)])
 
 
-def _lit_arcs(excess, rings: int) -> list[tuple[Array, Array]]:
+def _lit_arcs(excess: Excess, rings: int) -> Float[Array, "2 2 rings"]:
     """First and last tau in [0, 1] of the two lit arcs that half a ring can have; empty if not."""
     tau = jnp.broadcast_to(np.linspace(0.0, 1.0, _CELLS + 1)[:, None], (_CELLS + 1, rings))
     values = excess(tau)
@@ -116,10 +115,9 @@ def _lit_arcs(excess, rings: int) -> list[tuple[Array, Array]]:
     root = jnp.clip(implicit_root(excess, settle(excess, lit, dark)), 0.0, 1.0)
     zero, one = jnp.zeros(rings), jnp.ones(rings)
     end, other = jnp.where(found, root, one)
-    starts_lit = values[0] < 0.0
-    first_arc = jnp.where(starts_lit, zero, end), jnp.where(starts_lit, end, other)
-    second_arc = jnp.where(starts_lit, other, one), one
-    return [first_arc, second_arc]
+    from_lit = jnp.stack([jnp.stack([zero, other]), jnp.stack([end, one])])
+    from_dark = jnp.stack([jnp.stack([end, one]), jnp.stack([other, one])])
+    return jnp.where(values[0] < 0.0, from_lit, from_dark)
 
 
 def _quarter_tangent(haversine: Array) -> Array:

@@ -5,14 +5,50 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from optics._emission import TRANSMITTED, emitted_rays
 from optics._irradiance import vector_irradiance
 from optics._lens import GlueLens
 
 _NEAREST, _FARTHEST = 0.01, 24.0
-_DISTANCES, _RADII = 192, 384
+_ROWS, _COLUMNS = 48, 96  # cells of the first grid, all of whose points are computed
+_DOUBLINGS = 4
+_TOLERANCE = 3e-4  # of the row's peak: where interpolation is off by more, refinement goes on
+
+
+class LensField(eqx.Module):
+    """Light of a lens in a medium, by quadrature at every call: exact, differentiable, slow.
+
+    Attributes:
+        lens: the lens.
+        medium_index: n0.
+    """
+
+    lens: GlueLens
+    medium_index: ArrayLike
+
+    def envelope(self, distance: ArrayLike) -> Float[Array, "*batch"]:
+        """Radius outside which there is no light at a distance from the tip, mm.
+
+        Args:
+            distance: s, mm.
+        """
+        contact_radius, slope = _envelope(self.lens, self.medium_index)
+        return contact_radius + slope * jnp.asarray(distance)
+
+    def __call__(
+        self, *, radius: ArrayLike, distance: ArrayLike
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """V_rho and V_s, 1/mm² per unit power in the core (see `vector_irradiance`).
+
+        Args:
+            radius: distance from the axis, mm.
+            distance: s, distance from the tip along the axis, mm.
+        """
+        return vector_irradiance(
+            self.lens, medium_index=self.medium_index, radius=radius, distance=distance
+        )
 
 
 class IrradianceTable(eqx.Module):
@@ -46,17 +82,12 @@ class IrradianceTable(eqx.Module):
     farthest: float = _FARTHEST
 
     def envelope(self, distance: ArrayLike) -> Float[Array, "*batch"]:
-        """Radius of the beam's outermost light at a distance from the tip, mm.
+        """Radius outside which there is no light at a distance from the tip, mm.
 
         Args:
             distance: s, mm.
         """
         return self.contact_radius + self.slope * jnp.asarray(distance)
-
-    def distances(self) -> Float[Array, "n_s"]:
-        """Distances of the rows, mm."""
-        share = np.linspace(0.0, 1.0, self.values.shape[0])
-        return self.nearest * (self.farthest / self.nearest) ** share
 
     def __call__(
         self, *, radius: ArrayLike, distance: ArrayLike
@@ -88,28 +119,65 @@ class IrradianceTable(eqx.Module):
 def irradiance_table(lens: GlueLens, *, medium_index: ArrayLike) -> IrradianceTable:
     """Tabulate the vector irradiance of a lens in a medium.
 
+    The grid is refined by halves, and a new point computed only near points at which cubic
+    interpolation from the coarser grid failed: smooth light needs few points, edges and caustics
+    get all of them. Not for tracing; differentiate `vector_irradiance` or a `LensField` instead.
+
     Args:
         lens: the lens.
         medium_index: n0, refractive index of the medium.
     """
-    contact_radius, slope = _envelope(lens, medium_index)
-    table = IrradianceTable(
-        values=jnp.zeros((_DISTANCES, _RADII, 2)),
+    field = LensField(lens, medium_index)
+    contact_radius = field.envelope(0.0)
+    slope = field.envelope(1.0) - contact_radius
+    rows, columns = _ROWS, _COLUMNS
+    values = np.zeros((rows + 1, columns + 1, 2))
+    wanted = np.ones((rows + 1, columns + 1), dtype=bool)
+    for doubling in range(_DOUBLINGS + 1):
+        if doubling > 0:
+            rows, columns = 2 * rows, 2 * columns
+            values = _halved(_halved(values, axis=0), axis=1)
+            wanted = np.kron(_with_neighbours(wanted), np.ones((2, 2), dtype=bool))
+            wanted = wanted[: rows + 1, : columns + 1]
+            wanted[::2, ::2] = False
+        distance = _NEAREST * (_FARTHEST / _NEAREST) ** np.linspace(0.0, 1.0, rows + 1)
+        envelope = np.asarray(field.envelope(distance))
+        row, column = np.nonzero(wanted)
+        light = field(radius=envelope[row] * column / columns, distance=distance[row])
+        computed = np.stack(light, axis=-1) * np.square(envelope[row])[:, None]
+        error = np.max(np.abs(computed - values[row, column]), axis=-1)
+        values[row, column] = computed
+        wanted[row, column] = error > _TOLERANCE * np.max(values[..., 1], axis=1)[row]
+    return IrradianceTable(
+        values=jnp.asarray(values),
         medium_index=jnp.asarray(medium_index, dtype=float),
         contact_radius=contact_radius,
         slope=slope,
     )
-    distance = table.distances()[:, None]
-    envelope = table.envelope(distance)
-    radius = envelope * np.linspace(0.0, 1.0, _RADII)
-    field = vector_irradiance(lens, medium_index=medium_index, radius=radius, distance=distance)
-    values = jnp.stack(field, axis=-1) * jnp.square(envelope)[..., None]
-    return eqx.tree_at(lambda t: t.values, table, values)
+
+
+def _halved(values: Float[np.ndarray, "*shape"], *, axis: int) -> Float[np.ndarray, "*finer"]:
+    """The values and, between them, their cubic interpolants at half steps along an axis."""
+    values = np.moveaxis(values, axis, 0)
+    before = 3.0 * values[:1] - 3.0 * values[1:2] + values[2:3]
+    after = 3.0 * values[-1:] - 3.0 * values[-2:-1] + values[-3:-2]
+    padded = np.concatenate([before, values, after])
+    finer = np.empty((2 * len(values) - 1, *values.shape[1:]))
+    finer[::2] = values
+    finer[1::2] = (9.0 * (padded[1:-2] + padded[2:-1]) - padded[:-3] - padded[3:]) / 16.0
+    return np.moveaxis(finer, 0, axis)
+
+
+def _with_neighbours(mask: Bool[np.ndarray, "n m"]) -> Bool[np.ndarray, "n m"]:
+    """The mask and all points next to it, diagonally too."""
+    padded = np.pad(mask, 1)
+    along = padded[:-2] | padded[1:-1] | padded[2:]
+    return along[:, :-2] | along[:, 1:-1] | along[:, 2:]
 
 
 @jax.jit
 def _envelope(lens: GlueLens, medium_index) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Contact radius and slope of a cone outside which no light of the first passage is found.
+    """Contact radius and slope of a cone outside which there is no light.
 
     From rays in a meridian plane: a skew ray of the same height and angle stays nearer the axis.
     """

@@ -132,7 +132,7 @@ def ambiguous_distances(
 def _profile(table: IrradianceTable, distance: ArrayLike) -> tuple[Array, Array]:
     """Radii (last axis) and irradiance on square planes, at the table's own columns."""
     distance = jnp.asarray(distance, dtype=float)[..., None]
-    radius = table.envelope(distance) * np.linspace(0.0, 1.0, table.values.shape[1])
+    radius = table.envelope(distance) * np.linspace(0.0, 1.0, _COLUMNS)
     return radius, table(radius=radius, distance=distance)[1]
 
 
