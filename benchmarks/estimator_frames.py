@@ -61,6 +61,9 @@ def domed_edge(sigma_px: float, drop: float) -> Profile:
     return lambda t, distance: (1 - drop * t * t) * ndtr(shift - distance / sigma_px)
 
 
+_SOFT_DISC = erf_edge(2.0)
+
+
 def bell(t: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """Gaussian."""
     return np.exp(-math.log(2) * t * t)
@@ -83,7 +86,7 @@ class Scene:
     """
 
     truth: Truth
-    profile: Profile = erf_edge(2.0)
+    profile: Profile = _SOFT_DISC
     amplitude: float = 180.0
     ambient: float = 15.0
     noise: float = 3.0
@@ -111,9 +114,7 @@ def light_of(scene: Scene, shape: tuple[int, int] = SHAPE) -> np.ndarray:
     return image
 
 
-def frame_of(
-    scene: Scene, rng: np.random.Generator, shape: tuple[int, int] = SHAPE
-) -> np.ndarray:
+def frame_of(scene: Scene, rng: np.random.Generator, shape: tuple[int, int] = SHAPE) -> np.ndarray:
     """The camera's 8-bit RGB frame."""
     image = light_of(scene, shape)
     image += scene.noise * rng.standard_normal(image.shape, dtype=np.float32)
@@ -185,9 +186,7 @@ def with_quarter_in_shadow(scene: Scene, rng: np.random.Generator) -> Scene:
     return replace(scene, lit=gaussian_filter(lit, 1.5))
 
 
-def with_glints(
-    scene: Scene, rng: np.random.Generator, *, on_edge: bool, number: int = 4
-) -> Scene:
+def with_glints(scene: Scene, rng: np.random.Generator, *, on_edge: bool, number: int = 4) -> Scene:
     """Bright discs of 3 to 9 px radius, centred on the contour or anywhere within 1.6 radii."""
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
     glints = np.zeros(SHAPE)

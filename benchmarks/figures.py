@@ -20,7 +20,7 @@ from benchmarks.validate import Findings
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#8A8A8A"
 
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.titlesize": 9,
@@ -187,7 +187,7 @@ def half_maximum(
     half = [row.half_max_px * scale for row in labels]
     axes.plot(d, half, color=BLACK, lw=1.8, label="half maximum, true")
     cone = [row.cone_px * scale for row in labels]
-    axes.plot(d, cone, color=GREY, ls="--", label="geometric cone")
+    axes.plot(d, cone, color=GREY, ls="--", label="straight cone fitted to it")
     for number, way in enumerate(WAYS):
         seen = [r for r in _used(rows, "lens", way.name, "plane") if r.trial == trial.name]
         if seen:

@@ -74,25 +74,8 @@ def estimates(
     geometry: Geometry, *, c: np.ndarray, semi_minor_px: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Distance by every model, mm, from e1' (px) at known eccentricity (mm)."""
-    cone = {"k": float(optics.slope(geometry.half_angle)), "b": geometry.apex_offset}
-    known: dict[str, Any] = {
-        "semi_minor_px": semi_minor_px,
-        "scale": geometry.scale,
-        "eccentricity": c,
-        "eye_radius": geometry.eye_radius,
-        **cone,
-    }
-    return {
-        "small_plane": np.asarray(optics.small_plane_distance(**known)),
-        "corrected": np.asarray(
-            optics.corrected_distance(
-                **known,
-                inverse_working_distance=1.0 / (geometry.pinhole_height + geometry.eye_radius),
-            )
-        ),
-        "stereographic": np.asarray(optics.stereographic_distance(**known)),
-        "exact": np.asarray(_exact(geometry, c, semi_minor_px)),
-    }
+    values = _estimates(geometry, c, semi_minor_px)
+    return {model: np.asarray(distance) for model, distance in values.items()}
 
 
 def _rows(
@@ -133,9 +116,23 @@ def _semi_minor(geometry: Geometry, c: jax.Array, d: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def _exact(geometry: Geometry, c: jax.Array, semi_minor_px: jax.Array) -> jax.Array:
-    inverse = partial(_at_geometry, optics.exact_distance, geometry)
-    return jax.vmap(lambda c, e: inverse(eccentricity=c, semi_minor_px=e))(c, semi_minor_px)
+def _estimates(geometry: Geometry, c: jax.Array, semi_minor_px: jax.Array) -> dict[str, jax.Array]:
+    known: dict[str, Any] = {
+        "semi_minor_px": semi_minor_px,
+        "scale": geometry.scale,
+        "k": optics.slope(geometry.half_angle),
+        "b": geometry.apex_offset,
+        "eccentricity": c,
+        "eye_radius": geometry.eye_radius,
+    }
+    kappa = 1.0 / (geometry.pinhole_height + geometry.eye_radius)
+    exact = partial(_at_geometry, optics.exact_distance, geometry)
+    return {
+        "small_plane": optics.small_plane_distance(**known),
+        "corrected": optics.corrected_distance(**known, inverse_working_distance=kappa),
+        "stereographic": optics.stereographic_distance(**known),
+        "exact": jax.vmap(lambda c, e: exact(eccentricity=c, semi_minor_px=e))(c, semi_minor_px),
+    }
 
 
 def _at_geometry(

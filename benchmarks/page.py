@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jinja2
+from markupsafe import Markup, escape
 
 from benchmarks import paper, tables
 from benchmarks.conclusions import (
@@ -60,10 +61,12 @@ def render(
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["symbols"] = _symbols
     first = findings.trials[0]
     sources = dict.fromkeys(trial.source for trial in findings.trials if trial.kind == "plane")
     return environment.get_template("report.html.j2").render(
         number=number,
+        digits_for=_digits_for,
         pinhole=pinhole,
         settings=findings.settings,
         found=found,
@@ -88,6 +91,14 @@ def render(
     )
 
 
+def _symbols(text: str) -> Markup:
+    """The text with the subscripts that plain text has no letters for."""
+    html = str(escape(text))
+    for plain, symbol in (("z_F", "z<sub>F</sub>"), ("d_r", "d<sub>r</sub>")):
+        html = html.replace(plain, symbol)
+    return Markup(html)
+
+
 def _about_the_paper() -> dict[str, Any]:
     """What its tables imply and the captions mention."""
     trials = [row for name, row in paper.TABLE_I.items() if name != tables.ALL_PLANES]
@@ -97,6 +108,13 @@ def _about_the_paper() -> dict[str, Any]:
         "paper_max": max(row.max_error for row in paper.TABLE_II.values()),
         "outside": [row.c for row in paper.TABLE_II.values() if row.c > paper.LARGEST_VIEW_MM / 2],
     }
+
+
+def _digits_for(error: float, least: int) -> int:
+    """Decimals that show two figures of a standard error, and no fewer than `least`."""
+    if not math.isfinite(error) or error <= 0:
+        return least
+    return max(least, 1 - math.floor(math.log10(error)))
 
 
 def _by_source_and_way(rows: Sequence[Any]) -> dict[tuple[str, str], list[Any]]:

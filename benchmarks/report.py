@@ -142,8 +142,8 @@ def _plots(findings: Findings, rows: list[SpotRow]) -> Iterator[tuple[str, Figur
 
 def _save(figure: Figure, path: Path, *, inline: str) -> str:
     """Write PNG and SVG; returns the figure as a data URI."""
-    figure.savefig(path.with_suffix(".png"))
-    figure.set_layout_engine("none")  # it is laid out by now, and doing so takes half of the time
+    figure.savefig(path.with_suffix(".png"), pil_kwargs={"compress_level": 1})
+    figure.set_layout_engine("none")  # it is laid out by now, which takes half of the time
     # Without a date the same data give the same file.
     figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
     if inline == "svg":

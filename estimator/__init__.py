@@ -2,18 +2,27 @@
 
 ::
 
-    spot.py      what a measurement returns
-    literal.py   the paper's algorithm, the reference
-    subpixel.py  the half-maximum contour, the default
-    coarse.py      bright regions of a subsampled window
-    edges.py       contour from unwrapped profiles
-    ellipse.py     ellipses and their fit to edge offsets
-    frames.py    accepted frames, windows, response curve
-    track.py     from frame to frame
-    spots.py     the spots file
-    stack.py     the stack folder: frames, masks, labels, checksums
+    spot.py        what a measurement returns
+    literal.py     the paper's algorithm, the reference
+    subpixel.py    settings of the half-maximum contour, the default
+    track.py       from frame to frame
+    spots.py       the spots file
+    stack.py       the stack folder
+
+    regions.py     sub-pixel mode at work: from a window to a spot
+    coarse.py        bright regions of a subsampled window
+    edges.py         the contour of one region: capture, levels, refinement
+    levels.py          peak, background, edge width
+    refine.py          of a spot with an edge
+    censored.py        ... whose plateau is at full scale
+    bell.py            of a spot without an edge
+    unwrap.py        profiles along the rays of an ellipse
+    ellipse.py       ellipses and their fit to edge offsets
+    frames.py        accepted frames, response, reference frame
+    camera.py        lens distortion
 """
 
+from .camera import Camera as Camera
 from .frames import Response as Response
 from .literal import LiteralSettings as LiteralSettings
 from .spot import NoSpot as NoSpot

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from .bell import BROAD, refine_bell
 from .coarse import Candidate, Coarse
 from .ellipse import Ellipse, robust_step
-from .levels import RADII, RADIUS_STEP, Levels, levels_of
+from .levels import RADII, RADIUS_STEP, Levels, background_of, levels_of
 from .refine import FURTHEST, Refined, refine_edge
 from .spot import NoSpot, Reason
 from .unwrap import DESIGN, Patch, ring_variance
@@ -19,7 +19,7 @@ from .unwrap import DESIGN, Patch, ring_variance
 REACH = 1.75
 """Furthest radius at which a fit looks for the edge, in units of the candidate's ellipse."""
 
-_SETTLED = 0.05  # move, in units of the edge's width, after which a refinement is not repeated
+_SETTLED = 0.1  # move, in units of the edge's width, after which a refinement is not repeated
 _REFINEMENTS = 3
 _NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
 
@@ -69,16 +69,39 @@ def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | No
     levels = levels_of(profiles[inliers], coarse, ellipse, candidate)
     if levels is None:
         return NoSpot(Reason.NONE_FOUND)
-    for _ in range(_REFINEMENTS):
-        refine = refine_bell if levels.width > BROAD else refine_edge
-        refined = refine(patch, ellipse, inliers, levels)
-        if isinstance(refined, NoSpot):
-            return refined
-        sharper = refined.levels.width < 0.7 * levels.width
-        ellipse, inliers, levels = refined.ellipse, refined.inliers, refined.levels
-        if refined.move < _SETTLED * levels.width and not sharper:
+    refined = _refined(patch, ellipse, inliers, levels)
+    for _ in range(_REFINEMENTS - 1):
+        if isinstance(refined, NoSpot) or _settled(refined, levels):
             break
-    return _finished(refined)
+        levels = _with_background_in_view(refined, coarse)
+        refined = _refined(patch, refined.ellipse, refined.inliers, levels)
+    return refined if isinstance(refined, NoSpot) else _finished(refined)
+
+
+def _refined(
+    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
+) -> Refined | NoSpot:
+    refine = refine_bell if levels.width > BROAD else refine_edge
+    return refine(patch, ellipse, inliers, levels)
+
+
+def _settled(refined: Refined, before: Levels) -> bool:
+    """Whether another refinement would change nothing that matters."""
+    after = refined.levels
+    same_kind = (after.width > BROAD) == (before.width > BROAD) and after.width > 0.7 * before.width
+    return refined.move < _SETTLED * after.width and same_kind and after.sees_background
+
+
+def _with_background_in_view(refined: Refined, coarse: Coarse) -> Levels:
+    """The levels, the background taken anew if the edge is wider than it seemed."""
+    levels = refined.levels
+    if levels.sees_background:
+        return levels
+    background, radius = background_of(coarse, refined.ellipse, levels.width) or (
+        levels.background,
+        levels.background_radius,
+    )
+    return replace(levels, background=background, background_radius=radius)
 
 
 def _capture(patch: Patch, candidate: Candidate) -> tuple[Ellipse, np.ndarray, np.ndarray] | None:

@@ -48,7 +48,8 @@ class Ellipse:
 
     def canonical(self) -> Ellipse:
         """The same ellipse with its shape's columns along the semi-major and semi-minor axes."""
-        return Ellipse.from_axes(*self.centre.tolist(), *self.axes())
+        x, y = self.centre.tolist()
+        return Ellipse.from_axes(x, y, *self.axes())
 
     def scaled(self, factor: float) -> Ellipse:
         """The concentric ellipse with all lengths times `factor`."""
@@ -122,6 +123,7 @@ def robust_step(
 
 
 _FEW = 0.6
+_THIRD = 0.4307  # standard deviations that a third of normal errors stay within
 _SAMPLE_BASE = 32
 _SAMPLES = np.stack([np.random.default_rng(k).permutation(_SAMPLE_BASE)[:5] for k in range(96)])
 _JITTER = 1e-9 * np.eye(5)
@@ -145,12 +147,22 @@ def _trimmed(
         # Four times as fast as np.linalg.solve at this size.
         _, step = cv2.solve(normal, weighted @ offsets[:, None])
         errors = np.abs(offsets - design @ step[:, 0])
-        spread = 1.4826 * np.partition(errors[inliers], number // 2)[number // 2]
+        spread = np.partition(errors[inliers], number // 3)[number // 3] / _THIRD
         kept = seen & (errors < min(max(3.5 * spread, tolerance), limit))
         if np.array_equal(kept, inliers):
             break
         inliers = kept
     return step[:, 0], inliers
+
+
+def refitted(ellipse: Ellipse, points: np.ndarray) -> Ellipse:
+    """The ellipse nearest to points (n, 2) that lie near a given one."""
+    for _ in range(3):
+        cos, sin = np.linalg.solve(ellipse.shape, (points - ellipse.centre).T)
+        radius = np.hypot(cos, sin)
+        design = offset_design(cos / radius, sin / radius)
+        ellipse = ellipse.stepped(np.linalg.lstsq(design, radius - 1, rcond=None)[0])
+    return ellipse
 
 
 def covariance_of_axes(ellipse: Ellipse, step_covariance: np.ndarray) -> np.ndarray:

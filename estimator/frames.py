@@ -1,4 +1,4 @@
-"""Frames as signals: what is accepted, which part, which channel, through which response."""
+"""Frames as light: what is accepted, through which response, over which wall."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from typing import Literal
 import cv2
 import numpy as np
 
-_FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0, "float64": 1.0}
-
 GREY = -1
 """Channel number of the weighted mean of red, green and blue."""
 
 GREY_WEIGHTS = (0.299, 0.587, 0.114)
 """Of red, green and blue in cv2's RGB2GRAY."""
+
+_FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0, "float64": 1.0}
+_REFERENCE_BLUR_PX = 3.0  # of the reference frame: its noise, not the wall's texture, goes
+_DARKEST_REFERENCE = 0.2  # of its median: a shaft in the reference frame is no wall
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +40,9 @@ class Response:
             raise ValueError(
                 f"Response(curve=...) must be 'linear', 'srgb' or 'gamma'; got {self.curve!r}."
             )
-        if not self.gamma > 0:
+        if not 0 < self.gamma < float("inf"):
             raise ValueError(f"Response(gamma=...) must be positive; got {self.gamma}.")
-        if self.full_scale is not None and not self.full_scale > 0:
+        if self.full_scale is not None and not 0 < self.full_scale < float("inf"):
             raise ValueError(f"Response(full_scale=...) must be positive; got {self.full_scale}.")
 
     def full_scale_of(self, frame: np.ndarray) -> float:
@@ -52,17 +54,17 @@ class Response:
         if self.curve == "linear":
             return values.astype(np.float32)
         if values.dtype == np.uint8:
-            table = self._invert(np.arange(256, dtype=np.float32) / full_scale)
+            table = self._inverted(np.arange(256, dtype=np.float32) / np.float32(full_scale))
             return cv2.LUT(values, table * np.float32(full_scale))
-        return self._invert(values.astype(np.float32) / full_scale) * np.float32(full_scale)
+        fraction = values.astype(np.float32) / np.float32(full_scale)
+        return self._inverted(fraction) * np.float32(full_scale)
 
-    def _invert(self, fraction: np.ndarray) -> np.ndarray:
+    def _inverted(self, fraction: np.ndarray) -> np.ndarray:
         fraction = np.maximum(fraction, np.float32(0))
         if self.curve == "gamma":
             return fraction ** np.float32(self.gamma)
-        return np.where(
-            fraction <= 0.04045, fraction / 12.92, ((fraction + 0.055) / 1.055) ** 2.4
-        ).astype(np.float32)
+        above = ((fraction + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
+        return np.where(fraction <= 0.04045, fraction / np.float32(12.92), above)
 
 
 def checked_frame(frame: np.ndarray) -> np.ndarray:
@@ -88,9 +90,10 @@ def checked_frame(frame: np.ndarray) -> np.ndarray:
         )
     if frame.size == 0:
         raise ValueError(f"A frame must have pixels; got shape {frame.shape}.")
-    if frame.dtype.kind == "f" and not np.isfinite(frame).all():
+    if frame.dtype.kind == "f" and not np.abs(frame).max() < 1e12:
         raise ValueError(
-            "A frame must be finite; got NaN or infinity. Replace such pixels before measuring."
+            "A frame must be finite (and below 1e12); got NaN, infinity or more."
+            " Replace such pixels before measuring."
         )
     if not frame.dtype.isnative:
         frame = frame.astype(frame.dtype.newbyteorder("="))
@@ -123,22 +126,79 @@ class Window:
         """All of the frame."""
         return cls(0, 0, frame.shape[1], frame.shape[0])
 
-    def of(self, frame: np.ndarray) -> np.ndarray:
-        """The window's pixels, a view."""
-        return frame[self.y0 : self.y1, self.x0 : self.x1]
+    def of(self, frame: np.ndarray, stride: int = 1) -> np.ndarray:
+        """The window's pixels, or every n-th of them in either direction."""
+        values = frame[self.y0 : self.y1, self.x0 : self.x1]
+        height, width = values.shape[0] // stride, values.shape[1] // stride
+        if stride == 1 or min(height, width) < 1 or values.dtype == np.float64:
+            return values[::stride, ::stride]
+        whole = values[: height * stride, : width * stride]
+        # Four times as fast as a strided copy of colour pixels.
+        return cv2.resize(whole, (width, height), interpolation=cv2.INTER_NEAREST)
 
 
-def signal_of(
-    values: np.ndarray, channel: int, response: Response, full_scale: float
-) -> np.ndarray:
-    """Light of one channel, or of the grey mean, as float32 in units of the frame's values."""
-    if values.ndim == 2:
-        return response.light(values, full_scale)
-    if channel != GREY:
-        return response.light(np.ascontiguousarray(values[:, :, channel]), full_scale)
-    if response.curve == "linear":
-        return _grey(values).astype(np.float32)
-    return _grey(response.light(values, full_scale))
+class LightMeter:
+    """Turns parts of frames into light, as if the wall were even where a reference shows it."""
+
+    def __init__(self, response: Response, reference: np.ndarray | None) -> None:
+        self.response = response
+        self._reference = None if reference is None else checked_frame(reference)
+        self._walls: dict[int, np.ndarray] = {}
+
+    def check(self, frame: np.ndarray) -> None:
+        """Refuse frames that the reference does not fit.
+
+        Raises:
+            ValueError: the reference frame has another shape.
+        """
+        if self._reference is not None and self._reference.shape != frame.shape:
+            raise ValueError(
+                "SubpixelSettings(reference=...) must have the frames' shape;"
+                f" got {self._reference.shape}, frame {frame.shape}."
+            )
+
+    def light(
+        self, values: np.ndarray, window: Window, channel: int, full_scale: float, stride: int = 1
+    ) -> np.ndarray:
+        """Light of one channel, or of the grey mean, as float32 in units of the frame's values.
+
+        Args:
+            values: of the window, `window.of(frame, stride)`.
+            window: where in a checked frame they are.
+            channel: 0, 1, 2 or GREY.
+            full_scale: of the frame.
+            stride: px of the frame per value.
+        """
+        light = self._channel(values, channel, full_scale)
+        if self._reference is None:
+            return light
+        return light / window.of(self._wall(self._reference, channel), stride)
+
+    def ceiling(self, window: Window, channel: int, full_scale: float) -> float:
+        """Light at full scale, where the wall is brightest."""
+        if self._reference is None:
+            return full_scale
+        return full_scale / float(window.of(self._wall(self._reference, channel)).max())
+
+    def _channel(self, values: np.ndarray, channel: int, full_scale: float) -> np.ndarray:
+        if values.ndim == 2:
+            return self.response.light(values, full_scale)
+        if channel != GREY:
+            one = np.ascontiguousarray(values[:, :, channel])
+            return self.response.light(one, full_scale)
+        if self.response.curve == "linear":
+            return _grey(values).astype(np.float32)
+        return _grey(self.response.light(values, full_scale))
+
+    def _wall(self, reference: np.ndarray, channel: int) -> np.ndarray:
+        if channel not in self._walls:
+            full_scale = self.response.full_scale_of(reference)
+            light = self._channel(reference, channel, full_scale)
+            smooth = cv2.GaussianBlur(light, (0, 0), _REFERENCE_BLUR_PX)
+            typical = max(float(np.median(smooth)), 1e-6 * full_scale)
+            even = np.maximum(smooth / np.float32(typical), np.float32(_DARKEST_REFERENCE))
+            self._walls[channel] = even
+        return self._walls[channel]
 
 
 def _grey(values: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ RADIUS_STEP = float(RADII[1] - RADII[0])
 
 _NEAR_EDGE = np.abs(RADII[1:-1] - 1) < 0.35
 _DOUBT = 9.0  # square of the standard deviations that a dome must exceed
+_FAR_ENOUGH = 0.9  # part of the radius where the background begins that must be in view
 _BACKGROUND_RADII = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 
 
@@ -30,6 +31,7 @@ class Levels:
         dome: signal over the peak's, a polynomial in the squared radius.
         dome_variance: of the dome's height relative to the peak.
         background: signal around the spot.
+        background_radius: where it was taken, units of the radius.
         width: of the edge in units of the radius (see `Spot.edge_width_px`).
     """
 
@@ -37,6 +39,7 @@ class Levels:
     dome: tuple[float, float, float]
     dome_variance: float
     background: float
+    background_radius: float
     width: float
 
     @property
@@ -48,6 +51,11 @@ class Levels:
     def half(self) -> float:
         """The level of the contour."""
         return (self.peak + self.background) / 2
+
+    @property
+    def sees_background(self) -> bool:
+        """Whether the background was taken where the spot's light no longer reaches the wall."""
+        return self.background_radius > _FAR_ENOUGH * _dark_radius(self.width)
 
     def share_of_peak(self, radii: np.ndarray) -> np.ndarray:
         """Signal over the peak's inside the edge, at radii inside it."""
@@ -76,7 +84,7 @@ def levels_of(
     width = height / (math.sqrt(2 * math.pi) * steepest) if steepest > 0 else math.inf
     if width > 2:
         return None
-    background = _background(coarse, ellipse, 1 + 4 * width, candidate.background)
+    background, radius = background_of(coarse, ellipse, width) or (candidate.background, 1.0)
     dark = (candidate.peak + candidate.background) / 2
     glaring = 2 * candidate.peak
     if 2 * np.count_nonzero(profiles[:, :16] > glaring) > profiles[:, :16].size:
@@ -84,20 +92,28 @@ def levels_of(
     peak, dome, variance = _top(profiles, width, dark, glaring)
     if not peak > background:
         return None
-    return Levels(peak, dome, variance, background, width)
+    return Levels(peak, dome, variance, background, radius, width)
 
 
-def _background(coarse: Coarse, ellipse: Ellipse, radius: float, fallback: float) -> float:
-    """Median signal on rings outside the edge, as far out as the window shows them."""
+def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float, float] | None:
+    """Median signal on rings outside an edge of that width, and the radius where they begin.
+
+    The rings lie nearer where the window does not show them; None if it shows none.
+    """
     levels = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
+    radius = _dark_radius(width)
     for _ in range(6):
         ring = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII).ravel()
         if not levels.holds(ellipse.scaled(radius + 0.4)):
             ring = ring[~np.isnan(ring)]
         if ring.size > RAYS:
-            return float(np.partition(ring, ring.size // 2)[ring.size // 2]) * coarse.unit
+            return float(np.partition(ring, ring.size // 2)[ring.size // 2]) * coarse.unit, radius
         radius = 1 + 0.75 * (radius - 1)
-    return fallback
+    return None
+
+
+def _dark_radius(width: float) -> float:
+    return 1 + 4 * width
 
 
 def _top(

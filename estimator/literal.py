@@ -134,16 +134,16 @@ def measure_literal(
     boundary = max(contours, key=len)
     if len(boundary) < 5:
         return NoSpot(Reason.TOO_SMALL)
-    (x, y), axes, degrees = cv2.fitEllipse(boundary)
+    (u, v), axes, degrees = cv2.fitEllipse(boundary)
     minor, major = min(axes), max(axes)
-    if not all(map(math.isfinite, (x, y, minor, major))) or minor <= 0:
+    if not all(map(math.isfinite, (u, v, minor, major))) or minor <= 0:
         return NoSpot(Reason.NONE_FOUND)
     if minor >= settings.max_minor_axis_px:
         return NoSpot(Reason.TOO_LARGE)
     patch = grey[y0 : y0 + 2 * p, x0 : x0 + 2 * p]
     return Spot(
-        x_px=x0 + x,
-        y_px=y0 + y,
+        x_px=x0 + u,
+        y_px=y0 + v,
         semi_major_px=major / 2,
         semi_minor_px=minor / 2,
         angle_rad=_half_turn(math.radians(degrees) + (0 if axes[0] == major else math.pi / 2)),

@@ -147,7 +147,7 @@ def _shifts(
     """
     basis = np.stack([mean, from_edge * mean, from_edge * slope, -slope], axis=1).astype(float)
     gram = basis.T @ basis
-    gram.flat[::5] *= 1 + 1e-9
+    gram.flat[::5] += 1e-12 * gram.trace() + 1e-30
     triangle = np.linalg.cholesky(gram)
     orthonormal = basis @ cv2.invert(triangle)[1].T
     parts = residual @ orthonormal.astype(np.float32)
@@ -160,8 +160,10 @@ def _shifts(
     signature = triangle[3]
     filtered = signature * np.minimum(noise / np.maximum(total, 1e-12), 1)
     filtered[3] = signature[3]
-    offsets = parts @ (filtered / (filtered @ signature))
-    return offsets, 1 + parts[:, 0] / triangle[0, 0], rough
+    gain = 1 + parts[:, 0] / triangle[0, 0]
+    # A brighter ray's shift shows as much more strongly.
+    offsets = parts @ (filtered / (filtered @ signature)) / np.maximum(gain, 0.5)
+    return offsets, gain, rough
 
 
 def _eroded(mask: np.ndarray) -> np.ndarray:
@@ -176,7 +178,7 @@ def _sharpened(levels: Levels, from_edge: np.ndarray, mean: np.ndarray, steepest
     inner = int(np.searchsorted(from_edge, -_PLATEAU * width))
     if inner == 0:
         return replace(levels, width=width)
-    plateau = levels.background + float(mean[:inner].mean() - levels.background)
+    plateau = float(mean[:inner].mean())
     if not plateau > levels.background:
         return levels
     share = float(levels.share_of_peak(1 + from_edge[:inner]).mean())
@@ -186,20 +188,22 @@ def _sharpened(levels: Levels, from_edge: np.ndarray, mean: np.ndarray, steepest
 def _half_crossing(from_edge: np.ndarray, mean: np.ndarray, levels: Levels) -> float | None:
     """Offset at which a cubic through the mean profile's middle falls to the half level."""
     level = levels.half
-    falls = np.flatnonzero((mean[1:] < level) & (mean[:-1] >= level))
-    if falls.size == 0:
+    heights = mean.tolist()
+    falls = [k for k in range(len(heights) - 1) if heights[k] >= level > heights[k + 1]]
+    if not falls:
         return None
-    k = int(falls[np.argmin(np.abs(from_edge[falls]))])
+    k = min(falls, key=lambda k: abs(k - len(heights) // 2))
     spacing = float(from_edge[1] - from_edge[0])
-    middle = float(from_edge[k] + spacing * (mean[k] - level) / (mean[k] - mean[k + 1]))
+    share = (heights[k] - level) / (heights[k] - heights[k + 1])
+    middle = float(from_edge[k]) + spacing * share
     span = max(1.8 * levels.width, 2.6 * spacing)
     first, last = np.searchsorted(from_edge, (middle - span, middle + span))
     x = (from_edge[first:last] - middle) / span
     # A weight that ends smoothly: no sample joins or leaves with a jump of the result.
     weight = 1 - x * x
     powers = np.stack([weight, x * weight, x * x * weight, x * x * x * weight], axis=1)
-    heights = (mean[first:last] - level) * weight
-    _, cubic = cv2.solve(powers, heights[:, None], flags=cv2.DECOMP_QR)
+    rise = (mean[first:last] - level) * weight
+    _, cubic = cv2.solve(powers, rise[:, None], flags=cv2.DECOMP_QR)
     c0, c1, c2, c3 = cubic[:, 0].tolist()
     root = 0.0
     for _ in range(4):

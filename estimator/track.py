@@ -10,8 +10,9 @@ import numpy as np
 
 from .frames import Window, checked_frame
 from .literal import LiteralSettings, measure_literal
+from .regions import Region, regions_in
 from .spot import NoSpot, Reason, Spot
-from .subpixel import Region, SubpixelSettings, regions_in
+from .subpixel import SubpixelSettings
 
 _RIVAL = 0.5  # area of a second spot, relative to the first's, that makes the choice ambiguous
 
@@ -83,14 +84,19 @@ def _measure_subpixel(
     if state.at_px is not None:
         near = _near(frame, state.at_px, state.spot, settings)
         if near:
-            return near, TrackState(at_px=(near.x_px, near.y_px), spot=near)
+            return near, _following(near, settings)
     result = _searched(frame, settings)
     if isinstance(result, NoSpot):
         return result, TrackState()
-    found = TrackState(at_px=(result.x_px, result.y_px), spot=result)
+    found = _following(result, settings)
     if state.spot is not None and not _continues(result, state.spot, settings):
         return NoSpot(Reason.AMBIGUOUS), replace(found, spot=None)
     return result, found
+
+
+def _following(spot: Spot, settings: SubpixelSettings) -> TrackState:
+    at = spot.x_px, spot.y_px
+    return TrackState(at_px=settings.camera.distorted(*at) if settings.camera else at, spot=spot)
 
 
 def _near(
@@ -106,7 +112,7 @@ def _near(
         reach = last.semi_major_px + max(settings.max_jump_px, 5 * last.edge_width_px)
         half = max(half, reach)
     for region in regions_in(frame, Window.around(*at, half, half, frame), settings):
-        if region:
+        if isinstance(region, Region):
             spot = region.measured()
             if spot and (last is None or _continues(spot, last, settings)):
                 return spot
@@ -122,18 +128,18 @@ def _continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
 def _searched(frame: np.ndarray, settings: SubpixelSettings) -> Spot | NoSpot:
     """The one spot of the whole frame, unless there is another much like it."""
     spots: list[Spot] = []
-    failure = NoSpot(Reason.NONE_FOUND)
+    failures = [NoSpot(Reason.NONE_FOUND)]
     for region in regions_in(frame, Window.whole(frame), settings):
-        if not region:
-            failure = max(failure, region, key=_told)
+        if isinstance(region, NoSpot):
+            failures.append(region)
         elif not any(_is_rest_of(region, spot) for spot in spots):
             result = region.measured()
-            if result:
-                spots.append(result)
+            if isinstance(result, NoSpot):
+                failures.append(result)
             else:
-                failure = max(failure, result, key=_told)
+                spots.append(result)
     if not spots:
-        return failure
+        return max(failures, key=_told)
     spots.sort(key=_area, reverse=True)
     if len(spots) > 1 and _area(spots[1]) > _RIVAL * _area(spots[0]):
         return NoSpot(Reason.AMBIGUOUS)

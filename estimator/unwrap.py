@@ -68,6 +68,11 @@ class Patch:
         return all(half <= at <= length - half for at, half, length in (x, y))
 
 
+def contour_points(ellipse: Ellipse, offsets: np.ndarray) -> np.ndarray:
+    """Image points (RAYS, 2) at radial offsets from the ellipse, px."""
+    return ellipse.centre + ((1 + offsets) * (ellipse.shape @ _ACROSS)).T
+
+
 def share_of_contour(ellipse: Ellipse, rays: np.ndarray) -> float:
     """Fraction of the contour's length that the rays in the mask stand for."""
     steps = np.hypot(*(ellipse.shape @ _ALONG))

@@ -45,10 +45,9 @@ def ellipse_of_contour(contour: Float[Array, "*batch n 2"]) -> Ellipse:
         The ellipse; exact (to rounding) if the contour is one.
     """
     weights = jnp.ones(contour.shape[:-1])
-    ellipse = _fit(contour, weights)
     for _ in range(_REWEIGHTINGS):
-        ellipse = _fit(contour, _steps_of_eccentric_angle(contour, ellipse))
-    return ellipse
+        weights = _steps_of_eccentric_angle(contour, _fit(contour, weights))
+    return _fit(contour, weights)
 
 
 def ellipse_points(ellipse: Ellipse, angles: Float[Array, "n"]) -> Float[Array, "*batch n 2"]:

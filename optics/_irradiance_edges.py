@@ -83,7 +83,7 @@ def ring_breaks(
     even = inner + (outer - inner) * np.linspace(0.0, 1.0, breaks.size)
     breaks = jnp.clip(jnp.where(found, breaks, even), 0.0, aperture)
     zero = jnp.zeros_like(aperture)
-    return lax.stop_gradient(jnp.sort(jnp.concatenate([breaks, jnp.stack([zero, aperture])])))
+    return jnp.sort(jnp.concatenate([breaks, jnp.stack([zero, aperture])]))
 
 
 def _half_tangent(tangent: Array) -> Array:
@@ -112,9 +112,10 @@ def _meetings(
     def move(place, direction):
         return jax.jvp(values, (place,), (jnp.zeros_like(place).at[direction].set(1.0),))
 
-    def step(_, place):
+    def step(place):
         (a, b), (a_ring, b_ring) = move(place, 0)
         _, (a_tau, b_tau) = move(place, 1)
+        a_ring, b_ring, a_tau, b_tau = lax.stop_gradient((a_ring, b_ring, a_tau, b_tau))
         determinant = a_ring * b_tau - a_tau * b_ring
         safe = jnp.where(determinant == 0.0, 1.0, determinant)
         correction = jnp.stack([b_tau * a - a_tau * b, a_ring * b - b_ring * a]) / safe
@@ -125,10 +126,11 @@ def _meetings(
     ring, tau = ring.reshape(-1, 1), first + (last - first) * tau.reshape(-1, 1)
     start = jnp.stack(jnp.broadcast_arrays(ring, tau))
     best = jnp.argmin(jnp.maximum(*map(jnp.abs, values(start))), axis=0)
-    place = jnp.stack([start[0, :, 0][best], start[1, best, np.arange(3)]])
-    place = lax.fori_loop(0, _STEPS, step, place)
+    place = lax.stop_gradient(jnp.stack([start[0, :, 0][best], start[1, best, np.arange(3)]]))
+    place = lax.stop_gradient(lax.fori_loop(0, _STEPS, lambda _, place: step(place), place))
     met = jnp.maximum(*map(jnp.abs, values(place))) < 1e-6
-    return met, inner + (outer - inner) * place[0]
+    # The last step alone is differentiated: it gives the implicit function's derivative.
+    return met, inner + (outer - inner) * step(place)[0]
 
 
 def scan_boundaries(

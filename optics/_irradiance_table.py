@@ -182,7 +182,7 @@ def _envelope(lens: GlueLens, medium_index) -> tuple[Float[Array, ""], Float[Arr
     From rays in a meridian plane: a skew ray of the same height and angle stays nearer the axis.
     """
     share = np.linspace(-1.0, 1.0, 401)
-    height, sine = jnp.meshgrid(share * lens.core_radius, share * lens.sine_limit)
+    height, sine = jnp.meshgrid(share * lens.face_radius, share * lens.sine_limit)
     across = jnp.zeros_like(height)
     rays = emitted_rays(
         lens,

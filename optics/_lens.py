@@ -57,9 +57,14 @@ class GlueLens(eqx.Module):
         return 2.0 * self.sag / (jnp.square(self.aperture_radius) + jnp.square(self.sag))
 
     @property
+    def face_radius(self) -> Float[Array, ""]:
+        """Radius of the lit part of the core's face, mm."""
+        return _lit_extent(self.core_radius, self.launch_radius)
+
+    @property
     def sine_limit(self) -> Float[Array, ""]:
-        """Largest sine of the light's angle to the axis inside the glue, NA/n_g."""
-        return jnp.asarray(self.numerical_aperture) / self.glue_index
+        """Largest sine of the light's angle to the axis inside the glue, NA/n_g if filled."""
+        return _lit_extent(self.numerical_aperture, self.launch_aperture) / self.glue_index
 
     def focal_length(self, *, medium_index: ArrayLike) -> Float[Array, ""]:
         """Distance from the vertex to the paraxial focus in the medium, n0 R/(n_g - n0), mm.
@@ -94,17 +99,22 @@ class GlueLens(eqx.Module):
             The profile of the class's docstring without its limits, which the caller applies.
         """
         exponent, etendue = 0.0, 1.0
-        for squared, radius, waist in (
-            (face_radius_squared, self.core_radius, self.launch_radius),
-            (sine_squared * self.glue_index**2, self.numerical_aperture, self.launch_aperture),
+        for squared, extent, waist in (
+            (face_radius_squared, self.face_radius, self.launch_radius),
+            (sine_squared * self.glue_index**2, self.sine_limit * self.glue_index, self.launch_aperture),
         ):
-            area = jnp.pi * jnp.square(radius)
+            area = jnp.pi * jnp.square(extent)
             if waist is not None:
                 exponent = exponent - 2.0 * squared / jnp.square(waist)
-                edge = 2.0 * jnp.square(jnp.asarray(radius) / waist)
+                edge = 2.0 * jnp.square(extent / waist)
                 area = area * -jnp.expm1(-edge) / edge
             etendue = etendue * area
         return jnp.exp(exponent) * self.glue_index**2 / etendue
+
+
+def _lit_extent(limit: ArrayLike, waist: ArrayLike | None) -> Float[Array, ""]:
+    """The limit, or 2.6 waists of a Gaussian launch: what is beyond has 1e-6 of its power."""
+    return jnp.asarray(limit) if waist is None else jnp.minimum(limit, 2.6 * jnp.asarray(waist))
 
 
 def glue_lens(
@@ -245,7 +255,7 @@ def load_lens(name_or_path: str | Path) -> GlueLens:
     values = content.get("lens", {})
     known = [*GlueLens.__annotations__]
     required = known[:-2]
-    wrong = [key for key in values if key not in known or not isinstance(values[key], int | float)]
+    wrong = [key for key in values if key not in known or type(values[key]) not in (int, float)]
     missing = [key for key in required if key not in values]
     if wrong or missing:
         raise ValueError(

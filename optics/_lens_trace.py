@@ -18,7 +18,7 @@ class BackwardRays(NamedTuple):
     Attributes:
         cone: sin² of the angle to the axis inside the glue over that of the numerical aperture,
             less 1.
-        face: squared radius at which the ray starts over the core's, less 1.
+        face: squared radius at which the ray starts over that of the face's lit part, less 1.
         drop: the larger excess of two: the squared radius at which the ray passes the rim's plane
             over the aperture's, less 1, and minus the cosine at which the cap faces the wall point.
         lateral: dV_rho per area of the aperture's plane, the limits apart, 1/mm⁴.
@@ -105,7 +105,7 @@ def trace_backwards(
     out_meridian = (radius - cap_radius * cos) * per_length
     return BackwardRays(
         cone=opening / jnp.square(lens.sine_limit) - 1.0,
-        face=face_squared / jnp.square(lens.core_radius) - 1.0,
+        face=face_squared / jnp.square(lens.face_radius) - 1.0,
         drop=jnp.maximum(rim_squared / jnp.square(lens.aperture_radius) - 1.0, -cos_medium),
         lateral=per_area * out_meridian,
         axial=per_area * out_s,

@@ -10,10 +10,13 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from optics._irradiance_table import IrradianceTable
+from optics._irradiance_table import IrradianceTable, LensField
 
 _REGRESSION_SAMPLES = 56
 _AMBIGUITY_SAMPLES = 1200
+_FIELD_SAMPLES = 1025
+
+Light = IrradianceTable | LensField
 
 
 class EffectiveCone(NamedTuple):
@@ -33,41 +36,41 @@ class EffectiveCone(NamedTuple):
 
 
 def half_maximum_radius(
-    table: IrradianceTable, *, distance: Float[Array, "*batch"]
+    light: Light, *, distance: Float[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
     """Radius of the outermost circle on a square plane with half of the plane's peak irradiance.
 
     Args:
-        table: the lens's light in a medium.
+        light: of a lens in a medium, as a table or by quadrature.
         distance: d, distance of the plane from the tip, mm.
 
     Returns:
         R, mm. The peak need not lie on the axis.
     """
-    radius, irradiance = _profile(table, distance)
+    radius, irradiance = _profile(light, distance)
     half = 0.5 * jnp.max(irradiance, axis=-1, keepdims=True)
     return _outermost_crossing(radius, irradiance, half)
 
 
 def isophote_radius(
-    table: IrradianceTable, *, distance: Float[Array, "*batch"], level: ArrayLike
+    light: Light, *, distance: Float[Array, "*batch"], level: ArrayLike
 ) -> Float[Array, "*batch"]:
     """Radius of the outermost circle on a square plane with a given irradiance.
 
     Args:
-        table: the lens's light in a medium.
+        light: of a lens in a medium, as a table or by quadrature.
         distance: d, distance of the plane from the tip, mm.
         level: irradiance per unit power in the core, 1/mm²: a camera's threshold at an exposure.
 
     Returns:
         R, mm; 0 where the plane nowhere reaches the level.
     """
-    radius, irradiance = _profile(table, distance)
+    radius, irradiance = _profile(light, distance)
     return _outermost_crossing(radius, irradiance, jnp.asarray(level)[..., None])
 
 
 def effective_cone(
-    table: IrradianceTable,
+    light: Light,
     *,
     from_distance: float,
     to_distance: float,
@@ -76,7 +79,7 @@ def effective_cone(
     """Fit d = kR + b by least squares over evenly spaced distances (paper eq. 1, Table I).
 
     Args:
-        table: the lens's light in a medium.
+        light: of a lens in a medium, as a table or by quadrature.
         from_distance: smallest d, mm.
         to_distance: largest d, mm.
         level: R is the isophote of this irradiance, 1/mm² per unit power; the half maximum if None.
@@ -84,9 +87,9 @@ def effective_cone(
     """
     distance = jnp.linspace(from_distance, to_distance, _REGRESSION_SAMPLES)
     if level is None:
-        radius = half_maximum_radius(table, distance=distance)
+        radius = half_maximum_radius(light, distance=distance)
     else:
-        radius = isophote_radius(table, distance=distance, level=level)
+        radius = isophote_radius(light, distance=distance, level=level)
     weight = (radius > 0.0) / jnp.sum(radius > 0.0)
     mean_radius, mean_distance = jnp.sum(weight * radius), jnp.sum(weight * distance)
     covariance = jnp.sum(weight * (radius - mean_radius) * (distance - mean_distance))
@@ -102,12 +105,12 @@ def effective_cone(
 
 
 def ambiguous_distances(
-    table: IrradianceTable, *, from_distance: float, to_distance: float
+    light: Light, *, from_distance: float, to_distance: float
 ) -> list[tuple[float, float]]:
     """Intervals of distance in which the half-maximum radius belongs to another distance, too.
 
     Args:
-        table: the lens's light in a medium.
+        light: of a lens in a medium, as a table or by quadrature.
         from_distance: smallest d in question, mm.
         to_distance: largest d in question, mm.
 
@@ -116,7 +119,7 @@ def ambiguous_distances(
         radius tells the distance.
     """
     distance = np.linspace(from_distance, to_distance, _AMBIGUITY_SAMPLES)
-    radius = np.asarray(half_maximum_radius(table, distance=jnp.asarray(distance)))
+    radius = np.asarray(half_maximum_radius(light, distance=jnp.asarray(distance)))
     low, high = np.minimum(radius[:-1], radius[1:]), np.maximum(radius[:-1], radius[1:])
     # A radius is ambiguous if the curve R(d) passes it in two steps that are not neighbours.
     middle = 0.5 * (low + high)
@@ -129,17 +132,18 @@ def ambiguous_distances(
     ]
 
 
-def _profile(table: IrradianceTable, distance: ArrayLike) -> tuple[Array, Array]:
-    """Radii (last axis) and irradiance on square planes, at the table's own columns."""
+def _profile(light: Light, distance: ArrayLike) -> tuple[Array, Array]:
+    """Radii (last axis) and irradiance on square planes, at a table's own columns if it is one."""
+    samples = light.values.shape[1] if isinstance(light, IrradianceTable) else _FIELD_SAMPLES
     distance = jnp.asarray(distance, dtype=float)[..., None]
-    radius = table.envelope(distance) * np.linspace(0.0, 1.0, _COLUMNS)
-    return radius, table(radius=radius, distance=distance)[1]
+    radius = light.envelope(distance) * np.linspace(0.0, 1.0, samples)
+    return radius, light(radius=radius, distance=distance)[1]
 
 
 def _outermost_crossing(radius: Array, irradiance: Array, level: Array) -> Array:
     """Where the piecewise linear profile falls below a level for the last time, 0 if it never is.
 
-    Between the table's columns the profile is linear, so this is its exact crossing.
+    A table is linear between its columns, so that this is its exact crossing.
     """
     above = irradiance[..., :-1] >= level
     last = above.shape[-1] - 1 - jnp.argmax(above[..., ::-1], axis=-1, keepdims=True)

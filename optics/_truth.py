@@ -7,6 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from optics._beam import Beam, beam_at_spot
@@ -16,6 +17,8 @@ from optics._ellipse import Ellipse, ellipse_of_contour
 from optics._half_maximum import half_maximum_contour
 from optics._irradiance_table import IrradianceTable
 from optics._surface import Surface
+
+_BATCH = 16
 
 
 class SpotTruth(NamedTuple):
@@ -80,9 +83,15 @@ def spot_truth(
         "half_angle": half_angle,
         "apex_offset": apex_offset,
     }
-    # As arrays, so that one compilation serves every trial.
+    # As arrays, and in parts of one size, so that one compilation serves every trial.
     pose = {name: jnp.asarray(value, float) for name, value in given.items()}
-    return _truth(surface, microscope, table, jnp.asarray(distances, float), pose)
+    wanted = np.asarray(distances, float)
+    filled = np.pad(wanted, (0, -wanted.size % _BATCH), mode="edge")
+    parts = [
+        _truth(surface, microscope, table, jnp.asarray(part), pose)
+        for part in filled.reshape(-1, _BATCH)
+    ]
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[: wanted.size], *parts)
 
 
 @eqx.filter_jit

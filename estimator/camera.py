@@ -1,0 +1,51 @@
+"""A camera's matrix and lens distortion, as OpenCV defines them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Camera:
+    """Takes a lens's distortion out of image points.
+
+    Attributes:
+        matrix: 3x3 camera matrix K, px.
+        distortion: 4, 5, 8, 12 or 14 coefficients in OpenCV's order.
+    """
+
+    matrix: np.ndarray
+    distortion: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Reject what OpenCV cannot use."""
+        matrix, distortion = np.asarray(self.matrix, float), np.asarray(self.distortion, float)
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or matrix[0, 0] <= 0:
+            raise ValueError(
+                "Camera(matrix=...) must be a finite 3x3 matrix with positive focal lengths;"
+                f" got shape {matrix.shape}."
+            )
+        if distortion.size not in (4, 5, 8, 12, 14) or not np.isfinite(distortion).all():
+            raise ValueError(
+                "Camera(distortion=...) must have 4, 5, 8, 12 or 14 finite coefficients;"
+                f" got {distortion.size}."
+            )
+        object.__setattr__(self, "matrix", matrix)
+        object.__setattr__(self, "distortion", distortion.ravel())
+
+    def undistorted(self, points: np.ndarray) -> np.ndarray:
+        """Where an ideal pinhole with the same matrix sees the points, (n, 2), px."""
+        return cv2.undistortPoints(
+            points.reshape(-1, 1, 2), self.matrix, self.distortion, P=self.matrix
+        )[:, 0]
+
+    def distorted(self, x: float, y: float) -> tuple[float, float]:
+        """Where this camera sees a point of the ideal image, px."""
+        ray = np.linalg.solve(self.matrix, np.array([x, y, 1.0]))
+        zero = np.zeros(3)
+        seen, _ = cv2.projectPoints(ray, zero, zero, self.matrix, self.distortion)
+        u, v = seen.ravel().tolist()
+        return u, v

@@ -1,0 +1,203 @@
+"""Sub-pixel mode at work: bright regions of a window, the channel to take, the spot they hold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .coarse import Candidate, Coarse, TooSmall, bright_regions
+from .edges import REACH, EdgeFit, fit_edge
+from .ellipse import Ellipse, covariance_of_axes, refitted
+from .frames import GREY, GREY_WEIGHTS, Window
+from .spot import NoSpot, Reason, Spot
+from .subpixel import SubpixelSettings
+from .unwrap import Patch, contour_points, share_of_contour
+
+_SATURATED = 0.02  # fraction of a spot's pixels at full scale that its half level notices
+_BRIGHTER = 1.2  # than grey: from there a channel's weaker texture is worth its noise
+_FAINTEST_CHANNEL = 0.1  # of full scale: least level of a channel that may stand in for grey
+_ROUGHEST = 0.06  # scatter of the edges, in units of the radius, of something that is an ellipse
+_SHORTEST_ARC = 0.2  # fraction of a contour from which an ellipse is recognised as hidden
+_FILLED = 0.75  # of its ellipse's area: what takes less is cut by something
+_SMALLEST_AREA = 0.7  # of the smallest spot's: a region may be only the bright part of its spot
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A bright region of a frame that may be a spot.
+
+    Attributes:
+        frame: that it was found in.
+        settings: that it was found with.
+        coarse: the window that it was found in, in the channel that it is to be measured in.
+        channel: 0, 1, 2 or `frames.GREY`.
+        saturated: fraction of its pixels at full scale in that channel.
+        readings: ellipses that it may be a part of, one at least.
+    """
+
+    frame: np.ndarray
+    settings: SubpixelSettings
+    coarse: Coarse
+    channel: int
+    saturated: float
+    readings: list[Candidate]
+
+    @property
+    def area_px(self) -> float:
+        """Number of the frame's pixels in the region."""
+        return float(np.count_nonzero(self.readings[0].mask)) * self.coarse.stride**2
+
+    def measured(self) -> Spot | NoSpot:
+        """The region's spot, through the reading of which the most contour is seen."""
+        best: EdgeFit | None = None
+        failure = NoSpot(Reason.NONE_FOUND)
+        for candidate in self.readings:
+            fit = self._fit(candidate)
+            if isinstance(fit, NoSpot):
+                failure = fit
+                continue
+            if best is None or fit.inliers.sum() > best.inliers.sum():
+                best = fit
+            if best.inliers.mean() > self.settings.min_coverage:
+                break
+        if best is not None:
+            return _verdict(best, self.settings, self.saturated)
+        if failure.reason is Reason.NONE_FOUND and self._fills_its_ellipse() < _FILLED:
+            return NoSpot(Reason.OCCLUDED)
+        return failure
+
+    def _fills_its_ellipse(self) -> float:
+        """Part of the ellipse round the region that the region takes."""
+        semi_major, semi_minor, _ = self.readings[0].ellipse.axes()
+        return self.area_px / (math.pi * semi_major * semi_minor)
+
+    def _fit(self, candidate: Candidate) -> EdgeFit | NoSpot:
+        patch = self._patch(candidate.ellipse)
+        fit = fit_edge(patch, self.coarse, candidate)
+        if isinstance(fit, NoSpot) or fit.levels.sees_background:
+            return fit
+        # The window does not show the background of a bell; the frame may.
+        whole = Window.whole(self.frame)
+        values = whole.of(self.frame, self.settings.stride)
+        full_scale = self.settings.response.full_scale_of(self.frame)
+        coarse = _coarse(values, whole, self.channel, self.settings, full_scale)
+        return fit_edge(patch, coarse, candidate)
+
+    def _patch(self, ellipse: Ellipse) -> Patch:
+        half_width, half_height = ellipse.half_extent()
+        x, y = ellipse.centre.tolist()
+        window = Window.around(x, y, REACH * half_width, REACH * half_height, self.frame)
+        meter = self.settings.meter
+        full_scale = meter.response.full_scale_of(self.frame)
+        light = meter.light(window.of(self.frame), window, self.channel, full_scale)
+        ceiling = meter.ceiling(window, self.channel, full_scale)
+        return Patch(light, window.x0, window.y0, ceiling=ceiling)
+
+
+def regions_in(
+    frame: np.ndarray, window: Window, settings: SubpixelSettings
+) -> Iterator[Region | NoSpot]:
+    """Bright regions of a window, brightest first, and the reasons why others are none.
+
+    Args:
+        frame: checked (`frames.checked_frame`).
+        window: where to look for a spot's body; its edge is followed beyond.
+        settings: of the mode.
+    """
+    values = window.of(frame, settings.stride)
+    if min(values.shape[:2]) < 5:
+        return
+    full_scale = settings.response.full_scale_of(frame)
+    settings.meter.check(frame)
+    grey = _coarse(values, window, GREY, settings, full_scale)
+    smallest = _SMALLEST_AREA * math.pi * settings.min_semi_minor_px**2
+    for readings in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
+        if isinstance(readings, TooSmall):
+            yield NoSpot(Reason.TOO_SMALL)
+        elif readings:
+            mask = readings[0].mask.view(np.uint8)
+            channel = _channel(values, mask, full_scale)
+            saturated = _saturated_fractions(values, mask, full_scale)[channel]
+            coarse = grey
+            if channel != GREY:
+                coarse = _coarse(values, window, channel, settings, full_scale)
+                readings = [candidate.relevelled(coarse) for candidate in readings]
+            yield Region(frame, settings, coarse, channel, saturated, readings)
+
+
+def _coarse(
+    values: np.ndarray,
+    window: Window,
+    channel: int,
+    settings: SubpixelSettings,
+    full_scale: float,
+) -> Coarse:
+    stride = settings.stride
+    light = settings.meter.light(values, window, channel, full_scale, stride)
+    return Coarse.of_signal(light, stride=stride, x0=window.x0, y0=window.y0)
+
+
+def _channel(values: np.ndarray, mask: np.ndarray, full_scale: float) -> int:
+    """The channel to measure the masked region in."""
+    if values.ndim == 2:
+        return GREY
+    peaks = cv2.mean(values, mask)[:3]
+    saturated = _saturated_fractions(values, mask, full_scale)
+    usable = [k for k in range(3) if peaks[k] > _FAINTEST_CHANNEL * full_scale] or [0, 1, 2]
+    # What saturates every channel is a glint, and no channel is better off.
+    least = min(saturated[k] for k in usable)
+    unspoilt = [k for k in usable if saturated[k] <= least + _SATURATED]
+    brightest = max(unspoilt, key=lambda k: peaks[k])
+    grey = sum(weight * peak for weight, peak in zip(GREY_WEIGHTS, peaks, strict=True))
+    if len(unspoilt) < len(usable) or peaks[brightest] > _BRIGHTER * grey:
+        return brightest
+    return GREY
+
+
+def _saturated_fractions(
+    values: np.ndarray, mask: np.ndarray, full_scale: float
+) -> tuple[float, ...]:
+    """Fraction of the mask's pixels at full scale: of red, green, blue and, last, the worst."""
+    _, full = cv2.threshold(values, full_scale * (1 - 1e-6), 1, cv2.THRESH_BINARY)
+    fractions = cv2.mean(full, mask)
+    return fractions[:1] if values.ndim == 2 else (*fractions[:3], max(fractions))
+
+
+def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:
+    semi_major, semi_minor, angle = fit.ellipse.axes()
+    coverage = share_of_contour(fit.ellipse, fit.inliers)
+    coherent = fit.scatter < _ROUGHEST and coverage > _SHORTEST_ARC
+    levels = fit.levels
+    if not coherent or semi_major > settings.max_axis_ratio * semi_minor:
+        return NoSpot(Reason.NONE_FOUND)
+    if levels.amplitude < settings.min_contrast * levels.background:
+        return NoSpot(Reason.NONE_FOUND)
+    if semi_minor < settings.min_semi_minor_px:
+        return NoSpot(Reason.TOO_SMALL)
+    if semi_major > settings.max_semi_major_px:
+        return NoSpot(Reason.TOO_LARGE)
+    if coverage < settings.min_coverage:
+        in_frame = share_of_contour(fit.ellipse, fit.inside)
+        return NoSpot(Reason.CLIPPED if in_frame < settings.min_coverage else Reason.OCCLUDED)
+    ellipse = fit.ellipse
+    if settings.camera is not None:
+        edges = contour_points(ellipse, fit.offsets)[fit.inliers]
+        ellipse = refitted(ellipse, settings.camera.undistorted(edges))
+        semi_major, semi_minor, angle = ellipse.axes()
+    x, y = ellipse.centre.tolist()
+    return Spot(
+        x_px=x,
+        y_px=y,
+        semi_major_px=semi_major,
+        semi_minor_px=semi_minor,
+        angle_rad=angle,
+        covariance=covariance_of_axes(ellipse, fit.step_covariance),
+        edge_width_px=levels.width * math.sqrt(semi_major * semi_minor),
+        coverage=coverage,
+        inlier_fraction=float(fit.inliers.sum() / max(int(fit.found.sum()), 1)),
+        saturated=saturated,
+    )

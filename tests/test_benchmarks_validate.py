@@ -1,0 +1,112 @@
+"""The main job end to end: it resumes, refuses, repeats itself, and finds what is known."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks import model_error, trials, validate
+from benchmarks.validate import SUBPIXEL
+
+FILES = ("report.html", "summary.json", "model_error.csv", "run.json")
+
+
+@pytest.fixture(scope="module")
+def cone_run(tmp_path_factory):
+    out = tmp_path_factory.mktemp("validate") / "run"
+    findings = validate.run(out=out, quick=True, seed=0, source="cone")
+    return out, findings
+
+
+@pytest.mark.slow
+def test_a_run_leaves_everything_that_it_promises(cone_run):
+    out, findings = cone_run
+    for name in FILES:
+        assert (out / name).stat().st_size > 0
+    assert {trial.name for trial in findings.trials} == {
+        folder.name for folder in (out / "stacks").iterdir()
+    }
+
+
+@pytest.mark.slow
+def test_sub_pixel_spots_of_the_ideal_cone_give_its_parameters(cone_run):
+    _, findings = cone_run
+    fit = findings.plane_fits["cone", SUBPIXEL]["all planes"]
+    # k = 20, delta = 0.0067; readings start at contact, 0.25 tan(30 deg) = 0.144 mm from the wall.
+    # 0.02 px of 60 at either end of the range is 5e-4 of the slope.
+    assert fit.delta_k == pytest.approx(0.134, rel=2e-3)
+    assert fit.b == pytest.approx(-5.117 - 0.1443, abs=0.02)
+
+
+@pytest.mark.slow
+def test_exact_and_corrected_measure_rendered_spots_to_a_fraction_of_the_small_plane_error(
+    cone_run,
+):
+    _, findings = cone_run
+    at_five = [e for e in findings.rendered if e.c_mm == 5.0]
+    worst = {
+        model: max(abs(e.error_mm) for e in at_five if e.model == model)
+        for model in model_error.COMPARED
+    }
+    # Spots good to 0.1 px are distances good to k delta 0.1 px = 0.013 mm.
+    assert worst["exact"] < 0.015
+    assert worst["corrected"] < 0.03
+    assert worst["small_plane"] > 1.5
+
+
+@pytest.mark.slow
+def test_a_second_run_renders_nothing_and_finds_the_same(cone_run, monkeypatch):
+    out, findings = cone_run
+
+    def never(*args, **kwargs):
+        raise AssertionError("a finished trial was rendered again")
+
+    monkeypatch.setattr(validate.scenes, "render_stack", never)
+    before = json.loads((out / "summary.json").read_text())
+    again = validate.run(out=out, quick=True, seed=0, source="cone")
+    assert again.plane_fits == findings.plane_fits
+    after = json.loads((out / "summary.json").read_text())
+    assert after.keys() == before.keys()
+
+
+def test_a_folder_with_something_else_is_refused(tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(ValueError, match="holds something else"):
+        validate.run(out=tmp_path, quick=True, seed=0, source="cone")
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_folder_with_another_run_is_refused(tmp_path):
+    settings = {"schema": 1, "quick": False, "seed": 7, "source": "cone"}
+    (tmp_path / "run.json").write_text(json.dumps(settings))
+    with pytest.raises(ValueError, match=r"other settings.*'seed': 7.*instead of"):
+        validate.run(out=tmp_path, quick=True, seed=0, source="cone")
+
+
+def test_analytic_errors_hold_the_known_rows():
+    trial = trials.grid_trials(quick=True, seed=0)[0]
+    geometry = validate._geometry(trial, pinhole_height=11.5, incidence_deg=0.0)
+    errors = model_error.analytic_errors(
+        geometry, eccentricities=np.array([3.0]), distances=np.array([0.5, 2.0, 4.0, 6.0])
+    )
+    small = [e.error_mm for e in errors if e.model == "small_plane"]
+    # The rows of an independent computation, three decimals.
+    assert small == pytest.approx([-0.098, -0.124, -0.157, -0.190], abs=5.1e-4)
+    exact = [abs(e.error_mm) for e in errors if e.model in ("exact", "stereographic")]
+    assert max(exact) < 1e-9
+
+
+def test_csv_columns_are_those_that_people_exchange():
+    assert ",".join(model_error.ModelError._fields) == (
+        "model,source,refit,medium,c_mm,d_mm,r_mm,z_f_mm,incidence_deg,azimuth_deg,"
+        "half_angle_deg,apex_offset_mm,estimate_mm,error_mm"
+    )
+
+
+@pytest.mark.slow
+def test_the_csv_holds_the_errors_found(cone_run):
+    out, findings = cone_run
+    with (out / "model_error.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(findings.analytic) + len(findings.rendered)

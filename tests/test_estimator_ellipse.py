@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estimator.ellipse import (
+    Ellipse,
+    covariance_of_axes,
+    offset_design,
+    refitted,
+    robust_step,
+)
+
+_ANGLES = np.linspace(0, 2 * np.pi, 192, endpoint=False)
+_DESIGN = offset_design(np.cos(_ANGLES), np.sin(_ANGLES))
+
+axes = st.floats(5, 200)
+angles = st.floats(-math.pi / 2 + 1e-3, math.pi / 2 - 1e-3)
+
+
+@given(minor=axes, ratio=st.floats(1.01, 3), angle=angles)
+def test_axes_and_angle_come_back(minor: float, ratio: float, angle: float) -> None:
+    a, b, back = Ellipse.from_axes(3, 4, minor * ratio, minor, angle).axes()
+    # float64 through squares of lengths: 1e-9 relative, the angle divided by the axes' difference.
+    assert a == pytest.approx(minor * ratio, rel=1e-9)
+    assert b == pytest.approx(minor, rel=1e-9)
+    assert back == pytest.approx(angle, abs=1e-6)
+
+
+def test_vertical_major_axis_has_angle_plus_half_pi() -> None:
+    for angle in (math.pi / 2, -math.pi / 2):
+        assert Ellipse.from_axes(0, 0, 2, 1, angle).axes()[2] == pytest.approx(math.pi / 2)
+
+
+def _radius(ellipse: Ellipse, about: Ellipse) -> np.ndarray:
+    """Radius of one ellipse's points along the rays of another, by bisection."""
+    low, high = np.full(_ANGLES.size, 0.5), np.full(_ANGLES.size, 2.0)
+    direction = about.shape @ np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+    for _ in range(60):
+        middle = (low + high) / 2
+        points = about.centre[:, None] + middle * direction - ellipse.centre[:, None]
+        inside = np.hypot(*np.linalg.solve(ellipse.shape, points)) < 1
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    return (low + high) / 2
+
+
+def test_a_step_moves_the_edge_as_the_design_says() -> None:
+    start = Ellipse.from_axes(100, 80, 70, 50, 0.4)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        step = rng.normal(0, 1e-4, 5)
+        moved = _radius(start.stepped(step), start) - 1
+        # Second-order terms are of the order of the step squared, 1e-8 times a few.
+        np.testing.assert_allclose(moved, _DESIGN @ step, atol=2e-7)
+
+
+def test_robust_step_ignores_edges_of_a_shaft() -> None:
+    rng = np.random.default_rng(1)
+    step = np.array([0.02, -0.03, 0.01, -0.01, 0.02])
+    offsets = _DESIGN @ step + rng.normal(0, 1e-3, _ANGLES.size)
+    hidden = (_ANGLES > 1) & (_ANGLES < 3.2)  # 35 % of the rays
+    # The rims of a shaft that reaches 0.6 of the radius into the spot.
+    offsets[hidden] = -0.6 * np.sin(np.linspace(0, math.pi, hidden.sum()))
+    seen = np.ones(_ANGLES.size, bool)
+    start = np.abs(offsets) < 0.1
+    found = robust_step(_DESIGN, offsets, seen, start, tolerance=0.003, limit=0.1)
+    assert found is not None
+    # At either rim the shaft is within the tolerance of the contour on one ray or two.
+    assert found[1][hidden].sum() <= 4
+    # 125 rays of 1e-3 give 1e-4 a parameter, some times that where the arc is open.
+    np.testing.assert_allclose(found[0], step, atol=1e-3)
+
+
+def test_random_samples_take_over_where_trimming_cannot_start() -> None:
+    step = np.array([0.05, 0.02, 0.0, 0.03, -0.01])
+    offsets = _DESIGN @ step
+    offsets[:86] = np.random.default_rng(2).uniform(-0.5, 0.5, 86)  # 45 %
+    seen = np.ones(_ANGLES.size, bool)
+    found = robust_step(_DESIGN, offsets, seen, seen, tolerance=0.005, limit=0.1)
+    assert found is not None
+    # The remaining offsets are exact; accidental inliers are off by the tolerance at most.
+    np.testing.assert_allclose(found[0], step, atol=5e-3)
+
+
+def test_refit_of_exact_points_is_exact() -> None:
+    truth = Ellipse.from_axes(51, 47, 40, 30, -0.7)
+    start = Ellipse.from_axes(50, 48, 39, 31, -0.6)
+    points = truth.centre + (truth.shape @ np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])).T
+    found = refitted(start, points)
+    np.testing.assert_allclose(found.centre, truth.centre, atol=1e-6)
+    np.testing.assert_allclose(found.axes(), truth.axes(), atol=1e-6)
+
+
+def test_covariance_of_axes_is_the_step_covariance_propagated() -> None:
+    rng = np.random.default_rng(3)
+    root = rng.normal(0, 1e-4, (5, 5))
+    # A shape whose columns are not the axes, as refinement leaves it.
+    turn = np.array([[math.cos(0.8), -math.sin(0.8)], [math.sin(0.8), math.cos(0.8)]])
+    start = Ellipse.from_axes(10, 20, 70, 50, 0.3)
+    ellipse = Ellipse(start.centre, start.shape @ turn)
+    steps = rng.standard_normal((4000, 5)) @ root.T
+    samples = []
+    for step in steps:
+        moved = ellipse.stepped(step)
+        samples.append([*moved.centre, *moved.axes()])
+    predicted = covariance_of_axes(ellipse, root @ root.T)
+    sampled = np.cov(np.array(samples).T)
+    scale = np.sqrt(np.outer(predicted.diagonal(), predicted.diagonal()))
+    # 4000 samples: covariances are known to 1 / sqrt(4000) = 1.6 % of the scale, 4 sigma.
+    np.testing.assert_allclose(sampled / scale, predicted / scale, atol=0.065)
+
+
+def test_a_circle_has_a_finite_covariance() -> None:
+    circle = Ellipse.from_axes(0, 0, 50, 50, 0)
+    assert np.isfinite(covariance_of_axes(circle, 1e-8 * np.eye(5))).all()

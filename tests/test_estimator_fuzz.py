@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from estimator import (
+    LiteralSettings,
+    NoSpot,
+    Response,
+    Spot,
+    SubpixelSettings,
+    TrackState,
+    measure,
+)
+
+_MODES = (
+    SubpixelSettings(),
+    SubpixelSettings(min_semi_minor_px=3, min_contrast=0.05),
+    SubpixelSettings(response=Response(curve="srgb")),
+    LiteralSettings(),
+    LiteralSettings(order="threshold_first", min_component_px=0, threshold=0),
+)
+_STATES = (TrackState(), TrackState(at_px=(10.0, 10.0)), TrackState(at_px=(-1e9, 1e9)))
+
+
+def _typed_or_refused(frame: object) -> None:
+    """The claim of this file: a spot of finite size, a reason, or a ValueError."""
+    for mode in _MODES:
+        for state in _STATES:
+            try:
+                result, after = measure(frame, state, mode)  # type: ignore[arg-type]
+            except ValueError as error:
+                assert "frame" in str(error)
+                continue
+            assert isinstance(after, TrackState)
+            if isinstance(result, Spot):
+                assert 0 < result.semi_minor_px <= result.semi_major_px < 1e5
+                assert np.isfinite([result.x_px, result.y_px, result.angle_rad]).all()
+                assert 0 <= result.saturated <= 1
+            else:
+                assert isinstance(result, NoSpot)
+
+
+_SHAPES = st.one_of(
+    hnp.array_shapes(min_dims=2, max_dims=2, min_side=0, max_side=80),
+    st.tuples(st.integers(1, 80), st.integers(1, 80), st.integers(1, 4)),
+    hnp.array_shapes(min_dims=0, max_dims=4, max_side=5),
+)
+_DTYPES = st.sampled_from("u1 >u2 u2 u4 i1 i4 ?  f2 f4 >f4 f8 c8 U1 O".split())
+
+
+@settings(max_examples=60)
+@given(data=st.data(), shape=_SHAPES, dtype=_DTYPES, seed=st.integers(0, 2**32 - 1))
+def test_any_array_gives_a_result_or_one_error(
+    data: st.DataObject, shape: tuple[int, ...], dtype: str, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    kind = data.draw(st.sampled_from(["constant", "noise", "blob", "bits"]))
+    if kind == "constant":
+        frame = np.full(shape, data.draw(st.sampled_from([0, 1, 255])))
+    elif kind == "noise":
+        frame = rng.uniform(0, data.draw(st.sampled_from([1, 255, 65535])), shape)
+    elif kind == "blob" and len(shape) >= 2:
+        v, u = np.mgrid[: shape[0], : shape[1]]
+        blob = 250.0 * (np.hypot(u - shape[1] / 2, v - shape[0] / 2) < min(shape[:2]) / 3)
+        frame = np.broadcast_to(blob.reshape(blob.shape + (1,) * (len(shape) - 2)), shape)
+    else:
+        frame = rng.integers(0, 2, shape) * 255
+    with np.errstate(all="ignore"):
+        _typed_or_refused(np.asarray(frame).astype(dtype))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e20])
+def test_pixels_that_are_no_numbers_are_refused(value: float) -> None:
+    frame = np.zeros((50, 50), np.float32)
+    frame[7, 9] = value
+    for mode in _MODES:
+        with pytest.raises(ValueError, match="finite"):
+            measure(frame, TrackState(), mode)
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        ([[1, 2], [3, 4]], "NumPy array"),
+        (None, "NumPy array"),
+        (np.zeros((5, 5, 4), np.uint8), r"\(H, W, 3\)"),
+        (np.zeros((5, 5), np.int32), "uint8, uint16"),
+        (np.zeros((0, 5), np.uint8), "pixels"),
+    ],
+)
+def test_what_is_no_image_is_refused_with_a_way_out(frame: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        measure(frame, TrackState(), SubpixelSettings())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (1, 640), (480, 1), (7, 7), (4320, 7680), (100, 3000, 3)]
+)
+def test_every_size_up_to_8k_is_measured(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    for frame in (np.zeros(shape, np.uint8), rng.integers(0, 256, shape, dtype=np.uint8)):
+        for mode in (SubpixelSettings(), LiteralSettings()):
+            result, _ = measure(frame, TrackState(), mode)
+            assert isinstance(result, NoSpot | Spot)
+
+
+def test_views_and_negative_values_are_measured() -> None:
+    rng = np.random.default_rng(1)
+    frame = rng.integers(0, 255, (200, 300, 3), dtype=np.uint8)
+    _typed_or_refused(frame[::-1, ::2])
+    _typed_or_refused(frame.transpose(1, 0, 2))
+    _typed_or_refused(rng.normal(0, 1, (120, 160)))
+    _typed_or_refused(rng.normal(0, 1e10, (120, 160)).astype(np.float32))

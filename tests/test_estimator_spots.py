@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
+
+_COLUMNS = (
+    "frame,file_name,time_s,mode,status,reason,x_px,y_px,semi_major_px,semi_minor_px,angle_rad,"
+    "sigma_semi_minor_px,edge_width_px,coverage,inlier_fraction,saturated,"
+    "distance_mm,sigma_distance_mm,pose_age_s"
+).split(",")
+
+
+def _spot(**changes: object) -> Spot:
+    root = np.random.default_rng(0).normal(0, 0.1, (5, 5))
+    values: dict[str, object] = {
+        "x_px": 1 / 3,
+        "y_px": 2e-17,
+        "semi_major_px": 66.0,
+        "semi_minor_px": 60.0,
+        "angle_rad": -1.5,
+        "covariance": root @ root.T,
+        "edge_width_px": 2.1,
+        "coverage": 0.75,
+        "inlier_fraction": 0.9,
+        "saturated": 0.0,
+    }
+    return Spot(**(values | changes))  # type: ignore[arg-type]
+
+
+def _literal_spot() -> Spot:
+    unknown = dict.fromkeys(("edge_width_px", "coverage", "inlier_fraction"), math.nan)
+    return _spot(covariance=np.full((5, 5), math.nan), **unknown)
+
+
+def _records() -> list[SpotRecord]:
+    failures = [
+        SpotRecord(frame=k, file_name="", time_s=math.nan, mode="subpixel", result=NoSpot(reason))
+        for k, reason in enumerate(Reason)
+    ]
+    return [
+        SpotRecord(
+            frame=7,
+            file_name="frames/a, b.png",
+            time_s=0.7,
+            mode="subpixel",
+            result=_spot(),
+            distance_mm=2.5,
+            sigma_distance_mm=0.01,
+            pose_age_s=0.002,
+        ),
+        SpotRecord(frame=8, file_name="ü.png", time_s=0.8, mode="literal", result=_literal_spot()),
+        *failures,
+    ]
+
+
+def test_spots_come_back_bit_for_bit(tmp_path: Path) -> None:
+    path = tmp_path / "spots.csv"
+    write_spots(path, _records())
+    for before, after in zip(_records(), read_spots(path), strict=True):
+        for name in ("frame", "file_name", "mode", "status", "reason"):
+            assert getattr(after, name) == getattr(before, name)
+        for name in ("time_s", "distance_mm", "sigma_distance_mm", "pose_age_s"):
+            np.testing.assert_equal(getattr(after, name), getattr(before, name))
+        if isinstance(before.result, Spot):
+            assert isinstance(after.result, Spot)
+            np.testing.assert_equal(vars(after.result), vars(before.result))
+        else:
+            assert after.result == before.result
+
+
+def test_a_plain_csv_reader_finds_the_columns(tmp_path: Path) -> None:
+    path = tmp_path / "spots.csv"
+    write_spots(path, _records())
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0])[: len(_COLUMNS)] == _COLUMNS
+    assert sum(name.startswith("cov_") for name in rows[0]) == 15
+    assert float(rows[0]["sigma_semi_minor_px"]) == math.sqrt(_spot().covariance[3, 3])
+    assert rows[1]["edge_width_px"] == ""
+
+
+def test_no_spots_make_a_readable_file(tmp_path: Path) -> None:
+    path = tmp_path / "spots.csv"
+    write_spots(path, [])
+    assert read_spots(path) == []
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda text: "a,b\n1,2\n", r"line 1: not a spots file: column 'frame'"),
+        (lambda text: text.replace(",1\n", ",2\n", 1), r"line 2: schema_version is '2'"),
+        (lambda text: text.replace("66.0", "wide", 1), r"line 2: semi_major_px .* 'wide'"),
+        (lambda text: text.replace("none_found", "tired", 1), r"line 4: reason .* 'tired'"),
+        (lambda text: text.replace("no_spot", "maybe", 1), r"line 4: status .* 'maybe'"),
+        (lambda text: text + "1,2,3\n", r"line 11: \d+ cells expected"),
+        (lambda text: text.replace("\n7,", "\nseven,", 1), r"line 2: frame .* 'seven'"),
+        (lambda text: "", r"line 1: not a spots file"),
+        (lambda text: "\0\x01", r"not a spots file"),
+    ],
+)
+def test_a_damaged_file_is_refused_with_its_line(tmp_path: Path, damage, message: str) -> None:
+    path = tmp_path / "spots.csv"
+    write_spots(path, _records())
+    path.write_text(damage(path.read_text(encoding="utf-8")), encoding="utf-8")
+    with pytest.raises(ValueError, match=message) as error:
+        read_spots(path)
+    assert "spots.csv" in str(error.value)
+
+
+def test_a_picture_is_no_spots_file(tmp_path: Path) -> None:
+    path = tmp_path / "picture.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
+    with pytest.raises(ValueError, match=r"picture\.png"):
+        read_spots(path)

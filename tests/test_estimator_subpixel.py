@@ -1,0 +1,313 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from statistics import NormalDist
+
+import cv2
+import numpy as np
+import pytest
+
+from benchmarks.estimator_frames import (
+    SHAPE,
+    Scene,
+    Truth,
+    any_truth,
+    any_wall,
+    bell,
+    domed_edge,
+    erf_edge,
+    frame_of,
+    light_of,
+    with_glints,
+    with_quarter_in_shadow,
+    with_shaft,
+)
+from estimator import (
+    Camera,
+    LiteralSettings,
+    NoSpot,
+    Reason,
+    Response,
+    Spot,
+    SubpixelSettings,
+    TrackState,
+    measure,
+)
+
+_MIDDLE = TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2))
+_TRUTH = Truth(x=321.3, y=238.8, semi_major=66, semi_minor=60, angle=0.7)
+
+
+def _measured(frame: np.ndarray, settings: SubpixelSettings | None = None) -> Spot:
+    spot, _ = measure(frame, _MIDDLE, settings or SubpixelSettings())
+    assert isinstance(spot, Spot), spot
+    return spot
+
+
+def _errors(make: Callable[[np.random.Generator], Scene], number: int) -> np.ndarray:
+    """Errors of x, y, semi-major and semi-minor axis of as many frames, (number, 4)."""
+    rng = np.random.default_rng(11)
+    rows = []
+    for _ in range(number):
+        scene = make(rng)
+        rows.append(scene.truth.errors(_measured(frame_of(scene, rng))))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("semi_minor", [20, 60, 150])
+def test_an_even_spot_is_measured_without_bias(semi_minor: float) -> None:
+    errors = _errors(lambda rng: Scene(truth=any_truth(rng, semi_minor)), 12)
+    # The requirement; noise of 12 means is below 0.003 px.
+    assert np.abs(errors.mean(axis=0)).max() < 0.02
+
+
+def test_noise_of_an_even_spot_is_within_twice_the_bound() -> None:
+    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60)), 40)
+    grey_noise = 3 * math.hypot(0.299, 0.587, 0.114)
+    bound = grey_noise / 180 * math.sqrt(3 * 2 / (math.sqrt(math.pi) * 60))
+    # A standard deviation of 40 samples is known to 11 %.
+    assert errors[:, 3].std() < 2 * bound * 1.2
+
+
+@pytest.mark.parametrize("sigma", [1.0, 4.0, 8.0])
+def test_blur_does_not_move_the_contour(sigma: float) -> None:
+    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), profile=erf_edge(sigma)), 6)
+    assert np.abs(errors.mean(axis=0)).max() < 0.1
+
+
+@pytest.mark.parametrize("amplitude", [90, 220])
+def test_exposure_does_not_move_the_contour(amplitude: float) -> None:
+    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), amplitude=amplitude), 6)
+    assert np.abs(errors.mean(axis=0)).max() < 0.05
+
+
+def test_a_dome_is_measured_at_half_of_its_peak() -> None:
+    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), profile=domed_edge(2, 0.2)), 6)
+    # Half of the dome's rim would lie 0.6 px further out.
+    assert np.abs(errors[:, 2:].mean(axis=0)).max() < 0.15
+
+
+def test_a_bell_is_measured_at_half_of_its_peak() -> None:
+    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), profile=bell), 6)
+    assert np.abs(errors[:, 2:]).max() < 0.003 * 66 + 3 * 0.05
+
+
+def test_texture_hardly_moves_the_contour() -> None:
+    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), wall=any_wall(rng)), 15)
+    # Three of the standard deviations of 0.05 px that the walls' vessels and disc cause.
+    assert np.median(np.abs(errors[:, 3])) < 0.05
+    assert np.abs(errors[:, 3]).max() < 0.4
+
+
+def test_a_reference_frame_takes_the_texture_out() -> None:
+    rng = np.random.default_rng(5)
+    errors = []
+    for _ in range(5):
+        scene = Scene(truth=any_truth(rng, 60), profile=bell, wall=any_wall(rng))
+        dark = replace(scene, amplitude=0.0)
+        reference = np.mean([frame_of(dark, rng) for _ in range(8)], axis=0)
+        settings = SubpixelSettings(
+            reference=reference.astype(np.float32), response=Response(full_scale=255)
+        )
+        errors.append(scene.truth.errors(_measured(frame_of(scene, rng), settings))[3])
+    # Without it the standard deviation is 2 px.
+    assert np.abs(errors).mean() < 0.006 * 60
+
+
+def test_a_reference_of_another_shape_is_refused() -> None:
+    settings = SubpixelSettings(reference=np.ones((10, 10), np.uint8))
+    with pytest.raises(ValueError, match=r"reference.*shape"):
+        measure(frame_of(Scene(truth=_TRUTH), np.random.default_rng(0)), _MIDDLE, settings)
+
+
+def test_angle_is_from_right_towards_down() -> None:
+    for angle in (-1.2, 0.3, 1.5):
+        truth = replace(_TRUTH, angle=angle, semi_major=80)
+        spot = _measured(frame_of(Scene(truth=truth), np.random.default_rng(0)))
+        # std of the angle: 0.005 px over the axes' difference of 20 px
+        assert spot.angle_rad == pytest.approx(angle, abs=2e-3)
+
+
+def test_edge_width_is_the_blur() -> None:
+    for sigma in (1.5, 4.0):
+        scene = Scene(truth=_TRUTH, profile=erf_edge(sigma))
+        spot = _measured(frame_of(scene, np.random.default_rng(0)))
+        # Bilinear sampling (a triangle of variance 1/6) and the slope over two samples of 0.7 px
+        # (a box of 1.4 px) add to the blur in quadrature.
+        blur = math.sqrt(sigma**2 + 1 / 6 + 1.4**2 / 12)
+        assert spot.edge_width_px == pytest.approx(blur, rel=0.06)
+
+
+@pytest.mark.parametrize("curve", ["srgb", "gamma"])
+def test_the_response_curve_is_taken_into_account(curve: str) -> None:
+    linear = light_of(Scene(truth=_TRUTH, profile=erf_edge(4.0), noise=0.0)) / 255
+    if curve == "srgb":
+        encoded = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    else:
+        encoded = linear ** (1 / 2.2)
+    errors: dict[str, float] = {}
+    for response in (Response(curve=curve), Response()):  # type: ignore[arg-type]
+        spot = _measured(
+            np.rint(255 * encoded).astype(np.uint8), SubpixelSettings(response=response)
+        )
+        errors[response.curve] = _TRUTH.errors(spot)[3]
+    assert abs(errors[curve]) < 0.05
+    middle = (encoded.max() + encoded.min()) / 2
+    light = np.interp(middle, np.sort(encoded.ravel()), np.sort(linear.ravel()))
+    share = (light - linear.min()) / (linear.max() - linear.min())
+    # Taken as light, the values' middle lies further out, by the erf edge's quantile.
+    assert errors["linear"] == pytest.approx(-4 * NormalDist().inv_cdf(share), abs=0.3)
+
+
+def test_integer_and_float_frames_agree() -> None:
+    image = light_of(Scene(truth=_TRUTH, noise=0.0))
+    spots = [
+        _measured(np.rint(image).astype(np.uint8)),
+        _measured(np.rint(image * 257).astype(np.uint16)),
+        _measured((image / 255).astype(np.float32)),
+        _measured(image / 255),
+        _measured(np.rint(image * 257).astype(np.uint16).astype(">u2")),
+        _measured(np.rint(image[..., 0]).astype(np.uint8)),
+    ]
+    for spot in spots:
+        # Rounding to 8 bits and the fixed-point grey mean move the contour by 0.01 px.
+        np.testing.assert_allclose(_TRUTH.errors(spot), 0, atol=0.03)
+
+
+def test_a_saturated_edge_is_measured_by_its_visible_flank_and_flagged() -> None:
+    for amplitude in (300, 430):
+        scene = Scene(truth=_TRUTH, amplitude=amplitude)
+        spot = _measured(frame_of(scene, np.random.default_rng(1)))
+        assert spot.saturated > 0.8
+        assert np.abs(_TRUTH.errors(spot)).max() < 0.3
+
+
+def test_one_unsaturated_channel_is_enough() -> None:
+    wall = np.broadcast_to(np.array([1.0, 0.5, 0.25]), (*SHAPE, 3))
+    scene = Scene(truth=_TRUTH, amplitude=600, wall=wall)
+    spot = _measured(frame_of(scene, np.random.default_rng(1)))
+    assert spot.saturated == 0
+    assert np.abs(_TRUTH.errors(spot)).max() < 0.05
+
+
+def test_a_spot_saturated_beyond_half_of_its_peak_is_refused() -> None:
+    scene = Scene(truth=_TRUTH, amplitude=900)
+    result, _ = measure(frame_of(scene, np.random.default_rng(1)), _MIDDLE, SubpixelSettings())
+    assert result == NoSpot(Reason.SATURATED)
+
+
+@pytest.mark.parametrize("reach", [0.6, -0.3, -3.0])
+def test_a_shaft_hides_contour_without_bending_it(reach: float) -> None:
+    def scene(rng: np.random.Generator) -> Scene:
+        return with_shaft(Scene(truth=any_truth(rng, 70)), rng, reach, 75)
+
+    errors = _errors(scene, 8)
+    assert math.sqrt((errors[:, 3] ** 2).mean()) < 0.15
+
+
+def test_coverage_is_the_visible_part_of_the_contour() -> None:
+    scene = Scene(truth=replace(_TRUTH, semi_major=60))
+    rng = np.random.default_rng(2)
+    open_spot = _measured(frame_of(scene, rng))
+    hidden = _measured(frame_of(with_shaft(scene, rng, 0.3, 75), rng))
+    assert open_spot.coverage > 0.97
+    # The shaft covers an arc of 2 asin(37.5 / 60); each of its rims spoils the rays of 5 px.
+    visible = 1 - math.asin(37.5 / 60) / math.pi
+    assert visible - 12 / 192 < hidden.coverage < visible + 2 / 192
+    assert hidden.inlier_fraction < open_spot.inlier_fraction <= 1
+
+
+def test_a_quarter_in_shadow_and_glints_are_left_out() -> None:
+    def shadowed(rng: np.random.Generator) -> Scene:
+        return with_quarter_in_shadow(Scene(truth=any_truth(rng, 60)), rng)
+
+    def glaring(rng: np.random.Generator) -> Scene:
+        return with_glints(Scene(truth=any_truth(rng, 60)), rng, on_edge=True)
+
+    for make in (shadowed, glaring):
+        errors = _errors(make, 8)
+        assert math.sqrt((errors[:, 3] ** 2).mean()) < 0.15
+
+
+def test_less_than_half_of_the_contour_is_no_spot() -> None:
+    rng = np.random.default_rng(3)
+    scene = Scene(truth=replace(_TRUTH, semi_minor=60, semi_major=60))
+    wide = with_shaft(scene, rng, -0.3, 130)
+    result, _ = measure(frame_of(wide, rng), _MIDDLE, SubpixelSettings())
+    assert result == NoSpot(Reason.OCCLUDED)
+    beyond = replace(scene, truth=replace(scene.truth, x=-20.0))
+    result, _ = measure(frame_of(beyond, rng), TrackState(), SubpixelSettings())
+    assert result == NoSpot(Reason.CLIPPED)
+
+
+def test_size_limits_are_reasons() -> None:
+    frame = frame_of(Scene(truth=_TRUTH), np.random.default_rng(0))
+    small, _ = measure(frame, _MIDDLE, SubpixelSettings(min_semi_minor_px=65))
+    large, _ = measure(frame, _MIDDLE, SubpixelSettings(max_semi_major_px=50))
+    assert small == NoSpot(Reason.TOO_SMALL)
+    assert large == NoSpot(Reason.TOO_LARGE)
+
+
+def test_stated_covariance_covers_the_errors() -> None:
+    rng = np.random.default_rng(8)
+    scaled = []
+    for _ in range(60):
+        scene = Scene(truth=any_truth(rng, 60, axis_ratio=1.3))
+        spot = _measured(frame_of(scene, rng))
+        errors = np.array([*scene.truth.errors(spot), spot.angle_rad - scene.truth.angle])
+        scaled.append(errors / np.sqrt(spot.covariance.diagonal()))
+    spread = np.std(scaled, axis=0)
+    # 60 samples: 9 % of a standard deviation; the profiles' own bias is some tenths of sigma.
+    assert (spread > 0.6).all() and (spread < 1.4).all()
+
+
+def test_lens_distortion_is_taken_out() -> None:
+    camera = Camera(
+        matrix=np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]),
+        distortion=np.array([-0.35, 0.1, 0, 0]),
+    )
+    truth = Truth(x=470, y=330, semi_major=66, semi_minor=60, angle=0.7)
+    ideal = light_of(Scene(truth=truth, noise=0.0)).astype(np.float32)
+    # A pixel of the distorted camera sees what the ideal one sees at the undistorted place.
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
+    places = camera.undistorted(np.stack([u.ravel(), v.ravel()], axis=1)).astype(np.float32)
+    at = places.reshape(*SHAPE, 2)
+    frame = cv2.remap(ideal, at[..., 0], at[..., 1], cv2.INTER_CUBIC)
+    frame = np.clip(np.rint(frame), 0, 255).astype(np.uint8)
+    settings = SubpixelSettings(camera=camera)
+    spot, state = measure(frame, TrackState(), settings)
+    raw, _ = measure(frame, TrackState(), SubpixelSettings())
+    assert isinstance(spot, Spot) and isinstance(raw, Spot)
+    # The image is resampled and the lens stretches the edge's width: a few hundredths of a px.
+    np.testing.assert_allclose(truth.errors(spot), 0, atol=0.1)
+    assert np.abs(truth.errors(raw)).max() > 2
+    # The next frame is searched where this camera sees the spot; its middle is not quite the
+    # image of the ideal middle.
+    assert state.at_px == pytest.approx((raw.x_px, raw.y_px), abs=2)
+
+
+def test_both_modes_agree_where_the_threshold_is_the_half_level() -> None:
+    scene = Scene(truth=_TRUTH, amplitude=120, ambient=70, noise=1.0)
+    frame = frame_of(scene, np.random.default_rng(0))
+    literal, _ = measure(frame, _MIDDLE, LiteralSettings(threshold=130))
+    assert isinstance(literal, Spot)
+    # The literal boundary runs through pixel centres inside the contour.
+    assert literal.semi_minor_px == pytest.approx(_measured(frame).semi_minor_px - 0.5, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"min_semi_minor_px": 0},
+        {"max_axis_ratio": 1},
+        {"min_coverage": 0},
+        {"min_contrast": -1},
+        {"max_semi_major_px": 10},
+        {"max_growth": float("nan")},
+    ],
+)
+def test_settings_that_cannot_work_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        SubpixelSettings(**wrong)  # type: ignore[arg-type]

@@ -1,0 +1,150 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.estimator_accuracy import false_spots
+from benchmarks.estimator_frames import Scene, Truth, any_wall, frame_of
+from estimator import (
+    LiteralSettings,
+    NoSpot,
+    Reason,
+    Spot,
+    SubpixelSettings,
+    TrackState,
+    measure,
+    track,
+)
+
+_TRUTH = Truth(x=330, y=230, semi_major=66, semi_minor=60, angle=0.3)
+_SCENE = Scene(truth=_TRUTH)
+_NOTHING = replace(_SCENE, amplitude=0.0)
+
+
+def _near(result: Spot | NoSpot, truth: Truth, within: float = 0.1) -> bool:
+    return isinstance(result, Spot) and bool(np.abs(truth.errors(result)).max() < within)
+
+
+def _two_spots(first: Truth, second: Truth, rng: np.random.Generator) -> np.ndarray:
+    frames = [frame_of(replace(_SCENE, truth=truth, noise=0.0), rng) for truth in (first, second)]
+    return np.maximum(*frames)
+
+
+def test_the_first_frame_needs_no_start() -> None:
+    rng = np.random.default_rng(0)
+    for truth in (
+        _TRUTH,
+        replace(_TRUTH, x=90, y=390),
+        replace(_TRUTH, semi_major=22, semi_minor=20),
+    ):
+        spot, state = measure(
+            frame_of(replace(_SCENE, truth=truth), rng), TrackState(), SubpixelSettings()
+        )
+        assert _near(spot, truth)
+        assert state.spot is spot
+
+
+def test_a_spot_is_found_in_a_large_frame() -> None:
+    truth = replace(_TRUTH, x=1700, y=150)
+    frame = frame_of(replace(_SCENE, truth=truth), np.random.default_rng(0), (1080, 1920))
+    spot, _ = measure(frame, TrackState(), SubpixelSettings())
+    assert _near(spot, truth)
+
+
+def test_jumps_of_60_px_and_slow_growth_are_followed() -> None:
+    rng = np.random.default_rng(1)
+    wall = any_wall(rng)
+    truth = replace(_TRUTH, x=300, y=240)
+    truths = []
+    for _ in range(40):
+        heading = math.atan2(240 - truth.y, 320 - truth.x) + rng.uniform(-1.2, 1.2)
+        truth = truth.moved(60 * math.cos(heading), 60 * math.sin(heading))
+        size = truth.semi_minor * rng.uniform(0.9, 1.11)
+        truth = replace(truth, semi_minor=size, semi_major=1.1 * size)
+        truths.append(truth)
+    frames = (frame_of(replace(_SCENE, truth=t, wall=wall), rng) for t in truths)
+    results = track(frames, SubpixelSettings())
+    assert all(_near(r, t, within=0.6) for r, t in zip(results, truths, strict=True))
+
+
+def test_after_a_loss_the_spot_is_found_again_within_two_frames() -> None:
+    rng = np.random.default_rng(2)
+    elsewhere = replace(_TRUTH, x=130, y=350)
+    scenes = [_SCENE, _NOTHING, _NOTHING, replace(_SCENE, truth=elsewhere)]
+    scenes.append(scenes[-1])
+    results = list(track((frame_of(s, rng) for s in scenes), SubpixelSettings()))
+    assert _near(results[0], _TRUTH)
+    assert results[1] == results[2] == NoSpot(Reason.NONE_FOUND)
+    assert _near(results[4], elsewhere)
+
+
+def test_a_leap_beyond_the_limit_is_believed_only_when_seen_twice() -> None:
+    rng = np.random.default_rng(3)
+    elsewhere = replace(_TRUTH, x=130, y=350)
+    frames = [frame_of(replace(_SCENE, truth=t), rng) for t in (_TRUTH, elsewhere, elsewhere)]
+    first, leap, after = track(frames, SubpixelSettings())
+    assert _near(first, _TRUTH)
+    assert leap == NoSpot(Reason.AMBIGUOUS)
+    assert _near(after, elsewhere)
+
+
+def test_a_sudden_growth_is_believed_only_when_seen_twice() -> None:
+    rng = np.random.default_rng(4)
+    grown = replace(_TRUTH, semi_minor=100, semi_major=110)
+    frames = [frame_of(replace(_SCENE, truth=t), rng) for t in (_TRUTH, grown, grown)]
+    _, leap, after = track(frames, SubpixelSettings())
+    assert leap == NoSpot(Reason.AMBIGUOUS)
+    assert _near(after, grown)
+
+
+def test_of_two_like_spots_none_is_chosen_but_a_start_point_decides() -> None:
+    left, right = replace(_TRUTH, x=160), replace(_TRUTH, x=480)
+    frame = _two_spots(left, right, np.random.default_rng(5))
+    result, state = measure(frame, TrackState(), SubpixelSettings())
+    assert result == NoSpot(Reason.AMBIGUOUS)
+    assert state == TrackState()
+    for truth in (left, right):
+        settings = SubpixelSettings(search_half_width_px=120)
+        (spot,) = track([frame], settings, start=(truth.x + 10, truth.y - 10))
+        assert _near(spot, truth)
+
+
+def test_a_tracked_spot_is_not_exchanged_for_a_brighter_one() -> None:
+    left, right = replace(_TRUTH, x=200), replace(_TRUTH, x=430)
+    rng = np.random.default_rng(6)
+    first = frame_of(replace(_SCENE, truth=left, amplitude=120), rng)
+    second = np.maximum(first, frame_of(replace(_SCENE, truth=right), rng))
+    results = list(track([first, second], SubpixelSettings()))
+    assert all(_near(result, left) for result in results)
+
+
+def test_measure_keeps_nothing_but_its_state() -> None:
+    rng = np.random.default_rng(7)
+    frames = [frame_of(replace(_SCENE, truth=_TRUTH.moved(d, 0)), rng) for d in (0, 20)]
+    settings = SubpixelSettings()
+    _, state = measure(frames[0], TrackState(), settings)
+    once, _ = measure(frames[1], state, settings)
+    measure(frames[0], TrackState(), settings)
+    again, _ = measure(frames[1], state, settings)
+    assert isinstance(once, Spot) and isinstance(again, Spot)
+    assert once.semi_minor_px == again.semi_minor_px and once.x_px == again.x_px
+
+
+def test_glints_vessels_and_shafts_are_no_spots() -> None:
+    assert false_spots(60, seed=8) == 0
+
+
+@pytest.mark.slow
+def test_ten_thousand_frames_without_a_spot_show_none() -> None:
+    assert false_spots(10_000, seed=9) == 0
+
+
+def test_both_modes_yield_one_result_a_frame() -> None:
+    rng = np.random.default_rng(10)
+    frames = [frame_of(s, rng) for s in (_NOTHING, _SCENE, _NOTHING)]
+    for settings in (LiteralSettings(threshold=150), SubpixelSettings()):
+        results = list(track(frames, settings))
+        assert [bool(r) for r in results] == [False, True, False]
