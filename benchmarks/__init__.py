@@ -6,5 +6,11 @@ tracking     its spots
 model_error  models against the exact geometry
 paper        what Zhou et al. 2020 report
 report       report.html, summary.json, CSV
+conclusions  what was found, in sentences that follow the numbers
+analysis     what the sentences rest on
+tables       rows of the CSV files
 figures      the pictures
+strip        frames against distance
+page         the HTML page
+geometry_speed, render_speed, estimator_accuracy  what `make bench` prints
 """

@@ -80,7 +80,7 @@ def plane_fit(findings: Findings, rows: Sequence[SpotRow]) -> Figure:
             (printed, ":", GREY, "all planes of the paper"),
         ):
             d = line.delta_k * ends + line.b
-            panel.axes.plot(ends, d, ls=ls, color=color, lw=0.9, label=label)
+            panel.axes.plot(ends, d, ls=ls, color=color, lw=1, label=label, zorder=3)
 
     return _by_source_and_way(fits, draw, x=MEASURED, y=READING)
 
@@ -342,9 +342,9 @@ def _marks(axes: Axes, x: Any, y: Any, group: str, label: str | None = None) -> 
         y,
         ls="",
         marker=TRIAL_MARKERS[_number(group)],
-        ms=3 + 1.2 * _number(group),  # trials that agree are seen around each other
+        ms=2.4 + 1.1 * _number(group),  # trials that agree are seen around each other
         mfc="none",
-        mew=0.9,
+        mew=0.7,
         color=_colour(group),
         label=label or group,
     )

@@ -39,9 +39,10 @@ from estimator import Stack, read_stack
 
 _RUN_SCHEMA = 1
 _ALL_PLANES = "all planes"
+_ANALYTIC_HEIGHTS_MM = (*PINHOLE_HEIGHTS_MM, 100.0)
 _RANGE_LIMITS_MM = (3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0)
 _READING_SLACK_MM = 1e-6  # readings are sums of steps
-_FEWEST_IN_RANGE = 6
+_FEWEST_SPOTS = 6  # fewer say nothing of a line and its scatter
 SUBPIXEL = WAYS[-1].name
 
 
@@ -196,8 +197,9 @@ def _fit(findings: Findings) -> None:
                 for trial in paper
                 if trial.source == source
             }
-            planes = {g: t for g, t in tracked.items() if g.startswith("plane") and t.used.any()}
-            spheres = {g: t for g, t in tracked.items() if g.startswith("sphere") and t.used.any()}
+            enough = {g: t for g, t in tracked.items() if np.sum(t.used) >= _FEWEST_SPOTS}
+            planes = {g: t for g, t in enough.items() if g.startswith("plane")}
+            spheres = {g: t for g, t in enough.items() if g.startswith("sphere")}
             if not planes:
                 continue
             fits = {
@@ -211,8 +213,7 @@ def _fit(findings: Findings) -> None:
             findings.range_fits[key] = [
                 (limit, fit_plane(semi_minor_px=axis[near], distance=reading[near]))
                 for limit in _RANGE_LIMITS_MM
-                if np.count_nonzero(near := reading <= limit + _READING_SLACK_MM)
-                >= _FEWEST_IN_RANGE
+                if np.count_nonzero(near := reading <= limit + _READING_SLACK_MM) >= _FEWEST_SPOTS
             ]
             scene = paper[0].scene
             findings.sphere_fits[key] = {
@@ -235,7 +236,7 @@ def _analytic(*, quick: bool) -> list[ModelError]:
     distances = np.arange(0.5, 6.01, 0.5)
     return [
         error
-        for height in PINHOLE_HEIGHTS_MM
+        for height in _ANALYTIC_HEIGHTS_MM
         for incidence_deg in (0.0, trial.scene.spot.incidence_deg)
         for error in model_error.analytic_errors(
             _geometry(trial, pinhole_height=height, incidence_deg=incidence_deg),

@@ -16,9 +16,7 @@ from scenes.fundus import fundus
 from scenes.settings import GAUGE_DIAMETER_MM, Scene
 
 _TEXTURE_MM, _TEXTURE_PX = 24.0, 2048
-# Longer cylinders lose the 1e-6 to which Mitsuba wants a transform free of shear in float32; with
-# the fibre this reaches past every window of the default size.
-_SHAFT_MM = 10.0
+_SHAFT_MM = 40.0
 _NEAR_MM = 0.01
 _FIBRE_REFLECTANCE, _SHAFT_REFLECTANCE = 0.15, 0.3
 # The end face lies this far behind the plane of the tip, so that it never swallows its own beam
@@ -29,7 +27,7 @@ _FACE_GAP_MM = 0.003
 def mitsuba_dict(
     scene: Scene, *, table: optics.IrradianceTable | None, uniform: np.ndarray
 ) -> dict[str, Any]:
-    """Everything that Mitsuba needs for a scene; the wall comes first among the shapes.
+    """Everything that Mitsuba needs for a scene.
 
     Args:
         scene: the scene.
@@ -37,14 +35,10 @@ def mitsuba_dict(
         uniform: indirect irradiance per colour channel, mW/mm2.
     """
     microscope = geometry.microscope(scene)
-    parts = (
-        {"wall": _wall(scene), **_instrument(scene)}
-        if scene.instrument.visible
-        else {"wall": _wall(scene)}
-    )
     return {
         "type": "scene",
-        **parts,
+        "wall": _wall(scene),
+        **(_instrument(scene) if scene.instrument.visible else {}),
         "source": _source(scene, table),
         "sensor": _sensor(scene, microscope),
         "integrator": {
@@ -60,11 +54,9 @@ def mitsuba_dict(
 def pose_parameters(scene: Scene, *, tip: Any, axis: Any, apex: Any) -> dict[str, Any]:
     """Values of the Mitsuba parameters that place the tip, the axis and the virtual apex."""
     tip, axis, apex = np.asarray(tip), np.asarray(axis), np.asarray(apex)
-    frame = _frame(tip, axis)
     values: dict[str, Any] = {}
     if scene.instrument.visible:
-        for name, local in _instrument_transforms(scene).items():
-            values[f"{name}.to_world"] = mi.Transform4f(frame @ local)
+        values["instrument.to_world"] = mi.Transform4f(_frame(tip, axis))
     values["source.tip"], values["source.axis"] = mi.Point3f(tip), mi.Vector3f(axis)
     if scene.source.kind == "cone":
         values["source.light.to_world"] = mi.Transform4f(_frame(apex, axis))
@@ -188,37 +180,39 @@ def _source(scene: Scene, table: optics.IrradianceTable | None) -> dict[str, Any
 
 
 def _instrument(scene: Scene) -> dict[str, Any]:
-    shapes: dict[str, Any] = {}
-    for name, local in _instrument_transforms(scene).items():
-        reflectance = _SHAFT_REFLECTANCE if name.startswith("shaft") else _FIBRE_REFLECTANCE
-        shapes[name] = {
-            "type": "disk" if name.endswith("face") else "cylinder",
-            "to_world": mi.ScalarTransform4f(local),
-            "bsdf": {
-                "type": "twosided",
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": reflectance}},
-            },
-        }
-    return shapes
+    """The instrument in the tip's frame, whose +z is the beam's axis, and its one moving instance.
 
-
-def _instrument_transforms(scene: Scene) -> dict[str, np.ndarray]:
-    """Unit cylinders and discs placed in the tip's frame, whose +z is the beam's axis."""
+    Moved as a rigid whole: a cylinder stretched and turned by one float32 matrix is not free of
+    shear to the 1e-6 that Mitsuba asks for.
+    """
     fibre = scene.instrument.fibre_diameter_mm / 2
     shaft = GAUGE_DIAMETER_MM[scene.instrument.gauge] / 2
     end = -scene.instrument.fibre_length_mm
+    shapes: dict[str, Any] = {"type": "shapegroup"}
+    for name, radius, back, front, reflectance in (
+        ("fibre", fibre, end, -_FACE_GAP_MM, _FIBRE_REFLECTANCE),
+        ("shaft", shaft, end - _SHAFT_MM, end, _SHAFT_REFLECTANCE),
+    ):
+        matt = {"type": "diffuse", "reflectance": {"type": "rgb", "value": reflectance}}
+        twosided = {"type": "twosided", "bsdf": matt}
+        place = np.diag([radius, radius, 1.0, 1.0])
+        place[2, 3] = front
+        shapes[f"{name}_side"] = {
+            "type": "cylinder",
+            "p0": [0.0, 0.0, back],
+            "p1": [0.0, 0.0, front],
+            "radius": radius,
+            "bsdf": twosided,
+        }
+        shapes[f"{name}_face"] = {
+            "type": "disk",
+            "to_world": mi.ScalarTransform4f(place),
+            "bsdf": twosided,
+        }
     return {
-        "fibre": _stretched(fibre, end, -_FACE_GAP_MM),
-        "fibre_face": _stretched(fibre, -_FACE_GAP_MM, 1 - _FACE_GAP_MM),
-        "shaft": _stretched(shaft, end - _SHAFT_MM, end),
-        "shaft_face": _stretched(shaft, end, end + 1),
+        "instrument_shapes": shapes,
+        "instrument": {"type": "instance", "shapes": {"type": "ref", "id": "instrument_shapes"}},
     }
-
-
-def _stretched(radius: float, low: float, high: float) -> np.ndarray:
-    matrix = np.diag([radius, radius, high - low, 1.0])
-    matrix[2, 3] = low
-    return matrix
 
 
 def _sensor(scene: Scene, microscope: optics.Microscope) -> dict[str, Any]:
