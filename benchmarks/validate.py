@@ -36,6 +36,7 @@ from benchmarks.tracking import WAYS, Tracked, track_stack
 from benchmarks.trials import PINHOLE_HEIGHTS_MM, Trial, grid_trials, paper_trials
 from calibration import PlaneFit, SphereFit, fit_eccentricity, fit_plane
 from estimator import Stack, read_stack
+from scenes.geometry import lens_table
 
 _RUN_SCHEMA = 1
 _ALL_PLANES = "all planes"
@@ -103,12 +104,19 @@ def run(*, out: Path, quick: bool, seed: int, source: str) -> Findings:
     ] + grid_trials(quick=quick, seed=seed)
 
     findings = Findings(settings=settings, trials=trials, tracked={})
-    with _timed(findings, "render and measure"):
-        findings.tracked.update(_render_and_measure(trials, out))
-    with _timed(findings, "fit and compare"):
-        _fit(findings)
-        findings.analytic.extend(_analytic(quick=quick))
-        findings.rendered.extend(_rendered(findings))
+    # One worker computes and measures beside the rendering, which leaves a core half idle.
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        try:
+            with _timed(findings, "render and measure"):
+                findings.tracked.update(_render_and_measure(trials, out, beside))
+            with _timed(findings, "fit and compare"):
+                analytic = beside.submit(_analytic, quick=quick)
+                _fit(findings)
+                findings.rendered.extend(_rendered(findings))
+                findings.analytic.extend(analytic.result())
+        except BaseException:
+            beside.shutdown(cancel_futures=True)
+            raise
     with _timed(findings, "report"):
         report.write(findings, out)
     return findings
@@ -133,7 +141,9 @@ def _claim(out: Path, settings: dict[str, object]) -> None:
     file.write_text(json.dumps(settings) + "\n")
 
 
-def _render_and_measure(trials: list[Trial], out: Path) -> dict[tuple[str, str], Tracked]:
+def _render_and_measure(
+    trials: list[Trial], out: Path, beside: ThreadPoolExecutor
+) -> dict[tuple[str, str], Tracked]:
     (out / "spots").mkdir(exist_ok=True)
     (out / "stacks").mkdir(exist_ok=True)
     measured: dict[str, Future[dict[str, Tracked]]] = {}
@@ -146,19 +156,19 @@ def _render_and_measure(trials: list[Trial], out: Path) -> dict[tuple[str, str],
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    # Spots are measured beside the rendering of the next trial.
-    with Progress(*columns) as progress, ThreadPoolExecutor(max_workers=1) as pool:
+    # Lens trials come last: their table takes seconds, beside the trials that need none.
+    ordered = sorted(trials, key=lambda trial: trial.source == "lens")
+    table = beside.submit(lens_table, ordered[-1].scene)
+    with Progress(*columns) as progress:
         total = sum(trial.scene.withdrawal.frames for trial in trials)
         task = progress.add_task("rendering", total=total)
-        try:
-            for trial in trials:
-                progress.update(task, description=trial.name)
-                stack = _stack(trial, out, lambda: progress.advance(task))
-                measured[trial.name] = pool.submit(_measure, trial, stack, out)
-            progress.update(task, description="measuring")
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+        for trial in ordered:
+            progress.update(task, description=trial.name)
+            if trial.source == "lens":
+                table.result()
+            stack = _stack(trial, out, lambda: progress.advance(task))
+            measured[trial.name] = beside.submit(_measure, trial, stack, out)
+        progress.update(task, description="measuring")
         return {
             (name, way): tracked
             for name, future in measured.items()
@@ -171,9 +181,15 @@ def _stack(trial: Trial, out: Path, advance) -> Stack:
     folder = out / "stacks" / trial.name
     if not folder.is_dir():
         return scenes.render_stack(trial.scene, folder, progress=advance)
+    stack = read_stack(folder)
+    if stack.description["scene"] != trial.scene.model_dump(mode="json", by_alias=True):
+        raise ValueError(
+            f"{folder} was rendered from another scene than this version would render. Remove it, "
+            "or choose another --out."
+        )
     for _ in range(trial.scene.withdrawal.frames):
         advance()
-    return read_stack(folder)
+    return stack
 
 
 def _measure(trial: Trial, stack: Stack, out: Path) -> dict[str, Tracked]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import NamedTuple
 
 import equinox as eqx
@@ -106,16 +107,18 @@ def _truth(
         beam = beam_at_spot(surface, distance=distance, **pose)
         edge = cone_contour(beam, surface).point
         contour = edge if table is None else half_maximum_contour(table, beam, surface)
-        spot, contour_px = beam.spot(surface), microscope.project(contour)
+        spot = beam.spot(surface)
+        images = microscope.project(jnp.stack([edge, contour]))
+        ellipses = ellipse_of_contour(images)
         return SpotTruth(
             beam=beam,
             distance=spot.distance,
             nearest=surface.nearest_distance(beam.tip),
             origin=spot.point,
-            cone=ellipse_of_contour(microscope.project(edge)),
-            half_max=ellipse_of_contour(contour_px),
+            cone=jax.tree.map(itemgetter(0), ellipses),
+            half_max=jax.tree.map(itemgetter(1), ellipses),
             contour=contour,
-            contour_px=contour_px,
+            contour_px=images[1],
         )
 
     return jax.vmap(at)(distances)

@@ -96,7 +96,7 @@ class MicroscopeSettings(_Settings):
     illumination_mw_mm2: float = Field(
         0.05, ge=0, description="Irradiance of the coaxial light at the pole."
     )
-    samples: int = Field(16, ge=1, description="Per pixel, on a regular grid.")
+    samples: int = Field(4, ge=1, description="Per pixel, on a regular grid: 1, 4, 9, 16 …")
 
 
 class Exposures(_Settings):
