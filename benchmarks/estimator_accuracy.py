@@ -30,6 +30,7 @@ from benchmarks.estimator_frames import (
     bell,
     domed_edge,
     erf_edge,
+    flank,
     frame_of,
     with_glints,
     with_quarter_in_shadow,
@@ -105,7 +106,7 @@ def _clipped(rng: np.random.Generator) -> Scene:
 
 def _profiles() -> dict[str, Profile]:
     blurs = {f"blur {sigma} px": erf_edge(sigma) for sigma in (1, 4, 8)}
-    return blurs | {"dome 20 %": domed_edge(2, 0.2), "bell": bell}
+    return blurs | {"dome 20 %": domed_edge(2, 0.2), "flank": flank(0.7), "bell": bell}
 
 
 def cases() -> dict[str, Make]:

@@ -64,6 +64,11 @@ def domed_edge(sigma_px: float, drop: float) -> Profile:
 _SOFT_DISC = erf_edge(2.0)
 
 
+def flank(width: float) -> Profile:
+    """Plateau that falls off linearly over `width` radii, as behind a flat glue lens."""
+    return lambda t, distance: np.clip(0.5 + (1 - t) / width, 0, 1)
+
+
 def bell(t: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """Gaussian."""
     return np.exp(-math.log(2) * t * t)

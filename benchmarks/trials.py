@@ -41,10 +41,10 @@ def paper_trials(*, source: str, quick: bool, seed: int) -> list[Trial]:
 
     Args:
         source: "lens" or "cone".
-        quick: 13 frames a trial instead of 61.
+        quick: 9 frames a trial instead of 61.
         seed: of camera noise and wall texture.
     """
-    frames = 13 if quick else 61
+    frames = 9 if quick else 61
     plane = [(f"plane {n}", "plane", c) for n, c in enumerate(_PLANE_ECCENTRICITIES_MM, start=1)]
     sphere = [(name, "sphere", row.c) for name, row in TABLE_II.items()]
     return [
