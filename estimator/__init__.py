@@ -13,9 +13,10 @@
     coarse.py        bright regions of a subsampled window
     edges.py         the contour of one region: capture, levels, refinement
     levels.py          peak, background, edge width
-    refine.py          of a spot with an edge
-    censored.py        ... whose plateau is at full scale
-    bell.py            of a spot without an edge
+    sharp.py           refinement at a sharp edge
+    censored.py        ... of a plateau at full scale
+    broad.py           refinement on a broad flank
+    band.py            profiles in a band along the contour
     unwrap.py        profiles along the rays of an ellipse
     ellipse.py       ellipses and their fit to edge offsets
     frames.py        accepted frames, response, reference frame

@@ -17,7 +17,7 @@ READABLE = 0.95
 _BRIGHTEST = 1.85  # times full scale: peak above which half of it is hardly seen
 _BIN_PX = 0.25
 _STEPS = 25
-_SMALLEST_STEP = 1e-7
+_SMALLEST_STEP = 1e-5
 
 
 def hidden_edge(
@@ -58,10 +58,10 @@ def hidden_edge(
         if trial_residual @ trial_residual < residual @ residual:
             fitted, residual, jacobian = fitted + step, trial_residual, trial_jacobian
             damping /= 4
-        elif np.abs(step).max() < _SMALLEST_STEP:
-            break
         else:
             damping *= 8
+        if np.abs(step).max() < _SMALLEST_STEP:
+            break
     peak = levels.background + patch.ceiling * math.exp(fitted[0])
     if not peak < _BRIGHTEST * patch.ceiling:
         return None
@@ -75,13 +75,15 @@ def _pixel_profile(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Radius offsets of bins along the edge, their mean signal, and their number of pixels."""
     height, width = patch.signal.shape
-    v, u = np.mgrid[:height, :width].reshape(2, -1)
-    around = np.stack([u + patch.x0, v + patch.y0]) - ellipse.centre[:, None]
-    cos, sin = np.linalg.solve(ellipse.shape, around)
-    offset = np.hypot(cos, sin) - 1
+    u = np.arange(width, dtype=np.float32) + np.float32(patch.x0 - ellipse.centre[0])
+    v = np.arange(height, dtype=np.float32) + np.float32(patch.y0 - ellipse.centre[1])
+    to_circle = np.linalg.inv(ellipse.shape).astype(np.float32)
+    cos = to_circle[0, 0] * u + to_circle[0, 1] * v[:, None]
+    sin = to_circle[1, 0] * u + to_circle[1, 1] * v[:, None]
+    offset = np.sqrt(cos * cos + sin * sin) - 1
     band = np.abs(offset) < reach
     ray = np.rint(np.arctan2(sin[band], cos[band]) * (RAYS / (2 * math.pi))).astype(int) % RAYS
-    offset, signal = offset[band][inliers[ray]], patch.signal.reshape(-1)[band][inliers[ray]]
+    offset, signal = offset[band][inliers[ray]], patch.signal[band][inliers[ray]]
     bins = max(int(2 * reach * ellipse.axes()[1] / _BIN_PX), 8)
     index = np.minimum(((offset + reach) * (bins / (2 * reach))).astype(int), bins - 1)
     number = np.bincount(index, minlength=bins)

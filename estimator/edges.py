@@ -8,18 +8,25 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from .bell import BROAD, refine_bell
+from .band import FURTHEST, Refined
+from .broad import BROAD, refine_broad
 from .coarse import Candidate, Coarse
 from .ellipse import Ellipse, robust_step
 from .levels import RADII, RADIUS_STEP, Levels, background_of, levels_of
-from .refine import FURTHEST, Refined, refine_edge
+from .sharp import refine_sharp
 from .spot import NoSpot, Reason
 from .unwrap import DESIGN, Patch, ring_variance
 
 REACH = 1.75
 """Furthest radius at which a fit looks for the edge, in units of the candidate's ellipse."""
 
-_SETTLED = 0.1  # move, in units of the edge's width, after which a refinement is not repeated
+_LOOSE = 0.2  # largest error, in radii, of an edge that a capture counts
+_CAPTURES = 3
+_NEAR_HALF = 0.1  # difference of the half level's radius from the captured one that may stay
+_EVERY = 2  # rays that the capture takes: one of so many
+_SETTLED = 0.1  # move, in units of the edge's width, after which a refinement is not repeated ...
+_SETTLED_BROAD = 0.005  # ... in radii, for a broad flank ...
+_EXCHANGED = 6  # ... if no more rays than these came or went
 _REFINEMENTS = 3
 _NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
 
@@ -55,41 +62,68 @@ def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | No
     1. Capture: on each ray the crossing of the candidate's half level nearest to its ellipse;
        a robust fit through the crossings.
     2. Levels: peak, background and edge width of the inlying rays.
-    3. Refinement, once or twice: each ray's shift against the mean profile by least squares,
-       together with the ray's own gain, slope and stretch, is the offset of its edge; the ellipse
-       follows the offsets, and its size follows the half level of the mean profile.
+    3. Refinement, up to three times: the shift of each ray's profile against the mean profile is
+       the offset of its edge. The ellipse follows the offsets by least squares, and its size
+       follows the half level of the mean profile (`sharp.py`, `broad.py`).
 
     Returns:
         The fit, or why the rays do not show one ellipse.
     """
+    located = _located(patch, coarse, candidate)
+    for _ in range(_CAPTURES - 1):
+        if located is None or abs(located[2].half_radius - 1) < _NEAR_HALF:
+            break
+        # A bell's typical level is far below its peak: again, from its half level.
+        ellipse, _, levels = located
+        candidate = replace(
+            candidate,
+            ellipse=ellipse.scaled(levels.half_radius),
+            peak=levels.peak,
+            background=levels.background,
+        )
+        located = _located(patch, coarse, candidate)
+    if located is None:
+        return NoSpot(Reason.NONE_FOUND)
+    return _refined(patch, coarse, *located)
+
+
+def _located(
+    patch: Patch, coarse: Coarse, candidate: Candidate
+) -> tuple[Ellipse, np.ndarray, Levels] | None:
     captured = _capture(patch, candidate)
     if captured is None:
-        return NoSpot(Reason.NONE_FOUND)
+        return None
     ellipse, inliers, profiles = captured
     levels = levels_of(profiles[inliers], coarse, ellipse, candidate)
-    if levels is None:
-        return NoSpot(Reason.NONE_FOUND)
-    refined = _refined(patch, ellipse, inliers, levels)
-    for _ in range(_REFINEMENTS - 1):
-        if isinstance(refined, NoSpot) or _settled(refined, levels):
-            break
-        levels = _with_background_in_view(refined, coarse)
-        refined = _refined(patch, refined.ellipse, refined.inliers, levels)
-    return refined if isinstance(refined, NoSpot) else _finished(refined)
+    return None if levels is None else (ellipse, np.repeat(inliers, _EVERY), levels)
 
 
 def _refined(
+    patch: Patch, coarse: Coarse, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
+) -> EdgeFit | NoSpot:
+    refined = _refined_once(patch, ellipse, inliers, levels)
+    for _ in range(_REFINEMENTS - 1):
+        if isinstance(refined, NoSpot) or _settled(refined, inliers, levels):
+            break
+        inliers, levels = refined.inliers, _with_background_in_view(refined, coarse)
+        refined = _refined_once(patch, refined.ellipse, inliers, levels)
+    return refined if isinstance(refined, NoSpot) else _finished(refined)
+
+
+def _refined_once(
     patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
 ) -> Refined | NoSpot:
-    refine = refine_bell if levels.width > BROAD else refine_edge
+    refine = refine_broad if levels.width > BROAD else refine_sharp
     return refine(patch, ellipse, inliers, levels)
 
 
-def _settled(refined: Refined, before: Levels) -> bool:
+def _settled(refined: Refined, inliers: np.ndarray, before: Levels) -> bool:
     """Whether another refinement would change nothing that matters."""
     after = refined.levels
     same_kind = (after.width > BROAD) == (before.width > BROAD) and after.width > 0.7 * before.width
-    return refined.move < _SETTLED * after.width and same_kind and after.sees_background
+    same_rays = np.count_nonzero(refined.inliers != inliers) <= _EXCHANGED
+    settled = refined.move < min(_SETTLED * after.width, _SETTLED_BROAD)
+    return settled and bool(same_rays) and same_kind and after.sees_background
 
 
 def _with_background_in_view(refined: Refined, coarse: Coarse) -> Levels:
@@ -105,15 +139,16 @@ def _with_background_in_view(refined: Refined, coarse: Coarse) -> Levels:
 
 
 def _capture(patch: Patch, candidate: Candidate) -> tuple[Ellipse, np.ndarray, np.ndarray] | None:
-    """Ellipse to a few tenths of a px, the rays on it, and the profiles; 0 outside the patch."""
+    """Ellipse to a few tenths of a px, which of the rays taken lie on it, and their profiles."""
     ellipse = candidate.ellipse
     level = (candidate.peak + candidate.background) / 2
     tolerance = max(1.5 / ellipse.axes()[1], 0.02)
     for _ in range(3):
-        profiles = patch.unwrapped(ellipse, RADII)
+        profiles = patch.unwrapped(ellipse, RADII, every=_EVERY)
         offsets, found = _crossings(profiles, level)
         near = np.abs(offsets) < FURTHEST
-        fitted = robust_step(DESIGN, offsets, found, near, tolerance=tolerance, limit=FURTHEST)
+        design = DESIGN[::_EVERY]
+        fitted = robust_step(design, offsets, found, near, tolerance=tolerance, limit=_LOOSE)
         if fitted is None or np.abs(fitted[0]).max() > 0.7:
             return None
         step, inliers = fitted
@@ -143,8 +178,9 @@ def _finished(refined: Refined) -> EdgeFit:
     rows = DESIGN[refined.inliers]
     errors = np.where(refined.inliers, refined.offsets, 0.0)
     share = len(rows) / len(DESIGN)
-    # Harmonics 0 to 2 are fitted.
-    variance = ring_variance(errors, slice(3, 13)) / share
+    # Harmonics 0 to 2 are fitted; on a broad flank texture is strongest next to them.
+    harmonics = slice(3, 7) if levels.width > BROAD else slice(3, 13)
+    variance = ring_variance(errors, harmonics) / share
     step_covariance = variance * cv2.invert(rows.T @ rows)[1]
     step_covariance[2:4, 2:4] += refined.size_variance
     return EdgeFit(

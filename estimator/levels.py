@@ -16,8 +16,10 @@ RADII = np.linspace(0.05, 1.6, 48)
 """Radii of the wide view, in units of the ellipse."""
 RADIUS_STEP = float(RADII[1] - RADII[0])
 
+DOUBT = 9.0
+"""Square of the standard deviations by which a top's shape must exceed texture to count."""
+
 _NEAR_EDGE = np.abs(RADII[1:-1] - 1) < 0.35
-_DOUBT = 9.0  # square of the standard deviations that a dome must exceed
 _FAR_ENOUGH = 0.9  # part of the radius where the background begins that must be in view
 _BACKGROUND_RADII = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 
@@ -29,18 +31,20 @@ class Levels:
     Attributes:
         peak: signal of the spot's brightest part, noise and texture taken out.
         dome: signal over the peak's, a polynomial in the squared radius.
-        dome_variance: of the dome's height relative to the peak.
+        variance: of the peak, relative, from what texture leaves open.
         background: signal around the spot.
         background_radius: where it was taken, units of the radius.
         width: of the edge in units of the radius (see `Spot.edge_width_px`).
+        half_radius: where the mean profile falls to the half level, units of the radius.
     """
 
     peak: float
     dome: tuple[float, float, float]
-    dome_variance: float
+    variance: float
     background: float
     background_radius: float
     width: float
+    half_radius: float
 
     @property
     def amplitude(self) -> float:
@@ -92,7 +96,18 @@ def levels_of(
     peak, dome, variance = _top(profiles, width, dark, glaring)
     if not peak > background:
         return None
-    return Levels(peak, dome, variance, background, radius, width)
+    half_radius = _falling_through(mean, (peak + background) / 2)
+    return Levels(peak, dome, variance, background, radius, width, half_radius)
+
+
+def _falling_through(mean: np.ndarray, level: float) -> float:
+    """Radius at which the mean profile last falls to the level."""
+    above = np.flatnonzero(mean >= level)
+    last = int(above[-1]) if above.size else 0
+    if last + 1 == len(RADII):
+        return float(RADII[-1])
+    share = (mean[last] - level) / (mean[last] - mean[last + 1]) if above.size else 0.0
+    return float(RADII[last] + RADIUS_STEP * share)
 
 
 def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float, float] | None:
@@ -103,10 +118,10 @@ def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float
     levels = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
     radius = _dark_radius(width)
     for _ in range(6):
-        ring = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII).ravel()
+        ring = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII, every=2).ravel()
         if not levels.holds(ellipse.scaled(radius + 0.4)):
             ring = ring[~np.isnan(ring)]
-        if ring.size > RAYS:
+        if ring.size > RAYS // 2:
             return float(np.partition(ring, ring.size // 2)[ring.size // 2]) * coarse.unit, radius
         radius = 1 + 0.75 * (radius - 1)
     return None
@@ -128,7 +143,7 @@ def _top(
     outermost = min(max(1 - 2.5 * width, 0.5), 0.9)
     rings = slice(0, max(int((outermost - RADII[0]) / RADIUS_STEP) + 1, 8), 2)
     radii = RADII[rings]
-    inner = profiles[::2, rings]
+    inner = profiles[:, rings]
     seen = (inner > dark) & (inner < glaring)
     number = np.count_nonzero(seen, axis=0)
     means = (inner * seen).sum(axis=0) / np.maximum(number, 1)
@@ -147,7 +162,7 @@ def _top(
     contrast = np.where(np.arange(len(radii)) < len(radii) // 2, 1.0, -1.0)
     rise = whole @ contrast.astype(np.float32) * (2 / len(radii))
     variance = 4 * ring_variance(rise - rise.mean(), slice(2, 6)) / len(rise) / plateau**2
-    kept = max(0.0, 1 - _DOUBT * variance / height**2)
+    kept = max(0.0, 1 - DOUBT * variance / height**2)
     c0, c1, c2 = (coefficients[:, 0] / top).tolist()
     dome = (1 - kept + kept * c0, kept * c1, kept * c2)
     return plateau / (1 - kept + kept * plateau / top), dome, variance

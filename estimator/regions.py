@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from .broad import BROAD
 from .coarse import Candidate, Coarse, TooSmall, bright_regions
 from .edges import REACH, EdgeFit, fit_edge
 from .ellipse import Ellipse, covariance_of_axes, refitted
@@ -20,7 +21,7 @@ from .unwrap import Patch, contour_points, share_of_contour
 _SATURATED = 0.02  # fraction of a spot's pixels at full scale that its half level notices
 _BRIGHTER = 1.2  # than grey: from there a channel's weaker texture is worth its noise
 _FAINTEST_CHANNEL = 0.1  # of full scale: least level of a channel that may stand in for grey
-_ROUGHEST = 0.06  # scatter of the edges, in units of the radius, of something that is an ellipse
+_ROUGHEST = 0.05  # scatter of sharp edges, in units of the radius, of what is an ellipse
 _SHORTEST_ARC = 0.2  # fraction of a contour from which an ellipse is recognised as hidden
 _FILLED = 0.75  # of its ellipse's area: what takes less is cut by something
 _SMALLEST_AREA = 0.7  # of the smallest spot's: a region may be only the bright part of its spot
@@ -170,8 +171,8 @@ def _saturated_fractions(
 def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:
     semi_major, semi_minor, angle = fit.ellipse.axes()
     coverage = share_of_contour(fit.ellipse, fit.inliers)
-    coherent = fit.scatter < _ROUGHEST and coverage > _SHORTEST_ARC
     levels = fit.levels
+    coherent = fit.scatter < _ROUGHEST * (1 + levels.width / BROAD) and coverage > _SHORTEST_ARC
     if not coherent or semi_major > settings.max_axis_ratio * semi_minor:
         return NoSpot(Reason.NONE_FOUND)
     if levels.amplitude < settings.min_contrast * levels.background:

@@ -1,8 +1,10 @@
 """Sub-pixel mode: the half-maximum contour of the linearised signal.
 
-The edge of a spot is where its light, the wall's reflectance taken out, falls to the middle between
-the spot's own peak (of a bell) or plateau (of a disc, domed or flat) and the background around it.
-It does not move with exposure nor, where the edge is symmetric about its middle, with blur.
+The edge of a spot is where its light falls to the middle between the spot's own peak and the
+background around it: the peak of a bell, the plateau of a disc, the highest point of a dome or of a
+plateau that slopes. It does not move with exposure nor, where the edge is symmetric about its
+middle, with blur. The wall's reflectance is taken out as far as the frame shows it, and altogether
+by a reference frame without the spot.
 
 Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), which has the least
 noise, unless one channel is clearly brighter in the spot, where texture is weaker (on a retina red,

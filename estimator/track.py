@@ -151,8 +151,8 @@ _TOLD = (
     Reason.TOO_SMALL,
     Reason.TOO_LARGE,
     Reason.CLIPPED,
-    Reason.SATURATED,
     Reason.OCCLUDED,
+    Reason.SATURATED,
 )
 
 

@@ -38,15 +38,16 @@ class Patch:
     stride: float = 1.0
     ceiling: float = math.inf
 
-    def unwrapped(self, ellipse: Ellipse, radii: np.ndarray) -> np.ndarray:
-        """Bilinear samples on the ellipse's rays, (RAYS, len(radii)); NaN outside the patch.
+    def unwrapped(self, ellipse: Ellipse, radii: np.ndarray, every: int = 1) -> np.ndarray:
+        """Bilinear samples on the ellipse's rays, (RAYS / every, radii); NaN outside the patch.
 
         Args:
             ellipse: in the frame, px.
             radii: in units of the ellipse, 1 on its contour.
+            every: takes every n-th ray only.
         """
         scale = 1 / self.stride
-        direction = (ellipse.shape * scale) @ _ACROSS
+        direction = (ellipse.shape * scale) @ _ACROSS[:, ::every]
         points = np.multiply.outer(direction.astype(np.float32), radii.astype(np.float32))
         points[0] += (ellipse.centre[0] - self.x0) * scale
         points[1] += (ellipse.centre[1] - self.y0) * scale

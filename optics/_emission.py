@@ -115,12 +115,8 @@ def transmitted_power(lens: GlueLens, *, medium_index: ArrayLike) -> Float[Array
     turned = (0.5 * np.pi * (node + 1.0)).reshape(-1, 1, 1)
     height = low + (high - low) * (0.5 - 0.5 * np.cos(turned))
     height_weight = height * (high - low) * 0.25 * np.pi * np.sin(turned) * weight.reshape(-1, 1, 1)
-    rays = emitted_rays(
-        lens, medium_index=medium_index, points=place(height), directions=direction
-    )
-    radiance = lens.radiance(
-        face_radius_squared=jnp.square(height), sine_squared=jnp.square(sine)
-    )
+    rays = emitted_rays(lens, medium_index=medium_index, points=place(height), directions=direction)
+    radiance = lens.radiance(face_radius_squared=jnp.square(height), sine_squared=jnp.square(sine))
     # 2 pi for the azimuth on the face, 2 for the other half of the turns.
     measure = 4.0 * np.pi * height_weight * sine_weight * (0.5 * np.pi * turn_weight)
     return jnp.sum(measure * radiance * rays.transmittance)

@@ -8,6 +8,7 @@ over its lit arcs, whose ends are found by root finding: the integrand is smooth
 include what the moving ends add.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import jax
@@ -24,8 +25,7 @@ from optics._lens_trace import BackwardRays, trace_backwards
 _RINGS = 6  # Gauss-Legendre nodes between two breaks
 _CELLS = 8  # cells of the scan along half a ring
 _ARC = 5  # Gauss-Legendre nodes on an arc
-_BATCH = 256  # wall points at a time: what they need stays in the cache
-_FEW = 16
+_BATCH = 64  # wall points at a time: what they need stays in the cache
 
 
 def vector_irradiance(
@@ -51,16 +51,25 @@ def vector_irradiance(
     medium_index = jnp.asarray(medium_index, dtype=float)
     size = radius.size
     wall = jnp.stack([radius.ravel(), distance.ravel()])
-    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lens, medium_index, wall)))
-    # Known wall points come in whole batches, so that two compilations serve every number of them.
-    width = min(size, _BATCH) if traced else (_BATCH if size > _FEW else _FEW)
+    leaves = jax.tree.leaves((lens, medium_index, wall))
+    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+    # Known wall points come in whole batches, so that one compilation serves any number of them.
+    width = min(size, _BATCH) if traced else _BATCH
     wall = jnp.pad(wall, ((0, 0), (0, -size % width)), mode="edge")
     batches = wall.reshape(2, -1, width).transpose(1, 0, 2)
+
+    def evaluate(batch):
+        return np.asarray(_batch_field(lens, medium_index, *batch))
+
     if traced:
         field = lax.map(lambda batch: _batch_field(lens, medium_index, *batch), batches)
     else:
-        pending = [_batch_field(lens, medium_index, *batch) for batch in np.asarray(batches)]
-        field = jnp.asarray(np.stack(pending))
+        # One batch is too small to be shared among cores, so each core takes its own. The first is
+        # computed alone, so that only one thread compiles.
+        first, *rest = np.asarray(batches)
+        with ThreadPoolExecutor() as pool:
+            fields = [evaluate(first), *pool.map(evaluate, rest)]
+        field = jnp.asarray(np.stack(fields))
     field = field.transpose(1, 0, 2).reshape(2, -1)[:, :size]
     return field[0].reshape(radius.shape), field[1].reshape(radius.shape)
 

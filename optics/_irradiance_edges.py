@@ -31,8 +31,8 @@ def ring_breaks(
     """Radii of the cap between which its rings are lit alike, both ends included.
 
     At a break the lit part's edge crosses the meridian through the wall point or touches a ring, so
-    that arcs begin or end, or the cone takes over from the core in bounding them. Breaks only place the nodes of
-    the quadrature, so they carry no derivative.
+    that arcs begin or end, or the cone takes over from the core in bounding them. Breaks carry
+    their derivatives: where the core's edge runs along a ring, all of an arc ends with them.
 
     Args:
         lens: the lens.
@@ -74,13 +74,14 @@ def ring_breaks(
     )
     crossing = jnp.abs(implicit_root(excess, settle(excess, lit, dark)))
     reaches_rim = (values[0] < 0.0) | (values[-1] < 0.0)
-    inner = jnp.min(jnp.where(found, crossing, aperture))
+    inner = jnp.where(jnp.any(found), jnp.min(jnp.where(found, crossing, aperture)), 0.0)
     outer = jnp.where(reaches_rim, aperture, jnp.max(jnp.where(found, crossing, 0.0)))
     inner, outer = jnp.minimum(inner, outer), jnp.maximum(inner, outer)
     is_met, meeting = _meetings(rays, inner, outer)
     found, breaks = jnp.append(found, is_met), jnp.append(crossing, meeting)
-    # Breaks that are not needed divide the range evenly instead.
-    even = inner + (outer - inner) * np.linspace(0.0, 1.0, breaks.size)
+    # Breaks that are not needed divide the range instead, evenly in the angle again.
+    first, last = _half_tangent((inner - radius) / gap), _half_tangent((outer - radius) / gap)
+    even = place(first + (last - first) * np.linspace(0.0, 1.0, breaks.size))
     breaks = jnp.clip(jnp.where(found, breaks, even), 0.0, aperture)
     zero = jnp.zeros_like(aperture)
     return jnp.sort(jnp.concatenate([breaks, jnp.stack([zero, aperture])]))
@@ -109,17 +110,17 @@ def _meetings(
         (edge, face), (slope, _) = jax.jvp(cone, (place[1],), (jnp.ones_like(place[1]),))
         return edge, jnp.where(meets_core, face, slope)
 
-    def move(place, direction):
-        return jax.jvp(values, (place,), (jnp.zeros_like(place).at[direction].set(1.0),))
-
     def step(place):
-        (a, b), (a_ring, b_ring) = move(place, 0)
-        _, (a_tau, b_tau) = move(place, 1)
-        a_ring, b_ring, a_tau, b_tau = lax.stop_gradient((a_ring, b_ring, a_tau, b_tau))
+        def along(direction):
+            move = jnp.broadcast_to(direction[:, None], place.shape)
+            return jax.jvp(values, (place,), (move,))
+
+        (a, b), slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(2))
+        (a_ring, a_tau), (b_ring, b_tau) = lax.stop_gradient(slopes)
         determinant = a_ring * b_tau - a_tau * b_ring
         safe = jnp.where(determinant == 0.0, 1.0, determinant)
         correction = jnp.stack([b_tau * a - a_tau * b, a_ring * b - b_ring * a]) / safe
-        return jnp.clip(place - correction, 0.0, 1.0)
+        return jnp.clip(place - correction, 0.0, 1.0), jnp.maximum(jnp.abs(a), jnp.abs(b))
 
     share = (np.arange(_MEETING_GRID) + 0.5) / _MEETING_GRID
     ring, tau = np.meshgrid(share, share)
@@ -127,10 +128,10 @@ def _meetings(
     start = jnp.stack(jnp.broadcast_arrays(ring, tau))
     best = jnp.argmin(jnp.maximum(*map(jnp.abs, values(start))), axis=0)
     place = lax.stop_gradient(jnp.stack([start[0, :, 0][best], start[1, best, np.arange(3)]]))
-    place = lax.stop_gradient(lax.fori_loop(0, _STEPS, lambda _, place: step(place), place))
-    met = jnp.maximum(*map(jnp.abs, values(place))) < 1e-6
+    place = lax.stop_gradient(lax.fori_loop(0, _STEPS, lambda _, place: step(place)[0], place))
     # The last step alone is differentiated: it gives the implicit function's derivative.
-    return met, inner + (outer - inner) * step(place)[0]
+    place, residual = step(place)
+    return residual < 1e-6, inner + (outer - inner) * place[0]
 
 
 def scan_boundaries(
@@ -164,7 +165,8 @@ def scan_boundaries(
     start = (jnp.zeros(values.shape[1:], dtype=int), nowhere, nowhere)
     # Not a cumulative sum with a gather: XLA's are thirty times slower here.
     cells = (x[:-1], x[1:], is_lit[:-1], is_lit[1:])
-    (passed, lit, dark), _ = lax.scan(visit, start, cells, unroll=8)
+    # A short scan costs less unrolled, a long one takes long to compile that way.
+    (passed, lit, dark), _ = lax.scan(visit, start, cells, unroll=len(x) <= 16)
     return passed > number, lit, dark
 
 
@@ -198,7 +200,9 @@ def settle(excess: Excess, lit: Array, dark: Array) -> Array:
         return jnp.where(is_lit, x, lit), jnp.where(is_lit, dark, x), x, value, slope
 
     lit, dark = lax.stop_gradient((lit, dark))
-    state = lax.fori_loop(0, _STEPS, step, (lit, dark, dark, *measure(dark)))
+    # Without a slope the first step bisects.
+    unknown = jnp.zeros_like(dark)
+    state = lax.fori_loop(0, _STEPS + 1, step, (lit, dark, dark, unknown, unknown))
     lit, dark, x, value, slope = lax.stop_gradient(state)
     x_next = newton(x, value, slope)
     # On the dark side the limit that is broken first is the largest; on the lit side it need not.

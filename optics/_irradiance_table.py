@@ -98,22 +98,27 @@ class IrradianceTable(eqx.Module):
             radius: distance from the axis, mm.
             distance: s, distance from the tip along the axis, mm.
         """
-        radius, distance = jnp.broadcast_arrays(jnp.asarray(radius), jnp.asarray(distance))
-        rows, columns, _ = self.values.shape
-        envelope = self.envelope(distance)
-        x = radius / envelope
-        y = jnp.log(jnp.clip(distance, self.nearest, self.farthest) / self.nearest)
-        column = jnp.clip(x, 0.0, 1.0) * (columns - 1)
-        row = y / np.log(self.farthest / self.nearest) * (rows - 1)
-        j = jnp.clip(column.astype(int), 0, columns - 2)
-        i = jnp.clip(row.astype(int), 0, rows - 2)
-        across, along = (column - j)[..., None], (row - i)[..., None]
-        near = self.values[i, j] * (1.0 - across) + self.values[i, j + 1] * across
-        far = self.values[i + 1, j] * (1.0 - across) + self.values[i + 1, j + 1] * across
-        lit = (x <= 1.0) & (distance >= 0.0)
-        scale = jnp.where(lit, 1.0 / jnp.square(envelope), 0.0)[..., None]
-        field = (near * (1.0 - along) + far * along) * scale
-        return field[..., 0], field[..., 1]
+        return _look_up(self, jnp.asarray(radius), jnp.asarray(distance))
+
+
+@jax.jit
+def _look_up(table: IrradianceTable, radius: Array, distance: Array) -> tuple[Array, Array]:
+    radius, distance = jnp.broadcast_arrays(radius, distance)
+    rows, columns, _ = table.values.shape
+    envelope = table.envelope(distance)
+    x = radius / envelope
+    y = jnp.log(jnp.clip(distance, table.nearest, table.farthest) / table.nearest)
+    column = jnp.clip(x, 0.0, 1.0) * (columns - 1)
+    row = y / jnp.log(table.farthest / table.nearest) * (rows - 1)
+    j = jnp.clip(column.astype(int), 0, columns - 2)
+    i = jnp.clip(row.astype(int), 0, rows - 2)
+    across, along = (column - j)[..., None], (row - i)[..., None]
+    near = table.values[i, j] * (1.0 - across) + table.values[i, j + 1] * across
+    far = table.values[i + 1, j] * (1.0 - across) + table.values[i + 1, j + 1] * across
+    lit = (x <= 1.0) & (distance >= 0.0)
+    scale = jnp.where(lit, 1.0 / jnp.square(envelope), 0.0)[..., None]
+    field = (near * (1.0 - along) + far * along) * scale
+    return field[..., 0], field[..., 1]
 
 
 def irradiance_table(lens: GlueLens, *, medium_index: ArrayLike) -> IrradianceTable:
@@ -193,4 +198,5 @@ def _envelope(lens: GlueLens, medium_index) -> tuple[Float[Array, ""], Float[Arr
     passed = rays.status == TRANSMITTED
     steepness = rays.direction[..., 0] / jnp.maximum(rays.direction[..., 2], 1e-3)
     at_tip = rays.point[..., 0] - steepness * rays.point[..., 2]
-    return tuple(jnp.max(jnp.where(passed, jnp.abs(value), 0.0)) for value in (at_tip, steepness))
+    at_tip, steepness = (jnp.where(passed, jnp.abs(x), 0.0) for x in (at_tip, steepness))
+    return jnp.max(at_tip), jnp.max(steepness)

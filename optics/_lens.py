@@ -42,14 +42,14 @@ class GlueLens(eqx.Module):
         launch_aperture: 1/e^2 half-width of the radiance in n_g sin theta, or None.
     """
 
-    core_radius: ArrayLike
-    glue_length: ArrayLike
-    aperture_radius: ArrayLike
-    sag: ArrayLike
-    glue_index: ArrayLike
-    numerical_aperture: ArrayLike
-    launch_radius: ArrayLike | None
-    launch_aperture: ArrayLike | None
+    core_radius: Float[Array, ""]
+    glue_length: Float[Array, ""]
+    aperture_radius: Float[Array, ""]
+    sag: Float[Array, ""]
+    glue_index: Float[Array, ""]
+    numerical_aperture: Float[Array, ""]
+    launch_radius: Float[Array, ""] | None
+    launch_aperture: Float[Array, ""] | None
 
     @property
     def curvature(self) -> Float[Array, ""]:
@@ -74,7 +74,8 @@ class GlueLens(eqx.Module):
         Args:
             medium_index: n0, refractive index of the medium.
         """
-        return medium_index / (self.curvature * (jnp.asarray(self.glue_index) - medium_index))
+        index_step = self.glue_index - medium_index
+        return jnp.asarray(medium_index) / (self.curvature * index_step)
 
     def sagitta(self, radius: ArrayLike) -> Float[Array, "*batch"]:
         """Depth of the cap's surface below its vertex, κρ²/(1 + √(1 - κ²ρ²)), mm.
@@ -98,18 +99,28 @@ class GlueLens(eqx.Module):
         Returns:
             The profile of the class's docstring without its limits, which the caller applies.
         """
-        exponent, etendue = 0.0, 1.0
-        for squared, extent, waist in (
-            (face_radius_squared, self.face_radius, self.launch_radius),
-            (sine_squared * self.glue_index**2, self.sine_limit * self.glue_index, self.launch_aperture),
-        ):
-            area = jnp.pi * jnp.square(extent)
-            if waist is not None:
-                exponent = exponent - 2.0 * squared / jnp.square(waist)
-                edge = 2.0 * jnp.square(extent / waist)
-                area = area * -jnp.expm1(-edge) / edge
-            etendue = etendue * area
-        return jnp.exp(exponent) * self.glue_index**2 / etendue
+        launch_sine = (
+            None if self.launch_aperture is None else self.launch_aperture / self.glue_index
+        )
+        decay = _decay(face_radius_squared, self.launch_radius) + _decay(sine_squared, launch_sine)
+        etendue = _weight(self.face_radius, self.launch_radius) * _weight(
+            self.sine_limit, launch_sine
+        )
+        return jnp.exp(-decay) / etendue
+
+
+def _decay(squared: ArrayLike, waist: ArrayLike | None) -> Array:
+    """Exponent by which a Gaussian launch has fallen, 0 for a uniform one."""
+    return jnp.zeros(()) if waist is None else jnp.asarray(2.0 * squared / jnp.square(waist))
+
+
+def _weight(extent: Array, waist: ArrayLike | None) -> Array:
+    """Integral of the launch over its disc."""
+    area = jnp.pi * jnp.square(extent)
+    if waist is None:
+        return area
+    edge = _decay(jnp.square(extent), waist)
+    return area * -jnp.expm1(-edge) / edge
 
 
 def _lit_extent(limit: ArrayLike, waist: ArrayLike | None) -> Float[Array, ""]:
@@ -144,31 +155,36 @@ def glue_lens(
         ValueError: a value outside its range; the message says which and how to mend it.
     """
     lens = GlueLens(
-        core_radius,
-        glue_length,
-        aperture_radius,
-        sag,
-        glue_index,
-        numerical_aperture,
-        launch_radius,
-        launch_aperture,
+        _number(core_radius),
+        _number(glue_length),
+        _number(aperture_radius),
+        _number(sag),
+        _number(glue_index),
+        _number(numerical_aperture),
+        None if launch_radius is None else _number(launch_radius),
+        None if launch_aperture is None else _number(launch_aperture),
     )
     if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(lens)):
-        _check(**{name: value if value is None else float(value) for name, value in vars(lens).items()})
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), lens)
+        _check(lens)
+    return lens
 
 
-def _check(
-    *,
-    core_radius: float,
-    glue_length: float,
-    aperture_radius: float,
-    sag: float,
-    glue_index: float,
-    numerical_aperture: float,
-    launch_radius: float | None,
-    launch_aperture: float | None,
-) -> None:
+def _number(value: ArrayLike) -> Float[Array, ""]:
+    return jnp.asarray(value, dtype=float)
+
+
+def _check(lens: GlueLens) -> None:
+    core_radius, glue_length, aperture_radius, sag, glue_index, numerical_aperture = map(
+        float,
+        (
+            lens.core_radius,
+            lens.glue_length,
+            lens.aperture_radius,
+            lens.sag,
+            lens.glue_index,
+            lens.numerical_aperture,
+        ),
+    )
     rules = (
         (
             core_radius > 0.0,
@@ -205,14 +221,14 @@ def _check(
             f"glue_index={glue_index:g}. Lower numerical_aperture",
         ),
         (
-            launch_radius is None or launch_radius > 0.0,
+            lens.launch_radius is None or lens.launch_radius > 0.0,
             "launch_radius",
-            f"must be positive; got {launch_radius} mm. Leave it out for a uniform core",
+            f"must be positive; got {lens.launch_radius} mm. Leave it out for a uniform core",
         ),
         (
-            launch_aperture is None or launch_aperture > 0.0,
+            lens.launch_aperture is None or lens.launch_aperture > 0.0,
             "launch_aperture",
-            f"must be positive; got {launch_aperture}. Leave it out for a uniform cone",
+            f"must be positive; got {lens.launch_aperture}. Leave it out for a uniform cone",
         ),
     )
     for holds, name, rule in rules:

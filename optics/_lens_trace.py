@@ -70,9 +70,7 @@ def trace_backwards(
     out_across_squared = jnp.square(radius) * sin_squared
     out_s = distance + depth
     length_squared = (
-        jnp.square(radius - cap_radius)
-        + 4.0 * radius * cap_radius * haversine
-        + jnp.square(out_s)
+        jnp.square(radius - cap_radius) + 4.0 * radius * cap_radius * haversine + jnp.square(out_s)
     )
     per_length = 1.0 / jnp.sqrt(length_squared)
     out_radial, out_s = out_radial * per_length, out_s * per_length

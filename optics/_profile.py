@@ -5,6 +5,7 @@ All on a plane square to the axis, where the irradiance is V_s.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -35,9 +36,7 @@ class EffectiveCone(NamedTuple):
     r_squared: Float[Array, ""]
 
 
-def half_maximum_radius(
-    light: Light, *, distance: Float[Array, "*batch"]
-) -> Float[Array, "*batch"]:
+def half_maximum_radius(light: Light, *, distance: ArrayLike) -> Float[Array, "*batch"]:
     """Radius of the outermost circle on a square plane with half of the plane's peak irradiance.
 
     Args:
@@ -53,7 +52,7 @@ def half_maximum_radius(
 
 
 def isophote_radius(
-    light: Light, *, distance: Float[Array, "*batch"], level: ArrayLike
+    light: Light, *, distance: ArrayLike, level: ArrayLike
 ) -> Float[Array, "*batch"]:
     """Radius of the outermost circle on a square plane with a given irradiance.
 
@@ -126,10 +125,7 @@ def ambiguous_distances(
     passes = (low <= middle[:, None]) & (middle[:, None] < high)
     ambiguous = np.sum(passes, axis=1) > 1
     edges = np.flatnonzero(np.diff(np.concatenate([[0], ambiguous.astype(int), [0]])))
-    return [
-        (float(distance[first]), float(distance[last]))
-        for first, last in edges.reshape(-1, 2)
-    ]
+    return [(float(distance[first]), float(distance[last])) for first, last in edges.reshape(-1, 2)]
 
 
 def _profile(light: Light, distance: ArrayLike) -> tuple[Array, Array]:
@@ -140,6 +136,7 @@ def _profile(light: Light, distance: ArrayLike) -> tuple[Array, Array]:
     return radius, light(radius=radius, distance=distance)[1]
 
 
+@jax.jit
 def _outermost_crossing(radius: Array, irradiance: Array, level: Array) -> Array:
     """Where the piecewise linear profile falls below a level for the last time, 0 if it never is.
 

@@ -1,8 +1,8 @@
 """Refraction and Fresnel transmission at a smooth boundary between two media."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
 from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
 
 
 def refracted_cosine(*, cos_incident: ArrayLike, index_ratio: ArrayLike) -> Float[Array, "*batch"]:
@@ -51,7 +51,7 @@ def fresnel_transmittance(
     floor = jnp.finfo(float).tiny
     s_sum = jnp.maximum(jnp.square(s_in + s_out), floor)
     p_sum = jnp.maximum(jnp.square(p_in + p_out), floor)
-    return 2.0 * (s_in * s_out / s_sum + p_in * p_out / p_sum)
+    return jnp.asarray(2.0 * (s_in * s_out / s_sum + p_in * p_out / p_sum))
 
 
 def refract(

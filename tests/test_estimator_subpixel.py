@@ -8,6 +8,7 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 import pytest
+from skimage.measure import EllipseModel, find_contours
 
 from benchmarks.estimator_frames import (
     SHAPE,
@@ -18,6 +19,7 @@ from benchmarks.estimator_frames import (
     bell,
     domed_edge,
     erf_edge,
+    flank,
     frame_of,
     light_of,
     with_glints,
@@ -92,6 +94,22 @@ def test_a_dome_is_measured_at_half_of_its_peak() -> None:
 def test_a_bell_is_measured_at_half_of_its_peak() -> None:
     errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), profile=bell), 6)
     assert np.abs(errors[:, 2:]).max() < 0.003 * 66 + 3 * 0.05
+
+
+def test_a_sloping_plateau_is_measured_at_half_of_its_highest_point() -> None:
+    u = np.arange(SHAPE[1])
+    slope = np.broadcast_to(1 + 0.1 * (u - _TRUTH.x) / _TRUTH.semi_major, SHAPE)
+    scene = Scene(truth=_TRUTH, profile=flank(0.7), lit=slope, amplitude=150)
+    light = light_of(replace(scene, noise=0.0))[..., 0] - scene.ambient
+    contour = max(find_contours(light, light.max() / 2), key=len)
+    model = EllipseModel.from_estimate(contour[:, ::-1])
+    spot = _measured(frame_of(scene, np.random.default_rng(0)))
+    # The contour is not quite an ellipse, and the two fits weight its points differently: 0.3 px.
+    np.testing.assert_allclose((spot.x_px, spot.y_px), model.center, atol=0.4)
+    found = spot.semi_minor_px, spot.semi_major_px
+    np.testing.assert_allclose(found, sorted(model.axis_lengths), rtol=0.006)
+    # Half of the middle's light would lie a flank's 4 % further out.
+    assert min(model.axis_lengths) < 0.98 * _TRUTH.semi_minor
 
 
 def test_texture_hardly_moves_the_contour() -> None:

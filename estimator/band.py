@@ -1,0 +1,196 @@
+"""A band of profiles along a contour: the mean profile, each ray's shift against it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .ellipse import Ellipse
+from .levels import Levels
+from .unwrap import DESIGN, Patch
+
+FURTHEST = 0.1
+"""Largest error, in units of the radius, of a sharp edge that belongs to an ellipse."""
+
+_SAMPLING = 0.7  # px between samples
+_FEWEST = 8  # rays that make a mean profile
+_CUBIC = np.arange(4)
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """An ellipse after a refinement.
+
+    Attributes:
+        ellipse: px.
+        move: how far the contour moved at most, units of the radius.
+        size_variance: of the contour's common offset, beyond what the offsets' scatter shows.
+        levels: sharpened by what the refinement saw.
+        offsets: (RAYS,) radial distance of each ray's edge from the ellipse, units of the radius.
+        found: (RAYS,) rays with an edge.
+        inliers: (RAYS,) rays whose edge belongs to the ellipse.
+        inside: (RAYS,) rays whose contour point lies in the frame.
+    """
+
+    ellipse: Ellipse
+    move: float
+    size_variance: float
+    levels: Levels
+    offsets: np.ndarray
+    found: np.ndarray
+    inliers: np.ndarray
+    inside: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Profiles on either side of an ellipse.
+
+    Attributes:
+        ellipse: px.
+        from_edge: (n,) radius offsets of the samples, units of the radius.
+        profiles: (RAYS, n) signal; 0 on rays that leave the frame.
+        whole: (RAYS,) rays that do not.
+        inside: (RAYS,) rays whose contour point lies in the frame.
+        inliers: (RAYS,) rays that make the mean profile.
+        mean: (n,) mean profile.
+        slope: (n,) its derivative.
+    """
+
+    ellipse: Ellipse
+    from_edge: np.ndarray
+    profiles: np.ndarray
+    whole: np.ndarray
+    inside: np.ndarray
+    inliers: np.ndarray
+    mean: np.ndarray
+    slope: np.ndarray
+
+    @classmethod
+    def along(
+        cls, patch: Patch, ellipse: Ellipse, inliers: np.ndarray, reach: float
+    ) -> Band | None:
+        """The band that reaches so far (radii) on either side; None with too few rays in it."""
+        side = min(max(int(reach * ellipse.axes()[1] / _SAMPLING), 5), 16)
+        from_edge = np.arange(-side, side + 1) * (reach / side)
+        profiles = patch.unwrapped(ellipse, 1 + from_edge)
+        if patch.holds(ellipse.scaled(1 + reach)):
+            inside = whole = np.ones(len(profiles), bool)
+        else:
+            inside = ~np.isnan(profiles[:, side])
+            whole = ~np.isnan(profiles[:, 0] + profiles[:, -1])
+            profiles = np.nan_to_num(profiles, nan=0.0)
+            inliers = inliers & whole
+        number = np.count_nonzero(inliers)
+        if number < _FEWEST:
+            return None
+        mean = inliers.astype(np.float32) @ profiles / np.float32(number)
+        slope = _derivative(mean, reach / side)
+        return cls(ellipse, from_edge, profiles, whole, inside, inliers, mean, slope)
+
+    @property
+    def gain(self) -> np.ndarray:
+        """Brightness of each ray over the mean profile's, (RAYS,)."""
+        return self.profiles @ self.mean / (self.mean @ self.mean)
+
+    def shifts(self, disturbances: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Outward shift of each ray's profile against the mean, and the variance left, (RAYS,).
+
+        A ray differs from the mean by its shift, times minus the slope, and by disturbances. These
+        are random with the variances that the rays show beyond the noise, and the shift is
+        estimated by generalised least squares (Aitken 1935): its signature counts as far as the
+        disturbances, in the strength in which they occur, do not imitate it.
+
+        Args:
+            disturbances: (n,) each.
+        """
+        residual = self.profiles - self.mean
+        basis = np.stack([*disturbances, -self.slope], axis=1).astype(float)
+        gram = basis.T @ basis
+        gram.flat[:: len(gram) + 1] += 1e-12 * gram.trace() + 1e-30
+        triangle = np.linalg.cholesky(gram)
+        orthonormal = basis @ cv2.invert(triangle)[1].T
+        parts = residual @ orthonormal.astype(np.float32)
+        squares = parts * parts
+        rough = np.einsum("ij,ij->i", residual, residual) - squares.sum(axis=1)
+        rough = np.maximum(rough, 0) / max(residual.shape[1] - len(gram), 1)
+        weight = self.inliers / np.count_nonzero(self.inliers)
+        noise = float(weight @ rough)
+        total = weight @ squares
+        pure = triangle[-1]
+        filtered = pure * np.minimum(noise / np.maximum(total, 1e-12), 1)
+        filtered[-1] = pure[-1]
+        return parts @ (filtered / (filtered @ pure)), rough
+
+    def half_crossing(self, level: float, span: float) -> float | None:
+        """Offset at which the mean profile falls to a level, by a cubic through so wide a part."""
+        from_edge, heights = self.from_edge, self.mean.tolist()
+        falls = [k for k in range(len(heights) - 1) if heights[k] >= level > heights[k + 1]]
+        if not falls:
+            return None
+        k = min(falls, key=lambda k: abs(k - len(heights) // 2))
+        spacing = float(from_edge[1] - from_edge[0])
+        share = (heights[k] - level) / (heights[k] - heights[k + 1])
+        middle = float(from_edge[k]) + spacing * share
+        span = max(span, 2.6 * spacing)
+        first = max(math.ceil((middle - span) / spacing) + len(heights) // 2, 0)
+        last = math.floor((middle + span) / spacing) + len(heights) // 2 + 1
+        x = ((from_edge[first:last] - middle) / span)[:, None]
+        if len(x) < 5:
+            return None
+        # A weight that ends smoothly: no sample joins or leaves with a jump of the result.
+        weight = 1 - x * x
+        rise = (self.mean[first:last, None] - level) * weight
+        _, cubic = cv2.solve(x**_CUBIC * weight, rise, flags=cv2.DECOMP_QR)
+        c0, c1, c2, c3 = cubic[:, 0].tolist()
+        root = 0.0
+        for _ in range(4):
+            falling = c1 + root * (2 * c2 + 3 * root * c3)
+            if not falling < 0:
+                return None
+            root -= (c0 + root * (c1 + root * (c2 + root * c3))) / falling
+        return middle + root * span
+
+    def width(self, levels: Levels) -> float:
+        """Edge width of the mean profile, units of the radius (see `Spot.edge_width_px`)."""
+        steepest = max(-float(self.slope.min()), 1e-12)
+        return levels.amplitude / (math.sqrt(2 * math.pi) * steepest)
+
+    def refined(
+        self,
+        levels: Levels,
+        offsets: np.ndarray,
+        found: np.ndarray,
+        fitted: tuple[np.ndarray, np.ndarray],
+        *,
+        half: float,
+        half_variance: float,
+    ) -> Refined:
+        """The ellipse moved by a fitted step (see `robust_step`) and to the half level's offset.
+
+        All of the contour moves with the half level, by sqrt(pi / 2) widths for a relative unit, so
+        that the level's variance is the size's.
+        """
+        step, inliers = fitted
+        level_variance = math.pi / 2 * levels.width**2 * levels.variance
+        return Refined(
+            ellipse=self.ellipse.stepped(step).scaled(1 + half),
+            move=max(float(np.abs(step).max()), abs(half)),
+            size_variance=half_variance + level_variance,
+            levels=levels,
+            offsets=offsets - DESIGN @ step,
+            found=found,
+            inliers=inliers,
+            inside=self.inside,
+        )
+
+
+def _derivative(values: np.ndarray, spacing: float) -> np.ndarray:
+    slope = np.empty_like(values)
+    slope[1:-1] = (values[2:] - values[:-2]) / (2 * spacing)
+    slope[0] = (values[1] - values[0]) / spacing
+    slope[-1] = (values[-1] - values[-2]) / spacing
+    return slope

@@ -1,0 +1,257 @@
+"""The table of a lens's light: as good as it promises, read as its formula says; radii from it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import optics
+from optics._irradiance_table import IrradianceTable, LensField
+
+AIR, VITREOUS = 1.0, 1.336
+CONTACT, SLOPE = 0.25, 0.1
+
+
+def build(name, medium):
+    lens = optics.load_lens(name)
+    return LensField(lens, medium), optics.irradiance_table(lens, medium_index=medium)
+
+
+@pytest.fixture(scope="module")
+def flat():
+    """The flat end in air: its light by quadrature, and its table."""
+    return build("paper-candidate", AIR)
+
+
+@pytest.fixture(scope="module")
+def air():
+    """The dome in air, likewise."""
+    return build("dome", AIR)
+
+
+@pytest.fixture(scope="module")
+def vitreous():
+    """The dome in vitreous, likewise."""
+    return build("dome", VITREOUS)
+
+
+def assert_accurate(field, table):
+    rng = np.random.default_rng(5)
+    count = 6000
+    distance = np.exp(rng.uniform(np.log(0.01), np.log(24.0), count))
+    radius = rng.uniform(0.0, 1.0, count) * np.asarray(table.envelope(distance))
+    looked_up = np.stack(table(radius=radius, distance=distance))
+    exact = np.stack(field(radius=radius, distance=distance))
+    # The peak at each distance, from the table's rows.
+    row = np.exp(np.linspace(np.log(0.01), np.log(24.0), table.values.shape[0]))
+    peaks = np.asarray(table.values[..., 1]).max(axis=1) / np.asarray(table.envelope(row)) ** 2
+    peak = np.exp(np.interp(np.log(distance), np.log(row), np.log(peaks)))
+    counts = np.hypot(*exact) > 0.01 * peak
+    error = np.hypot(*(looked_up - exact)) / peak
+    assert counts.sum() > 0.4 * count
+    off = np.flatnonzero(counts & (error > 1e-3))
+    assert len(off) < 0.005 * count
+    # Those are beside steps: within 2 µm of them, along and across, the light takes the value.
+    shifts = np.linspace(-2e-3, 2e-3, 9)
+    near_radius = np.abs(radius[off, None, None] + shifts[:, None])
+    near_distance = np.maximum(distance[off, None, None] + shifts, 1e-3)
+    near = np.stack(field(radius=near_radius, distance=near_distance)).reshape(2, len(off), -1)
+    margin = 1e-3 * peak[off]
+    low, high = near.min(axis=2) - margin, near.max(axis=2) + margin
+    inside = np.all((low <= looked_up[:, off]) & (looked_up[:, off] <= high), axis=0)
+    # What is left: the quadrature itself, near caustics, is off by as much as 3e-3.
+    assert np.sum(~inside) <= 0.001 * count
+    assert np.max(error[counts]) < 0.02
+
+
+def test_table_of_the_flat_end_is_accurate_to_a_thousandth_of_the_peak(flat):
+    assert_accurate(*flat)
+
+
+def test_table_of_the_dome_is_accurate_to_a_thousandth_of_the_peak(vitreous):
+    assert_accurate(*vitreous)
+
+
+@pytest.mark.slow
+def test_further_tables_are_accurate_to_a_thousandth_of_the_peak(air):
+    assert_accurate(*air)
+    assert_accurate(*build("paper-candidate", VITREOUS))
+
+
+def test_another_program_can_read_the_table_by_its_formula(vitreous):
+    # The class's docstring, in NumPy and single precision.
+    _, table = vitreous
+    values = np.asarray(table.values, dtype=np.float32)
+    rng = np.random.default_rng(6)
+    s, rho = rng.uniform(0.0, 30.0, 500), rng.uniform(0.0, 6.0, 500)
+    rows, columns, _ = values.shape
+    e = float(table.contact_radius) + float(table.slope) * s
+    x = rho / e
+    y = np.clip(np.log(np.maximum(s, 1e-9) / 0.01) / np.log(24.0 / 0.01), 0.0, 1.0)
+    i, j = y * (rows - 1), np.clip(x, 0.0, 1.0) * (columns - 1)
+    i0, j0 = np.minimum(i.astype(int), rows - 2), np.minimum(j.astype(int), columns - 2)
+    di, dj = (i - i0)[:, None], (j - j0)[:, None]
+    sample = (1 - di) * ((1 - dj) * values[i0, j0] + dj * values[i0, j0 + 1]) + di * (
+        (1 - dj) * values[i0 + 1, j0] + dj * values[i0 + 1, j0 + 1]
+    )
+    expected = np.where(x <= 1.0, 1.0, 0.0)[:, None] * sample / e[:, None] ** 2
+    found = np.stack(table(radius=rho, distance=s), axis=-1)
+    # Single precision: 1e-7 of values that fall by four decades.
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
+
+
+def test_no_light_behind_the_tip_and_inverse_square_beyond_the_last_row(flat):
+    _, table = flat
+    assert float(table(radius=0.0, distance=-0.1)[1]) == 0.0
+    far = np.array([24.0, 48.0, 96.0])
+    e = np.asarray(table.envelope(far))
+    axial = np.asarray(table(radius=0.3 * e, distance=far)[1])
+    np.testing.assert_allclose(axial * e**2, axial[0] * e[0] ** 2, rtol=1e-12)
+
+
+def test_look_ups_are_differentiable(flat):
+    _, table = flat
+    point = (0.21, 1.3)
+
+    def axial(rho, s):
+        return table(radius=rho, distance=s)[1]
+
+    slopes = jax.jit(jax.grad(axial, argnums=(0, 1)))(*point)
+    step = 1e-7
+    for which, slope in enumerate(slopes):
+        move = np.eye(2)[which] * step
+        ahead, behind = axial(*(point + move)), axial(*(point - move))
+        # Bilinear but for 1/e² and ln s: second order in a step of 1e-7, rounding of 1e-15/1e-7.
+        assert float(slope) == pytest.approx(float(ahead - behind) / (2 * step), rel=1e-6)
+
+
+def test_a_table_in_a_batch_of_points_of_any_shape(flat):
+    _, table = flat
+    radius = jnp.linspace(0.0, 0.4, 6).reshape(2, 3)
+    lateral, axial = table(radius=radius, distance=1.0)
+    assert lateral.shape == axial.shape == (2, 3)
+
+
+@pytest.fixture(scope="module")
+def tent():
+    """Light that falls linearly from the axis to the envelope: V_s e² = 1 - rho/e."""
+    x = np.linspace(0.0, 1.0, 65)
+    values = np.zeros((33, 65, 2))
+    values[..., 1] = 1.0 - x
+    return IrradianceTable(
+        values=jnp.asarray(values),
+        medium_index=jnp.asarray(AIR),
+        contact_radius=jnp.asarray(CONTACT),
+        slope=jnp.asarray(SLOPE),
+    )
+
+
+def test_radii_of_a_tent_are_where_it_says(tent):
+    d = np.array([0.02, 0.5, 6.0])
+    e = CONTACT + SLOPE * d
+    np.testing.assert_allclose(optics.half_maximum_radius(tent, distance=d), 0.5 * e, rtol=1e-12)
+    # V = (1 - R/e)/e² = level.
+    level = 1.1
+    expected = np.maximum(e * (1 - level * e**2), 0.0)
+    found = optics.isophote_radius(tent, distance=d, level=level)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    assert float(optics.isophote_radius(tent, distance=6.0, level=10.0)) == 0.0
+
+
+def test_the_effective_cone_of_a_tent_is_its_own(tent):
+    # R = e/2 = (s - b)/k with k = 2/slope, b = -contact/slope.
+    cone = optics.effective_cone(tent, from_distance=0.3, to_distance=5.0)
+    assert float(cone.k) == pytest.approx(2 / SLOPE, rel=1e-10)
+    assert float(cone.b) == pytest.approx(-CONTACT / SLOPE, rel=1e-10)
+    assert float(cone.half_angle) == pytest.approx(np.arctan(SLOPE / 2), rel=1e-10)
+    assert float(cone.r_squared) == pytest.approx(1.0, abs=1e-10)
+    assert optics.ambiguous_distances(tent, from_distance=0.3, to_distance=5.0) == []
+
+
+def test_the_flat_ends_half_maximum_is_that_of_two_overlapping_discs(flat):
+    # Far enough to be paraxial, E is the overlap of the core's disc and the cone's: circles of
+    # radius a and d tan θ about the axis and the wall point.
+    def overlap(rho, a, c):
+        if rho >= a + c:
+            return 0.0
+        if rho <= abs(a - c):
+            return np.pi * min(a, c) ** 2
+        first = np.arccos((rho**2 + a**2 - c**2) / (2 * rho * a))
+        second = np.arccos((rho**2 + c**2 - a**2) / (2 * rho * c))
+        chord = 0.5 * np.sqrt((-rho + a + c) * (rho + a - c) * (rho - a + c) * (rho + a + c))
+        return a**2 * first + c**2 * second - chord
+
+    _, table = flat
+    for d in (0.3, 1.0, 2.5, 4.0):
+        reach = d * 0.10 / np.sqrt(1 - 0.10**2)
+        half = 0.5 * overlap(0.0, 0.25, reach)
+        expected = brentq(lambda rho: overlap(rho, 0.25, reach) - half, 1e-6, 2.0)  # noqa: B023
+        found = float(optics.half_maximum_radius(table, distance=d))
+        # cos⁴ of 5.7° is 2 % less than 1 across the cone; half of that on the radius's slope.
+        assert found == pytest.approx(expected, rel=5e-3)
+
+
+def test_the_domes_effective_cones_are_those_traced_elsewhere(air, vitreous):
+    # k 4.1-4.3, b 0.2...0.3, R² 0.997 in air and k 7.4-7.7, b about -0.4 in vitreous, from a dozen
+    # distances between 0.5 and 6 mm; more distances near the vitreous's waist lower k to 7.3.
+    for (_, table), k, b, r_squared in (
+        (air, (4.1, 4.3), (0.2, 0.32), 0.9965),
+        (vitreous, (7.2, 7.7), (-0.45, -0.25), 0.9945),
+    ):
+        cone = optics.effective_cone(table, from_distance=0.5, to_distance=6.0)
+        assert k[0] < float(cone.k) < k[1]
+        assert b[0] < float(cone.b) < b[1]
+        assert float(cone.r_squared) > r_squared
+
+
+def test_a_calibration_in_air_does_not_carry_over(air, vitreous):
+    # Paraxial power of the cap, (n_g - n0)/(n0 R), is three times weaker in vitreous.
+    dome = optics.load_lens("dome")
+    ratio = float(dome.focal_length(medium_index=VITREOUS) / dome.focal_length(medium_index=AIR))
+    assert 3.0 < ratio * AIR / VITREOUS < 3.4
+    in_air, in_vitreous = (
+        float(optics.half_maximum_radius(table, distance=4.0)) for _, table in (air, vitreous)
+    )
+    assert in_vitreous < 0.75 * in_air
+
+
+def test_one_radius_at_two_distances_is_called_ambiguous(flat):
+    _, table = flat
+    intervals = optics.ambiguous_distances(table, from_distance=0.1, to_distance=6.0)
+    # The radius shrinks from contact to 2.5 mm and passes its contact value again near 2.9 mm.
+    assert len(intervals) == 1
+    first, last = intervals[0]
+    assert first == pytest.approx(0.1, abs=0.01) and 2.6 < last < 3.2
+    radii = optics.half_maximum_radius(table, distance=np.array([0.1, last]))
+    # Neighbouring samples are 5 µm of distance apart, at a slope of 0.1: 1 µm.
+    assert float(radii[0]) == pytest.approx(float(radii[1]), abs=2e-3)
+    assert optics.ambiguous_distances(table, from_distance=3.5, to_distance=8.0) == []
+
+
+def test_the_dome_has_a_waist_in_vitreous_near_0_7_mm(vitreous):
+    d = np.linspace(0.2, 2.0, 181)
+    radius = np.asarray(optics.half_maximum_radius(vitreous[1], distance=d))
+    assert 0.6 < d[radius.argmin()] < 0.8
+
+
+@pytest.mark.slow
+def test_the_half_maximum_follows_the_lens_with_the_right_slope():
+    dome = optics.load_lens("dome")
+
+    def radius(sag):
+        lens = optics.glue_lens(
+            core_radius=dome.core_radius,
+            glue_length=0.15,
+            aperture_radius=dome.aperture_radius,
+            sag=sag,
+            glue_index=dome.glue_index,
+            numerical_aperture=dome.numerical_aperture,
+        )
+        return optics.half_maximum_radius(LensField(lens, AIR), distance=3.0)
+
+    slope = float(jax.jacfwd(radius)(0.12))
+    step = 1e-3
+    difference = (float(radius(0.12 + step)) - float(radius(0.12 - step))) / (2 * step)
+    # The profile is joined by straight lines of e/1024, 4 µm: 1e-2 of a slope near 3.
+    assert slope == pytest.approx(difference, rel=2e-2)
