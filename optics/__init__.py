@@ -12,8 +12,8 @@ _half_maximum  the spot's edge by light on any wall
 _truth       what is true of a spot at each distance: the numbers behind labels
 _indirect    light scattered back by a closed matt eyeball
 _lens        GlueLens and its presets
-_emission    rays from the core through the cap
-_power       what of the light leaves the cap
+_lens_misaligned  a cap off centre, a tilted end face: no symmetry about the axis
+_emission    rays from the core through the cap, and the power they carry
 _irradiance  vector irradiance of the lens, by quadrature
 _irradiance_table  the same for look-up, by renderer, labels and fits
 _profile     what a spot's radius means behind a lens
@@ -41,18 +41,27 @@ from optics._distance import exact_semi_minor as exact_semi_minor
 from optics._ellipse import Ellipse as Ellipse
 from optics._ellipse import ellipse_of_contour as ellipse_of_contour
 from optics._ellipse import ellipse_points as ellipse_points
+from optics._emission import MISSED_APERTURE as MISSED_APERTURE
+from optics._emission import TOTAL_INTERNAL_REFLECTION as TOTAL_INTERNAL_REFLECTION
+from optics._emission import TRANSMITTED as TRANSMITTED
 from optics._emission import EmittedRays as EmittedRays
 from optics._emission import emitted_rays as emitted_rays
+from optics._emission import transmitted_power as transmitted_power
 from optics._half_maximum import half_maximum_contour as half_maximum_contour
 from optics._half_maximum import wall_irradiance as wall_irradiance
 from optics._indirect import indirect_irradiance as indirect_irradiance
 from optics._irradiance import vector_irradiance as vector_irradiance
 from optics._irradiance_table import IrradianceTable as IrradianceTable
+from optics._irradiance_table import LensField as LensField
 from optics._irradiance_table import irradiance_table as irradiance_table
 from optics._lens import GlueLens as GlueLens
 from optics._lens import glue_lens as glue_lens
 from optics._lens import lens_names as lens_names
 from optics._lens import load_lens as load_lens
+from optics._lens_misaligned import MisalignedLens as MisalignedLens
+from optics._lens_misaligned import (
+    misaligned_vector_irradiance as misaligned_vector_irradiance,
+)
 from optics._models import MODELS as MODELS
 from optics._models import corrected_distance as corrected_distance
 from optics._models import corrected_factor as corrected_factor
@@ -74,7 +83,6 @@ from optics._pose import Pose as Pose
 from optics._pose import PoseEstimate as PoseEstimate
 from optics._pose import pose_from_contour as pose_from_contour
 from optics._pose import tip_from_contour as tip_from_contour
-from optics._power import transmitted_power as transmitted_power
 from optics._profile import EffectiveCone as EffectiveCone
 from optics._profile import ambiguous_distances as ambiguous_distances
 from optics._profile import effective_cone as effective_cone

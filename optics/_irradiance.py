@@ -50,6 +50,8 @@ def vector_irradiance(
     )
     medium_index = jnp.asarray(medium_index, dtype=float)
     size = radius.size
+    if size == 0:
+        return jnp.zeros(radius.shape), jnp.zeros(radius.shape)
     wall = jnp.stack([radius.ravel(), distance.ravel()])
     leaves = jax.tree.leaves((lens, medium_index, wall))
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
@@ -31,10 +32,12 @@ class LensField(eqx.Module):
     def envelope(self, distance: ArrayLike) -> Float[Array, "*batch"]:
         """Radius outside which there is no light at a distance from the tip, mm.
 
+        It carries no derivative in the lens: at the critical angle that is infinite.
+
         Args:
             distance: s, mm.
         """
-        contact_radius, slope = _envelope(self.lens, self.medium_index)
+        contact_radius, slope = lax.stop_gradient(_envelope(self.lens, self.medium_index))
         return contact_radius + slope * jnp.asarray(distance)
 
     def __call__(

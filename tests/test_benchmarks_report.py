@@ -300,15 +300,15 @@ def test_frames_left_out_are_counted_once_each(written: Path) -> None:
         (row["trial"], row["way"]): sum(int(r["frames"]) for r in rows if same_case(r, row))
         for row in rows
     }
-    # 12 trials of 13 frames in three ways, 8 of the grid with 4 frames in one.
-    assert sorted(counted.values()) == [4] * 8 + [13] * 36
-    assert read_summary(written)["left_out"] == {"none found": 12 * 13}
+    # 12 trials of 9 frames in three ways, 8 of the grid with 4 frames in one.
+    assert sorted(counted.values()) == [4] * 8 + [9] * 36
+    assert read_summary(written)["left_out"] == {"none found": 12 * 9}
 
 
 def test_residuals_of_a_straight_line_are_zero_in_spots_csv(written: Path) -> None:
     rows = [row for row in read_csv(written / "spots.csv") if row["trial"] == "cone-plane-2"]
     residuals = [float(row["residual_mm"]) for row in rows if row["residual_mm"]]
-    assert len(residuals) == 2 * 13
+    assert len(residuals) == 2 * 9
     # The spots lie on the line of the fit to rounding of numbers below 10.
     assert max(map(abs, residuals)) < 1e-12
 
@@ -405,8 +405,8 @@ def test_half_maximum_verdict_follows_the_labels() -> None:
     found = find(findings, topic)
     assert found.holds is False
     assert "does not grow" in found.headline
-    # Contact is at 0.144 mm and frames are 0.5 mm apart: frames 2 to 4 share a radius.
-    assert "between 1.14 and 2.14 mm one radius belongs to several distances" in found.text
+    # Contact is at 0.144 mm and frames are 0.75 mm apart: frames 2 to 4 share a radius.
+    assert "between 1.64 and 3.14 mm one radius belongs to several distances" in found.text
 
 
 def test_ambiguous_range_of_a_waist_is_where_its_mirror_is_in_reach() -> None:
@@ -472,10 +472,10 @@ def test_fitted_eccentricity_sentence_follows_the_fits() -> None:
 
 
 def test_a_way_that_sees_nothing_is_named() -> None:
-    # 12 trials of 13 frames in three ways and 8 of 4 in one, less the blind third.
+    # 12 trials of 9 frames in three ways and 8 of 4 in one, less the blind third.
     found = find(paper_like_run(), "frames left out")
-    assert found.headline == "344 of 500 measurements enter the fits."
-    assert found.text == f"“{BLIND}” sees no spot that counts in any of its 156 frames."
+    assert found.headline == "248 of 356 measurements enter the fits."
+    assert found.text == f"“{BLIND}” sees no spot that counts in any of its 108 frames."
 
 
 @pytest.mark.parametrize(

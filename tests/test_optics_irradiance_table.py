@@ -56,7 +56,9 @@ def assert_accurate(field, table):
     shifts = np.linspace(-2e-3, 2e-3, 9)
     near_radius = np.abs(radius[off, None, None] + shifts[:, None])
     near_distance = np.maximum(distance[off, None, None] + shifts, 1e-3)
-    near = np.stack(field(radius=near_radius, distance=near_distance)).reshape(2, len(off), -1)
+    near = np.stack(field(radius=near_radius, distance=near_distance)).reshape(
+        2, len(off), shifts.size**2
+    )
     margin = 1e-3 * peak[off]
     low, high = near.min(axis=2) - margin, near.max(axis=2) + margin
     inside = np.all((low <= looked_up[:, off]) & (looked_up[:, off] <= high), axis=0)

@@ -31,6 +31,7 @@ def test_without_misalignment_it_is_the_symmetric_lens():
     np.testing.assert_allclose(found, expected, atol=1e-3 * np.max(axial))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("medium", "distance"), [(AIR, 1.2), (VITREOUS, 2.0)])
 def test_rays_of_a_shifted_and_tilted_core_land_where_the_field_says(medium, distance):
     dome = optics.load_lens("dome")
