@@ -16,7 +16,7 @@ import numpy as np
 from .band import FURTHEST, Band, Refined
 from .censored import READABLE
 from .ellipse import Ellipse, robust_step
-from .levels import DOUBT, RADII, Levels
+from .levels import RADII, Levels
 from .spot import NoSpot, Reason
 from .unwrap import DESIGN, RAYS, Patch, ring_variance
 
@@ -28,6 +28,7 @@ _WIDEST = 0.5  # ... and at most so many radii
 _FORGIVEN = 0.3  # edge widths that texture may move an edge
 _SHOULDER = 1.25  # edge widths from the edge to where a plateau begins to fall
 _SMALLEST_TOP = 0.35  # radii of a spot's top that are looked at at least
+_DOUBT = 4.0  # variances that a top's shape must exceed to count
 _POWERS = 5  # of the polynomial in the radius through a top
 _TOP_AND_CONTOUR = 12.0  # longest-wave texture over that, in variance, as on printed retinas
 
@@ -75,14 +76,22 @@ def refine_broad(
     return band.refined(levels, offsets, found, fitted, half=crossing, half_variance=0.0)
 
 
+def _simple_peak(gram: np.ndarray, pull: np.ndarray) -> float:
+    """Peak of the parabola, from the normal equations of a fit with higher powers."""
+    few = [0, 2]
+    _, parabola = cv2.solve(gram[np.ix_(few, few)], pull[few])
+    return float(parabola[0, 0])
+
+
 def _with_sloping_top(
     levels: Levels, patch: Patch, ellipse: Ellipse, inliers: np.ndarray
 ) -> Levels:
     """The levels with the peak of a top that slopes.
 
-    A beam that meets the wall obliquely is brighter on the near side. The peak is the maximum of a
-    polynomial in the radius plus a slope across. Texture slopes too, so the slope counts only as
-    far as it exceeds what the rest of the rays' spectrum explains (the garrote of Breiman 1995).
+    A beam that meets the wall obliquely is brighter on the near side, and a focused one has a cusp:
+    the peak is the maximum of a polynomial in the radius plus a slope across. Texture has cusps and
+    slopes too, so they count, above a parabola's peak, only as far as they exceed what the rest of
+    the rays' spectrum explains (the garrote of Breiman 1995).
     """
     top = min(max(1 - _SHOULDER * levels.width, _SMALLEST_TOP), 0.9)
     radii = RADII[: max(int(np.searchsorted(RADII, top)), 8)]
@@ -104,9 +113,10 @@ def _with_sloping_top(
     left = np.where(seen, inner - profile - (across @ tilt)[:, None] * radii, 0.0)
     lever = float((area * radii).sum() / RAYS)
     pull_variance = ring_variance((left * area).sum(axis=1) / lever, slice(2, 6)) / RAYS
-    slope = math.hypot(*tilt)
-    kept = max(0.0, 1 - DOUBT * 2 * pull_variance / slope**2) if slope > 0 else 0.0
-    peak = float((profile + kept * slope * radii).max())
+    simple = _simple_peak(gram, weighted.T @ inner[seen].astype(float)[:, None])
+    rise = float((profile + math.hypot(*tilt) * radii).max()) - simple
+    kept = max(0.0, 1 - _DOUBT * pull_variance / rise**2) if rise > 0 else 0.0
+    peak = simple + kept * rise
     if not peak > levels.background:
         return levels
     return replace(levels, peak=peak, dome=(1.0, 0.0, 0.0), variance=pull_variance / peak**2)

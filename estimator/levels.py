@@ -16,10 +16,8 @@ RADII = np.linspace(0.05, 1.6, 48)
 """Radii of the wide view, in units of the ellipse."""
 RADIUS_STEP = float(RADII[1] - RADII[0])
 
-DOUBT = 9.0
-"""Square of the standard deviations by which a top's shape must exceed texture to count."""
-
 _NEAR_EDGE = np.abs(RADII[1:-1] - 1) < 0.35
+_DOUBT = 9.0  # variances that a dome must exceed to count
 _FAR_ENOUGH = 0.9  # part of the radius where the background begins that must be in view
 _BACKGROUND_RADII = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 
@@ -162,7 +160,7 @@ def _top(
     contrast = np.where(np.arange(len(radii)) < len(radii) // 2, 1.0, -1.0)
     rise = whole @ contrast.astype(np.float32) * (2 / len(radii))
     variance = 4 * ring_variance(rise - rise.mean(), slice(2, 6)) / len(rise) / plateau**2
-    kept = max(0.0, 1 - DOUBT * variance / height**2)
+    kept = max(0.0, 1 - _DOUBT * variance / height**2)
     c0, c1, c2 = (coefficients[:, 0] / top).tolist()
     dome = (1 - kept + kept * c0, kept * c1, kept * c2)
     return plateau / (1 - kept + kept * plateau / top), dome, variance

@@ -21,8 +21,9 @@ from .unwrap import Patch, contour_points, share_of_contour
 _SATURATED = 0.02  # fraction of a spot's pixels at full scale that its half level notices
 _BRIGHTER = 1.2  # than grey: from there a channel's weaker texture is worth its noise
 _FAINTEST_CHANNEL = 0.1  # of full scale: least level of a channel that may stand in for grey
+_SAME_EDGE = 0.5  # edge widths from the ellipse within which an edge is the spot's
 _ROUGHEST = 0.05  # scatter of sharp edges, in units of the radius, of what is an ellipse
-_SHORTEST_ARC = 0.2  # fraction of a contour from which an ellipse is recognised as hidden
+_SHORTEST_ARC = 0.3  # fraction of a contour that makes an ellipse recognisable
 _FILLED = 0.75  # of its ellipse's area: what takes less is cut by something
 _SMALLEST_AREA = 0.7  # of the smallest spot's: a region may be only the bright part of its spot
 
@@ -95,7 +96,9 @@ class Region:
         meter = self.settings.meter
         full_scale = meter.response.full_scale_of(self.frame)
         light = meter.light(window.of(self.frame), window, self.channel, full_scale)
-        ceiling = meter.ceiling(window, self.channel, full_scale)
+        ceiling = math.inf
+        if self.saturated > 0:
+            ceiling = meter.ceiling(window, self.channel, full_scale)
         return Patch(light, window.x0, window.y0, ceiling=ceiling)
 
 
@@ -170,10 +173,14 @@ def _saturated_fractions(
 
 def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:
     semi_major, semi_minor, angle = fit.ellipse.axes()
-    coverage = share_of_contour(fit.ellipse, fit.inliers)
     levels = fit.levels
-    coherent = fit.scatter < _ROUGHEST * (1 + levels.width / BROAD) and coverage > _SHORTEST_ARC
-    if not coherent or semi_major > settings.max_axis_ratio * semi_minor:
+    # What texture roughens is seen all the same, if it is not where nothing of the edge can be.
+    seen = fit.inliers | (fit.found & (np.abs(fit.offsets) < _SAME_EDGE * levels.width))
+    coverage = share_of_contour(fit.ellipse, seen)
+    coherent = fit.scatter < _ROUGHEST * (1 + levels.width / BROAD)
+    if not coherent or share_of_contour(fit.ellipse, fit.inliers) < _SHORTEST_ARC:
+        return NoSpot(Reason.NONE_FOUND)
+    if semi_major > settings.max_axis_ratio * semi_minor:
         return NoSpot(Reason.NONE_FOUND)
     if levels.amplitude < settings.min_contrast * levels.background:
         return NoSpot(Reason.NONE_FOUND)

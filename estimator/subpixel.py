@@ -35,7 +35,8 @@ class SubpixelSettings:
         search_half_width_px: half side of the square searched round the last position.
         min_semi_minor_px: smaller spots are `too_small`.
         max_semi_major_px: larger spots are `too_large`.
-        max_axis_ratio: of semi-major to semi-minor; more elongated regions are no spots.
+        max_axis_ratio: of semi-major to semi-minor; more elongated regions are no spots (2: a
+            beam at 60 degrees).
         min_contrast: least (peak - background) / background; must exceed what texture alone shows.
         min_coverage: fraction of the contour below which a spot is `occluded` or `clipped`.
         max_jump_px: furthest move between frames; a spot further away must be seen twice.
@@ -48,7 +49,7 @@ class SubpixelSettings:
     search_half_width_px: int = 200
     min_semi_minor_px: float = 15.0
     max_semi_major_px: float = 400.0
-    max_axis_ratio: float = 3.0
+    max_axis_ratio: float = 2.0
     min_contrast: float = 1.0
     min_coverage: float = 0.5
     max_jump_px: float = 80.0
