@@ -14,7 +14,7 @@ import optics
 
 _COUNT = 1_000_000
 _NUMPY_COUNT = 2_000
-_BATCH = 128
+_BATCH = 512
 _EYE, _SCALE, _HEIGHT, _APEX = 11.5, 0.0067, 200.0, -5.117
 _LIMITS = {
     "eccentricity": (0.0, 6.0),

@@ -2,6 +2,7 @@
 
 _camera      Microscope: pinhole at any height, telecentric limit, distortion
 _surface     Sphere, Plane: intersections with a status, frames at a wall point
+_vector      three-vectors by components
 _beam        Beam: cone by tip and axis, by spot and distance, through a trocar; contact
 _ellipse     the ellipse of a contour
 _contour     the exact spot: cone and wall intersected, projected, fitted

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from optics._surface import Intersection, Sphere, Surface
+from optics._vector import components
 
 
 class Beam(eqx.Module):
@@ -47,9 +48,16 @@ class Beam(eqx.Module):
 
     def generators(self, angles: Float[Array, "n"]) -> Float[Array, "n 3"]:
         """Unit directions of the cone's generators at angles (rad) about the axis."""
-        first, second = perpendicular_frame(self.axis)
-        around = jnp.cos(angles)[:, None] * first + jnp.sin(angles)[:, None] * second
-        return jnp.cos(self.half_angle) * self.axis + jnp.sin(self.half_angle) * around
+        across = [components(side) for side in perpendicular_frame(self.axis)]
+        cos_t, sin_t = jnp.cos(angles), jnp.sin(angles)
+        cos_a, sin_a = jnp.cos(self.half_angle), jnp.sin(self.half_angle)
+        return jnp.stack(
+            [
+                cos_a * along + sin_a * (cos_t * first + sin_t * second)
+                for along, first, second in zip(components(self.axis), *across, strict=True)
+            ],
+            axis=-1,
+        )
 
     def spot(self, surface: Surface) -> Intersection:
         """O, where the axis meets the wall; `distance` is d = |SO|, mm."""

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
+from optics._vector import components
+
 _UNDISTORT_STEPS = 12
 
 
@@ -59,8 +61,9 @@ class Microscope(eqx.Module):
         Returns:
             (u, v) in px of the window.
         """
-        offset = points[..., :2] / (self.scale * self.depth(points)[..., None])
-        offset = offset * jnp.array([1.0, -1.0])
+        x, y, _ = components(points)
+        per_mm = 1.0 / (self.scale * self.depth(points))
+        offset = jnp.stack([x * per_mm, -y * per_mm], axis=-1)
         return self.principal_point + _distort(offset, self.distortion, self.inverse_focal)
 
     def ray(

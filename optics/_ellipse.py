@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -10,6 +11,8 @@ from jaxtyping import Array, Float
 from optics._cholesky import solve_cholesky
 
 _REWEIGHTINGS = 2
+_CONIC_POWERS = ((2, 0), (1, 1), (0, 2), (1, 0), (0, 1))
+"""Powers of x and y in A x^2 + B xy + C y^2 + D x + E y = 1."""
 
 
 class Ellipse(NamedTuple):
@@ -74,18 +77,27 @@ def _steps_of_eccentric_angle(
 
 
 def _fit(contour: Float[Array, "*batch n 2"], weights: Float[Array, "*batch n"]) -> Ellipse:
+    """Weighted algebraic least squares by its moments, in coordinates about the centroid.
+
+    The points enter by their weighted moments up to the fourth order alone.
+    """
     total = jnp.sum(weights, axis=-1)
-    centroid = jnp.sum(contour * weights[..., None], axis=-2) / total[..., None]
-    x = contour[..., 0] - centroid[..., 0, None]
-    y = contour[..., 1] - centroid[..., 1, None]
-    size = jnp.sqrt(jnp.sum(weights * (x * x + y * y), axis=-1) / total)
-    x, y = x / size[..., None], y / size[..., None]
-    columns = (x * x, x * y, y * y, x, y)
-    weighted = [weights * column for column in columns]
-    normal = [[jnp.sum(weighted[i] * columns[j], axis=-1) for j in range(i + 1)] for i in range(5)]
-    target = [jnp.sum(column, axis=-1) for column in weighted]
-    a, b, c, d, e = solve_cholesky(normal, target)
-    return _from_conic(a, b, c, d, e, centroid=centroid, size=size)
+    u, v = contour[..., 0], contour[..., 1]
+    u0, v0 = jnp.sum(u * weights, axis=-1) / total, jnp.sum(v * weights, axis=-1) / total
+    x, y = u - u0[..., None], v - v0[..., None]
+    moments = {
+        (i, j): jnp.sum(weights * x**i * y**j, axis=-1)
+        for i, j in itertools.product(range(5), repeat=2)
+        if 0 < i + j <= 4
+    }
+    size = jnp.sqrt((moments[2, 0] + moments[0, 2]) / total)
+    moments = {(i, j): moment / size ** (i + j) for (i, j), moment in moments.items()}
+    normal = [
+        [moments[i + k, j + m] for k, m in _CONIC_POWERS[: row + 1]]
+        for row, (i, j) in enumerate(_CONIC_POWERS)
+    ]
+    a, b, c, d, e = solve_cholesky(normal, [moments[powers] for powers in _CONIC_POWERS])
+    return _from_conic(a, b, c, d, e, centroid=jnp.stack([u0, v0], axis=-1), size=size)
 
 
 def _from_conic(

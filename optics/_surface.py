@@ -8,6 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 
+from optics._vector import dot, ray_point
+
 HIT, MISS, BEHIND = 0, 1, 2
 """Status of an intersection: the wall lies ahead, is never met, or lies behind the origin."""
 
@@ -60,12 +62,12 @@ class Sphere(eqx.Module):
         self, origin: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"]
     ) -> Intersection:
         """Far intersection of rays with the sphere: the one at which they leave the eye."""
-        along = jnp.sum(origin * direction, axis=-1)
-        discriminant = along**2 + self.radius**2 - jnp.sum(origin * origin, axis=-1)
+        along = dot(origin, direction)
+        discriminant = along**2 + self.radius**2 - dot(origin, origin)
         meets = discriminant > 0
         # The inner `where` keeps the square root's derivative finite where the ray misses.
         distance = jnp.sqrt(jnp.where(meets, discriminant, 1.0)) - along
-        point = origin + distance[..., None] * direction
+        point = ray_point(origin, direction, distance)
         status = jnp.where(meets, jnp.where(distance > 0, HIT, BEHIND), MISS)
         return Intersection(distance, point, -point / self.radius, status)
 
@@ -102,12 +104,12 @@ class Plane(eqx.Module):
         self, origin: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"]
     ) -> Intersection:
         """Intersection of rays with the plane."""
-        approach = -jnp.sum(direction * self.inward, axis=-1)
+        approach = -dot(direction, self.inward)
         parallel = approach == 0
-        height = jnp.sum((origin - self.point) * self.inward, axis=-1)
+        height = dot(origin - self.point, self.inward)
         distance = height / jnp.where(parallel, 1.0, approach)
         status = jnp.where(parallel, MISS, jnp.where(distance > 0, HIT, BEHIND))
-        point = origin + distance[..., None] * direction
+        point = ray_point(origin, direction, distance)
         return Intersection(distance, point, jnp.broadcast_to(self.inward, point.shape), status)
 
     def frame_at(self, *, eccentricity: ScalarLike, azimuth: ScalarLike) -> WallFrame:
