@@ -12,5 +12,6 @@ tables       rows of the CSV files
 figures      the pictures
 strip        frames against distance
 page         the HTML page
+optics_figures  the figures of docs/optics.md
 geometry_speed, render_speed, estimator_accuracy  what `make bench` prints
 """

@@ -1,257 +1,222 @@
-"""Accuracy and speed of the estimator on ellipses that are known exactly.
+"""Figures of the estimator, each beside the one asked, on ground truth that is made here.
 
-    OPENCV_FOR_THREADS_NUM=1 OMP_NUM_THREADS=1 python -m benchmarks.estimator_accuracy
+    python -m benchmarks.estimator_accuracy
 
-prints the error of the semi-minor axis for the sub-pixel mode, the literal mode and scikit-image's
-EllipseModel on a plain contour, all of the same frames, beside the Cramér-Rao bound; then the false
-spots on frames without one, and the time of a frame.
+prints, line by line, the error of the semi-minor axis of the sub-pixel mode, of the literal mode
+and of the peers on the same crops, with the Cramér-Rao bound; then the false spots on frames
+without one, how soon a lost spot is found again, and the time of a frame. `--full` takes the number
+of frames that the figures are asked for; the default is for a coffee break.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import multiprocessing
 import os
-import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
-from benchmarks.estimator_frames import (
-    SHAPE,
-    Profile,
-    Scene,
-    Truth,
-    any_truth,
-    any_wall,
-    bell,
-    domed_edge,
-    erf_edge,
-    flank,
-    frame_of,
-    with_glints,
-    with_quarter_in_shadow,
-    with_shaft,
-)
-from estimator import LiteralSettings, Spot, SubpixelSettings, TrackState, measure
+from benchmarks.estimator_frames import SHAPE, Scene, Truth, frame_of
+from benchmarks.estimator_lines import Line, cramer_rao_bound, lines
+from benchmarks.estimator_methods import METHODS, View, available
+from benchmarks.estimator_pupil import PACKAGE, why_unavailable
+from benchmarks.estimator_renders import ASKED, RENDERS, rendered
+from benchmarks.estimator_speed import Times, frame_times
+from benchmarks.estimator_spotless import false_spots as false_spots
+from benchmarks.estimator_spotless import frames_until_found
+from estimator.frames import GREY_WEIGHTS
 
-Make = Callable[[np.random.Generator], Scene]
-Method = Callable[[np.ndarray, tuple[float, float], np.ndarray | None], float]
-"""Semi-minor axis (px) of a frame, a start point and maybe a reference frame; NaN for none."""
+_WRONG_PX = 0.5  # error that must not go without a flag
+_FRAMES, _FRAMES_FULL = 20, 200
+_SPOTLESS, _SPOTLESS_FULL = 1000, 10_000
+_LOSSES, _LOSSES_FULL = 20, 200
+_TIMED = 400
+_BATCH = 250  # spotless frames a task
+_LATEST = 2  # frames within which a lost spot must be found
+_MEDIAN_MS, _TAIL_MS, _TIMES_FASTER = 0.5, 1.5, 2.0
 
-_FRAMES = 60
-_SPOTLESS = 1000
-_TIMED = 300
-_CROP = 200
-_SHAFT_PX = 75.0
+_WIDTH = 250  # characters of the widest table
+_SHORT = {"silent_wrong": "> 0.5", "rmse": "RMSE"}
+
+Errors = dict[str, np.ndarray]
+"""By method, (frames, 2): error of the semi-minor axis, px, NaN for a miss; and 1 if flagged."""
 
 
-def subpixel(frame: np.ndarray, at: tuple[float, float], reference: np.ndarray | None) -> float:
-    """Our default mode."""
-    settings = SubpixelSettings(reference=reference)
-    spot, _ = measure(frame, TrackState(at_px=at), settings)
-    return spot.semi_minor_px if isinstance(spot, Spot) else math.nan
+class Figures(NamedTuple):
+    """What is said of a method on a line; px and numbers of frames.
 
-
-def literal(frame: np.ndarray, at: tuple[float, float], reference: np.ndarray | None) -> float:
-    """The paper's algorithm with its fixed threshold."""
-    spot, _ = measure(frame, TrackState(at_px=at), LiteralSettings())
-    return spot.semi_minor_px if isinstance(spot, Spot) else math.nan
-
-
-def ellipse_model(
-    frame: np.ndarray, at: tuple[float, float], reference: np.ndarray | None
-) -> float:
-    """scikit-image: longest contour at the crop's Otsu threshold, EllipseModel through it."""
-    from skimage.color import rgb2gray
-    from skimage.filters import threshold_otsu
-    from skimage.measure import EllipseModel, find_contours
-
-    x, y = (round(v) for v in at)
-    crop = frame[max(y - _CROP, 0) : y + _CROP, max(x - _CROP, 0) : x + _CROP]
-    grey = rgb2gray(crop)
-    contours = find_contours(grey, threshold_otsu(grey))
-    if not contours:
-        return math.nan
-    model = EllipseModel.from_estimate(max(contours, key=len)[:, ::-1])
-    return min(model.axis_lengths) if model else math.nan
-
-
-_METHODS: dict[str, Method] = {
-    "sub-pixel": subpixel,
-    "literal": literal,
-    "EllipseModel": ellipse_model,
-}
-
-
-def _even(semi_minor: float, **changes: object) -> Make:
-    return lambda rng: replace(Scene(truth=any_truth(rng, semi_minor)), **changes)  # type: ignore[arg-type]
-
-
-def _textured(semi_minor: float, **changes: object) -> Make:
-    return lambda rng: replace(_even(semi_minor, **changes)(rng), wall=any_wall(rng))
-
-
-def _shafted(reach: float) -> Make:
-    return lambda rng: with_shaft(_textured(80)(rng), rng, reach, _SHAFT_PX)
-
-
-def _clipped(rng: np.random.Generator) -> Scene:
-    scene = _textured(60)(rng)
-    return replace(scene, truth=replace(scene.truth, x=0.4 * scene.truth.semi_minor))
-
-
-def _profiles() -> dict[str, Profile]:
-    blurs = {f"blur {sigma} px": erf_edge(sigma) for sigma in (1, 4, 8)}
-    return blurs | {"dome 20 %": domed_edge(2, 0.2), "flank": flank(0.7), "bell": bell}
-
-
-def cases() -> dict[str, Make]:
-    """Scenes by name; b is the semi-minor axis in px, the blur 2 px unless the name says other."""
-    sizes = (20, 40, 60, 100, 150)
-    made: dict[str, Make] = {f"even wall, b {b}": _even(b) for b in sizes}
-    made |= {f"retina, b {b}": _textured(b) for b in sizes}
-    for name, profile in _profiles().items():
-        made[f"even wall, {name}"] = _even(60, profile=profile)
-        made[f"retina, {name}"] = _textured(60, profile=profile)
-    made |= {
-        "even wall, half as bright": _even(60, amplitude=90.0),
-        "even wall, bright": _even(60, amplitude=235.0),
-        "even wall, bright, blur 4 px": _even(60, amplitude=235.0, profile=erf_edge(4)),
-        "even wall, saturated 1.2 x": _even(60, amplitude=300.0),
-        "even wall, saturated 1.7 x": _even(60, amplitude=430.0),
-        "retina, red saturated 2 x": _textured(60, amplitude=500.0),
-    }
-    made |= {
-        "retina, b 80, shaft 48 px short": _shafted(0.6),
-        "retina, b 80, shaft past middle": _shafted(-0.3),
-        "retina, b 80, shaft across": _shafted(-3.0),
-        "retina, a quarter in shadow": lambda rng: with_quarter_in_shadow(_textured(60)(rng), rng),
-        "retina, glints on the edge": lambda rng: with_glints(
-            _textured(60)(rng), rng, on_edge=True
-        ),
-        "retina, glints anywhere": lambda rng: with_glints(_textured(60)(rng), rng, on_edge=False),
-        "retina, clipped by the border": _clipped,
-    }
-    return made
-
-
-def cramer_rao_bound(scene: Scene, sigma_px: float) -> float:
-    """Least standard deviation (px) of the semi-minor axis of a near-circle on an even wall.
-
-    (s / D) sqrt(3 w / (sqrt(pi) B)) with the grey mean's noise s, the step D, the edge's blur w and
-    the radius B (DESIGN of the estimator: pixels of the edge band, five parameters).
+    Attributes:
+        bias: mean error of the semi-minor axis.
+        std: standard deviation of the error.
+        rmse: root of its mean square.
+        missed: frames without a spot.
+        silent: spots without a flag.
+        silent_wrong: those of them that are off by more than half a pixel.
     """
-    grey_noise = scene.noise * math.hypot(0.299, 0.587, 0.114)
-    size = scene.truth.semi_minor
-    return grey_noise / scene.amplitude * math.sqrt(3 * sigma_px / (math.sqrt(math.pi) * size))
+
+    bias: float
+    std: float
+    rmse: float
+    missed: int
+    silent: int
+    silent_wrong: int
+
+    @classmethod
+    def of(cls, errors: np.ndarray) -> Figures:
+        """Of (frames, 2), see `Errors`."""
+        seen = np.isfinite(errors[:, 0])
+        error, silent = errors[seen, 0], errors[seen, 1] == 0
+        wrong = np.abs(error) > _WRONG_PX
+        bias, std, rmse = math.nan, math.nan, math.nan
+        if error.size:
+            bias, std, rmse = error.mean(), error.std(), math.sqrt((error**2).mean())
+        numbers = errors.shape[0] - error.size, silent.sum(), (silent & wrong).sum()
+        return cls(float(bias), float(std), rmse, *(int(n) for n in numbers))
+
+    def meets(self, asked: dict[str, float]) -> bool:
+        """Whether no figure exceeds what is asked; one that is not known does."""
+        return all(abs(getattr(self, name)) <= most for name, most in asked.items())
 
 
-def errors_of(make: Make, number: int, *, with_reference: bool = False) -> np.ndarray:
-    """Error of the semi-minor axis by frame and method, px; NaN for a miss."""
+def errors_of(name: str, number: int) -> Errors | str:
+    """Errors of every method on a line, by its name; or why there are none."""
+    from scenes import RendererUnavailable
+
     rng = np.random.default_rng(2020)
-    rows = []
+    methods = available()
+    found: dict[str, list[tuple[float, float]]] = {method: [] for method in methods}
+    try:
+        for view, truth in _views(name, number, rng):
+            for method, measured_by in methods.items():
+                semi_minor, flagged = measured_by(view)
+                found[method].append((semi_minor - truth.semi_minor, flagged))
+    except RendererUnavailable as error:
+        return str(error)
+    return {method: np.array(rows, float) for method, rows in found.items()}
+
+
+def _views(name: str, number: int, rng: np.random.Generator) -> Iterator[tuple[View, Truth]]:
+    if name in RENDERS:
+        yield from rendered(name, rng)
+        return
+    line = lines()[name]
     for _ in range(number):
-        scene = make(rng)
-        image = frame_of(scene, rng)
-        reference = frame_of(replace(scene, amplitude=0.0), rng) if with_reference else None
+        scene = line.make(rng)
+        image, reference = frame_of(scene, rng), line.reference_of(scene, rng)
         dx, dy = rng.uniform(-10, 10, 2)
         at = (
             min(max(scene.truth.x + dx, 0), SHAPE[1] - 1),
             min(max(scene.truth.y + dy, 0), SHAPE[0] - 1),
         )
-        found = [method(image, at, reference) for method in _METHODS.values()]
-        rows.append([size - scene.truth.semi_minor for size in found])
-    return np.array(rows)
+        yield View(image, at, _half_level(scene), reference), line.truth(scene)
 
 
-def _accuracy(number: int) -> Table:
-    columns = [f"{name}: bias" for name in _METHODS]
-    table = Table(
-        "frames",
-        *(part for name in columns for part in (name, "std", "worst", "missed")),
-        title=f"error of the semi-minor axis, px, {number} frames each",
+def _half_level(scene: Scene) -> float:
+    wall = 1.0 if scene.wall is None else float(scene.wall.mean(axis=(0, 1)) @ GREY_WEIGHTS)
+    return wall * (scene.ambient + scene.amplitude / 2)
+
+
+def _row(name: str, line: Line | None, errors: Errors | str) -> list[str]:
+    asked = ASKED if line is None else line.asked
+    wanted = ", ".join(
+        f"{_SHORT.get(figure, figure)} ≤ {most:.2g}" for figure, most in asked.items()
     )
-    rows = [(name, make, False) for name, make in cases().items()]
-    rows.append(("retina, bell, reference frame", _textured(60, profile=bell), True))
-    for name, make, with_reference in rows:
-        cells = []
-        for errors in errors_of(make, number, with_reference=with_reference).T:
-            seen = errors[np.isfinite(errors)]
-            if seen.size:
-                worst = np.abs(seen).max()
-                cells += [f"{seen.mean():+.3f}", f"{seen.std():.3f}", f"{worst:.2f}"]
-            else:
-                cells += ["", "", ""]
-            cells.append(str(errors.size - seen.size))
-        table.add_row(name, *cells)
+    if isinstance(errors, str):
+        return [name, wanted, f"not available here: {errors}"]
+    ours = Figures.of(errors["sub-pixel"])
+    bound = ""
+    if line is not None and line.blur_px is not None:
+        scene = line.make(np.random.default_rng(0))
+        bound = f"{cramer_rao_bound(scene.truth.semi_minor, line.blur_px, scene):.4f}"
+    cells = [f"{ours.bias:+.3f}", f"{ours.std:.4f}", bound, f"{ours.rmse:.3f}"]
+    cells += [str(ours.missed), str(ours.silent), str(ours.silent_wrong), _said(ours.meets(asked))]
+    for method in list(METHODS)[1:]:
+        theirs = Figures.of(errors[method]) if method in errors else None
+        cells.append("" if theirs is None else f"{theirs.rmse:.3f} ({theirs.missed})")
+    return [name, wanted, *cells]
+
+
+def _said(met: bool) -> str:
+    return "yes" if met else "NO"
+
+
+def _accuracy(pool: ProcessPoolExecutor, number: int) -> Table:
+    columns = ("bias", "std", "bound", "RMSE", "missed", "silent", "> 0.5", "met")
+    table = Table(
+        Column("frames", no_wrap=True),
+        Column("asked", no_wrap=True),
+        *columns,
+        *list(METHODS)[1:],
+        title=f"error of the semi-minor axis, px, {number} frames a line (renders fewer).\n"
+        "Left: sub-pixel mode; silent: spots without a flag, > 0.5: those of them that are off by"
+        " more.\nRight: the others on the same crops, RMSE (missed).",
+    )
+    known: dict[str, Line | None] = {**lines(), **dict.fromkeys(RENDERS)}
+    results = pool.map(errors_of, known, [number] * len(known))
+    for (name, line), errors in zip(known.items(), results, strict=True):
+        table.add_row(*_row(name, line, errors))
     return table
 
 
-def spotless_frame(rng: np.random.Generator) -> np.ndarray:
-    """A retina under any ambient light, with glints or a shaft or neither, and no spot."""
-    scene = Scene(
-        truth=any_truth(rng, 60),
-        amplitude=0.0,
-        ambient=rng.uniform(3, 180),
-        noise=rng.uniform(0.5, 5),
-        wall=any_wall(rng),
+def _tracking(pool: ProcessPoolExecutor, spotless: int, losses: int) -> Table:
+    table = Table("tracking", "asked", "measured", "met")
+    batches = [min(_BATCH, spotless - first) for first in range(0, spotless, _BATCH)]
+    found = sum(pool.map(false_spots, batches, range(1, 1 + len(batches))))
+    table.add_row(
+        f"false spots in {spotless} frames without one", "0", f"{found}", _said(not found)
     )
-    if rng.random() < 0.6:
-        scene = with_glints(scene, rng, on_edge=False, number=int(rng.integers(1, 8)))
-    if rng.random() < 0.5:
-        scene = with_shaft(scene, rng, rng.uniform(-2, 2), rng.uniform(40, 100))
-    return frame_of(scene, rng)
+    counts = np.array(pool.submit(frames_until_found, losses, 1).result())
+    late = f"{counts.max()} (mean {counts.mean():.2f})"
+    name = f"frames until found again, worst of {losses} losses"
+    table.add_row(name, f"≤ {_LATEST}", late, _said(counts.max() <= _LATEST))
+    return table
 
 
-def false_spots(number: int, seed: int) -> int:
-    """How many of so many frames without a spot show one, half of them searched round a point."""
-    rng = np.random.default_rng(seed)
-    states = (TrackState(), TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2)))
-    settings = SubpixelSettings()
-    results = (measure(spotless_frame(rng), states[k % 2], settings)[0] for k in range(number))
-    return sum(isinstance(result, Spot) for result in results)
-
-
-def _times(number: int) -> Table:
-    rng = np.random.default_rng(0)
-    table = Table("one frame, ms", "sub-pixel: median", "99 %", "literal: median", "99 %")
-    for shape in (SHAPE, (1080, 1920)):
-        for name, walled in (("even wall", False), ("retina", True)):
-            truth = Truth(x=330, y=230, semi_major=66, semi_minor=60, angle=0.5)
-            wall = any_wall(rng, shape) if walled else None
-            image = frame_of(Scene(truth=truth, wall=wall), rng, shape)
-            cells = []
-            for settings in (SubpixelSettings(), LiteralSettings(threshold=90)):
-                _, state = measure(image, TrackState(at_px=(truth.x, truth.y)), settings)
-                seconds = []
-                for _ in range(number):
-                    began = time.perf_counter()
-                    measure(image, state, settings)
-                    seconds.append(time.perf_counter() - began)
-                cells += [f"{1e3 * np.percentile(seconds, q):.2f}" for q in (50, 99)]
-            table.add_row(f"{shape[1]} x {shape[0]}, {name}, tracked", *cells)
+def _speed(measured: list[Times]) -> Table:
+    table = Table(
+        "ms a frame, one thread",
+        *("median", f"≤ {_MEDIAN_MS}", "99 %", f"≤ {_TAIL_MS}"),
+        *("literal: median", "99 %", "literal / ours", f"≥ {_TIMES_FASTER}"),
+        title="spot tracked, lost by a jump every 50 frames and found again",
+    )
+    for times in measured:
+        median, tail = (1e3 * float(np.percentile(times.subpixel, q)) for q in (50, 99))
+        slow, slow_tail = (1e3 * float(np.percentile(times.literal, q)) for q in (50, 99))
+        table.add_row(
+            times.frames,
+            *(f"{median:.2f}", _said(median <= _MEDIAN_MS)),
+            *(f"{tail:.2f}", _said(tail <= _TAIL_MS)),
+            *(f"{slow:.2f}", f"{slow_tail:.2f}", f"{slow / median:.2f}"),
+            _said(slow >= _TIMES_FASTER * median),
+        )
     return table
 
 
 def main() -> None:
     """Print all tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--frames", type=int, default=_FRAMES, help="frames of each case")
-    parser.add_argument("--spotless", type=int, default=_SPOTLESS, help="frames without a spot")
-    asked = parser.parse_args()
-    console = Console(width=max(Console().width, 170))
-    console.print(_accuracy(asked.frames))
-    scene = _even(60)(np.random.default_rng(0))
-    console.print(f"Cramér-Rao bound, even wall, b 60: {cramer_rao_bound(scene, 2.0):.4f} px")
-    found = false_spots(asked.spotless, seed=1)
-    console.print(f"false spots on {asked.spotless} frames without one: {found}")
-    console.print(_times(_TIMED))
-    if os.environ.get("OPENCV_FOR_THREADS_NUM") != "1":
-        console.print("Times with all threads; set OPENCV_FOR_THREADS_NUM=1 for those of one.")
+    parser.add_argument("--full", action="store_true", help="all the frames that are asked for")
+    full = parser.parse_args().full
+    # One thread each: workers read it as they start, before their first array.
+    os.environ |= {"OPENCV_FOR_THREADS_NUM": "1", "OMP_NUM_THREADS": "1"}
+    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
+    console = Console(width=_WIDTH)
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn) as alone:
+        measured = alone.submit(frame_times, _TIMED).result()
+    console.print(_speed(measured))
+    if reason := why_unavailable():
+        console.print(f"{PACKAGE}: not available here: {reason}")
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=spawn) as pool:
+        console.print(_accuracy(pool, _FRAMES_FULL if full else _FRAMES))
+        spotless = _SPOTLESS_FULL if full else _SPOTLESS
+        console.print(_tracking(pool, spotless, _LOSSES_FULL if full else _LOSSES))
 
 
 if __name__ == "__main__":

@@ -88,6 +88,8 @@ class Scene:
         lit: (H, W) part of the spot's light that arrives, 1 without a shadow.
         seen: (H, W) part of the wall that is seen, 1 without a shaft.
         glints: (H, W) light that is added to every channel.
+        path_px: (x, y) of the straight way that the spot moves during the exposure, evenly; the
+            truth is the ellipse in the middle of it.
     """
 
     truth: Truth
@@ -99,6 +101,7 @@ class Scene:
     lit: np.ndarray | None = None
     seen: np.ndarray | None = None
     glints: np.ndarray | None = None
+    path_px: tuple[float, float] | None = None
 
 
 _SHAFT_LEVEL = 5.0
@@ -107,6 +110,8 @@ _SHAFT_LEVEL = 5.0
 def light_of(scene: Scene, shape: tuple[int, int] = SHAPE) -> np.ndarray:
     """Noise-free values of the three channels, neither clipped nor rounded, (H, W, 3)."""
     spot = scene.amplitude * scene.profile(*_radius_and_distance(scene.truth, shape))
+    if scene.path_px is not None:
+        spot = _moved(spot, *scene.path_px)
     if scene.lit is not None:
         spot = spot * scene.lit
     image = np.repeat((spot + scene.ambient)[..., None], 3, axis=2)
@@ -135,6 +140,17 @@ def _radius_and_distance(truth: Truth, shape: tuple[int, int]) -> tuple[np.ndarr
     t = np.maximum(np.hypot(x, y), 1e-9)
     gradient = np.hypot(x / truth.semi_major, y / truth.semi_minor) / t
     return t, (t - 1) / np.maximum(gradient, 1e-9)
+
+
+def _moved(light: np.ndarray, x: float, y: float) -> np.ndarray:
+    """Mean over a straight path about the middle: a box, which is a sinc in the spectrum.
+
+    Exact for what the pixels resolve; the light must not reach the image's border.
+    """
+    along_y = np.fft.fftfreq(light.shape[0])[:, None] * y
+    along_x = np.fft.rfftfreq(light.shape[1]) * x
+    spectrum = np.fft.rfft2(light) * np.sinc(along_x + along_y)
+    return np.fft.irfft2(spectrum, s=light.shape)
 
 
 def any_truth(

@@ -20,7 +20,7 @@ from benchmarks.conclusions import (
 )
 from benchmarks.tracking import USED, WAYS
 from benchmarks.validate import Findings
-from scenes import scene_toml
+from scenes import frame_count, scene_toml
 
 
 class ErrorLine(NamedTuple):
@@ -84,7 +84,7 @@ def render(
         accuracy=tables.rendered_accuracy(findings.rendered),
         outcomes=_outcome_lines(findings),
         trials=findings.trials,
-        frames=sum(trial.scene.withdrawal.frames for trial in findings.trials),
+        frames=sum(frame_count(trial.scene) for trial in findings.trials),
         scene=first.scene,
         scene_toml=scene_toml(first.scene),
         seconds=findings.seconds,

@@ -65,7 +65,7 @@ def paper_trials(*, source: str, quick: bool, seed: int) -> list[Trial]:
                         "eccentricity_mm": c,
                         "azimuth_deg": _AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)],
                     },
-                    "withdrawal": {"frames": frames},
+                    "motion": {"frames": frames},
                 }
             ),
         )
@@ -88,7 +88,7 @@ def grid_trials(*, quick: bool, seed: int) -> list[Trial]:
                     "phantom": {"texture_seed": seed},
                     "source": {"kind": "cone"},
                     "spot": {"eccentricity_mm": c},
-                    "withdrawal": {
+                    "motion": {
                         "start_mm": 0.5,
                         "travel_mm": 5.5,
                         "frames": 4 if quick else 12,

@@ -160,7 +160,7 @@ def _render_and_measure(
     ordered = sorted(trials, key=lambda trial: trial.source == "lens")
     table = beside.submit(lens_table, ordered[-1].scene)
     with Progress(*columns) as progress:
-        total = sum(trial.scene.withdrawal.frames for trial in trials)
+        total = sum(scenes.frame_count(trial.scene) for trial in trials)
         task = progress.add_task("rendering", total=total)
         for trial in ordered:
             progress.update(task, description=trial.name)
@@ -187,7 +187,7 @@ def _stack(trial: Trial, out: Path, advance) -> Stack:
             f"{folder} was rendered from another scene than this version would render. Remove it, "
             "or choose another --out."
         )
-    for _ in range(trial.scene.withdrawal.frames):
+    for _ in range(scenes.frame_count(trial.scene)):
         advance()
     return stack
 

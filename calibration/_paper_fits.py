@@ -27,6 +27,7 @@ class PlaneFit(NamedTuple):
         b: mm.
         delta_k_error: standard error of delta_k, mm per px.
         b_error: standard error of b, mm.
+        correlation: of the two errors.
         r_squared: coefficient of determination.
         rmse: root mean square error, mm.
         spots: number of spots fitted.
@@ -37,6 +38,7 @@ class PlaneFit(NamedTuple):
     b: float
     delta_k_error: float
     b_error: float
+    correlation: float
     r_squared: float
     rmse: float
     spots: int
@@ -93,6 +95,7 @@ def fit_plane(*, semi_minor_px: Float[ArrayLike, "n"], distance: Float[ArrayLike
         b=float(solution.parameters[1]),
         delta_k_error=float(errors[0]),
         b_error=float(errors[1]),
+        correlation=float(solution.covariance[0, 1] / (errors[0] * errors[1])),
         r_squared=1.0 - squares / spread,
         rmse=float(np.sqrt(squares / axis.size)),
         spots=axis.size,

@@ -2,33 +2,31 @@
 
     STACK/frames/000000.png …   images
           masks/000000.png …    255 where the wall inside the half-maximum contour is seen
+          linear/000000.tiff …  on request: float32 RGB, the radiance behind an image
           metadata.jsonl        one `FrameLabels` a line
+          kinematics.csv        what the robot reported, as `read_poses` reads it
           stack.toml            schema, the scene as run, versions
           microscope.json       camera matrix, pinhole height, eye radius, response
           manifest.json         size and SHA-256 of every file above
 
-A stack is written into a folder with another name and renamed when it is whole: a folder that
-bears the stack's name is complete.
+`stack_writer` writes one.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 import tomllib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
-import tomli_w
 
 SCHEMA = 1
-# Level 1 costs 12 ms a frame against 41 ms at level 6; camera noise hardly compresses anyway.
-_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+_PNG_END = b"IEND\xaeB`\x82"  # the last chunk's name and checksum
 
 
 class StackError(ValueError):
@@ -41,7 +39,7 @@ class FrameLabels:
 
     Attributes:
         frame: index of the moment; images of several exposures share it.
-        time_s: since the first frame.
+        time_s: middle of the exposure, on the camera's clock; 0 where the motion begins.
         exposure: "paper" or "metered".
         d_mm: |SO|, tip to wall along the beam's axis.
         nearest_mm: tip to the nearest wall point.
@@ -50,6 +48,7 @@ class FrameLabels:
         cone_*: ellipse of the geometric cone's edge.
         half_max_*: ellipse of half of the noise-free, unoccluded direct peak.
         visible_fraction: part of the half-maximum contour that the camera sees.
+        speed_mm_s: of the tip in the middle of the exposure.
         saturated_fraction: part of the mask's pixels with a channel at full scale.
     """
 
@@ -86,58 +85,6 @@ class FrameLabels:
     seed: int
 
 
-class StackWriter:
-    """Writes a stack; leaving the `with` block without an error makes it whole and gives its name.
-
-    Args:
-        folder: name of the finished stack; must not exist yet.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = Path(folder)
-        self._partial = self.folder.with_name(f".{self.folder.name}.partial")
-        self._labels: dict[str, FrameLabels] = {}
-
-    def __enter__(self) -> Self:
-        if self.folder.exists():
-            raise StackError(f"{self.folder} exists already. Choose another folder or remove it.")
-        shutil.rmtree(self._partial, ignore_errors=True)
-        (self._partial / "frames").mkdir(parents=True)
-        (self._partial / "masks").mkdir()
-        return self
-
-    def add(self, image: np.ndarray, labels: FrameLabels, mask: np.ndarray | None) -> None:
-        """Write one image (RGB or grey), its labels, and its mask unless another image has.
-
-        Images may be added in any order and from several threads; labels are sorted by name.
-        """
-        _write_png(self._partial / labels.file_name, image)
-        if mask is not None:
-            _write_png(self._partial / labels.mask_file_name, mask)
-        self._labels[labels.file_name] = labels
-
-    def describe(self, *, stack: dict[str, Any], microscope: dict[str, Any]) -> None:
-        """Write stack.toml and microscope.json."""
-        with (self._partial / "stack.toml").open("wb") as file:
-            tomli_w.dump({"schema": SCHEMA, **stack}, file)
-        (self._partial / "microscope.json").write_text(
-            json.dumps({"schema": SCHEMA, **microscope}, indent=1) + "\n"
-        )
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
-        if kind is not None:
-            shutil.rmtree(self._partial, ignore_errors=True)
-            return
-        rows = [json.dumps(asdict(self._labels[name])) for name in sorted(self._labels)]
-        (self._partial / "metadata.jsonl").write_text("\n".join(rows) + "\n")
-        files = sorted(path for path in self._partial.rglob("*") if path.is_file())
-        manifest = {str(path.relative_to(self._partial)): _fingerprint(path) for path in files}
-        (self._partial / "manifest.json").write_text(
-            json.dumps({"schema": SCHEMA, "files": manifest}, indent=1) + "\n"
-        )
-        self._partial.rename(self.folder)
-
-
 @dataclass(frozen=True)
 class Stack:
     """A stack on disk.
@@ -158,11 +105,24 @@ class Stack:
 
     def image(self, labels: FrameLabels) -> np.ndarray:
         """The image (RGB) that the labels describe."""
-        return _read_png(self.folder / labels.file_name)
+        return _read_image(self.folder / labels.file_name)
+
+    def linear(self, labels: FrameLabels) -> np.ndarray:
+        """Noise-free radiance (RGB, float32, mW/(mm2 sr)) behind an image.
+
+        Raises:
+            StackError: the stack was rendered without `keep_linear`.
+        """
+        path = self.folder / linear_name(labels)
+        if not path.is_file():
+            raise StackError(
+                f"{path} is missing. Render the stack with exposures.keep_linear = true."
+            )
+        return _read_image(path)
 
     def mask(self, labels: FrameLabels) -> np.ndarray:
         """Mask of the visible spot, 0 or 255."""
-        return _read_png(self.folder / labels.mask_file_name)
+        return _read_image(self.folder / labels.mask_file_name)
 
     def images(self, exposure: str) -> Iterator[np.ndarray]:
         """Images (RGB) of one kind of exposure, in order."""
@@ -178,7 +138,7 @@ class Stack:
             path = self.folder / name
             if not path.is_file():
                 raise StackError(f"{path} is missing, though manifest.json lists it.")
-            if _fingerprint(path) != expected:
+            if fingerprint(path) != expected:
                 raise StackError(f"{path} differs from its checksum in manifest.json.")
 
 
@@ -186,7 +146,8 @@ def read_stack(folder: Path) -> Stack:
     """Open a stack and its labels (images are read when asked for).
 
     Raises:
-        StackError: the folder is no stack, has another schema, or a label line is broken.
+        StackError: the folder is no stack, has another schema, a label line is broken, or labels
+            and frames do not match; the message names the file and the line.
     """
     folder = Path(folder)
     try:
@@ -196,14 +157,16 @@ def read_stack(folder: Path) -> Stack:
         raise StackError(
             f"{folder} is not a stack: {Path(error.filename).name} is missing."
         ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise StackError(f"{folder / 'stack.toml'}: not a TOML file: {error}.") from error
     if description.get("schema") != SCHEMA:
         raise StackError(
             f"{folder / 'stack.toml'} has schema {description.get('schema')}; this version reads "
             f"{SCHEMA}. Render the stack again."
         )
-    return Stack(
-        folder, tuple(_parse(folder, n, line) for n, line in enumerate(lines, 1)), description
-    )
+    labels = tuple(_parse(folder, n, line) for n, line in enumerate(lines, 1))
+    _match(folder, labels)
+    return Stack(folder, labels, description)
 
 
 def _parse(folder: Path, number: int, line: str) -> FrameLabels:
@@ -211,25 +174,55 @@ def _parse(folder: Path, number: int, line: str) -> FrameLabels:
     try:
         row = json.loads(line)
     except json.JSONDecodeError as error:
-        raise StackError(f"{where}: not JSON ({error.msg}).") from error
-    names = {field.name for field in fields(FrameLabels)}
-    if set(row) != names:
-        wrong = ", ".join(sorted(names.symmetric_difference(row)))
+        raise StackError(f"{where}: not JSON ({error.msg}); is the file truncated?") from error
+    types = {field.name: str(field.type) for field in fields(FrameLabels)}
+    if not isinstance(row, dict) or set(row) != set(types):
+        wrong = ", ".join(sorted(set(types).symmetric_difference(row)))
         raise StackError(f"{where}: missing or unknown columns: {wrong}.")
+    for name, value in row.items():
+        if not _is(value, types[name]):
+            raise StackError(f"{where}: {name} must be {types[name]}; got {value!r}.")
     vectors = {name: tuple(row[name]) for name in ("tip_mm", "axis", "spot_mm")}
     return FrameLabels(**{**row, **vectors})
 
 
-def _write_png(path: Path, image: np.ndarray) -> None:
-    ordered = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
-    if not cv2.imwrite(str(path), ordered, _PNG):
-        raise OSError(f"{path} could not be written. Check space and permissions.")
+def _is(value: object, type_name: str) -> bool:
+    """Whether JSON holds what an annotation of `FrameLabels` says."""
+    if type_name.startswith("tuple"):
+        return isinstance(value, list) and len(value) == 3 and all(_is(x, "float") for x in value)
+    kinds: dict[str, Any] = {"str": str, "int": int, "float": (int, float)}
+    return isinstance(value, kinds[type_name]) and not isinstance(value, bool)
 
 
-def _read_png(path: Path) -> np.ndarray:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+def _match(folder: Path, labels: tuple[FrameLabels, ...]) -> None:
+    """Every line has its frame, every frame its line."""
+    frames = {f"frames/{path.name}" for path in (folder / "frames").glob("*.png")}
+    seen: set[str] = set()
+    for number, row in enumerate(labels, 1):
+        where = f"{folder / 'metadata.jsonl'}, line {number}"
+        if row.file_name in seen:
+            raise StackError(f"{where}: {row.file_name} has a line already.")
+        if row.file_name not in frames:
+            raise StackError(f"{where}: {folder / row.file_name} is missing.")
+        seen.add(row.file_name)
+    if unlabelled := sorted(frames - seen):
+        raise StackError(
+            f"{folder / unlabelled[0]} has no line in metadata.jsonl, which ends after line "
+            f"{len(labels)}. Render the stack again."
+        )
+
+
+def linear_name(labels: FrameLabels) -> str:
+    """Name of the kept radiance behind an image."""
+    return f"linear/{Path(labels.file_name).stem}.tiff"
+
+
+def _read_image(path: Path) -> np.ndarray:
+    # OpenCV decodes what there is of a truncated PNG, and says nothing.
+    cut = path.suffix == ".png" and path.is_file() and not path.read_bytes().endswith(_PNG_END)
+    image = None if cut else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise StackError(f"{path} is missing or not a readable image.")
+        raise StackError(f"{path} is {'truncated' if cut else 'missing or no readable image'}.")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image
 
 
@@ -242,6 +235,7 @@ def _read_json(path: Path) -> dict[str, Any]:
         raise StackError(f"{path}: not JSON ({error.msg}).") from error
 
 
-def _fingerprint(path: Path) -> dict[str, Any]:
+def fingerprint(path: Path) -> dict[str, Any]:
+    """What manifest.json says of a file."""
     data = path.read_bytes()
     return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}

@@ -5,12 +5,14 @@ _surface     Sphere, Plane: intersections with a status, frames at a wall point
 _vector      three-vectors by components
 _beam        Beam: cone by tip and axis, by spot and distance, through a trocar; contact
 _ellipse     the ellipse of a contour
+_ellipse_mismatch  how far it is from a measured one
 _contour     the exact spot: cone and wall intersected, projected, fitted
 _models      planar, small_plane, corrected, stereographic; the paper's terms one by one
 _distance    exact: the distance whose exact contour was measured
-_pose        tip and axis from one contour, with the mirror solution
+_pose        tip and axis: what is estimated, the mirror solution, the solver
+_pose_from_contour, _pose_from_ellipse  what it is estimated from
 _half_maximum  the spot's edge by light on any wall
-_truth       what is true of a spot at each distance: the numbers behind labels
+_truth       what is true of the spot of any beam: the numbers behind labels
 _indirect    light scattered back by a closed matt eyeball
 _lens        GlueLens and its presets
 _lens_misaligned  a cap off centre, a tilted end face: no symmetry about the axis
@@ -42,6 +44,8 @@ from optics._distance import exact_semi_minor as exact_semi_minor
 from optics._ellipse import Ellipse as Ellipse
 from optics._ellipse import ellipse_of_contour as ellipse_of_contour
 from optics._ellipse import ellipse_points as ellipse_points
+from optics._ellipse_mismatch import ellipse_mismatch as ellipse_mismatch
+from optics._ellipse_mismatch import mismatch_covariance as mismatch_covariance
 from optics._emission import MISSED_APERTURE as MISSED_APERTURE
 from optics._emission import TOTAL_INTERNAL_REFLECTION as TOTAL_INTERNAL_REFLECTION
 from optics._emission import TRANSMITTED as TRANSMITTED
@@ -82,8 +86,9 @@ from optics._models import stereographic_semi_axis as stereographic_semi_axis
 from optics._pose import DirectionPrior as DirectionPrior
 from optics._pose import Pose as Pose
 from optics._pose import PoseEstimate as PoseEstimate
-from optics._pose import pose_from_contour as pose_from_contour
-from optics._pose import tip_from_contour as tip_from_contour
+from optics._pose_from_contour import pose_from_contour as pose_from_contour
+from optics._pose_from_contour import tip_from_contour as tip_from_contour
+from optics._pose_from_ellipse import pose_from_ellipse as pose_from_ellipse
 from optics._profile import EffectiveCone as EffectiveCone
 from optics._profile import ambiguous_distances as ambiguous_distances
 from optics._profile import effective_cone as effective_cone

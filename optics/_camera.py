@@ -213,7 +213,9 @@ def _undistort(
 
     A lens of 10 % distortion converges to 1e-12 within the fixed number of steps.
     """
-    ideal = offset
-    for _ in range(_UNDISTORT_STEPS):
-        ideal = ideal + offset - _distort(ideal, distortion, inverse_focal)
-    return ideal
+
+    def step(_: int, ideal: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        return ideal + offset - _distort(ideal, distortion, inverse_focal)
+
+    # A loop of its own, because unrolled it takes a second to compile wherever it is used.
+    return jax.lax.fori_loop(0, _UNDISTORT_STEPS, step, offset)

@@ -11,6 +11,8 @@ from jaxtyping import Array, Float
 from optics._cholesky import solve_cholesky
 
 _REWEIGHTINGS = 2
+_CENTRAL_DIFFERENCE = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+"""Of eighth order (Fornberg 1988): the second-order one would cost 4e-5 px at 128 points."""
 _CONIC_POWERS = ((2, 0), (1, 1), (0, 2), (1, 0), (0, 1))
 """Powers of x and y in A x^2 + B xy + C y^2 + D x + E y = 1."""
 
@@ -49,7 +51,7 @@ def ellipse_of_contour(contour: Float[Array, "*batch n 2"]) -> Ellipse:
     """
     weights = jnp.ones(contour.shape[:-1])
     for _ in range(_REWEIGHTINGS):
-        weights = _steps_of_eccentric_angle(contour, _fit(contour, weights))
+        weights = steps_of_eccentric_angle(contour, _fit(contour, weights))
     return _fit(contour, weights)
 
 
@@ -62,18 +64,34 @@ def ellipse_points(ellipse: Ellipse, angles: Float[Array, "n"]) -> Float[Array, 
     return ellipse.centre[..., None, :] + around
 
 
-def _steps_of_eccentric_angle(
-    contour: Float[Array, "*batch n 2"], ellipse: Ellipse
-) -> Float[Array, "*batch n"]:
-    """dt between neighbours, per point, from the cross product of its neighbours' chords."""
+def in_unit_circle(
+    points: Float[Array, "*batch n 2"], ellipse: Ellipse
+) -> tuple[Float[Array, "*batch n"], Float[Array, "*batch n"]]:
+    """Points in the coordinates along the ellipse's axes in which it is the unit circle."""
     c, s = jnp.cos(ellipse.angle)[..., None], jnp.sin(ellipse.angle)[..., None]
-    x = contour[..., 0] - ellipse.centre[..., 0, None]
-    y = contour[..., 1] - ellipse.centre[..., 1, None]
+    x = points[..., 0] - ellipse.centre[..., 0, None]
+    y = points[..., 1] - ellipse.centre[..., 1, None]
     p = (c * x + s * y) / ellipse.semi_major[..., None]
     q = (c * y - s * x) / ellipse.semi_minor[..., None]
-    dp = jnp.roll(p, -1, axis=-1) - jnp.roll(p, 1, axis=-1)
-    dq = jnp.roll(q, -1, axis=-1) - jnp.roll(q, 1, axis=-1)
+    return p, q
+
+
+def steps_of_eccentric_angle(
+    contour: Float[Array, "*batch n 2"], ellipse: Ellipse
+) -> Float[Array, "*batch n"]:
+    """Change of the ellipse's eccentric angle in one step along the contour, at each point."""
+    p, q = in_unit_circle(contour, ellipse)
+    dp, dq = _per_step(p), _per_step(q)
     return jnp.abs(p * dq - q * dp) / (p * p + q * q)
+
+
+def _per_step(periodic: Float[Array, "*batch n"]) -> Float[Array, "*batch n"]:
+    """Derivative of a periodic sequence by its index, of eighth order."""
+    derivative = jnp.zeros_like(periodic)
+    for step, weight in enumerate(_CENTRAL_DIFFERENCE, 1):
+        ahead, behind = jnp.roll(periodic, -step, axis=-1), jnp.roll(periodic, step, axis=-1)
+        derivative += weight * (ahead - behind)
+    return derivative
 
 
 def _fit(contour: Float[Array, "*batch n 2"], weights: Float[Array, "*batch n"]) -> Ellipse:

@@ -8,8 +8,10 @@ from jaxtyping import Array, Float
 
 from optics._beam import Beam, generator_angles, perpendicular_frame
 from optics._contour import CONTOUR_POINTS
+from optics._irradiance_edges import implicit_root
 from optics._irradiance_table import IrradianceTable
 from optics._surface import HIT, Surface
+from optics._vector import dot
 
 _RADII = 256
 _BISECTIONS = 30
@@ -42,7 +44,7 @@ def wall_irradiance(
     wall = surface.intersect(beam.tip + radius[..., None] * around, _like(beam.axis, around))
     lateral, axial = table(radius=radius, distance=wall.distance)
     vector = lateral[..., None] * around + axial[..., None] * beam.axis
-    irradiance = -jnp.sum(wall.normal * vector, axis=-1)
+    irradiance = -dot(wall.normal, vector)
     return jnp.where(wall.status == HIT, jnp.maximum(irradiance, 0.0), 0.0), wall.point
 
 
@@ -66,6 +68,10 @@ def half_maximum_contour(
     grid_radius, grid_angle = jnp.meshgrid(radii, angles)
     profile, _ = wall_irradiance(table, beam, surface, radius=grid_radius, angle=grid_angle)
     level = 0.5 * jnp.max(profile)
+
+    def excess(radius: Array) -> Array:
+        return wall_irradiance(table, beam, surface, radius=radius, angle=angles)[0] - level
+
     above = profile >= level
     last = _RADII - 1 - jnp.argmax(above[:, ::-1], axis=-1)
     low, high = radii[last], radii[jnp.minimum(last + 1, _RADII - 1)]
@@ -73,12 +79,12 @@ def half_maximum_contour(
     def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         inside, outside = bracket
         middle = 0.5 * (inside + outside)
-        value, _point = wall_irradiance(table, beam, surface, radius=middle, angle=angles)
-        bright = value >= level
+        bright = excess(middle) >= 0
         return jnp.where(bright, middle, inside), jnp.where(bright, outside, middle)
 
-    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (low, high))
-    return wall_irradiance(table, beam, surface, radius=0.5 * (low + high), angle=angles)[1]
+    low, high = jax.lax.stop_gradient(jax.lax.fori_loop(0, _BISECTIONS, halve, (low, high)))
+    edge = implicit_root(excess, 0.5 * (low + high))
+    return wall_irradiance(table, beam, surface, radius=edge, angle=angles)[1]
 
 
 def _like(vector: Float[Array, "3"], batch: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:

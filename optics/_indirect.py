@@ -1,4 +1,4 @@
-"""Light that a closed matt eyeball scatters back onto its own wall."""
+"""Light that a matt eyeball scatters back onto its own wall."""
 
 from __future__ import annotations
 
@@ -7,22 +7,30 @@ from jaxtyping import Array, ArrayLike, Float
 
 
 def indirect_irradiance(
-    *, flux: ArrayLike, reflectance: ArrayLike, eye_radius: ArrayLike
+    *,
+    flux: ArrayLike,
+    reflectance: ArrayLike,
+    eye_radius: ArrayLike,
+    pupil_radius: ArrayLike = 0.0,
 ) -> Float[Array, "*batch"]:
-    r"""Indirect irradiance in a closed sphere with a uniform matt wall, the same everywhere.
+    r"""Indirect irradiance in a sphere with a uniform matt wall, the same everywhere.
 
-    $E = \rho\Phi / (4\pi r^2 (1-\rho))$ (the integrating sphere: Jacquez & Kuppenheim 1955). Each
-    bounce spreads its light evenly over the sphere, so the sum over bounces is geometric. It leaves
-    out the pupil's opening (2.5 % for 3 mm radius at rho = 0.6), the instrument's shadow and
-    absorption, and uneven reflectance beyond its flux-weighted mean.
+    $E = \rho\Phi / (4\pi r^2 (1-\rho(1-f)))$ with $f = (1 - \sqrt{1 - p^2/r^2})/2$, the part of
+    the sphere that the pupil opens (the integrating sphere with a port: Jacquez & Kuppenheim 1955).
+    Each bounce spreads its light evenly over the sphere, and what meets the opening is lost, so the
+    sum over bounces is geometric. It leaves out the instrument's shadow and absorption, and uneven
+    reflectance beyond its flux-weighted mean.
 
     Args:
         flux: light that reaches the wall directly, W.
         reflectance: rho in [0, 1), one value or one per colour channel.
         eye_radius: r, mm.
+        pupil_radius: p, of the opening's rim, mm, in [0, r); 0 is closed.
 
     Returns:
         Irradiance, W/mm^2.
     """
     rho = jnp.asarray(reflectance)
-    return rho * flux / (4.0 * jnp.pi * jnp.square(eye_radius) * (1.0 - rho))
+    radius = jnp.asarray(eye_radius)
+    opening = 0.5 * (1.0 - jnp.sqrt(1.0 - jnp.square(pupil_radius / radius)))
+    return rho * flux / (4.0 * jnp.pi * jnp.square(radius) * (1.0 - rho * (1.0 - opening)))

@@ -1,4 +1,4 @@
-"""What is true of a spot at each distance of a trial: the numbers behind every label."""
+"""What is true of the spot of any beam: the numbers behind every label."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, ScalarLike
+from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 
-from optics._beam import Beam, beam_at_spot
+from optics._beam import Beam
 from optics._camera import Microscope
 from optics._contour import cone_contour
 from optics._ellipse import Ellipse, ellipse_of_contour
@@ -20,16 +20,23 @@ from optics._irradiance_table import IrradianceTable
 from optics._surface import Surface
 
 _BATCH = 16
+# A few float64 roundings of coordinates of some 10 mm.
+_ROUNDING = 1e-13
 
 
 class SpotTruth(NamedTuple):
-    """Truth of a spot; the leading axis runs over distances; mm, px, rad.
+    """Truth of spots, one a beam along the leading axis; mm, px, rad.
 
     Attributes:
         beam: tip, axis and cone.
+        status: of the intersection of axis and wall; where it is not HIT the rest means nothing.
         distance: d = |SO|.
         nearest: distance from the tip to the nearest wall point.
         origin: O on the wall.
+        eccentricity: c, distance of O from the microscope's axis.
+        azimuth: of O about that axis; 0 where O lies on it.
+        incidence: angle between the beam and the outward normal at O.
+        incidence_azimuth: as in `beam_at_spot`; 0 at square incidence.
         cone: ellipse of the cone's edge in the image.
         half_max: ellipse of half of the direct peak in the image.
         contour: the half-maximum contour on the wall.
@@ -37,9 +44,14 @@ class SpotTruth(NamedTuple):
     """
 
     beam: Beam
+    status: Int[Array, "n"]
     distance: Float[Array, "n"]
     nearest: Float[Array, "n"]
     origin: Float[Array, "n 3"]
+    eccentricity: Float[Array, "n"]
+    azimuth: Float[Array, "n"]
+    incidence: Float[Array, "n"]
+    incidence_azimuth: Float[Array, "n"]
     cone: Ellipse
     half_max: Ellipse
     contour: Float[Array, "n points 3"]
@@ -51,15 +63,12 @@ def spot_truth(
     microscope: Microscope,
     table: IrradianceTable | None,
     *,
-    distances: Float[ArrayLike, "n"],
-    eccentricity: ScalarLike,
-    azimuth: ScalarLike,
-    incidence: ScalarLike,
-    incidence_azimuth: ScalarLike,
+    tip: Float[ArrayLike, "n 3"],
+    axis: Float[ArrayLike, "n 3"],
     half_angle: ScalarLike,
     apex_offset: ScalarLike,
 ) -> SpotTruth:
-    """Truth at each distance along a beam that keeps its axis.
+    """Truth of each of many beams that differ in tip and axis.
 
     The ideal cone is evenly bright up to its edge, so without a table the half-maximum contour
     is the cone's edge.
@@ -68,31 +77,20 @@ def spot_truth(
         surface: the wall.
         microscope: the camera.
         table: vector irradiance of a lens, or None for the ideal cone.
-        distances: d, mm.
-        eccentricity: c of O, mm.
-        azimuth: of O, rad.
-        incidence: angle between the beam and the outward normal at O, rad.
-        incidence_azimuth: as `beam_at_spot`, rad.
+        tip: S, mm, eye frame.
+        axis: unit vectors from the tip towards the wall.
         half_angle: of the cone, rad.
         apex_offset: b, mm.
     """
-    given = {
-        "eccentricity": eccentricity,
-        "azimuth": azimuth,
-        "incidence": incidence,
-        "incidence_azimuth": incidence_azimuth,
-        "half_angle": half_angle,
-        "apex_offset": apex_offset,
-    }
+    poses = np.concatenate([np.asarray(tip, float), np.asarray(axis, float)], axis=1)
     # As arrays, and in parts of one size, so that one compilation serves every trial.
-    pose = {name: jnp.asarray(value, float) for name, value in given.items()}
-    wanted = np.asarray(distances, float)
-    filled = np.pad(wanted, (0, -wanted.size % _BATCH), mode="edge")
+    cone = jnp.asarray(half_angle, float), jnp.asarray(apex_offset, float)
+    filled = np.pad(poses, ((0, -len(poses) % _BATCH), (0, 0)), mode="edge")
     parts = [
-        _truth(surface, microscope, table, jnp.asarray(part), pose)
-        for part in filled.reshape(-1, _BATCH)
+        _truth(surface, microscope, table, jnp.asarray(part), cone)
+        for part in filled.reshape(-1, _BATCH, 6)
     ]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[: wanted.size], *parts)
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[: len(poses)], *parts)
 
 
 @eqx.filter_jit
@@ -100,25 +98,44 @@ def _truth(
     surface: Surface,
     microscope: Microscope,
     table: IrradianceTable | None,
-    distances: Float[Array, "n"],
-    pose: dict[str, Float[Array, ""]],
+    poses: Float[Array, "n 6"],
+    cone: tuple[Float[Array, ""], Float[Array, ""]],
 ) -> SpotTruth:
-    def at(distance: Float[Array, ""]) -> SpotTruth:
-        beam = beam_at_spot(surface, distance=distance, **pose)
+    half_angle, apex_offset = cone
+
+    def of(pose: Float[Array, "6"]) -> SpotTruth:
+        beam = Beam(tip=pose[:3], axis=pose[3:], half_angle=half_angle, apex_offset=apex_offset)
         edge = cone_contour(beam, surface).point
         contour = edge if table is None else half_maximum_contour(table, beam, surface)
         spot = beam.spot(surface)
+        eccentricity, azimuth = _polar(spot.point[0], spot.point[1])
+        frame = surface.frame_at(eccentricity=eccentricity, azimuth=azimuth)
+        lean, incidence_azimuth = _polar(
+            jnp.dot(beam.axis, frame.meridional), jnp.dot(beam.axis, frame.azimuthal)
+        )
         images = microscope.project(jnp.stack([edge, contour]))
         ellipses = ellipse_of_contour(images)
         return SpotTruth(
             beam=beam,
+            status=spot.status,
             distance=spot.distance,
             nearest=surface.nearest_distance(beam.tip),
             origin=spot.point,
+            eccentricity=eccentricity,
+            azimuth=azimuth,
+            incidence=jnp.arctan2(lean, jnp.dot(beam.axis, frame.outward)),
+            incidence_azimuth=incidence_azimuth,
             cone=jax.tree.map(itemgetter(0), ellipses),
             half_max=jax.tree.map(itemgetter(1), ellipses),
             contour=contour,
             contour_px=images[1],
         )
 
-    return jax.vmap(at)(distances)
+    return jax.vmap(of)(poses)
+
+
+def _polar(x: Float[Array, ""], y: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Radius and angle, both 0 where rounding is all that the radius holds."""
+    radius = jnp.hypot(x, y)
+    zero = radius < _ROUNDING
+    return jnp.where(zero, 0.0, radius), jnp.where(zero, 0.0, jnp.arctan2(y, x))

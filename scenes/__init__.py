@@ -1,26 +1,34 @@
 """Physically based image stacks with labels: Mitsuba 3 renders what `optics` describes.
 
-settings     the scene file, validated
+settings     what a scene holds, validated; motion_settings, camera_settings: tables of it
+scene_file   scenes as TOML, its template and JSON schema
 geometry     the scene as optics objects
 photometry   indirect light, exposure of the `paper` frames
-labels       the truth of every moment
-fundus       the wall's picture, made from a seed
-build        the scene as a Mitsuba dictionary
-plugins      emitters and integrator (import after a variant is set)
-render       linear frames; stacks on disk
-exposure     the camera
+motion       where the tip is at any moment, and the clocks that sample it
+labels       the truth of every frame
+fundus       the wall's picture, made from a seed; wall_image: from a file
+build        the scene as a Mitsuba dictionary; wall: its largest part
+plugins      emitters and integrator; sensor: the microscope (import after a variant is set)
+render       linear frames, sharp or gathered over an exposure
+stacks       stacks on disk, rendered or exposed again
+preview      one small frame
+exposure     the camera: light to numbers; response, camera_output: its curve, mosaic and JPEG
 variant      the one door to Mitsuba
 llvm         finds a libLLVM that works
 doctor       what a machine has and lacks
 """
 
+from scenes.motion import frame_count as frame_count
+from scenes.preview import write_preview as write_preview
 from scenes.render import LinearFrame as LinearFrame
 from scenes.render import Renderer as Renderer
-from scenes.render import render_stack as render_stack
+from scenes.scene_file import load_scene as load_scene
+from scenes.scene_file import scene_schema as scene_schema
+from scenes.scene_file import scene_template as scene_template
+from scenes.scene_file import scene_toml as scene_toml
 from scenes.settings import Scene as Scene
 from scenes.settings import SceneError as SceneError
-from scenes.settings import load_scene as load_scene
-from scenes.settings import scene_template as scene_template
-from scenes.settings import scene_toml as scene_toml
+from scenes.stacks import expose_again as expose_again
+from scenes.stacks import render_stack as render_stack
 from scenes.variant import RendererUnavailable as RendererUnavailable
 from scenes.variant import load_mitsuba as load_mitsuba

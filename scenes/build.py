@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any
 
@@ -10,12 +9,12 @@ import mitsuba as mi
 import numpy as np
 
 import optics
-import scenes.plugins  # noqa: F401  (registers the plugins by name)
+import scenes.plugins
+import scenes.sensor  # noqa: F401
 from scenes import geometry
-from scenes.fundus import fundus
-from scenes.settings import GAUGE_DIAMETER_MM, Scene
+from scenes.settings import GAUGE_DIAMETER_MM, MEDIA, Scene
+from scenes.wall import wall, wall_colour
 
-_TEXTURE_MM, _TEXTURE_PX = 24.0, 2048
 _SHAFT_MM = 40.0
 _NEAR_MM = 0.01
 _FIBRE_REFLECTANCE, _SHAFT_REFLECTANCE = 0.15, 0.3
@@ -35,20 +34,44 @@ def mitsuba_dict(
         uniform: indirect irradiance per colour channel, mW/mm2.
     """
     microscope = geometry.microscope(scene)
+    photons = scene.source.kind == "photons"
+    on_a_grid = {
+        "type": "stratified",
+        "sample_count": scene.microscope.samples,
+        # Traced light needs numbers that are random within their strata.
+        "jitter": scene.phantom.indirect == "traced",
+    }
+    at_random = {"type": "independent", "sample_count": scene.source.photons_per_pixel}
+    coaxial = scene.microscope.light == "coaxial"
+    # Ambient light comes from all sides alike, as the light that the eyeball scatters back.
+    ambient = 0.0 if coaxial else scene.microscope.illumination_mw_mm2
     return {
         "type": "scene",
-        "wall": _wall(scene),
+        "wall": wall(scene),
         **(_instrument(scene) if scene.instrument.visible else {}),
+        **(_second_tool(scene) if scene.second_tool.visible else {}),
         "source": _source(scene, table),
-        "sensor": _sensor(scene, microscope),
+        "sensor": _sensor(scene, microscope, on_a_grid),
+        # A second one for photons that come to it, with as many of them a pixel as samples.
+        **({"photon_camera": _sensor(scene, microscope, at_random)} if photons else {}),
         "integrator": {
             "type": "eyespot_spot",
-            "uniform": mi.ScalarColor3f(uniform),
-            "coaxial": scene.microscope.illumination_mw_mm2,
+            # Photons bring the direct light in a pass of their own.
+            "direct": not photons,
+            "bounces": _traced_bounces(scene),
+            "uniform": mi.ScalarColor3f(uniform + ambient),
+            "coaxial": scene.microscope.illumination_mw_mm2 if coaxial else 0.0,
             "pinhole_height": scene.microscope.pinhole_height_mm,
             "pole_height": -scene.phantom.radius_mm,
+            "pupil_height": _pupil_height(scene),
         },
     }
+
+
+def _pupil_height(scene: Scene) -> float:
+    """Height from which on the eyeball's wall is open; beyond all walls if it is closed."""
+    r, pupil = scene.phantom.radius_mm, scene.phantom.pupil_radius_mm
+    return math.sqrt(r * r - pupil * pupil) if pupil else math.inf
 
 
 def pose_parameters(scene: Scene, *, tip: Any, axis: Any, apex: Any) -> dict[str, Any]:
@@ -56,103 +79,11 @@ def pose_parameters(scene: Scene, *, tip: Any, axis: Any, apex: Any) -> dict[str
     tip, axis, apex = np.asarray(tip), np.asarray(axis), np.asarray(apex)
     values: dict[str, Any] = {}
     if scene.instrument.visible:
-        values["instrument.to_world"] = mi.Transform4f(_frame(tip, axis))
+        values["instrument.to_world"] = mi.Transform4f(geometry.rigid_transform(tip, axis))
     values["source.tip"], values["source.axis"] = mi.Point3f(tip), mi.Vector3f(axis)
     if scene.source.kind == "cone":
-        values["source.light.to_world"] = mi.Transform4f(_frame(apex, axis))
+        values["source.light.to_world"] = mi.Transform4f(geometry.rigid_transform(apex, axis))
     return values
-
-
-def wall_colour(scene: Scene) -> np.ndarray:
-    """Mean linear reflectance of the wall per colour channel."""
-    if scene.phantom.wall == "uniform":
-        return np.full(3, scene.phantom.reflectance)
-    return _texture(scene).mean(axis=(0, 1), dtype=float)
-
-
-def _texture(scene: Scene) -> np.ndarray:
-    return _fundus(scene.phantom.texture_seed, scene.phantom.wall)
-
-
-@functools.lru_cache(maxsize=2)
-def _fundus(seed: int, palette: Any) -> np.ndarray:
-    # All trials of a run share one wall.
-    return fundus(seed=seed, extent_mm=_TEXTURE_MM, pixels=_TEXTURE_PX, palette=palette)
-
-
-def _wall(scene: Scene) -> dict[str, Any]:
-    if scene.phantom.wall == "uniform":
-        reflectance = {"type": "rgb", "value": scene.phantom.reflectance}
-    else:
-        texture = _texture(scene)
-        if scene.phantom.kind == "eyeball":
-            texture = _on_sphere(
-                scene.phantom.texture_seed, scene.phantom.wall, scene.phantom.radius_mm
-            )
-        reflectance = {
-            "type": "bitmap",
-            # Mitsuba puts row 0 at v = 0, the map has it at +Y.
-            "bitmap": mi.Bitmap(np.ascontiguousarray(texture[::-1], dtype=np.float32)),
-            "raw": True,
-            "wrap_mode": "clamp",
-        }
-    matt = {"type": "diffuse", "reflectance": reflectance}
-    if scene.phantom.kind == "plane":
-        pole = geometry.wall(scene).frame_at(eccentricity=0.0, azimuth=0.0)
-        place = _frame(np.asarray(pole.origin), -np.asarray(pole.outward))
-        half = np.diag([_TEXTURE_MM / 2, _TEXTURE_MM / 2, 1.0, 1.0])
-        return {"type": "rectangle", "to_world": mi.ScalarTransform4f(place @ half), "bsdf": matt}
-    if "bitmap" in reflectance:
-        reflectance["to_uv"] = _longitude_latitude_to_uv(radius=scene.phantom.radius_mm)
-    return {
-        "type": "sphere",
-        "radius": scene.phantom.radius_mm,
-        "flip_normals": True,
-        "to_world": mi.ScalarTransform4f(_EQUATOR_AT_POLE),
-        "bsdf": matt,
-    }
-
-
-# Mitsuba's sphere has its coordinate poles on its own z axis, where a map is pinched, and the seam
-# of its longitude at +x. Turned so that its -x axis points to the retinal pole and its -z axis
-# along Y, the middle of the map lies on the retina.
-_EQUATOR_AT_POLE = np.array(
-    [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-)
-
-
-@functools.lru_cache(maxsize=2)
-def _on_sphere(seed: int, palette: Any, radius: float) -> np.ndarray:
-    """The fundus, azimuthal-equidistant about the pole, on longitude and latitude."""
-    texture = _fundus(seed, palette)
-    half = 0.5 * _TEXTURE_MM / radius
-    centres = half * ((np.arange(_TEXTURE_PX) + 0.5) / _TEXTURE_PX * 2 - 1)
-    longitude, latitude = np.meshgrid(centres, -centres)
-    x = np.cos(latitude) * np.sin(longitude)
-    y = np.sin(latitude)
-    arc = np.arctan2(np.hypot(x, y), np.cos(latitude) * np.cos(longitude))
-    stretch = radius * arc / np.maximum(np.hypot(x, y), 1e-12)
-    return _bilinear(texture, x * stretch, y * stretch)
-
-
-def _bilinear(texture: np.ndarray, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:
-    column = np.clip((x_mm / _TEXTURE_MM + 0.5) * _TEXTURE_PX - 0.5, 0, _TEXTURE_PX - 1.001)
-    row = np.clip((0.5 - y_mm / _TEXTURE_MM) * _TEXTURE_PX - 0.5, 0, _TEXTURE_PX - 1.001)
-    i, j = row.astype(np.int32), column.astype(np.int32)
-    fi = (row - i).astype(np.float32)[..., None]
-    fj = (column - j).astype(np.float32)[..., None]
-    upper = texture[i, j] * (1 - fj) + texture[i, j + 1] * fj
-    lower = texture[i + 1, j] * (1 - fj) + texture[i + 1, j + 1] * fj
-    return upper * (1 - fi) + lower * fi
-
-
-def _longitude_latitude_to_uv(*, radius: float) -> Any:
-    """Maps the sphere's (longitude/2pi, colatitude/pi) so that the texture covers its extent."""
-    extent = _TEXTURE_MM / radius
-    scale_u, scale_v = 2 * math.pi / extent, math.pi / extent
-    return mi.ScalarTransform3f(
-        [[scale_u, 0.0, 0.5 - 0.5 * scale_u], [0.0, scale_v, 0.5 - 0.5 * scale_v], [0.0, 0.0, 1.0]]
-    )
 
 
 def _source(scene: Scene, table: optics.IrradianceTable | None) -> dict[str, Any]:
@@ -176,6 +107,8 @@ def _source(scene: Scene, table: optics.IrradianceTable | None) -> dict[str, Any
         "nearest": float(table.nearest),
         "farthest": float(table.farthest),
         "power": scene.source.power_mw,
+        "lens": scene.source.lens,
+        "medium_index": MEDIA[scene.source.medium],
     }
 
 
@@ -188,11 +121,40 @@ def _instrument(scene: Scene) -> dict[str, Any]:
     fibre = scene.instrument.fibre_diameter_mm / 2
     shaft = GAUGE_DIAMETER_MM[scene.instrument.gauge] / 2
     end = -scene.instrument.fibre_length_mm
+    return {
+        "instrument_shapes": _rods(
+            ("fibre", fibre, end, -_FACE_GAP_MM, _FIBRE_REFLECTANCE),
+            ("shaft", shaft, end - _SHAFT_MM, end, _SHAFT_REFLECTANCE),
+        ),
+        "instrument": {"type": "instance", "shapes": {"type": "ref", "id": "instrument_shapes"}},
+    }
+
+
+def _second_tool(scene: Scene) -> dict[str, Any]:
+    """A shaft that ends at its tip and lies on the line to its trocar."""
+    tool = scene.second_tool
+    polar, azimuth = math.radians(tool.trocar_polar_deg), math.radians(tool.trocar_azimuth_deg)
+    across = math.sin(polar)
+    trocar = scene.phantom.radius_mm * np.array(
+        [across * math.cos(azimuth), across * math.sin(azimuth), math.cos(polar)]
+    )
+    inwards = np.array(tool.tip_mm) - trocar
+    place = geometry.rigid_transform(np.array(tool.tip_mm), inwards / np.linalg.norm(inwards))
+    radius = GAUGE_DIAMETER_MM[tool.gauge] / 2
+    return {
+        "tool_shapes": _rods(("tool", radius, -_SHAFT_MM, 0.0, _SHAFT_REFLECTANCE)),
+        "tool": {
+            "type": "instance",
+            "to_world": mi.ScalarTransform4f(place),
+            "shapes": {"type": "ref", "id": "tool_shapes"},
+        },
+    }
+
+
+def _rods(*rods: tuple[str, float, float, float, float]) -> dict[str, Any]:
+    """Matt rods along z: name, radius, back and front in mm, reflectance."""
     shapes: dict[str, Any] = {"type": "shapegroup"}
-    for name, radius, back, front, reflectance in (
-        ("fibre", fibre, end, -_FACE_GAP_MM, _FIBRE_REFLECTANCE),
-        ("shaft", shaft, end - _SHAFT_MM, end, _SHAFT_REFLECTANCE),
-    ):
+    for name, radius, back, front, reflectance in rods:
         matt = {"type": "diffuse", "reflectance": {"type": "rgb", "value": reflectance}}
         twosided = {"type": "twosided", "bsdf": matt}
         place = np.diag([radius, radius, 1.0, 1.0])
@@ -209,53 +171,43 @@ def _instrument(scene: Scene) -> dict[str, Any]:
             "to_world": mi.ScalarTransform4f(place),
             "bsdf": twosided,
         }
+    return shapes
+
+
+def _sensor(scene: Scene, microscope: optics.Microscope, sampler: dict[str, Any]) -> dict[str, Any]:
+    # Mitsuba's pixel i spans [i, i + 1), hence the half.
+    u0, v0 = np.asarray(microscope.principal_point) + 0.5
+    names = ("k1", "k2", "p1", "p2", "k3")
     return {
-        "instrument_shapes": shapes,
-        "instrument": {"type": "instance", "shapes": {"type": "ref", "id": "instrument_shapes"}},
+        "type": "eyespot_microscope",
+        "film": _film(scene),
+        "sampler": sampler,
+        "scale": scene.microscope.scale_mm_px,
+        "inverse_working_distance": float(microscope.inverse_working_distance),
+        "pole_height": -scene.phantom.radius_mm,
+        "principal_point": mi.ScalarPoint2f(u0, v0),
+        "entry_height": _inside_the_eye(scene, microscope),
+        "vignetting": scene.microscope.vignetting,
+        **dict(zip(names, scene.microscope.distortion, strict=True)),
     }
 
 
-def _sensor(scene: Scene, microscope: optics.Microscope) -> dict[str, Any]:
-    settings = scene.microscope
-    width, height, scale = settings.width_px, settings.height_px, settings.scale_mm_px
-    # Mitsuba's pixel i spans [i, i + 1), hence the half.
-    u0, v0 = np.asarray(microscope.principal_point) + 0.5
-    film = {
+def _film(scene: Scene) -> dict[str, Any]:
+    return {
         "type": "hdrfilm",
-        "width": width,
-        "height": height,
+        "width": scene.microscope.width_px,
+        "height": scene.microscope.height_px,
         "rfilter": {"type": "box"},
         "component_format": "float32",
         "pixel_format": "rgb",
     }
-    sampler = {"type": "stratified", "sample_count": settings.samples, "jitter": False}
-    shared = {"film": film, "sampler": sampler, "far_clip": 1e4}
-    r, z_f = scene.phantom.radius_mm, settings.pinhole_height_mm
-    if math.isinf(z_f):
-        start = _inside_the_eye(scene, microscope)
-        half = scale * width / 2
-        x, y = (width / 2 - u0) * scale, (v0 - height / 2) * scale
-        place = np.diag([-half, half, -1.0, 1.0])
-        place[:3, 3] = x, y, start + _NEAR_MM
-        return {
-            "type": "orthographic",
-            "to_world": mi.ScalarTransform4f(place),
-            "near_clip": _NEAR_MM,
-            **shared,
-        }
-    focal = (z_f + r) / scale
-    place = np.diag([-1.0, 1.0, -1.0, 1.0])
-    place[2, 3] = z_f
-    return {
-        "type": "perspective",
-        "fov": math.degrees(2 * math.atan(width / 2 / focal)),
-        "fov_axis": "x",
-        "principal_point_offset_x": (width / 2 - u0) / width,
-        "principal_point_offset_y": (height / 2 - v0) / height,
-        "to_world": mi.ScalarTransform4f(place),
-        "near_clip": max(z_f - _inside_the_eye(scene, microscope), _NEAR_MM),
-        **shared,
-    }
+
+
+def _traced_bounces(scene: Scene) -> int:
+    """Reflections that traced indirect light takes, so that less than 0.1 % of it is missing."""
+    if scene.phantom.indirect != "traced":
+        return 0
+    return math.ceil(math.log(1e-3) / math.log(max(wall_colour(scene).max(), 1e-3)))
 
 
 def _inside_the_eye(scene: Scene, microscope: optics.Microscope) -> float:
@@ -266,9 +218,8 @@ def _inside_the_eye(scene: Scene, microscope: optics.Microscope) -> float:
     settings, r = scene.microscope, scene.phantom.radius_mm
     if scene.phantom.kind == "plane":
         return 3 * r if math.isinf(settings.pinhole_height_mm) else settings.pinhole_height_mm
-    right, bottom = settings.width_px - 0.5, settings.height_px - 0.5
-    corners = np.array([(u, v) for u in (-0.5, right) for v in (-0.5, bottom)])
-    point, direction = (np.asarray(a) for a in microscope.ray(corners))
+    border = geometry.border(settings)
+    point, direction = (np.asarray(a) for a in microscope.ray(border))
     along = -np.sum(point * direction, axis=-1)
     chord = along**2 + r**2 - np.sum(point * point, axis=-1)
     if chord.min() <= 0:
@@ -278,11 +229,3 @@ def _inside_the_eye(scene: Scene, microscope: optics.Microscope) -> float:
         )
     entry = point[:, 2] + (along - np.sqrt(chord)) * direction[:, 2]
     return min(float(entry.min()) - 1e-3 * r, settings.pinhole_height_mm - _NEAR_MM)
-
-
-def _frame(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Rigid transform that takes the origin to `origin` and +z to `direction`."""
-    first, second = (np.asarray(v) for v in optics.perpendicular_frame(direction))
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = first, second, direction, origin
-    return matrix

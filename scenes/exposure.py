@@ -8,18 +8,23 @@ electrons into digital numbers (DN):
     K = (full scale - black level) / full well.
 
 Light enters as a fraction of the full well, so quantum efficiency, pixel area and exposure time are
-one factor, `exposure`. A response curve, where the camera has one, acts on dn / full scale.
+one factor, `exposure`. Behind a Bayer filter each pixel has one colour, and the other two are
+interpolated from its neighbours' numbers. A response curve, where the camera has one, acts last, on
+dn / full scale.
 """
 
 from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Annotated, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from scenes.camera_output import demosaiced, mosaic
+from scenes.camera_settings import CameraSettings
+from scenes.response import CONVERTER_MAX, full_wells, response_table
 
 # At 50 electrons a normal number has the mean and variance of a Poisson number and misses its
 # skewness of 1/sqrt(50) = 0.14; below, the electrons are counted.
@@ -27,65 +32,6 @@ POISSON_BELOW_E = 50.0
 
 # Samples per pass: the working arrays of one pass stay in the cache.
 _BLOCK = 1 << 16
-
-# The 16-bit converter ahead of a response curve: its step is a twentieth of the step of an 8-bit
-# output even on the toe of sRGB, where the curve's slope is 12.92.
-_CONVERTER_MAX = (1 << 16) - 1
-
-_NonNegative = Annotated[float, Field(ge=0)]
-_Positive = Annotated[float, Field(gt=0)]
-
-
-class CameraSettings(BaseModel):
-    """What a data sheet after EMVA 1288 says of a camera, and how it writes its images.
-
-    The defaults are a USB microscope of 8 bits whose small pixels hold 5,000 electrons: temporal
-    noise is 3 DN a channel at 180 DN.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    full_well_e: _Positive = Field(default=5000.0, description="Electrons at full scale.")
-    read_noise_e: _NonNegative = Field(
-        default=10.0, description="Standard deviation of a dark pixel over frames, electrons."
-    )
-    dark_signal_e: _NonNegative = Field(
-        default=0.0, description="Mean thermal electrons of a pixel in one exposure."
-    )
-    prnu: float = Field(
-        default=0.0, ge=0, lt=1, description="Standard deviation of the pixels' gain over its mean."
-    )
-    dsnu_e: _NonNegative = Field(
-        default=0.0, description="Standard deviation of the pixels' dark values, electrons."
-    )
-    black_level_dn: _NonNegative = Field(
-        default=4.0, description="Mean of a dark image before the response curve, DN."
-    )
-    bit_depth: int = Field(default=8, ge=8, le=16, description="Bits of a sample in the file.")
-    response: Literal["linear", "srgb"] | _Positive = Field(
-        default="linear",
-        description='"linear", "srgb" (IEC 61966-2-1), or g for the curve x^(1/g).',
-    )
-
-    @model_validator(mode="after")
-    def _black_is_below_white(self) -> CameraSettings:
-        if self.black_level_dn >= self.full_scale_dn:
-            raise ValueError(
-                f"CameraSettings(black_level_dn=...) must lie below full scale; got black_level_dn="
-                f"{self.black_level_dn:g} DN, full scale {self.full_scale_dn} DN at bit_depth="
-                f"{self.bit_depth}. Lower black_level_dn or raise bit_depth."
-            )
-        return self
-
-    @property
-    def full_scale_dn(self) -> int:
-        """Largest digital number."""
-        return (1 << self.bit_depth) - 1
-
-    @property
-    def system_gain(self) -> float:
-        """Overall system gain K before the response curve, DN per electron."""
-        return (self.full_scale_dn - self.black_level_dn) / self.full_well_e
 
 
 class FixedPatterns(NamedTuple):
@@ -137,11 +83,13 @@ def expose(
     """Take one photograph of a noise-free linear image.
 
     Args:
-        linear: light in any linear unit, not negative; any shape (H x W, H x W x 3, a mosaic).
+        linear: light in any linear unit, not negative; any shape, or H x W x 3 for a camera with
+            a Bayer filter.
         exposure: full wells per unit of `linear`: where exposure * linear is 1, the well is full.
         settings: the camera.
         rng: source of the temporal noise; the call advances it.
-        patterns: the sensor's, of the image's shape; needed where `settings` has PRNU or DSNU.
+        patterns: the sensor's, of its raw frame's shape (`CameraSettings.sensor_shape`); needed
+            where `settings` has PRNU or DSNU.
 
     Returns:
         Digital numbers of the image's shape: uint8 at 8 bits, uint16 above.
@@ -149,26 +97,45 @@ def expose(
     Raises:
         ValueError: a negative or undefined image or exposure; patterns missing or misshapen.
     """
-    light = np.ascontiguousarray(linear, dtype=np.float32)
+    light = np.array(linear, dtype=np.float32, order="C")
     _check_light(light, exposure, settings)
+    if settings.bayer != "none":
+        light = mosaic(light, bayer=settings.bayer)
     _check_patterns(light.shape, settings, patterns)
 
-    dn = np.empty(light.shape, np.uint8 if settings.bit_depth == 8 else np.uint16)
-    curve = _response_table(settings)
-    converter_max = settings.full_scale_dn if curve is None else _CONVERTER_MAX
-    per_dn = converter_max / settings.full_scale_dn
+    curve = response_table(settings)
+    full_scale = settings.full_scale_dn if curve is None else CONVERTER_MAX
+    light *= np.float32(exposure * settings.full_well_e)
+    raw = _raw(light, full_scale, settings, rng, patterns)
+    if settings.bayer != "none":
+        raw = demosaiced(raw, bayer=settings.bayer)
+    return raw if curve is None else curve[raw]
+
+
+def _raw(
+    light_e: NDArray[np.float32],
+    full_scale: int,
+    settings: CameraSettings,
+    rng: np.random.Generator,
+    patterns: FixedPatterns | None,
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Numbers of the converter behind pixels whose light makes so many electrons in the mean.
+
+    The converter's largest number is `full_scale`.
+    """
+    raw = np.empty(light_e.shape, np.uint8 if full_scale < 256 else np.uint16)
+    per_dn = full_scale / settings.full_scale_dn
     gain = np.float32(settings.system_gain * per_dn)
     # Half a step added here makes the truncation at the end a rounding.
     black = np.float32(settings.black_level_dn * per_dn + 0.5)
-    e_per_unit = np.float32(exposure * settings.full_well_e)
     dark_e = np.float32(settings.dark_signal_e)
     read_variance = np.float32(settings.read_noise_e**2)
 
-    flat_light, flat_dn = light.reshape(-1), dn.reshape(-1)
+    flat, flat_raw = light_e.reshape(-1), raw.reshape(-1)
     noise = np.empty(_BLOCK, np.float32)
-    for start in range(0, flat_light.size, _BLOCK):
+    for start in range(0, flat.size, _BLOCK):
         part = slice(start, start + _BLOCK)
-        mean = flat_light[part] * e_per_unit
+        mean = flat[part]
         if patterns is not None:
             mean *= patterns.gain.reshape(-1)[part]
         mean += dark_e
@@ -186,9 +153,9 @@ def expose(
             electrons += patterns.offset_e.reshape(-1)[part]
         electrons *= gain
         electrons += black
-        np.clip(electrons, 0, converter_max, out=electrons)
-        flat_dn[part] = electrons if curve is None else curve[electrons.astype(np.uint16)]
-    return dn
+        np.clip(electrons, 0, full_scale, out=electrons)
+        flat_raw[part] = electrons
+    return raw
 
 
 def metered_exposure(
@@ -219,7 +186,7 @@ def metered_exposure(
         raise ValueError(
             f"metered_exposure(peak_fraction=...) must lie in (0, 1]; got {peak_fraction:g}."
         )
-    level = float(_full_wells(np.array(peak_fraction), settings))
+    level = float(full_wells(np.array(peak_fraction), settings))
     if level <= 0:
         raise ValueError(
             f"metered_exposure(peak_fraction=...) must lie above the dark image; got peak_fraction="
@@ -258,34 +225,7 @@ def linearise(dn: NDArray[np.integer], *, settings: CameraSettings) -> NDArray[n
         Light in full wells, of the same shape; negative where noise took a pixel below black.
     """
     levels = np.arange(settings.full_scale_dn + 1) / settings.full_scale_dn
-    return _full_wells(levels, settings).astype(np.float32)[dn]
-
-
-def _full_wells(fraction: NDArray[np.float64], settings: CameraSettings) -> NDArray[np.float64]:
-    """Light, in full wells, of a noise-free pixel that is written at a fraction of full scale."""
-    if settings.response == "linear":
-        straight = fraction
-    elif settings.response == "srgb":
-        power = ((fraction + 0.055) / 1.055) ** 2.4
-        straight = np.where(fraction <= 0.04045, fraction / 12.92, power)
-    else:
-        straight = fraction**settings.response
-    black = settings.black_level_dn / settings.full_scale_dn
-    return (straight - black) / (1.0 - black) - settings.dark_signal_e / settings.full_well_e
-
-
-def _response_table(settings: CameraSettings) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
-    """Output for every converter value, or None for a linear camera."""
-    if settings.response == "linear":
-        return None
-    straight = np.arange(_CONVERTER_MAX + 1) / _CONVERTER_MAX
-    if settings.response == "srgb":
-        power = 1.055 * straight ** (1 / 2.4) - 0.055
-        curved = np.where(straight <= 0.0031308, 12.92 * straight, power)
-    else:
-        curved = straight ** (1.0 / settings.response)
-    output = np.rint(curved * settings.full_scale_dn)
-    return output.astype(np.uint8 if settings.bit_depth == 8 else np.uint16)
+    return full_wells(levels, settings).astype(np.float32)[dn]
 
 
 def _few_electrons(mean: NDArray[np.float32]) -> list[NDArray[np.intp]]:

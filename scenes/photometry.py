@@ -8,7 +8,7 @@ import numpy as np
 
 import optics
 from scenes import geometry
-from scenes.exposure import CameraSettings
+from scenes.camera_settings import CameraSettings
 from scenes.settings import MEDIA, Scene
 
 _GREY = np.array([0.299, 0.587, 0.114])
@@ -18,16 +18,18 @@ _PAPER_THRESHOLD_DN = 200.0
 
 
 def uniform_irradiance(scene: Scene, *, wall_colour: np.ndarray) -> np.ndarray:
-    """Indirect irradiance per colour channel, mW/mm2; zero on a plane or where it is off.
+    """Indirect irradiance per colour channel, mW/mm2, by the closed form; zero on a plane.
+
+    Zero too where it is off, or traced by the integrator.
 
     Args:
         scene: the scene.
         wall_colour: mean reflectance of the wall per channel.
     """
-    if scene.phantom.kind == "plane" or scene.phantom.indirect == "off":
+    if scene.phantom.kind == "plane" or scene.phantom.indirect != "closed form":
         return np.zeros(3)
     share = 1.0
-    if scene.source.kind == "lens":
+    if scene.source.kind != "cone":
         lens = optics.load_lens(scene.source.lens)
         share = float(optics.transmitted_power(lens, medium_index=MEDIA[scene.source.medium]))
     return np.asarray(
@@ -35,6 +37,7 @@ def uniform_irradiance(scene: Scene, *, wall_colour: np.ndarray) -> np.ndarray:
             flux=share * scene.source.power_mw,
             reflectance=wall_colour,
             eye_radius=scene.phantom.radius_mm,
+            pupil_radius=scene.phantom.pupil_radius_mm,
         )
     )
 

@@ -1,24 +1,26 @@
-"""From a scene to linear frames, and from those to a labelled stack on disk."""
+"""From a scene to linear frames: sharp ones of a moment, and what an exposure gathers."""
 
 from __future__ import annotations
 
 import functools
-import importlib.metadata
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
-from typing import NamedTuple
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator import FrameLabels, Stack, StackWriter, read_stack
 from scenes import geometry, labels, photometry
-from scenes.exposure import FixedPatterns, expose, fixed_patterns, metered_exposure
 from scenes.settings import Scene
 from scenes.variant import load_mitsuba
 
-# Frames that wait for exposure and encoding; more would only use memory.
-_QUEUE = 4
+# A contour that shifts by less is blurred by 0.25 px / sqrt(12) = 0.07 px, in squares against the
+# pixel's own 0.3 px. The tip's edges, which nobody measures, may shift by a pixel.
+_STILL_SPOT_PX, _STILL_TIP_PX = 0.25, 1.0
+# In units of the noise. Where a sharp edge passes, tripling n changes a pixel by up to 1/(3n) of
+# its light and doubling 3n by up to 1/(6n), half of it.
+_SETTLED = 2.0
+# Enough for a sharp edge in a well-exposed frame; over-exposed ones would ask for ever more.
+_MOST_SUB_FRAMES = 81
 
 
 class LinearFrame(NamedTuple):
@@ -35,6 +37,18 @@ class LinearFrame(NamedTuple):
     visible_fraction: float
 
 
+class Exposed(NamedTuple):
+    """The light of an exposure.
+
+    Attributes:
+        radiance: its mean over the exposure, H x W x 3, mW/(mm2 sr).
+        sub_frames: moments that it was rendered at.
+    """
+
+    radiance: np.ndarray
+    sub_frames: int
+
+
 class Renderer:
     """One scene, loaded once into Mitsuba; frames are rendered by moving the tip.
 
@@ -45,23 +59,26 @@ class Renderer:
     Attributes:
         scene: as given.
         table: vector irradiance of the lens, or None for the cone.
-        truth: of every moment.
+        moments: what is true of every frame.
+        truth: of the spots of all frames.
         wall_colour: mean reflectance of the wall per channel.
         mitsuba_scene: for other integrators on the same scene.
 
     Raises:
-        SceneError: the spot leaves the window.
+        SceneError: the tip touches the wall, or the spot leaves the window.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
 
     def __init__(self, scene: Scene, *, variant: str = "llvm_ad_rgb") -> None:
         self._mi = load_mitsuba(variant)
-        from scenes import build  # its plugins need the variant
+        from scenes import build, wall  # Mitsuba's plugins need the variant
 
         self.scene = scene
         self.table = geometry.lens_table(scene)
-        self.truth = labels.truth(scene, self.table)
-        self.wall_colour = build.wall_colour(scene)
+        self.moments = labels.moments(scene, self.table)
+        self.truth = self.moments.spots
+        self._microscope = geometry.microscope(scene)
+        self.wall_colour = wall.wall_colour(scene)
         uniform = photometry.uniform_irradiance(scene, wall_colour=self.wall_colour)
         content = build.mitsuba_dict(scene, table=self.table, uniform=uniform)
         self.mitsuba_scene = self._mi.load_dict(content)
@@ -70,13 +87,92 @@ class Renderer:
 
     def render(self, frame: int) -> LinearFrame:
         """Linear frame of one moment."""
-        tip, axis = self.truth.beam.tip[frame], self.truth.beam.axis[frame]
-        apex = tip + self.truth.beam.apex_offset[frame] * axis
+        beam = self.truth.beam
+        radiance, wall = self._image(tip=beam.tip[frame], axis=beam.axis[frame], seed=frame)
+        return LinearFrame(radiance, wall, self._visible_fraction(frame))
+
+    def exposed(self, frame: int, sharp: LinearFrame, *, exposure_s: float) -> Exposed:
+        """What a frame gathers while the tip moves: the mean over sub-frames.
+
+        Sub-frames stand at the middles of equal parts of the exposure. Splitting every part in
+        three keeps those that are there; it is done until it hardly changes a pixel against the
+        camera's noise. An exposure in which the spot and the tip hardly move is its middle.
+
+        Args:
+            frame: number of the frame.
+            sharp: rendered at the middle of the exposure.
+            exposure_s: duration of the exposure.
+        """
+        exposed = Exposed(sharp.radiance, 1)
+        spot_px, tip_px = self._shift(frame, exposure_s)
+        if spot_px < _STILL_SPOT_PX and tip_px < _STILL_TIP_PX:
+            return exposed
+        # Frames that are noise themselves never settle: one sub-frame a pixel has to do.
+        noisy = self.scene.source.kind == "photons" or self.scene.phantom.indirect == "traced"
+        most = min(max(spot_px, tip_px) if noisy else math.inf, _MOST_SUB_FRAMES)
+        settled = False
+        while not settled:
+            count = 3 * exposed.sub_frames
+            added = [part for part in range(count) if part % 3 != 1]
+            mean = exposed.radiance / 3
+            mean += self.gathered(frame, exposure_s, count, added) * (len(added) / count)
+            change = self._change_over_noise(exposed.radiance, mean, exposure_s)
+            settled = change <= _SETTLED or count >= most
+            exposed = Exposed(mean, count)
+        return exposed
+
+    def gathered(
+        self, frame: int, exposure_s: float, count: int, parts: Sequence[int]
+    ) -> np.ndarray:
+        """Mean radiance at the middles of some of `count` equal parts of a frame's exposure."""
+        times = exposure_s * ((np.array(parts) + 0.5) / count - 0.5)
+        poses = self.moments.motion.at(self.moments.times[frame] + times)
+        total = np.zeros(1)
+        for part, tip, axis in zip(parts, *poses, strict=True):
+            # Light that is sampled at random needs numbers of its own in every sub-frame.
+            seed = frame + (count + part) * self.moments.times.size
+            total = total + self._image(tip=tip, axis=axis, seed=seed)[0]
+        return total / np.float32(len(parts))
+
+    def _image(self, *, tip: Any, axis: Any, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        """Radiance, and the part of each pixel in which the wall is seen, for one pose."""
+        apex = tip + self.truth.beam.apex_offset[0] * axis
         for name, value in self._place(tip=tip, axis=axis, apex=apex).items():
             self._parameters[name] = value
         self._parameters.update()
-        image = np.asarray(self._mi.render(self.mitsuba_scene, seed=0))
-        return LinearFrame(image[..., :3], image[..., 3], self._visible_fraction(frame))
+        image = np.array(self._mi.render(self.mitsuba_scene, seed=seed))
+        if self.scene.source.kind == "photons":
+            from scenes.photons import photon_image
+
+            image[..., :3] += photon_image(
+                self.mitsuba_scene,
+                photons_per_pixel=self.scene.source.photons_per_pixel,
+                seed=seed,
+            )
+        return image[..., :3], image[..., 3]
+
+    def _shift(self, frame: int, exposure_s: float) -> tuple[float, float]:
+        """How far the spot's contour and the tip's image move in an exposure, px."""
+        times = self.moments.times[frame] + exposure_s * np.array([-0.5, 0.0, 0.5])
+        tip, axis = self.moments.motion.at(times)
+        scale, camera = self.scene.microscope.scale_mm_px, self._microscope
+        depth = 1 - float(camera.inverse_working_distance) * (tip[:, 2] - float(camera.pole_height))
+        tip_px = np.linalg.norm(np.diff(tip[:, :2] / (scale * depth[:, None]), axis=0), axis=1)
+        # O moves with the tip and with the lever d, seen along the beam, and the spot grows.
+        steps, turns, beam = np.diff(tip, axis=0), np.diff(axis, axis=0), axis[1]
+        aside = steps + float(self.truth.distance[frame]) * turns
+        across = np.linalg.norm(aside - (aside @ beam)[:, None] * beam, axis=1)
+        moved = across / math.cos(float(self.truth.incidence[frame]))
+        grown = np.abs(steps @ beam) * math.tan(float(self.truth.beam.half_angle[frame]))
+        return float(np.sum(moved + grown)) / scale, float(np.sum(tip_px))
+
+    def _change_over_noise(self, old: np.ndarray, new: np.ndarray, exposure_s: float) -> float:
+        """Largest change of a pixel in units of the camera's temporal noise (EMVA 1288)."""
+        camera = self.scene.camera
+        electrons = exposure_s * self.scene.exposures.sensitivity_mm2_sr_mj * camera.full_well_e
+        rounding = 1 / (12 * camera.system_gain**2)
+        fixed = camera.dark_signal_e + camera.read_noise_e**2 + rounding
+        return float(np.max(np.abs(new - old) * electrons / np.sqrt(new * electrons + fixed)))
 
     def mask(self, frame: int, linear: LinearFrame) -> np.ndarray:
         """Pixels whose centre lies inside the half-maximum contour and sees the wall."""
@@ -98,118 +194,3 @@ class Renderer:
         wall = next(s for s in self.mitsuba_scene.shapes() if s.id() == "wall")
         seen = np.asarray(self.mitsuba_scene.ray_intersect(ray).shape == mi.ShapePtr(wall))
         return float(np.mean(inside & seen))
-
-
-def render_stack(
-    scene: Scene,
-    out: Path,
-    *,
-    variant: str = "llvm_ad_rgb",
-    progress: Callable[[], None] = lambda: None,
-) -> Stack:
-    """Render a scene into a stack folder with all labels.
-
-    Args:
-        scene: the scene.
-        out: the stack's folder; must not exist. It appears under its name once it is whole.
-        variant: of Mitsuba.
-        progress: called after each moment.
-
-    Returns:
-        The stack.
-
-    Raises:
-        SceneError: the scene cannot be.
-        StackError: `out` exists.
-        RendererUnavailable: Mitsuba cannot run that variant here.
-    """
-    with StackWriter(Path(out)) as writer:
-        renderer = Renderer(scene, variant=variant)
-        fixed = photometry.paper_exposure(scene, renderer.table, wall_colour=renderer.wall_colour)
-        writer.describe(
-            stack={
-                "scene": scene.model_dump(mode="json", by_alias=True),
-                "cone": geometry.cone(scene, renderer.table)._asdict(),
-                "run": {"variant": variant, "versions": _versions()},
-            },
-            microscope=_microscope_file(scene, fixed),
-        )
-        size = (scene.microscope.height_px, scene.microscope.width_px, 3)
-        patterns = fixed_patterns(settings=scene.camera, shape=size, seed=scene.seed)
-        with ThreadPoolExecutor(max_workers=2) as pool:
-            waiting: list[Future[None]] = []
-            for frame in range(scene.withdrawal.frames):
-                linear = renderer.render(frame)
-                waiting.append(
-                    pool.submit(_expose_and_write, writer, renderer, frame, linear, fixed, patterns)
-                )
-                if len(waiting) > _QUEUE:
-                    waiting.pop(0).result()
-                progress()
-            for future in waiting:
-                future.result()
-    return read_stack(out)
-
-
-def _expose_and_write(
-    writer: StackWriter,
-    renderer: Renderer,
-    frame: int,
-    linear: LinearFrame,
-    fixed: float,
-    patterns: FixedPatterns,
-) -> None:
-    scene = renderer.scene
-    mask = renderer.mask(frame, linear)
-    spot = labels.spot_labels(scene, renderer.truth, frame)
-    sensitivity = scene.exposures.sensitivity_mm2_sr_mj
-    for order, kind in enumerate(scene.exposures.kinds):
-        gain = fixed * sensitivity
-        if kind == "metered":
-            gain = metered_exposure(
-                linear.radiance,
-                settings=scene.camera,
-                peak_fraction=scene.exposures.metered_peak,
-                # A spot that is wholly hidden leaves nothing but the frame to meter on.
-                mask=mask if mask.any() else None,
-            )
-        rng = np.random.default_rng([scene.seed, frame, order])
-        image = expose(
-            linear.radiance, exposure=gain, settings=scene.camera, rng=rng, patterns=patterns
-        )
-        saturated = np.any(image >= scene.camera.full_scale_dn, axis=-1)[mask]
-        number = frame * len(scene.exposures.kinds) + order
-        row = FrameLabels(
-            file_name=f"frames/{number:06d}.png",
-            mask_file_name=f"masks/{frame:06d}.png",
-            exposure=kind,
-            exposure_s=gain / sensitivity,
-            visible_fraction=linear.visible_fraction,
-            saturated_fraction=float(saturated.mean()) if saturated.size else 0.0,
-            **spot,
-        )
-        writer.add(image, row, np.uint8(255) * mask if order == 0 else None)
-
-
-def _microscope_file(scene: Scene, fixed_exposure_s: float) -> dict[str, object]:
-    """Content of microscope.json; a telecentric microscope has no camera matrix."""
-    settings = scene.microscope
-    camera = geometry.microscope(scene)
-    telecentric = float(camera.inverse_working_distance) == 0.0
-    return {
-        "width_px": settings.width_px,
-        "height_px": settings.height_px,
-        "camera_matrix": None if telecentric else np.asarray(camera.camera_matrix()).tolist(),
-        "distortion": np.asarray(camera.distortion).tolist(),
-        "scale_mm_px": settings.scale_mm_px,
-        "principal_point_px": np.asarray(camera.principal_point).tolist(),
-        "pinhole_height_mm": None if telecentric else settings.pinhole_height_mm,
-        "eye_radius_mm": scene.phantom.radius_mm,
-        "response": scene.camera.response,
-        "paper_exposure_s": fixed_exposure_s,
-    }
-
-
-def _versions() -> dict[str, str]:
-    packages = ("eyespot", "mitsuba", "drjit", "jax", "numpy")
-    return {name: importlib.metadata.version(name) for name in packages}

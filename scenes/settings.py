@@ -1,19 +1,15 @@
-"""The scene file: every key with its unit and default, validated before anything is rendered."""
+"""A scene: every key with its unit and default, validated before anything is rendered."""
 
 from __future__ import annotations
 
-import difflib
 import math
-import tomllib
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal
 
-import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from scenes.exposure import CameraSettings
+from scenes.camera_settings import CameraSettings
+from scenes.motion_settings import Clocks, Motion, Withdrawal
 
-SCHEMA = 1
 MEDIA = {"air": 1.0, "water": 1.333, "vitreous": 1.336}
 """Refractive index by name; vitreous after DESIGN's 1.336 (Gullstrand's schematic eye)."""
 
@@ -36,18 +32,34 @@ class Phantom(_Settings):
     radius_mm: float = Field(11.5, gt=0, description="r; the plane passes through the pole too.")
     tilt_deg: float = Field(0.0, ge=0, lt=60, description="Of the plane phantom about the pole.")
     tilt_azimuth_deg: float = Field(0.0, description="Towards which the plane's normal leans.")
-    wall: Literal["printed paper", "retina", "uniform"] = "printed paper"
-    reflectance: float = Field(0.5, ge=0, lt=1, description="Of the uniform wall.")
+    pupil_radius_mm: float = Field(
+        0.0, ge=0, description="Of the eyeball's opening, where light is lost; 0: closed."
+    )
+    wall: Literal["printed paper", "retina", "uniform", "image"] = "printed paper"
+    reflectance: float = Field(
+        0.5, ge=0, lt=1, description="Of the uniform wall, or of an image's white."
+    )
+    wall_image: str = Field(
+        "", description="File of wall 'image', sRGB; its middle at the pole, its top towards +Y."
+    )
+    wall_image_mm: float = Field(
+        24.0, gt=0, description="Width of the image: along the wall, as an arc through the pole."
+    )
     texture_seed: int = Field(1, ge=0, description="Seed of the fundus drawn on the wall.")
-    indirect: Literal["closed form", "off"] = Field(
-        "closed form", description="Light scattered back by the closed eyeball."
+    indirect: Literal["closed form", "traced", "off"] = Field(
+        "closed form",
+        description="Light scattered back by the closed eyeball; traced: seconds a frame, with "
+        "the instrument's shadow and the wall's picture in it.",
     )
 
 
 class Source(_Settings):
     """The fibre's light."""
 
-    kind: Literal["lens", "cone"] = "lens"
+    kind: Literal["lens", "cone", "photons"] = Field(
+        "lens", description="photons: the lens as real glass, noisy and slow; the lens's referee."
+    )
+    photons_per_pixel: int = Field(256, ge=1, description="Traced for a frame of kind photons.")
     lens: str = Field("paper-candidate", description="Preset name or path of a lens file.")
     cone_k: float = Field(20.0, gt=0, description="1/tan(half-angle) of the ideal cone.")
     cone_apex_offset_mm: float = Field(-5.117, description="b of the ideal cone.")
@@ -66,17 +78,6 @@ class Spot(_Settings):
     )
 
 
-class Withdrawal(_Settings):
-    """The tip withdraws along the beam at constant speed."""
-
-    start_mm: float | Literal["contact"] = Field(
-        "contact", description="First distance along the beam; contact: the tip's rim touches."
-    )
-    travel_mm: float = Field(6.0, gt=0)
-    frames: int = Field(61, ge=1)
-    speed_mm_s: float = Field(0.1, gt=0)
-
-
 class Instrument(_Settings):
     """Shaft with a bare fibre that reaches past it."""
 
@@ -86,6 +87,20 @@ class Instrument(_Settings):
     fibre_length_mm: float = Field(6.0, gt=0, description="Of bare fibre past the shaft.")
 
 
+class SecondTool(_Settings):
+    """A passive tool through another trocar: it hides and shades, and gives no light."""
+
+    visible: bool = Field(False, description="In the eye at all.")
+    gauge: Literal[20, 23, 25] = 23
+    tip_mm: tuple[float, float, float] = Field(
+        (-1.5, 1.0, -9.0), description="X, Y, Z in the eye's frame."
+    )
+    trocar_azimuth_deg: float = Field(135.0, description="Of the trocar about the axis; 0: +X.")
+    trocar_polar_deg: float = Field(
+        48.0, ge=0, lt=90, description="Of the trocar from the axis, seen from the eye's centre."
+    )
+
+
 class MicroscopeSettings(_Settings):
     """Pinhole microscope; its window is centred on the spot."""
 
@@ -93,8 +108,20 @@ class MicroscopeSettings(_Settings):
     scale_mm_px: float = Field(0.0067, gt=0, description="At the pole.")
     width_px: int = Field(640, ge=16, le=8192)
     height_px: int = Field(480, ge=16, le=8192)
-    illumination_mw_mm2: float = Field(
-        0.05, ge=0, description="Irradiance of the coaxial light at the pole."
+    light: Literal["coaxial", "ambient"] = Field(
+        "coaxial", description="From the pinhole, without shadows; or from all sides alike."
+    )
+    illumination_mw_mm2: float = Field(0.05, ge=0, description="Its irradiance at the pole.")
+    vignetting: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        description="Part of the light lost in the window's corners; grows with the square of the "
+        "distance from its middle.",
+    )
+    distortion: tuple[float, float, float, float, float] = Field(
+        (0.0, 0.0, 0.0, 0.0, 0.0),
+        description="k1, k2, p1, p2, k3 of Brown's lens, as OpenCV has them.",
     )
     samples: int = Field(4, ge=1, description="Per pixel, on a regular grid: 1, 4, 9, 16 …")
 
@@ -114,6 +141,9 @@ class Exposures(_Settings):
     sensitivity_mm2_sr_mj: float = Field(
         200.0, gt=0, description="Full wells per mW/(mm2 sr) of radiance and second."
     )
+    keep_linear: bool = Field(
+        False, description="Keep noise-free frames, to expose again without rendering."
+    )
 
 
 class Scene(_Settings):
@@ -124,8 +154,10 @@ class Scene(_Settings):
     phantom: Phantom = Phantom()
     source: Source = Source()
     spot: Spot = Spot()
-    withdrawal: Withdrawal = Withdrawal()
+    motion: Motion = Withdrawal()
+    clocks: Clocks = Clocks()
     instrument: Instrument = Instrument()
+    second_tool: SecondTool = SecondTool()
     microscope: MicroscopeSettings = MicroscopeSettings()
     camera: CameraSettings = CameraSettings()
     exposures: Exposures = Exposures()
@@ -143,8 +175,37 @@ class Scene(_Settings):
                 "microscope.pinhole_height_mm must lie well above the retina; got "
                 f"{self.microscope.pinhole_height_mm:g} mm with radius {r:g} mm. Raise it."
             )
+        if math.isinf(self.microscope.pinhole_height_mm) and any(self.microscope.distortion):
+            raise ValueError(
+                "microscope.distortion counts in units of the focal length, which a telecentric "
+                f"microscope lacks; got {list(self.microscope.distortion)} with pinhole_height_mm "
+                "= inf. Set it to zeros or lower pinhole_height_mm."
+            )
+        if self.phantom.wall == "image" and not self.phantom.wall_image:
+            raise ValueError("phantom.wall 'image' needs phantom.wall_image, the file's path.")
+        if self.phantom.pupil_radius_mm and self.phantom.kind == "plane":
+            raise ValueError(
+                "phantom.pupil_radius_mm opens the eyeball phantom only; got "
+                f"{self.phantom.pupil_radius_mm:g} mm with kind 'plane'. Set it to 0."
+            )
+        if self.phantom.pupil_radius_mm >= r:
+            raise ValueError(
+                "phantom.pupil_radius_mm must be smaller than phantom.radius_mm; got "
+                f"{self.phantom.pupil_radius_mm:g} mm with radius {r:g} mm. Lower it."
+            )
+        if self.second_tool.visible and math.hypot(*self.second_tool.tip_mm) >= r:
+            raise ValueError(
+                f"second_tool.tip_mm must lie inside the eye of radius {r:g} mm; got "
+                f"{list(self.second_tool.tip_mm)}, {math.hypot(*self.second_tool.tip_mm):.2f} mm "
+                "from its centre. Move it."
+            )
         if self.phantom.kind == "eyeball":
-            self._tip_stays_inside()
+            if self.phantom.tilt_deg:
+                raise ValueError(
+                    "phantom.tilt_deg tilts the plane phantom only; got "
+                    f"{self.phantom.tilt_deg:g} deg with kind 'eyeball'. Set it to 0 or choose "
+                    "kind = 'plane'."
+                )
         elif math.radians(self.phantom.tilt_deg + self.spot.incidence_deg) >= math.pi / 2:
             raise ValueError(
                 "phantom.tilt_deg + spot.incidence_deg must stay below 90; got "
@@ -152,91 +213,3 @@ class Scene(_Settings):
                 "miss the plane. Lower one."
             )
         return self
-
-    def _tip_stays_inside(self) -> None:
-        r, iota = self.phantom.radius_mm, math.radians(self.spot.incidence_deg)
-        if self.phantom.tilt_deg:
-            raise ValueError(
-                f"phantom.tilt_deg tilts the plane phantom only; got {self.phantom.tilt_deg:g} deg "
-                "with kind 'eyeball'. Set it to 0 or choose kind = 'plane'."
-            )
-        start = self.withdrawal.start_mm
-        start_mm = 0.0 if isinstance(start, str) else start
-        last, chord = start_mm + self.withdrawal.travel_mm, 2 * r * math.cos(iota)
-        if start_mm < 0 or last >= chord:
-            raise ValueError(
-                "withdrawal must keep the tip inside the eye: distances along the beam must lie in "
-                f"[0, {chord:.3f}) mm at incidence {self.spot.incidence_deg:g} deg; got "
-                f"{start_mm:g} to {last:g} mm. Change start_mm or lower travel_mm."
-            )
-
-
-def load_scene(path: Path) -> Scene:
-    """Read and validate a scene file (TOML).
-
-    Raises:
-        SceneError: the file is missing, is no TOML, has unknown keys (the nearest known one is
-            named) or describes an impossible geometry.
-    """
-    path = Path(path)
-    try:
-        content = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise SceneError(
-            f"{path}: cannot be read ({error.strerror}). `eyespot scene init {path}` writes one."
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: not a TOML file: {error}.") from error
-    try:
-        return Scene.model_validate(content)
-    except ValidationError as error:
-        problems = "\n".join(f"{path}: {_sentence(problem)}" for problem in error.errors())
-        raise SceneError(problems) from error
-
-
-def scene_toml(scene: Scene) -> str:
-    """The scene as the text of a scene file."""
-    return tomli_w.dumps(scene.model_dump(mode="json", by_alias=True))
-
-
-def scene_template() -> str:
-    """A scene file with every key at its default, each explained."""
-    lines = [
-        "# eyespot scene: lengths in mm, angles in degrees, inf allowed where it makes sense",
-        f"schema = {SCHEMA}",
-        f"seed = 0  # {Scene.model_fields['seed'].description}",
-    ]
-    for name, field in Scene.model_fields.items():
-        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            lines += ["", f"# {(field.annotation.__doc__ or '').splitlines()[0]}", f"[{name}]"]
-            lines += [_documented(key, f) for key, f in field.annotation.model_fields.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _documented(key: str, field: Any) -> str:
-    text = tomli_w.dumps({key: field.default}).strip()
-    default = text.replace("\n    ", " ").replace(",\n]", " ]")
-    choices = get_args(field.annotation)
-    names = [repr(c) for c in choices if isinstance(c, str | int)]
-    notes = [n for n in (" | ".join(names), field.description) if n]
-    return f"{default}  # {'. '.join(notes)}" if notes else default
-
-
-def _sentence(problem: Any) -> str:
-    where = ".".join(str(part) for part in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(str(problem["loc"][-1]), _siblings(problem["loc"]), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        return f"unknown key {where!r}{hint}"
-    message = problem["msg"].removeprefix("Value error, ")
-    return f"{where}: {message}; got {problem['input']!r}" if where else message
-
-
-def _siblings(location: tuple[int | str, ...]) -> list[str]:
-    model: type[BaseModel] = Scene
-    for part in location[:-1]:
-        annotation = model.model_fields[str(part)].annotation
-        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
-            return []
-        model = annotation
-    return [field.alias or name for name, field in model.model_fields.items()]

@@ -26,6 +26,7 @@ from benchmarks.trials import Trial, grid_trials, paper_trials
 from benchmarks.validate import SUBPIXEL, Findings
 from calibration import PlaneFit, SphereFit
 from estimator import FrameLabels, NoSpot, Reason, Spot, StackError, StackWriter
+from scenes.motion_settings import Withdrawal
 
 LITERAL, BLIND = WAYS[0].name, WAYS[1].name
 K, B, SCALE = 19.7, -5.1, 0.0067
@@ -59,7 +60,8 @@ def paper_like_run(sources: tuple[str, ...] = ("lens", "cone")) -> Findings:
 
 def tracked(trial: Trial, way: str) -> Tracked:
     exposure = next(w.exposure for w in WAYS if w.name == way)
-    travel = np.linspace(0.0, trial.scene.withdrawal.travel_mm, trial.scene.withdrawal.frames)
+    assert isinstance(trial.scene.motion, Withdrawal)
+    travel = np.linspace(0.0, trial.scene.motion.travel_mm, trial.scene.motion.frames)
     start = CONTACT_MM if trial.kind != "grid" else 0.5
     labels = tuple(label(trial, exposure, n, float(d)) for n, d in enumerate(travel + start))
     if way == BLIND:
@@ -121,6 +123,7 @@ def plane_fit(**changes: Any) -> PlaneFit:
         b=B,
         delta_k_error=0.001,
         b_error=0.06,
+        correlation=-0.9,
         r_squared=0.995,
         rmse=0.07,
         spots=13,

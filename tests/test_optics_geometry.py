@@ -270,15 +270,29 @@ def inverse_distance(eye, axis, pose):
     return optics.exact_distance(WALL, eye, semi_minor_px=axis, **pose, **CONE)
 
 
-@given(
-    c=st.floats(0.0, 6.0),
-    d=st.floats(0.3, 6.0),
-    incidence=st.floats(0.0, 0.6),
-    azimuth=st.floats(0.0, 6.28),
-    height=st.sampled_from(HEIGHTS),
-)
-@settings(max_examples=60, deadline=None)
+GEOMETRIES = {
+    "c": st.floats(0.0, 6.0),
+    "d": st.floats(0.3, 6.0),
+    "incidence": st.floats(0.0, 0.6),
+    "azimuth": st.floats(0.0, 6.28),
+    "height": st.sampled_from(HEIGHTS),
+}
+
+
+@given(**GEOMETRIES)
+@settings(max_examples=60)
 def test_exact_distance_inverts_the_exact_contour(c, d, incidence, azimuth, height):
+    assert_distance_returns(c, d, incidence, azimuth, height)
+
+
+@pytest.mark.slow
+@given(**GEOMETRIES)
+@settings(max_examples=10_000)
+def test_exact_distance_inverts_ten_thousand_exact_contours(c, d, incidence, azimuth, height):
+    assert_distance_returns(c, d, incidence, azimuth, height)
+
+
+def assert_distance_returns(c, d, incidence, azimuth, height):
     eye = camera(height)
     pose = {"eccentricity": c, "incidence": incidence, "incidence_azimuth": azimuth}
     pose = {name: jnp.asarray(value) for name, value in pose.items()}

@@ -120,3 +120,16 @@ def test_indirect_light_of_a_closed_sphere_keeps_the_energy():
     indirect = optics.indirect_irradiance(flux=flux, reflectance=rho, eye_radius=R_EYE)
     area = 4 * np.pi * R_EYE**2
     np.testing.assert_allclose((1 - rho) * (flux + indirect * area), flux, rtol=1e-14)
+
+
+def test_indirect_light_of_an_eye_with_a_pupil_keeps_the_energy():
+    # What the wall absorbs and what leaves through the cap of height h is what the source gives;
+    # all direct light falls on the wall.
+    flux, rho, pupil = 2.0, np.array([0.1, 0.6, 0.9]), 3.0
+    indirect = optics.indirect_irradiance(
+        flux=flux, reflectance=rho, eye_radius=R_EYE, pupil_radius=pupil
+    )
+    cap = 2 * np.pi * R_EYE * (R_EYE - np.sqrt(R_EYE**2 - pupil**2))
+    wall = 4 * np.pi * R_EYE**2 - cap
+    absorbed, lost = (1 - rho) * (flux + indirect * wall), indirect * cap
+    np.testing.assert_allclose(absorbed + lost, flux, rtol=1e-14)

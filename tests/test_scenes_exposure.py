@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from scenes.exposure import (
-    CameraSettings,
-    expose,
-    fixed_patterns,
-    linearise,
-    metered_exposure,
-)
+from scenes.camera_output import after_jpeg, demosaiced, mosaic
+from scenes.camera_settings import CameraSettings
+from scenes.exposure import expose, fixed_patterns, linearise, metered_exposure
 
 SIDE = 512
 
@@ -204,6 +200,96 @@ def test_srgb_shows_middle_grey_as_118_and_half_as_188():
         assert (photograph(light, settings=settings, seed=1, shape=(4, 4)) == dn).all()
 
 
+BAYER = ["RGGB", "BGGR", "GRBG", "GBRG"]
+
+
+@pytest.mark.parametrize("bayer", BAYER)
+def test_a_bayer_sensor_writes_the_colour_behind_each_filter_and_interpolates_the_others(bayer):
+    # Light that is linear in place and colour: a mean of neighbours is then the truth itself, and
+    # the well of 1e12 electrons has a noise of 1e-6. What is left is rounding: half a number of
+    # the raw frame and half one of the mean.
+    y, x = np.mgrid[0:40, 0:60] / 100
+    light = np.stack([0.1 + x, 0.2 + y, 0.7 - 0.5 * x - 0.5 * y], axis=-1)
+    settings = CameraSettings(full_well_e=1e12, bayer=bayer, black_level_dn=0.0)
+    frame = expose(light, exposure=1.0, settings=settings, rng=np.random.default_rng(1))
+    assert frame.shape == light.shape
+    assert np.abs(frame - 255.0 * light)[1:-1, 1:-1].max() <= 1.01
+    for position, colour in enumerate(bayer):
+        row, column = divmod(position, 2)
+        own = (slice(2 + row, -2, 2), slice(2 + column, -2, 2), "RGB".index(colour))
+        assert np.abs(frame[own] - 255.0 * light[own]).max() <= 0.51
+
+
+def test_behind_a_bayer_filter_the_photon_transfer_curve_still_gives_the_gain():
+    # As above, on the green pixels of a red row: 2^16 of 512 x 512 pixels, four times fewer, so
+    # that the deviation of the slope over 15 levels is 0.55 % / sqrt(15) = 0.14 %.
+    settings = CameraSettings(bayer="RGGB", bit_depth=12, full_well_e=12_000.0)
+    levels = np.linspace(0.05, 0.9, 15)
+    gains = []
+    for number, level in enumerate(levels):
+        first, second = (
+            photograph(level, settings=settings, seed=(number, frame), shape=(SIDE, SIDE, 3))[
+                ::2, 1::2, 1
+            ].astype(float)
+            for frame in (0, 1)
+        )
+        shot = (first - second).var() / 2 - 1 / 12 - (10.0 * settings.system_gain) ** 2
+        gains.append(shot / ((first + second).mean() / 2 - settings.black_level_dn))
+    assert np.mean(gains) == pytest.approx((4095 - 4) / 12_000, rel=0.01)
+
+
+@pytest.mark.parametrize("bayer", BAYER)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_the_mosaic_of_a_demosaiced_frame_is_the_raw_frame(bayer, dtype):
+    raw = np.random.default_rng(2).integers(0, np.iinfo(dtype).max, (20, 30)).astype(dtype)
+    again = mosaic(demosaiced(raw, bayer=bayer), bayer=bayer)
+    # Outermost pixels repeat others.
+    assert np.array_equal(again[1:-1, 1:-1], raw[1:-1, 1:-1])
+
+
+def test_a_response_curve_acts_on_colours_that_were_interpolated_in_linear_light():
+    # Green falls from 0.9 to 0.1 between two columns; a red or blue pixel beside the edge has the
+    # mean of its four green neighbours. sRGB of (3 * 0.9 + 0.1) / 4 = 0.7 is 217.8 and of
+    # (0.9 + 3 * 0.1) / 4 = 0.3 is 148.9 (IEC 61966-2-1); means of the curve's own values, 0.954
+    # and 0.349 of full scale, would be 204.8 and 127.6.
+    light = np.zeros((8, 16, 3), np.float32)
+    light[:, :8, 1], light[:, 8:, 1] = 0.9, 0.1
+    settings = CameraSettings(full_well_e=1e12, bayer="RGGB", response="srgb", black_level_dn=0.0)
+    frame = expose(light, exposure=1.0, settings=settings, rng=np.random.default_rng(3))
+    assert frame[3, 7, 1] == 218
+    assert frame[4, 8, 1] == 149
+
+
+def test_an_odd_image_has_no_bayer_mosaic():
+    with pytest.raises(ValueError, match=r"even H and W; got shape \(3, 4, 3\)"):
+        photograph(0.5, settings=CameraSettings(bayer="RGGB"), seed=1, shape=(3, 4, 3))
+
+
+def test_jpeg_keeps_grey_and_blurs_colour_along_rows_only():
+    # A block of one grey is its mean, written in steps of 1/8 of the first quantiser, at quality
+    # 90 of 3: within half a number. Two columns of chroma share one sample, rows keep theirs.
+    grey = np.full((64, 64, 3), 137, np.uint8)
+    assert np.abs(after_jpeg(grey, quality=90).astype(int) - 137).max() <= 1
+    rows = np.zeros((64, 64, 3), np.uint8)
+    rows[::2] = (200, 50, 50)
+    rows[1::2] = (50, 50, 200)
+    columns = rows.swapaxes(0, 1)
+    lost = [
+        np.abs(after_jpeg(image, quality=100).astype(int) - image).mean()
+        for image in (rows, np.ascontiguousarray(columns))
+    ]
+    # Quality 100 rounds by half a number in each of three channels and back; shared chroma mixes
+    # red and blue that are 150 apart, to 75 off.
+    assert lost[0] < 2
+    assert lost[1] > 30
+
+
+def test_jpeg_costs_more_at_lower_quality():
+    noisy = photograph(0.5, settings=CameraSettings(), seed=1, shape=(64, 64, 3))
+    errors = [np.std(after_jpeg(noisy, quality=q).astype(float) - noisy) for q in (95, 75, 40)]
+    assert 0 < errors[0] < errors[1] < errors[2]
+
+
 @pytest.mark.parametrize("response", ["linear", "srgb", 2.2])
 def test_metering_puts_the_brightest_channel_where_it_is_asked(response):
     settings = CameraSettings(full_well_e=1e9, response=response, dark_signal_e=1e7)
@@ -278,6 +364,9 @@ def test_bad_metering_is_named(image, kwargs, message):
         {"response": "log"},
         {"response": 0.0},
         {"fullwell": 1.0},
+        {"bayer": "RGB"},
+        {"jpeg_quality": 101},
+        {"jpeg_quality": 90, "bit_depth": 10},
     ],
 )
 def test_impossible_cameras_are_refused(setting):

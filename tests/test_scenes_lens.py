@@ -18,7 +18,7 @@ def renderer() -> Renderer:
         "phantom": {"kind": "plane", "wall": "uniform", "indirect": "off"},
         "source": {"kind": "lens", "lens": "dome", "power_mw": 2.0},
         "spot": {"eccentricity_mm": 2.0, "incidence_deg": 20.0},
-        "withdrawal": {"start_mm": 1.0, "travel_mm": 1.5, "frames": 2},
+        "motion": {"start_mm": 1.0, "travel_mm": 1.5, "frames": 2},
         "instrument": {"visible": False},
         "microscope": {"illumination_mw_mm2": 0.0},
     }

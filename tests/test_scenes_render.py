@@ -2,12 +2,24 @@
 
 from typing import Any
 
+import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from estimator import Spot, StackError, SubpixelSettings, TrackState, measure, read_stack
-from scenes import Renderer, Scene, SceneError, load_mitsuba, render_stack
+from scenes import (
+    Renderer,
+    Scene,
+    SceneError,
+    expose_again,
+    geometry,
+    load_mitsuba,
+    render_stack,
+    write_preview,
+)
+from scenes.camera_output import after_jpeg
+from scenes.labels import moments
 
 
 def scene(**parts) -> Scene:
@@ -16,7 +28,7 @@ def scene(**parts) -> Scene:
         "schema": 1,
         "phantom": {"wall": "uniform", "indirect": "off"},
         "source": {"kind": "cone"},
-        "withdrawal": {"start_mm": 3.0, "travel_mm": 1.0, "frames": 2},
+        "motion": {"start_mm": 3.0, "travel_mm": 1.0, "frames": 2},
         "instrument": {"visible": False},
         "microscope": {"illumination_mw_mm2": 0.0},
     }
@@ -25,16 +37,24 @@ def scene(**parts) -> Scene:
     return Scene.model_validate(plain)
 
 
-@pytest.mark.parametrize("height", [11.5, 200.0, float("inf")])
+# Brown's five, all at work: at c = 5 mm and z_F = 11.5 mm, 0.3 of the focal length from the axis,
+# they move the image by 20 px and change its shape.
+LENS = (-0.2, 0.3, 0.02, -0.03, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("height", "distortion"),
+    [(11.5, [0.0] * 5), (11.5, LENS), (200.0, [0.0] * 5), (float("inf"), [0.0] * 5)],
+)
 @pytest.mark.parametrize("kind", ["eyeball", "plane"])
-def test_mitsubas_camera_is_the_microscope_of_the_labels(kind, height):
+def test_mitsubas_camera_is_the_microscope_of_the_labels(kind, height, distortion):
     mi = load_mitsuba()
     from scenes import build, geometry
 
     settings = scene(
         phantom={"kind": kind},
         spot={"eccentricity_mm": 4.0, "azimuth_deg": 50.0},
-        microscope={"pinhole_height_mm": height},
+        microscope={"pinhole_height_mm": height, "distortion": distortion},
     )
     loaded = mi.load_dict(build.mitsuba_dict(settings, table=None, uniform=np.zeros(3)))
     pixels = np.array([[0.0, 0.0], [639.0, 0.0], [320.0, 240.0], [100.0, 479.0]])
@@ -59,12 +79,14 @@ def test_a_lit_pixel_has_the_closed_form_radiance():
     np.testing.assert_allclose(frame.radiance[240, 320], expected, rtol=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["eyeball", "plane"])
-def test_every_label_is_found_again_in_the_pixels(kind):
+@pytest.mark.parametrize(
+    ("kind", "distortion"), [("eyeball", [0.0] * 5), ("plane", [0.0] * 5), ("eyeball", LENS)]
+)
+def test_every_label_is_found_again_in_the_pixels(kind, distortion):
     settings = scene(
         phantom={"kind": kind},
         spot={"eccentricity_mm": 5.0, "azimuth_deg": 20.0, "incidence_azimuth_deg": 60.0},
-        microscope={"samples": 64},
+        microscope={"samples": 64, "distortion": distortion},
     )
     renderer = Renderer(settings)
     for frame in range(2):
@@ -89,7 +111,7 @@ def test_the_integrator_agrees_with_mitsubas_path_tracer():
     mi = load_mitsuba()
     settings = scene(
         instrument={"visible": True},
-        withdrawal={"start_mm": 0.5, "frames": 1},
+        motion={"start_mm": 0.5, "frames": 1},
         phantom={"wall": "printed paper"},
     )
     renderer = Renderer(settings)
@@ -117,7 +139,7 @@ def test_frames_are_bit_identical_when_rendered_again():
 
 
 def test_the_instrument_hides_the_spot_that_the_labels_say_it_hides():
-    settings = scene(instrument={"visible": True}, withdrawal={"start_mm": "contact"})
+    settings = scene(instrument={"visible": True}, motion={"start_mm": "contact"})
     renderer = Renderer(settings)
     fractions = [renderer.render(frame).visible_fraction for frame in range(2)]
     assert fractions[0] < 0.75 < fractions[1]
@@ -132,15 +154,8 @@ def test_a_spot_outside_the_window_is_refused_with_the_way_out():
         Renderer(scene(microscope={"width_px": 100, "height_px": 100}))
 
 
-def test_a_stack_is_whole_or_not_there(tmp_path):
+def test_a_stack_holds_every_exposure_of_every_frame_and_its_checksums(tmp_path):
     settings = scene(microscope={"illumination_mw_mm2": 0.05})
-
-    def stop():
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        render_stack(settings, tmp_path / "stack", progress=stop)
-    assert list(tmp_path.iterdir()) == []
     stack = render_stack(settings, tmp_path / "stack")
     stack.verify()
     assert [row.exposure for row in stack.labels] == ["paper", "metered"] * 2
@@ -152,10 +167,113 @@ def test_a_stack_is_whole_or_not_there(tmp_path):
     assert 195 < np.percentile(image[mask], 95) < 215
     with pytest.raises(StackError, match="exists"):
         render_stack(settings, tmp_path / "stack")
-    (tmp_path / "stack" / metered.file_name).write_bytes(b"broken")
-    with pytest.raises(StackError, match=r"000001\.png differs"):
-        again.verify()
-    lines = tmp_path / "stack" / "metadata.jsonl"
-    lines.write_text(lines.read_text().replace('"d_mm"', '"d_cm"', 1))
-    with pytest.raises(StackError, match="line 1: missing or unknown columns: d_cm, d_mm"):
-        read_stack(tmp_path / "stack")
+
+
+def test_a_stack_of_a_usb_camera_is_that_of_its_sensor_after_jpeg(tmp_path):
+    def with_camera(**keys):
+        return scene(
+            camera={"bayer": "GRBG", "prnu": 0.01, "response": "srgb", **keys},
+            motion={"frames": 1},
+            exposures={"kinds": ["metered"], "keep_linear": True},
+            microscope={"illumination_mw_mm2": 0.05},
+        )
+
+    sensor = render_stack(with_camera(), tmp_path / "sensor")
+    usb = expose_again(sensor, with_camera(jpeg_quality=85), tmp_path / "usb")
+    raw, sent = sensor.image(sensor.labels[0]), usb.image(usb.labels[0])
+    assert np.array_equal(after_jpeg(raw, quality=85), sent)
+    # Clipping happens in the sensor; JPEG smears clipped pixels below full scale.
+    assert sensor.labels[0].saturated_fraction == usb.labels[0].saturated_fraction
+
+
+def test_the_preview_is_the_middle_frame_in_a_quarter_of_its_size(tmp_path):
+    settings = scene(
+        motion={"start_mm": 1.0, "travel_mm": 4.0, "frames": 3},
+        microscope={"illumination_mw_mm2": 0.05, "width_px": 656, "height_px": 488},
+        camera={"full_well_e": 1e12},  # noise of 1e-6
+    )
+    write_preview(settings, tmp_path / "preview.png")
+    small = cv2.imread(str(tmp_path / "preview.png"))[..., 1].astype(float)
+    assert small.shape == (488 // 4, 656 // 4)
+    linear = Renderer(settings).render(1).radiance[..., 1].astype(float)
+    blocks = linear.reshape(122, 4, 164, 4).mean(axis=(1, 3))
+    flat = np.abs(np.gradient(blocks)).max(axis=0) < 0.01 * blocks.max()
+    # Away from edges one sample is a pixel's mean to less than half a number, and rounding takes
+    # another half. The fixed exposure is for 5 mm: at 3 mm the spot is clipped.
+    assert flat.sum() > 0.9 * flat.size
+    per_light = np.median((small - 4)[flat] / blocks[flat])
+    expected = np.minimum(4 + per_light * blocks, 255)
+    assert np.abs(small - expected)[flat].max() <= 1.0
+    assert blocks[small == 255].min() > 5 * np.median(blocks)
+
+
+@pytest.mark.parametrize("height", [11.5, 200.0])
+def test_labels_of_a_distorting_microscope_are_those_of_opencv(height):
+    settings = scene(
+        spot={"eccentricity_mm": 4.0, "azimuth_deg": 50.0},
+        microscope={"pinhole_height_mm": height, "distortion": LENS},
+    )
+    microscope = geometry.microscope(settings)
+    points = np.asarray(moments(settings, None).spots.origin)
+    # OpenCV's camera: x right, y down, z away, at the pinhole.
+    seen = (points - [0.0, 0.0, height]) * [1.0, -1.0, -1.0]
+    matrix = np.asarray(microscope.camera_matrix())
+    expected, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, np.array(LENS))
+    np.testing.assert_allclose(microscope.project(points), expected[:, 0], atol=1e-9)
+    # The window is shifted so that the spot's centre lies in its middle.
+    np.testing.assert_allclose(expected[0, 0], [319.5, 239.5], atol=1e-6)
+
+
+def test_ambient_light_is_even_and_vignetting_takes_the_corners_by_the_square_of_the_distance():
+    settings = scene(
+        phantom={"kind": "plane", "reflectance": 0.6},
+        source={"power_mw": 1e-9},
+        microscope={"light": "ambient", "illumination_mw_mm2": 0.05, "vignetting": 0.4},
+    )
+    image = Renderer(settings).render(0).radiance[..., 1]
+    y, x = np.mgrid[0:480, 0:640]
+    # Two rows and columns of samples a pixel, a quarter to either side of its centre.
+    squared = ((x - 319.5) ** 2 + (y - 239.5) ** 2 + 2 * 0.25**2) / (320**2 + 240**2)
+    # Matt and evenly lit: rho E / pi. The beam adds 1e-8 of it; the rest is float32's rounding.
+    np.testing.assert_allclose(image, 0.6 * 0.05 / np.pi * (1 - 0.4 * squared), rtol=1e-5)
+
+
+def test_ambient_light_shows_the_instrument_and_coaxial_light_falls_off_with_the_slope():
+    lit = {
+        light: Renderer(
+            scene(
+                source={"power_mw": 1e-9},
+                motion={"start_mm": 1.0, "travel_mm": 1.0, "frames": 1},
+                spot={"eccentricity_mm": 5.0},
+                instrument={"visible": True},
+                microscope={"light": light, "illumination_mw_mm2": 0.05},
+            )
+        ).render(0)
+        for light in ("coaxial", "ambient")
+    }
+    wall = lit["ambient"].wall == 1
+    ambient, coaxial = (lit[light].radiance[..., 0] for light in ("ambient", "coaxial"))
+    assert np.ptp(ambient[wall]) < 1e-5 * ambient[wall].mean()
+    assert ambient[lit["ambient"].wall == 0].min() > 0
+    # From a pinhole on the sphere a point at the angle t to the axis is 2 r cos t away and seen at
+    # the angle t to its normal (Thales), so E = E0 cos t (2 r)^2 / (2 r cos t)^2 = E0 / cos t. The
+    # window's middle is the spot, whose angle at the sphere's centre is twice that at the pinhole.
+    f = 23.0 / 0.0067
+    y, x = np.mgrid[0:480, 0:640]
+    middle = np.tan(np.arcsin(5.0 / 11.5) / 2)
+    secant = np.sqrt(1 + (middle + (x - 319.5) / f) ** 2 + ((y - 239.5) / f) ** 2)
+    np.testing.assert_allclose(coaxial[wall], (0.5 / np.pi * 0.05 * secant)[wall], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("microscope", "message"),
+    [
+        ({"distortion": (-9.0, 0.0, 0.0, 0.0, 0.0)}, "folds the image"),
+        ({"distortion": LENS, "pinhole_height_mm": float("inf")}, "telecentric"),
+        ({"light": "neon"}, "coaxial"),
+        ({"vignetting": 1.0}, "vignetting"),
+    ],
+)
+def test_an_impossible_microscope_is_refused(microscope, message):
+    with pytest.raises(ValueError, match=message):
+        moments(scene(microscope=microscope, spot={"eccentricity_mm": 5.0}), None)

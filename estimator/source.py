@@ -1,0 +1,60 @@
+"""What frames come from, whatever it is: `sources.open_source` makes one.
+
+A source is read frame by frame. What is damaged ends it with one ValueError that names the file,
+the frame and the remedy; the frames before it have been handed out by then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+AGAIN = "Record, copy or convert it again."
+"""The remedy where a recording is damaged."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frame:
+    """One image of a source.
+
+    Attributes:
+        index: number of the frame in its source, from 0.
+        file_name: of the image, relative to its source; empty where frames are no files.
+        time_s: when it was taken, on the source's clock; NaN if unknown.
+        image: (H, W) or RGB (H, W, 3); uint8, uint16, float32 or float64.
+        exposure_s: exposure time; NaN if unknown.
+    """
+
+    index: int
+    file_name: str
+    time_s: float
+    image: np.ndarray
+    exposure_s: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Frames in order; iterating opens the file or the camera and reads them one by one.
+
+    Attributes:
+        name: what was opened.
+        read: starts an iterator over the frames.
+        length: number of frames; None for a camera. Of a video it is what its container says.
+        rate_hz: frames a second; None if unknown.
+        live: a camera, which ends only when it is stopped.
+        microscope_file: that belongs to the source; None without one.
+    """
+
+    name: str
+    read: Callable[[], Iterator[Frame]]
+    length: int | None = None
+    rate_hz: float | None = None
+    live: bool = False
+    microscope_file: Path | None = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        return self.read()

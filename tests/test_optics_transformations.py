@@ -1,0 +1,301 @@
+"""Every public function of optics under jit, vmap and its derivative."""
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import optics
+
+R_EYE, SCALE = 11.5, 0.0067
+WALL = optics.Sphere(R_EYE)
+PLANE = optics.pole_plane(eye_radius=R_EYE, tilt=0.2)
+BEAM = {
+    "eccentricity": 3.0,
+    "distance": 4.0,
+    "incidence": 0.4,
+    "azimuth": 0.7,
+    "incidence_azimuth": 1.1,
+    "half_angle": 0.05,
+    "apex_offset": -5.0,
+}
+SQUARE = {"scale": SCALE, "k": 20.0, "b": -5.0, "eccentricity": 3.0, "eye_radius": R_EYE}
+LENS = {
+    "core_radius": 0.25,
+    "glue_length": 0.3,
+    "sag": 0.05,
+    "aperture_radius": 0.25,
+    "numerical_aperture": 0.12,
+    "glue_index": 1.49,
+}
+POSE_CONE: dict[str, Any] = {"half_angle": 0.05, "apex_offset": -5.0}
+CLEAN = optics.spot_contour(
+    optics.beam_at_spot(WALL, **BEAM),
+    WALL,
+    optics.microscope(scale=SCALE, pinhole_height=200.0, eye_radius=R_EYE),
+)
+TENT = optics.IrradianceTable(
+    values=jnp.stack([jnp.zeros((33, 65)), jnp.tile(jnp.linspace(1.0, 0.0, 65), (33, 1))], axis=-1),
+    medium_index=jnp.asarray(1.0),
+    contact_radius=jnp.asarray(0.3),
+    slope=jnp.asarray(0.2),
+)
+
+
+def flat(tree: object) -> jax.Array:
+    leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(tree)]
+    return jnp.concatenate([leaf for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating)])
+
+
+def of(function: Callable, given: dict, **fixed: object) -> tuple[Callable, list[float]]:
+    """A function of the vector of the values given by keyword."""
+    names = list(given)
+
+    def called(x):
+        return flat(function(**dict(zip(names, x, strict=True)), **fixed))
+
+    return called, list(given.values())
+
+
+def camera(scale=SCALE, height=200.0):
+    return optics.microscope(scale=scale, pinhole_height=height, eye_radius=R_EYE)
+
+
+def beam(x):
+    return optics.beam_at_spot(WALL, **dict(zip(BEAM, x, strict=True)))
+
+
+def seen(x):
+    return optics.spot_contour(beam(x), WALL, camera())
+
+
+def lens(x):
+    return optics.glue_lens(**dict(zip(LENS, x, strict=True)))
+
+
+AT_BEAM, AT_LENS = list(BEAM.values()), list(LENS.values())
+TIP = [*optics.beam_at_spot(WALL, **BEAM).tip.tolist()]
+SQUARE_SPOT = {"spot_radius": 0.5, "eccentricity": 3.0, "eye_radius": R_EYE, "scale": SCALE}
+
+MEASURED = optics.Ellipse(jnp.array([3.0, 4.0]), jnp.array(60.0), jnp.array(50.0), jnp.array(0.3))
+
+QUICK: dict[str, tuple[Callable, list[float]]] = {
+    "ellipse_mismatch": (
+        lambda x: optics.ellipse_mismatch(
+            optics.ellipse_points(
+                optics.Ellipse(x[:2], x[2], x[3], x[4]), jnp.linspace(0.0, 6.2, 32)
+            ),
+            MEASURED,
+        ),
+        [3.1, 4.1, 60.1, 50.2, 0.29],
+    ),
+    "mismatch_covariance": (
+        lambda x: flat(
+            optics.mismatch_covariance(optics.Ellipse(x[:2], x[2], x[3], x[4]), jnp.diag(x[5:]))
+        ),
+        [3.0, 4.0, 60.0, 50.0, 0.3, 1e-4, 1e-4, 1e-4, 1e-4, 1e-6],
+    ),
+    "microscope": of(optics.microscope, {"scale": SCALE, "pinhole_height": 90.0}, eye_radius=R_EYE),
+    "beam_at_spot": (lambda x: flat(beam(x)), AT_BEAM),
+    "beam_through_trocar": (
+        lambda x: flat(
+            optics.beam_through_trocar(
+                trocar=x[:3], spot=x[3:6], distance=x[6], half_angle=x[7], apex_offset=x[8]
+            )
+        ),
+        [8.0, 1.0, 7.0, 1.0, 2.0, -11.0, 3.0, 0.05, -5.0],
+    ),
+    "contact_distance": of(
+        lambda **k: optics.contact_distance(WALL, **k), {"incidence": 0.4, "rim_radius": 0.25}
+    ),
+    "perpendicular_frame": (lambda x: flat(optics.perpendicular_frame(x)), [0.48, 0.6, 0.64]),
+    "slope": of(optics.slope, {"half_angle": 0.05}),
+    "pole_plane": of(optics.pole_plane, {"tilt": 0.2, "tilt_azimuth": 0.4}, eye_radius=R_EYE),
+    "cone_contour": (lambda x: flat(optics.cone_contour(beam(x), WALL, points=32)), AT_BEAM),
+    "spot_contour": (lambda x: flat(seen(x)), AT_BEAM),
+    "ellipse_of_contour": (lambda x: flat(optics.ellipse_of_contour(seen(x))), AT_BEAM),
+    "ellipse_points": (
+        lambda x: flat(
+            optics.ellipse_points(optics.Ellipse(x[:2], x[2], x[3], x[4]), x[4] + jnp.arange(5.0))
+        ),
+        [3.0, 4.0, 60.0, 50.0, 0.3],
+    ),
+    "exact_semi_minor": of(lambda **k: optics.exact_semi_minor(WALL, camera(), **k), BEAM),
+    "planar_distance": of(
+        optics.planar_distance, {"semi_minor_px": 60.0, "scale": SCALE, "k": 20.0, "b": -5.0}
+    ),
+    "planar_semi_minor": of(
+        optics.planar_semi_minor, {"distance": 3.0, "scale": SCALE, "k": 20.0, "b": -5.0}
+    ),
+    "sagitta": of(optics.sagitta, {"spot_radius": 0.5, "eye_radius": R_EYE}),
+    "sphere_distance": of(
+        optics.sphere_distance, {"spot_radius": 0.5, "k": 20.0, "b": -5.0, "eye_radius": R_EYE}
+    ),
+    "square_spot_radius": of(
+        optics.square_spot_radius, {"distance": 3.0, "k": 20.0, "b": -5.0, "eye_radius": R_EYE}
+    ),
+    "paper_foreshortening": of(
+        optics.paper_foreshortening, {"eccentricity": 3.0, "eye_radius": R_EYE}
+    ),
+    "paper_pinhole_distance": of(
+        optics.paper_pinhole_distance, {"eccentricity": 3.0, "eye_radius": R_EYE}
+    ),
+    "paper_angle_s_d_e": of(
+        optics.paper_angle_s_d_e, {"spot_radius": 0.5, "eccentricity": 3.0, "eye_radius": R_EYE}
+    ),
+    "small_plane_spot_radius": of(
+        optics.small_plane_spot_radius,
+        {"semi_minor_px": 60.0, "scale": SCALE, "eccentricity": 3.0, "eye_radius": R_EYE},
+    ),
+    "small_plane_distance": of(optics.small_plane_distance, SQUARE | {"semi_minor_px": 60.0}),
+    "corrected_factor": of(
+        optics.corrected_factor,
+        {"eccentricity": 3.0, "eye_radius": R_EYE, "inverse_working_distance": 0.01},
+    ),
+    "corrected_distance": of(
+        optics.corrected_distance,
+        SQUARE | {"semi_minor_px": 60.0, "inverse_working_distance": 0.01},
+    ),
+    "stereographic_semi_axis": of(optics.stereographic_semi_axis, SQUARE_SPOT),
+    "stereographic_distance": of(optics.stereographic_distance, SQUARE | {"semi_minor_px": 60.0}),
+    "square_spot_axes": of(
+        optics.square_spot_axes, SQUARE_SPOT | {"inverse_working_distance": 0.01}
+    ),
+    "indirect_irradiance": of(
+        optics.indirect_irradiance, {"flux": 1.0, "reflectance": 0.5, "eye_radius": R_EYE}
+    ),
+    "wall_irradiance": (
+        lambda x: flat(optics.wall_irradiance(TENT, beam(x[:7]), WALL, radius=x[7:8], angle=x[8:])),
+        [*AT_BEAM, 0.31, 0.4],
+    ),
+    "half_maximum_radius": (lambda x: optics.half_maximum_radius(TENT, distance=x), [3.0]),
+    "isophote_radius": (
+        lambda x: optics.isophote_radius(TENT, distance=x[:1], level=x[1:]),
+        [3.0, 0.3],
+    ),
+}
+SLOW: dict[str, tuple[Callable, list[float]]] = {
+    "spot_ellipse": (lambda x: flat(optics.spot_ellipse(beam(x), PLANE, camera())), AT_BEAM),
+    "exact_distance": of(
+        lambda **k: optics.exact_distance(WALL, camera(), **k),
+        {name: value for name, value in BEAM.items() if name != "distance"}
+        | {"semi_minor_px": 60.0},
+    ),
+    "half_maximum_contour": (
+        lambda x: flat(optics.half_maximum_contour(TENT, beam(x), WALL, points=8)),
+        AT_BEAM,
+    ),
+    "tip_from_contour": (
+        lambda x: flat(
+            optics.tip_from_contour(
+                CLEAN * x[0],
+                WALL,
+                camera(),
+                axis=optics.beam_at_spot(WALL, **BEAM).axis,
+                sigma_px=0.05,
+                **POSE_CONE,
+            )[:3]
+        ),
+        [1.0],
+    ),
+    "pose_from_contour": (
+        lambda x: flat(
+            optics.pose_from_contour(CLEAN * x[0], WALL, camera(), sigma_px=0.05, **POSE_CONE).best[
+                :3
+            ]
+        ),
+        [1.0],
+    ),
+    "pose_from_ellipse": (
+        lambda x: flat(
+            optics.pose_from_ellipse(
+                optics.ellipse_of_contour(CLEAN * x[0]),
+                WALL,
+                camera(),
+                covariance=jnp.diag(jnp.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-5])),
+                prior=optics.DirectionPrior(optics.beam_at_spot(WALL, **BEAM).axis, 0.1),
+                **POSE_CONE,
+            ).best[:3]
+        ),
+        [1.0],
+    ),
+    "glue_lens": (lambda x: flat(lens(x)), AT_LENS),
+    "emitted_rays": (
+        lambda x: flat(
+            optics.emitted_rays(
+                lens(x),
+                medium_index=1.0,
+                points=jnp.array([[0.1, 0.05]]),
+                directions=jnp.array([[0.02, 0.03]]),
+            )
+        ),
+        AT_LENS,
+    ),
+    "transmitted_power": (
+        lambda x: flat(optics.transmitted_power(lens(x), medium_index=1.336)),
+        AT_LENS,
+    ),
+    "vector_irradiance": (
+        lambda x: flat(
+            optics.vector_irradiance(
+                lens(x[:-2]), medium_index=1.336, radius=x[-2:-1], distance=x[-1:]
+            )
+        ),
+        [*AT_LENS, 0.23, 2.0],
+    ),
+}
+ELSEWHERE = {
+    "irradiance_table": "test_optics_irradiance_table: accuracy of look-ups and derivatives",
+    "misaligned_vector_irradiance": "test_optics_lens_misaligned: derivative in the offset",
+    "effective_cone": "test_optics_irradiance_table: the slope's derivative by the lens",
+    "spot_truth": "a loop in Python over compiled batches",
+    "ambiguous_distances": "a list of intervals, found by NumPy",
+    "lens_names": "reads files",
+    "load_lens": "reads a file",
+    "microscope_from_camera_matrix": "takes numbers of a file and judges them",
+}
+
+CASES = [
+    *(pytest.param(name, case, id=name) for name, case in QUICK.items()),
+    *(pytest.param(name, case, id=name, marks=pytest.mark.slow) for name, case in SLOW.items()),
+]
+
+
+def test_every_public_function_is_accounted_for():
+    functions = {
+        name
+        for name, value in vars(optics).items()
+        if not name.startswith("_") and callable(value) and not inspect.isclass(value)
+    }
+    assert functions == QUICK.keys() | SLOW.keys() | ELSEWHERE.keys()
+
+
+@pytest.mark.parametrize(("name", "case"), CASES)
+def test_function_compiles_batches_and_has_the_derivative_of_its_differences(name, case):
+    function, point = case
+    x = jnp.asarray(point, float)
+    compiled = jax.jit(function)
+    plain = function(x)
+    # Compiled sums are taken in another order: some hundred roundings.
+    size = 1e-12 * (1.0 + np.abs(plain).max())
+    np.testing.assert_allclose(compiled(x), plain, rtol=1e-9, atol=size)
+    batch = x * (1.0 + jnp.array([[0.0], [1e-3]]))
+    np.testing.assert_allclose(
+        jax.jit(jax.vmap(function))(batch),
+        np.stack([compiled(row) for row in batch]),
+        rtol=1e-9,
+        atol=size,
+    )
+    direction = jnp.asarray(np.random.default_rng(len(name)).standard_normal(x.size)) * x
+    _, slope = jax.jit(lambda x: jax.jvp(function, (x,), (direction,)))(x)
+    assert np.isfinite(slope).all()
+    # Cube root of the rounding error: the error of central differences is its square, 1e-9 of the
+    # scale of the function, some hundred times that where curvature is large.
+    h = 1e-5
+    difference = (compiled(x + h * direction) - compiled(x - h * direction)) / (2 * h)
+    scale = np.abs(difference).max() + np.abs(plain).max()
+    np.testing.assert_allclose(slope, difference, rtol=1e-6, atol=1e-7 * scale)

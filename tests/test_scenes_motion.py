@@ -1,0 +1,322 @@
+"""Motion of the tip: trajectories, clocks, labels of moving spots, blur from sub-frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+import optics
+from estimator import Spot, SubpixelSettings, TrackState, measure
+from estimator.poses import read_poses
+from scenes import (
+    Renderer,
+    Scene,
+    SceneError,
+    frame_count,
+    load_scene,
+    render_stack,
+    scene_template,
+)
+from scenes import labels as scene_labels
+from scenes.geometry import wall
+from scenes.motion import frame_times, kinematics, trajectory
+
+SMALL = {"width_px": 160, "height_px": 120, "scale_mm_px": 0.0268}
+
+
+def scene(**parts: Any) -> Scene:
+    """A uniform wall under the ideal cone's direct light alone, unless told otherwise."""
+    plain: dict[str, Any] = {
+        "schema": 1,
+        "phantom": {"wall": "uniform", "indirect": "off"},
+        "source": {"kind": "cone"},
+        "spot": {"eccentricity_mm": 2.0, "azimuth_deg": 20.0, "incidence_azimuth_deg": 60.0},
+        "instrument": {"visible": False},
+        "microscope": {"illumination_mw_mm2": 0.0},
+    }
+    for name, values in parts.items():
+        plain[name] = {**plain.get(name, {}), **values} if isinstance(values, dict) else values
+    return Scene.model_validate(plain)
+
+
+def hand(**keys: Any) -> dict[str, Any]:
+    return {"kind": "hand", "duration_s": 2.0, **keys}
+
+
+@pytest.mark.parametrize("kind", ["eyeball", "plane"])
+def test_a_withdrawal_keeps_axis_and_spot_and_goes_at_its_speed(kind):
+    settings = scene(
+        phantom={"kind": kind},
+        motion={"start_mm": 1.0, "travel_mm": 2.0, "frames": 5, "speed_mm_s": 0.5},
+    )
+    moments = scene_labels.moments(settings, None)
+    np.testing.assert_allclose(moments.times, [0.0, 1.0, 2.0, 3.0, 4.0])
+    np.testing.assert_allclose(moments.spots.distance, [1.0, 1.5, 2.0, 2.5, 3.0], rtol=1e-12)
+    np.testing.assert_allclose(moments.spots.eccentricity, 2.0, rtol=1e-12)
+    np.testing.assert_allclose(np.degrees(moments.spots.azimuth), 20.0, rtol=1e-12)
+    np.testing.assert_allclose(np.degrees(moments.spots.incidence), 30.0, rtol=1e-12)
+    np.testing.assert_allclose(np.degrees(moments.spots.incidence_azimuth), 60.0, rtol=1e-12)
+    # A difference over 1e-6 s of coordinates of 10 mm: 1e-15 / 1e-6.
+    np.testing.assert_allclose(moments.speed, 0.5, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["eyeball", "plane"])
+def test_a_scan_keeps_its_distance_and_its_trocar_while_the_spot_moves_evenly(kind):
+    settings = scene(
+        phantom={"kind": kind},
+        motion={"kind": "scan", "length_mm": 1.0, "speed_mm_s": 0.5, "direction_deg": 40.0},
+    )
+    moments = scene_labels.moments(settings, None)
+    spots = moments.spots
+    assert moments.times[-1] == pytest.approx(2.0)
+    np.testing.assert_allclose(spots.distance, 3.0, rtol=1e-12)
+    steps = np.linalg.norm(np.diff(np.asarray(spots.origin), axis=0), axis=1)
+    # Chords of 0.05 mm are shorter than their arcs by s^2/24r^2 = 1e-6.
+    np.testing.assert_allclose(steps, 0.05, rtol=2e-6)
+    # All lines of the beam meet in the trocar, 20 mm up the middle one.
+    middle = np.asarray(spots.origin[10]) - 20.0 * np.asarray(spots.beam.axis[10])
+    away = middle - np.asarray(spots.beam.tip)
+    np.testing.assert_allclose(np.cross(away, np.asarray(spots.beam.axis)), 0.0, atol=1e-9)
+
+
+def test_the_hands_tremor_has_its_amplitude_and_band_and_the_tip_its_top_speed():
+    settings = scene(motion=hand(damping=0.5, top_speed_mm_s=20.0, trocar_mm=float("inf")))
+    times = np.arange(0.0, 400.0, 0.005)
+    tip = trajectory(settings).at(times).tip
+    frequency = np.fft.rfftfreq(times.size, 0.005)
+    power = np.sum(np.abs(np.fft.rfft(tip - tip.mean(axis=0), axis=0)) ** 2, axis=1)
+    # A finite record leaks out of a band by the 1/T of its lines, 0.0025 Hz.
+    tremor, slow = (frequency > 7.9) & (frequency < 12.1), (frequency > 0) & (frequency < 2.0)
+    assert power[tremor].sum() + power[slow].sum() > 0.9999 * power[1:].sum()
+    rms = np.sqrt(2 * power[tremor].sum()) / times.size
+    # 64 lines 4 Hz / 64 apart: over 400 s their products average out to 1e-2.
+    assert rms == pytest.approx(0.09, rel=0.02)
+    own = trajectory(settings)
+    speed = own.speed(np.linspace(0.0, own.moments[-1], 20001))
+    # Sought among moments 1 ms apart: 1 - cos(2 pi 12 Hz 0.5 ms) = 1e-3.
+    assert speed.max() == pytest.approx(20.0, rel=1e-3)
+
+
+def test_two_seeds_are_two_hands_and_one_is_one():
+    first, again, other = (
+        trajectory(scene(motion=hand(seed=seed))).at(np.arange(5.0)).tip for seed in (1, 1, 2)
+    )
+    assert np.array_equal(first, again)
+    assert not np.allclose(first, other)
+
+
+def test_labels_of_any_beam_lead_back_to_the_beam():
+    moments = scene_labels.moments(scene(motion=hand()), None)
+    for frame in range(0, moments.times.size, 5):
+        spots = moments.spots
+        beam = optics.beam_at_spot(
+            wall(scene()),
+            eccentricity=spots.eccentricity[frame],
+            azimuth=spots.azimuth[frame],
+            incidence=spots.incidence[frame],
+            incidence_azimuth=spots.incidence_azimuth[frame],
+            distance=spots.distance[frame],
+            half_angle=0.1,
+            apex_offset=0.0,
+        )
+        np.testing.assert_allclose(beam.tip, spots.beam.tip[frame], atol=1e-12)
+        np.testing.assert_allclose(beam.axis, spots.beam.axis[frame], atol=1e-12)
+
+
+def test_a_spot_on_the_axis_has_an_azimuth_that_its_direction_counts_from():
+    settings = scene(spot={"eccentricity_mm": 0.0}, motion={"frames": 1, "start_mm": 2.0})
+    spots = scene_labels.moments(settings, None).spots
+    assert float(spots.azimuth[0]) == 0.0
+    # The scene counts 60 deg from its own azimuth of 20 deg.
+    assert np.degrees(float(spots.incidence_azimuth[0])) == pytest.approx(80.0)
+
+
+def test_a_recorded_motion_repeats_the_poses_of_its_file(tmp_path):
+    settings = scene(motion=hand(duration_s=0.1), microscope=SMALL)
+    first = render_stack(settings, tmp_path / "first")
+    file = first.folder / "kinematics.csv"
+    again = scene(motion={"kind": "recorded", "file": str(file)})
+    own, other = trajectory(settings), trajectory(again)
+    stamps = np.arange(0.0, 0.1, 0.005)
+    found = other.at(stamps + 0.1)  # the robot reports from 0.1 s before the first frame
+    expected = own.at(stamps)
+    # The file keeps 1 nm and 1 nrad.
+    np.testing.assert_allclose(found.tip, expected.tip, atol=1e-6)
+    np.testing.assert_allclose(found.axis, expected.axis, atol=1e-8)
+    assert frame_count(again) == 4  # 0.1 s of motion and 0.1 s on either side, at 10 Hz
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time_s,x_mm\n0,1\n", "line 1: no poses: column 'y_mm' is missing"),
+        (
+            "time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n0,0,0,0,0,0,-1\n1,0,here,0,0,0,-1\n",
+            "line 3: y_mm must be a number; got 'here'",
+        ),
+        (
+            "time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n0,0,0,0,0,0,-3\n",
+            "line 2: .*unit vector",
+        ),
+        ("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n0,0,0,0,0,0,-1\n", "at least two poses"),
+    ],
+)
+def test_a_broken_recording_is_named_by_file_and_line(tmp_path, text, message):
+    file = tmp_path / "poses.csv"
+    file.write_text(text)
+    with pytest.raises(SceneError, match=f"poses.csv.*{message}"):
+        trajectory(scene(motion={"kind": "recorded", "file": str(file)}))
+
+
+def test_the_robots_clock_is_ahead_late_and_in_order():
+    clocks = {"kinematics_offset_s": 0.25, "kinematics_jitter_s": 0.004, "camera_jitter_s": 0.002}
+    settings = scene(motion=hand(duration_s=20.0), clocks=clocks)
+    motion = trajectory(settings)
+    rows = kinematics(settings, motion)
+    late = rows[:, 0] - (np.arange(len(rows)) / 200 - 0.1)
+    assert np.all(np.diff(rows[:, 0]) >= 0)
+    # Waiting for the one before delays stamps 4 ms apart in 5 ms: by less than their scatter.
+    assert 0.25 < late.mean() < 0.254
+    np.testing.assert_allclose(rows[:, 1:4], motion.at(np.arange(len(rows)) / 200 - 0.1).tip)
+    jitter = frame_times(settings, motion) - np.arange(201) / 10
+    # The standard error of a standard deviation of 201 numbers is 5 %.
+    assert jitter.std() == pytest.approx(0.002, rel=0.15)
+    still = scene(motion=hand())
+    np.testing.assert_array_equal(frame_times(still, trajectory(still)), trajectory(still).moments)
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        (
+            {"motion": {"kind": "scan", "distance_mm": 0.01}, "instrument": {"visible": True}},
+            r"at 0.000 s the tip.*in the wall",
+        ),
+        (
+            {"motion": {"start_mm": 15.0, "travel_mm": 9.0}},
+            r"at \d+\.\d+ s the tip.*leaves the eye",
+        ),
+        ({"motion": {"kind": "scan", "length_mm": 6.0}}, r"at 0.000 s the spot leaves the 640 x"),
+        ({"motion": hand(top_speed_mm_s=0.1)}, r"top_speed_mm_s must exceed the tremor's own"),
+        ({"motion": hand(trocar_mm=2.0)}, r"trocar_mm must exceed motion.distance_mm"),
+    ],
+)
+def test_an_impossible_motion_is_refused_with_its_moment(parts, message):
+    with pytest.raises(SceneError, match=message):
+        scene_labels.moments(scene(**parts), None)
+
+
+def test_a_motion_knows_its_own_keys_only(tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text('schema = 1\n[motion]\nkind = "scan"\ndistance = 3.0\n')
+    with pytest.raises(SceneError, match=r"unknown key 'motion.distance'; did you mean 'distance_"):
+        load_scene(file)
+    file.write_text('schema = 1\n[motion]\nkind = "fly"\n')
+    with pytest.raises(SceneError, match=r"motion.kind: must be one of 'withdrawal', .*got 'fly'"):
+        load_scene(file)
+    file.write_text("schema = 1\n[withdrawal]\nframes = 3\n")
+    with pytest.raises(SceneError, match="unknown key 'withdrawal'"):
+        load_scene(file)
+    with pytest.raises(ValidationError, match="travel_mm"):
+        scene(motion={"travel_mm": -1.0})
+
+
+@pytest.mark.parametrize("kind", ["scan", "hand", "recorded"])
+def test_the_template_shows_every_motion_ready_to_be_put_in_place(kind, tmp_path):
+    blocks = scene_template().split("\n\n")
+    block = next(b for b in blocks if f'# kind = "{kind}"' in b)
+    plain = next(b for b in blocks if "\n[motion]" in b)
+    lines = [line.removeprefix("# ") for line in block.splitlines()[1:]]
+    file = tmp_path / "scene.toml"
+    file.write_text("\n\n".join("\n".join(lines) if b is plain else b for b in blocks))
+    assert load_scene(file).motion.kind == kind
+
+
+@pytest.mark.parametrize("motion", [hand(), {"kind": "scan", "length_mm": 1.0}])
+def test_every_label_of_a_moving_spot_is_found_again_in_the_pixels(motion):
+    renderer = Renderer(scene(motion=motion, microscope={"samples": 64}))
+    truth = renderer.truth.half_max
+    for frame in (0, 7):
+        image = renderer.render(frame).radiance
+        spot, _ = measure(image / image.max() * 0.8, TrackState(), SubpixelSettings())
+        assert isinstance(spot, Spot)
+        found = (spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px)
+        axes = truth.semi_major[frame], truth.semi_minor[frame]
+        np.testing.assert_allclose(found, (*truth.centre[frame], *axes), atol=0.05)
+
+
+def test_doubling_the_sub_frames_changes_no_pixel_by_more_than_the_noise():
+    settings = scene(
+        motion=hand(),
+        microscope={**SMALL, "illumination_mw_mm2": 0.05},
+        instrument={"visible": True},
+    )
+    renderer = Renderer(settings)
+    frame = int(np.argmax(renderer.moments.speed))
+    duration = 0.01  # 80 % of full scale at the spot's peak, as metered below
+    sharp = renderer.render(frame)
+    exposed = renderer.exposed(frame, sharp, exposure_s=duration)
+    count = 2 * exposed.sub_frames
+    twice = renderer.gathered(frame, duration, count, range(count))
+    electrons = duration * settings.exposures.sensitivity_mm2_sr_mj * settings.camera.full_well_e
+    light = twice * electrons
+    assert 0.5 * settings.camera.full_well_e < light.max() < settings.camera.full_well_e
+    noise = np.sqrt(light + settings.camera.read_noise_e**2)
+    change = np.abs(exposed.radiance - twice) * electrons
+    assert np.all(change <= noise)
+    # The frame is blurred at all, and its light is that of a sharp one but for the tip's way.
+    assert np.max(np.abs(exposed.radiance - sharp.radiance) * electrons / noise) > 10
+
+
+def test_blur_is_a_box_as_long_as_the_spots_way():
+    settings = scene(
+        phantom={"kind": "plane"},
+        spot={"eccentricity_mm": 0.0, "azimuth_deg": 0.0, "incidence_deg": 0.0},
+        motion={
+            "kind": "scan",
+            "distance_mm": 1.0,
+            "length_mm": 1.0,
+            "speed_mm_s": 5.0,
+            "trocar_mm": float("inf"),
+        },
+        microscope={"width_px": 280, "height_px": 100},
+    )
+    renderer = Renderer(settings)
+    sharp = renderer.render(1)
+    exposed = renderer.exposed(1, sharp, exposure_s=0.02)
+    row = exposed.radiance[50, :, 0] / exposed.radiance.max()
+    # 5 mm/s for 0.02 s are 0.1 mm, 14.9 px; the rim rises in a straight line over so many px.
+    rising = row[: np.argmax(row)]
+    way = np.interp([0.1, 0.9], rising, np.arange(rising.size))
+    # Of the box 80 %; the cone's inverse square adds 1 % of slope within the spot's radius.
+    assert np.diff(way)[0] == pytest.approx(0.8 * 0.1 / 0.0067, abs=0.5)
+
+
+def test_a_slow_withdrawal_needs_one_render_a_frame():
+    settings = scene(
+        instrument={"visible": True},
+        motion={"start_mm": 1.0, "travel_mm": 1.0, "frames": 2},
+        microscope=SMALL,
+    )
+    renderer = Renderer(settings)
+    sharp = renderer.render(1)
+    exposed = renderer.exposed(1, sharp, exposure_s=0.066)
+    assert exposed.sub_frames == 1
+    assert exposed.radiance is sharp.radiance
+
+
+def test_kinematics_of_a_stack_are_what_the_rigs_reader_reads(tmp_path):
+    settings = scene(motion={"start_mm": 2.0, "travel_mm": 0.01, "frames": 2}, microscope=SMALL)
+    stack = render_stack(settings, tmp_path / "stack")
+    poses = read_poses(stack.folder / "kinematics.csv")
+    for row in stack.labels:
+        found = poses.at(row.time_s + 1e-6)
+        assert found is not None
+        pose, age = found
+        # The last pose is at most 5 ms old, in which the tip moves 0.5 um.
+        assert age <= 0.005 + 2e-6
+        np.testing.assert_allclose(pose.position_mm, row.tip_mm, atol=6e-4)
+        np.testing.assert_allclose(pose.axis, row.axis, atol=1e-8)

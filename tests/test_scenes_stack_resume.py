@@ -1,0 +1,251 @@
+"""Stacks on disk: stopped runs that go on, damage that is named, frames exposed again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimator import Stack, StackError, StackWriter, read_stack
+from scenes import Scene, SceneError, expose_again, render_stack, scene_toml
+
+
+def scene(**parts: Any) -> Scene:
+    """Ten small frames of a slow withdrawal, with everything that a stack can hold."""
+    plain: dict[str, Any] = {
+        "schema": 1,
+        "source": {"kind": "cone"},
+        "phantom": {"wall": "uniform"},
+        "motion": {"start_mm": 2.0, "travel_mm": 0.1, "frames": 10},
+        "microscope": {"width_px": 96, "height_px": 72, "scale_mm_px": 0.045},
+        "exposures": {"keep_linear": True},
+        "clocks": {"kinematics_hz": 20.0},
+    }
+    for name, values in parts.items():
+        plain[name] = {**plain.get(name, {}), **values} if isinstance(values, dict) else values
+    return Scene.model_validate(plain)
+
+
+def moving() -> Scene:
+    """Three frames of a hand's motion, which take many renderings each."""
+    content = scene(exposures={"kinds": ["metered"]}).model_dump(mode="json", by_alias=True)
+    return Scene.model_validate({**content, "motion": {"kind": "hand", "duration_s": 0.2}})
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file, by its name."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+class Stop:
+    """A progress bar that stops the run after so many frames."""
+
+    def __init__(self, frames: int) -> None:
+        self.left = frames
+
+    def __call__(self) -> None:
+        self.left -= 1
+        if self.left == 0:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Stack:
+    return render_stack(scene(), tmp_path_factory.mktemp("whole") / "stack")
+
+
+@pytest.fixture
+def copy(whole: Stack, tmp_path: Path) -> Path:
+    """The whole stack, to be damaged."""
+    return Path(shutil.copytree(whole.folder, tmp_path / "copy"))
+
+
+def test_a_run_that_was_stopped_goes_on_and_ends_byte_for_byte_the_same(whole, tmp_path):
+    out = tmp_path / "stack"
+    for frames in (4, 7):
+        with pytest.raises(KeyboardInterrupt):
+            render_stack(scene(), out, progress=Stop(frames))
+        assert not out.exists()
+    partial = tmp_path / ".stack.partial"
+    before = {path.name: path.stat().st_mtime_ns for path in (partial / "frames").iterdir()}
+    assert len(before) >= 6
+    render_stack(scene(), out)
+    assert digests(out) == digests(whole.folder)
+    # What was there has not been written again.
+    after = {path.name: path.stat().st_mtime_ns for path in (out / "frames").iterdir()}
+    assert all(after[name] == written for name, written in before.items())
+    assert [path.name for path in tmp_path.iterdir()] == ["stack"]
+
+
+def test_a_killed_process_leaves_what_the_next_one_ends(tmp_path):
+    file, out = tmp_path / "scene.toml", tmp_path / "stack"
+    file.write_text(scene_toml(moving()))
+    command = [sys.executable, "-m", "eyespot", "render", str(file), "--out", str(out)]
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    lines = tmp_path / ".stack.partial" / "metadata.jsonl"
+    while child.poll() is None and not (lines.is_file() and lines.stat().st_size):
+        time.sleep(0.005)
+    os.kill(child.pid, signal.SIGKILL)
+    assert child.wait() == -signal.SIGKILL, "the run ended before it could be killed"
+    assert not out.exists()
+    first = (tmp_path / ".stack.partial" / "frames" / "000000.png").stat().st_mtime_ns
+    render_stack(moving(), out)
+    assert (out / "frames" / "000000.png").stat().st_mtime_ns == first
+    render_stack(moving(), tmp_path / "whole")
+    assert digests(out) == digests(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("cut", [1, 40])
+def test_a_label_line_that_was_being_written_counts_as_missing(whole, tmp_path, cut):
+    out = tmp_path / "stack"
+    with pytest.raises(KeyboardInterrupt):
+        render_stack(scene(), out, progress=Stop(6))
+    lines = tmp_path / ".stack.partial" / "metadata.jsonl"
+    lines.write_bytes(lines.read_bytes()[:-cut])
+    (tmp_path / ".stack.partial" / "frames" / ".000003.partial.png").write_bytes(b"half")
+    (tmp_path / ".stack.partial" / "frames" / "000003.png").write_bytes(b"half")
+    kept = [line for line in lines.read_text().splitlines(keepends=True) if "000003" not in line]
+    lines.write_text("".join(kept))
+    render_stack(scene(), out)
+    assert digests(out) == digests(whole.folder)
+
+
+def test_frames_of_another_scene_are_not_used(whole, tmp_path):
+    out = tmp_path / "stack"
+    with pytest.raises(KeyboardInterrupt):
+        render_stack(scene(seed=5), out, progress=Stop(5))
+    render_stack(scene(), out)
+    assert digests(out) == digests(whole.folder)
+
+
+def test_two_processes_do_not_write_one_stack(tmp_path):
+    with StackWriter(tmp_path / "stack") as writer:
+        writer.describe(stack={}, microscope={})
+        with pytest.raises(StackError, match="stack is being written by another process"):
+            StackWriter(tmp_path / "stack").__enter__()
+
+
+def test_a_frame_without_a_line_and_a_line_without_a_frame_are_named(copy):
+    (copy / "frames" / "000007.png").rename(copy / "frames" / "000099.png")
+    with pytest.raises(StackError, match=r"metadata\.jsonl, line 8: .*000007\.png is missing"):
+        read_stack(copy)
+    (copy / "frames" / "000099.png").rename(copy / "frames" / "000007.png")
+    lines = copy / "metadata.jsonl"
+    text = lines.read_text().splitlines(keepends=True)
+    lines.write_text("".join(text[:-1]))
+    with pytest.raises(StackError, match=r"000019\.png has no line in .* ends after line 19"):
+        read_stack(copy)
+    lines.write_text("".join([*text, text[2]]))
+    with pytest.raises(StackError, match=r"line 21: frames/000002\.png has a line already"):
+        read_stack(copy)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda line: line[: len(line) // 2], "line 3: not JSON"),
+        (lambda line: line.replace('"d_mm"', '"d_cm"'), "line 3: .*columns: d_cm, d_mm"),
+        (lambda line: line.replace('"frame": 1', '"frame": "1"'), "line 3: frame must be int"),
+        (lambda line: json.dumps({**json.loads(line), "axis": [0, 1]}), "line 3: axis must be"),
+    ],
+)
+def test_a_broken_label_line_is_named(copy, change, message):
+    lines = (copy / "metadata.jsonl").read_text().splitlines()
+    lines[2] = change(lines[2])
+    (copy / "metadata.jsonl").write_text("\n".join(lines) + "\n")
+    with pytest.raises(StackError, match=rf"metadata\.jsonl, {message}"):
+        read_stack(copy)
+
+
+def test_a_truncated_frame_and_a_changed_byte_are_named(copy):
+    stack = read_stack(copy)
+    stack.verify()
+    frame = copy / stack.labels[4].file_name
+    content = frame.read_bytes()
+    frame.write_bytes(content[: len(content) // 2])
+    with pytest.raises(StackError, match=r"000004\.png is truncated"):
+        stack.image(stack.labels[4])
+    frame.write_bytes(content[:-20] + bytes([content[-20] ^ 1]) + content[-19:])
+    with pytest.raises(StackError, match=r"000004\.png differs from its checksum"):
+        stack.verify()
+    frame.unlink()
+    with pytest.raises(StackError, match=r"000004\.png is missing, though"):
+        stack.verify()
+
+
+def test_an_existing_stack_is_not_written_over(whole):
+    with pytest.raises(StackError, match="exists already"):
+        render_stack(scene(), whole.folder)
+
+
+def test_frames_exposed_again_are_those_that_rendering_gives(tmp_path):
+    first = render_stack(scene(), tmp_path / "first")
+    changed = scene(
+        seed=3,
+        camera={"bit_depth": 12, "prnu": 0.01, "response": "srgb"},
+        exposures={"metered_peak": 0.6},
+    )
+    again = expose_again(first, changed, tmp_path / "again")
+    rendered = render_stack(changed, tmp_path / "rendered")
+    assert digests(again.folder) == digests(rendered.folder)
+    frame = "frames/000000.png"
+    assert digests(again.folder)[frame] != digests(first.folder)[frame]
+    one = expose_again(first, scene(exposures={"kinds": ["metered"]}), tmp_path / "one")
+    assert [row.exposure for row in one.labels] == ["metered"] * 10
+    one.verify()
+
+
+def test_a_linear_frame_is_the_light_behind_its_image(whole):
+    settings = scene()
+    for row in whole.labels[:4]:
+        light = whole.linear(row)
+        assert light.dtype == np.float32
+        camera = settings.camera
+        wells = light * row.exposure_s * settings.exposures.sensitivity_mm2_sr_mj
+        expected = camera.black_level_dn + np.minimum(wells, 1) * (255 - camera.black_level_dn)
+        expected = np.minimum(expected, 255)
+        below = wells < 0.95
+        difference = (whole.image(row) - expected)[below]
+        # Noise of 3 DN at most in some thousand samples, of mean 0.
+        assert abs(difference.mean()) < 0.1
+        assert np.abs(difference).max() < 6 * 3.5
+
+
+def test_only_the_camera_can_change_without_rendering(whole, tmp_path):
+    with pytest.raises(SceneError, match=r"rendered with another \[spot\]; only camera"):
+        expose_again(whole, scene(spot={"incidence_deg": 20.0}), tmp_path / "again")
+    metered = render_stack(
+        scene(exposures={"kinds": ["metered"], "keep_linear": False}),
+        tmp_path / "metered",
+    )
+    wanted = scene()
+    with pytest.raises(SceneError, match="holds no frames of exposure 'paper'"):
+        expose_again(metered, wanted, tmp_path / "again")
+    kinds = scene(exposures={"kinds": ["metered"]})
+    with pytest.raises(StackError, match=r"000000\.tiff is missing.*keep_linear"):
+        expose_again(metered, kinds, tmp_path / "again")
+
+
+def test_no_exposure_outlasts_the_time_between_frames(tmp_path):
+    dim = {"sensitivity_mm2_sr_mj": 10.0}
+    content = scene(exposures=dim).model_dump(mode="json", by_alias=True)
+    content["motion"] = {"kind": "scan", "length_mm": 0.1}
+    with pytest.raises(SceneError, match=r"paper exposure takes .*camera_hz leaves 0\.100 s"):
+        render_stack(Scene.model_validate(content), tmp_path / "paper")
+    content["exposures"]["kinds"] = ["metered"]
+    stack = render_stack(Scene.model_validate(content), tmp_path / "metered")
+    assert [row.exposure_s for row in stack.labels] == [0.1, 0.1]
