@@ -176,11 +176,12 @@ class Band:
         """
         step, inliers = fitted
         level_variance = math.pi / 2 * levels.width**2 * levels.variance
+        growth = (1 + half) * (1 + float(step[2] + step[3]) / 2)
         return Refined(
             ellipse=self.ellipse.stepped(step).scaled(1 + half),
             move=max(float(np.abs(step).max()), abs(half)),
             size_variance=half_variance + level_variance,
-            levels=levels,
+            levels=levels.in_units_of(growth),
             offsets=offsets - DESIGN @ step,
             found=found,
             inliers=inliers,

@@ -90,7 +90,7 @@ def _with_sloping_top(
 
     A beam that meets the wall obliquely is brighter on the near side, and a focused one has a cusp:
     the peak is the maximum of a polynomial in the radius plus a slope across. Texture has cusps and
-    slopes too, so they count, above a parabola's peak, only as far as they exceed what the rest of
+    slopes too, so they count, beside a parabola's peak, only as far as they exceed what the rest of
     the rays' spectrum explains (the garrote of Breiman 1995).
     """
     top = min(max(1 - _SHOULDER * levels.width, _SMALLEST_TOP), 0.9)
@@ -115,7 +115,7 @@ def _with_sloping_top(
     pull_variance = ring_variance((left * area).sum(axis=1) / lever, slice(2, 6)) / RAYS
     simple = _simple_peak(gram, weighted.T @ inner[seen].astype(float)[:, None])
     rise = float((profile + math.hypot(*tilt) * radii).max()) - simple
-    kept = max(0.0, 1 - _DOUBT * pull_variance / rise**2) if rise > 0 else 0.0
+    kept = max(0.0, 1 - _DOUBT * pull_variance / rise**2) if rise else 0.0
     peak = simple + kept * rise
     if not peak > levels.background:
         return levels

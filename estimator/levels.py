@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -19,6 +19,8 @@ RADIUS_STEP = float(RADII[1] - RADII[0])
 _NEAR_EDGE = np.abs(RADII[1:-1] - 1) < 0.35
 _DOUBT = 9.0  # variances that a dome must exceed to count
 _FAR_ENOUGH = 0.9  # part of the radius where the background begins that must be in view
+_TAILED = 0.3  # width, in radii, from which an edge is a bell's, with tails ...
+_TAIL = 4.4  # ... below half a percent of its peak from here, in radii
 _BACKGROUND_RADII = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 
 
@@ -58,6 +60,17 @@ class Levels:
     def sees_background(self) -> bool:
         """Whether the background was taken where the spot's light no longer reaches the wall."""
         return self.background_radius > _FAR_ENOUGH * _dark_radius(self.width)
+
+    def in_units_of(self, radius: float) -> Levels:
+        """The same levels about an ellipse that is so many times as large."""
+        c0, c1, c2 = self.dome
+        return replace(
+            self,
+            dome=(c0, c1 * radius**2, c2 * radius**4),
+            background_radius=self.background_radius / radius,
+            width=self.width / radius,
+            half_radius=self.half_radius / radius,
+        )
 
     def share_of_peak(self, radii: np.ndarray) -> np.ndarray:
         """Signal over the peak's inside the edge, at radii inside it."""
@@ -126,7 +139,9 @@ def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float
 
 
 def _dark_radius(width: float) -> float:
-    return 1 + 4 * width
+    near = 1 + 4 * width
+    # The tails of a lens's bell reach further than a Gaussian's of the same flank.
+    return near if width < _TAILED else max(near, _TAIL)
 
 
 def _top(

@@ -54,7 +54,12 @@ class Region:
         return float(np.count_nonzero(self.readings[0].mask)) * self.coarse.stride**2
 
     def measured(self) -> Spot | NoSpot:
-        """The region's spot, through the reading of which the most contour is seen."""
+        """The region's spot, if its contour is one."""
+        fit = self.contour()
+        return fit if isinstance(fit, NoSpot) else _verdict(fit, self.settings, self.saturated)
+
+    def contour(self) -> EdgeFit | NoSpot:
+        """The region's contour, through the reading of which the most of it is seen."""
         best: EdgeFit | None = None
         failure = NoSpot(Reason.NONE_FOUND)
         for candidate in self.readings:
@@ -67,7 +72,7 @@ class Region:
             if best.inliers.mean() > self.settings.min_coverage:
                 break
         if best is not None:
-            return _verdict(best, self.settings, self.saturated)
+            return best
         if failure.reason is Reason.NONE_FOUND and self._fills_its_ellipse() < _FILLED:
             return NoSpot(Reason.OCCLUDED)
         return failure

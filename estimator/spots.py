@@ -1,19 +1,22 @@
-"""The spots file: CSV, one line a frame, of what was measured and what came of it.
+"""The spots file: CSV or Parquet, one line a frame, of what was measured and what came of it.
 
-Missing values are empty cells. `schema_version` is the last column, so that a plain CSV reader
-needs no hint.
+Missing values are empty cells (CSV) or nulls (Parquet). `schema_version` is the last column, so
+that a plain reader needs no hint.
 """
 
 from __future__ import annotations
 
 import csv
+import importlib
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from .files import damage_told, written_whole
 from .spot import PARAMETERS, NoSpot, Reason, Spot
 
 SCHEMA_VERSION = 1
@@ -45,6 +48,11 @@ COLUMNS = (
     *_COVARIANCES,
     "schema_version",
 )
+_KINDS: dict[str, Callable[[str], Any]] = {
+    **dict.fromkeys(("frame", "schema_version"), int),
+    **dict.fromkeys(("file_name", "mode", "status", "reason"), str),
+}
+"""Type of a Parquet column; the others are floats."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,17 +91,18 @@ class SpotRecord:
 
 
 def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
-    """Write a spots file.
+    """Write a spots file, whole or not at all; one of the same name is replaced.
 
     Args:
-        path: of the CSV file.
+        path: of the file; `.parquet` makes it Parquet, any other name CSV.
         records: in the order of the file's lines.
+
+    Raises:
+        ValueError: Parquet is asked for and pyarrow is not installed.
     """
-    with Path(path).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for record in records:
-            writer.writerow(_line(record))
+    write = _write_parquet if _is_parquet(path) else _write_csv
+    with written_whole(Path(path)) as partial:
+        write(partial, records)
 
 
 def read_spots(path: str | Path) -> list[SpotRecord]:
@@ -103,18 +112,76 @@ def read_spots(path: str | Path) -> list[SpotRecord]:
         ValueError: not a spots file, of another schema version, or with a bad value; the message
             names the file and the line.
     """
-    with Path(path).open(newline="", encoding="utf-8") as file:
+    rows = _parquet_rows(Path(path)) if _is_parquet(path) else _csv_rows(Path(path))
+    return [_record(row, where) for row, where in rows]
+
+
+def pyarrow() -> Any:
+    """The library that reads and writes Parquet, loaded when it is needed.
+
+    Raises:
+        ValueError: it is not installed.
+    """
+    try:
+        importlib.import_module("pyarrow.parquet")
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            "Parquet needs the package pyarrow: pip install 'eyespot[parquet]'. CSV needs nothing."
+        ) from error
+    return importlib.import_module("pyarrow")
+
+
+def _is_parquet(path: str | Path) -> bool:
+    return Path(path).suffix.lower() == ".parquet"
+
+
+def _write_csv(path: Path, records: Iterable[SpotRecord]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for record in records:
+            writer.writerow(_line(record))
+
+
+def _csv_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
+    with path.open(newline="", encoding="utf-8") as file:
         try:
             rows = csv.DictReader(file, strict=True)
-            missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]
-            if missing:
-                raise ValueError(
-                    f"{path}, line 1: not a spots file: column {missing[0]!r} is missing"
-                    f" ({len(missing)} of {len(COLUMNS)} are). Write it with write_spots."
-                )
-            return [_record(row, f"{path}, line {rows.line_num}") for row in rows]
+            _check_columns(rows.fieldnames or (), f"{path}, line 1")
+            for row in rows:
+                yield row, f"{path}, line {rows.line_num}"
         except (csv.Error, UnicodeDecodeError) as error:
             raise ValueError(f"{path}: not a spots file: {error}.") from error
+
+
+def _write_parquet(path: Path, records: Iterable[SpotRecord]) -> None:
+    pa = pyarrow()
+    kinds = {int: pa.int64(), str: pa.string(), _value: pa.float64()}
+    lines = [_line(record) for record in records]
+    columns = {}
+    for index, name in enumerate(COLUMNS):
+        value = _KINDS.get(name, _value)
+        columns[name] = pa.array([value(line[index]) for line in lines], kinds[value])
+    pa.parquet.write_table(pa.table(columns), path)
+
+
+def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
+    pa = pyarrow()
+    with path.open("rb") as file, damage_told(f"{path}", "Write it with write_spots."):
+        table = pa.parquet.read_table(file)
+    _check_columns(table.column_names, f"{path}")
+    for index, row in enumerate(table.to_pylist()):
+        cells = {name: "" if value is None else str(value) for name, value in row.items()}
+        yield cells, f"{path}, row {index}"
+
+
+def _check_columns(names: Collection[str], where: str) -> None:
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise ValueError(
+            f"{where}: not a spots file: column {missing[0]!r} is missing"
+            f" ({len(missing)} of {len(COLUMNS)} are). Write it with write_spots."
+        )
 
 
 def _line(record: SpotRecord) -> list[str]:
@@ -137,6 +204,10 @@ def _line(record: SpotRecord) -> list[str]:
 
 def _cell(value: float) -> str:
     return "" if math.isnan(value) else repr(float(value))
+
+
+def _value(cell: str) -> float | None:
+    return float(cell) if cell else None
 
 
 def _record(row: dict[str, str], where: str) -> SpotRecord:

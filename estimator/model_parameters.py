@@ -1,0 +1,111 @@
+"""Parameters of the models: which each of them has, in which unit and range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact")
+"""Models of a sharp cone: any of them ranges with what another of them was fitted to."""
+MODELS = (*CONE_MODELS, "lens")
+
+
+class CalibrationError(ValueError):
+    """A calibration that cannot be used; the text names file, key, value and remedy."""
+
+
+class Quantity(NamedTuple):
+    """Unit, and the range of a parameter's values."""
+
+    unit: str
+    low: float
+    high: float
+    low_included: bool = False
+
+
+QUANTITIES = {
+    "k": Quantity("1", 0, math.inf),
+    "half_angle": Quantity("rad", 0, math.pi / 2),
+    "b": Quantity("mm", -math.inf, math.inf),
+    "scale": Quantity("mm/px", 0, math.inf),
+    "eye_radius": Quantity("mm", 0, math.inf),
+    "eccentricity": Quantity("mm", 0, math.inf, low_included=True),
+    "core_radius": Quantity("mm", 0, math.inf),
+    "glue_length": Quantity("mm", 0, math.inf, low_included=True),
+    "aperture_radius": Quantity("mm", 0, math.inf),
+    "sag": Quantity("mm", 0, math.inf, low_included=True),
+    "glue_index": Quantity("1", 1, 4, low_included=True),
+    "numerical_aperture": Quantity("1", 0, 4),
+    "launch_radius": Quantity("mm", 0, math.inf),
+    "launch_aperture": Quantity("1", 0, math.inf),
+    "brightness": Quantity("mm2/s", 0, math.inf),
+}
+"""Unit and range of every parameter that a file may hold.
+
+k = 1/tan(half_angle); b: apex offset; scale: delta at the pole; eccentricity: c of the trials that
+were fitted; core_radius ... launch_aperture: of the glue lens, as `optics.GlueLens` has them;
+brightness: of the spot's peak as a fraction of full scale, over irradiance (1/mm2 per unit power)
+and exposure time.
+"""
+
+LENS_PARAMETERS = tuple(QUANTITIES)[6:14]
+_LENS_REQUIRED = LENS_PARAMETERS[:6]
+_COMMON = {"scale", "eye_radius", "eccentricity"}
+
+
+def check_parameters(model: str, values: Mapping[str, float]) -> None:
+    """Reject values that no fit of a model can give.
+
+    Raises:
+        CalibrationError: no such model, a parameter that is missing or not of this model, or a
+            value out of range.
+    """
+    if model not in MODELS:
+        raise CalibrationError(f"model must be one of {', '.join(MODELS)}; got {model!r}.")
+    names = set(values)
+    for name in names:
+        quantity(name)
+    if model == "lens":
+        required, optional = set(_LENS_REQUIRED), set(LENS_PARAMETERS) | {"brightness"}
+    else:
+        if len(names & {"k", "half_angle"}) != 1:
+            raise CalibrationError(
+                f"model {model} takes either k or half_angle; got {_listed(names)}."
+            )
+        required, optional = {"b"}, {"k", "half_angle"}
+    missing, strange = required - names, names - required - optional - _COMMON
+    if missing or strange:
+        raise CalibrationError(
+            f"parameters of the model {model}: missing {_listed(missing)}; not of this model "
+            f"{_listed(strange)}. Fit this model, or name the model that was fitted."
+        )
+
+    for name, value in values.items():
+        _check_value(name, value)
+
+
+def quantity(name: str) -> Quantity:
+    """Unit and range of a parameter.
+
+    Raises:
+        CalibrationError: there is no such parameter.
+    """
+    if name not in QUANTITIES:
+        raise CalibrationError(f"parameters.{name} is unknown; known are {', '.join(QUANTITIES)}.")
+    return QUANTITIES[name]
+
+
+def _check_value(name: str, value: float) -> None:
+    unit, low, high, low_included = QUANTITIES[name]
+    above = value >= low if low_included else value > low
+    # Neither end is a value where it is infinite; NaN fails every comparison.
+    if not (above and value < high):
+        raise CalibrationError(
+            f"parameters.{name} must lie in {'[' if low_included else '('}{low:.6g}, {high:.6g}) "
+            f"{unit}; got {value}. Fit again, or restore the value."
+        )
+
+
+def _listed(names: set[str]) -> str:
+    return ", ".join(sorted(names)) or "none"

@@ -1,0 +1,490 @@
+"""ROS bags, ROS 1 and ROS 2, and the robot's poses: written by rosbags, read without ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from rosbags import rosbag1, rosbag2
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from benchmarks.estimator_frames import Scene, Truth, frame_of
+from estimator import Reader, Spot, SubpixelSettings, track
+from estimator.bags import IMAGE_TOPIC, POSE_TOPIC, read_frames, write_bag
+from estimator.offline import Ended, track_source
+from estimator.poses import Pose, PoseTrack, read_poses, turned
+from estimator.ros_images import frame_of_message
+from estimator.source import Frame
+from estimator.sources import open_source
+
+EPOCH_S = 1.6e9
+CLOCK_S = 2.4e-7  # what float64 resolves of a time in s since 1970
+
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+ROS2 = get_typestore(Stores.ROS2_HUMBLE)
+
+
+def frames() -> list[Frame]:
+    rng = np.random.default_rng(0)
+    truths = [Truth(x=70 + 6 * k, y=80, semi_major=33, semi_minor=30 + k) for k in range(4)]
+    return [
+        Frame(
+            index=k,
+            file_name="",
+            time_s=EPOCH_S + k / 10,
+            image=frame_of(Scene(truth=truth), rng, (160, 200)),
+        )
+        for k, truth in enumerate(truths)
+    ]
+
+
+def poses() -> list[Pose]:
+    """At 200 Hz, from a little before the first frame."""
+    return [
+        Pose(
+            time_s=EPOCH_S - 0.0125 + k / 200,
+            position_mm=(1.5, -2.25, k / 8),
+            rotation=tuple(Rotation.from_euler("xyz", [0.1, 0.2, k / 100]).as_quat()),
+        )
+        for k in range(70)
+    ]
+
+
+def message(types: Any, kind: str, **content: Any) -> Any:
+    return types.types[kind](**content)
+
+
+def header(types: Any, time_s: float) -> Any:
+    seconds, nanoseconds = divmod(round(time_s * 1e9), 10**9)
+    stamp = message(types, "builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    content = {"stamp": stamp, "frame_id": ""} | ({"seq": 0} if types is ROS1 else {})
+    return message(types, "std_msgs/msg/Header", **content)
+
+
+def image_message(
+    types: Any, image: np.ndarray, encoding: str, time_s: float = EPOCH_S, padding: int = 0
+) -> Any:
+    """A message whose bytes are laid out by hand, rows padded as cameras pad them."""
+    height = image.shape[0]
+    rows = np.ascontiguousarray(image).view(np.uint8).reshape(height, -1)
+    padded = np.pad(rows, ((0, 0), (0, padding)), constant_values=77)
+    return message(
+        types,
+        "sensor_msgs/msg/Image",
+        header=header(types, time_s),
+        height=height,
+        width=image.shape[1],
+        encoding=encoding,
+        is_bigendian=int(image.dtype.byteorder == ">"),
+        step=padded.shape[1],
+        data=padded.ravel(),
+    )
+
+
+def compressed_message(types: Any, image: np.ndarray, form: str = "png") -> Any:
+    written, data = cv2.imencode(f".{form}", image[:, :, ::-1])
+    assert written
+    return message(
+        types,
+        "sensor_msgs/msg/CompressedImage",
+        header=header(types, EPOCH_S),
+        format=form,
+        data=data,
+    )
+
+
+def known(poses: PoseTrack, time_s: float) -> tuple[Pose, float]:
+    found = poses.at(time_s)
+    assert found is not None
+    return found
+
+
+def write(path: Path, types: Any, messages: list[tuple[str, float, Any]], **options: Any) -> Path:
+    """A bag of (topic, time of arrival, message), by rosbags alone."""
+    writers: dict[Any, Callable[..., Any]] = {ROS1: rosbag1.Writer, ROS2: rosbag2.Writer}
+    serialize = types.serialize_ros1 if types is ROS1 else types.serialize_cdr
+    with writers[types](path, **options) as writer:
+        connections: dict[str, Any] = {}
+        for topic, time_s, content in messages:
+            kind = content.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=types)
+            writer.write(connections[topic], round(time_s * 1e9), serialize(content, kind))
+    return path
+
+
+def write_ros2(path: Path, storage: rosbag2.StoragePlugin) -> Path:
+    images = [
+        (IMAGE_TOPIC, f.time_s, image_message(ROS2, f.image, "rgb8", f.time_s)) for f in frames()
+    ]
+    return write(path, ROS2, images, version=9, storage_plugin=storage)
+
+
+def write_ours(path: Path) -> Path:
+    write_bag(path, frames=frames(), poses=poses())
+    return path
+
+
+BAGS: dict[str, Callable[[Path], Path]] = {
+    "ros1.bag": write_ours,
+    "sqlite": lambda path: write_ros2(path, rosbag2.StoragePlugin.SQLITE3),
+    "mcap": lambda path: write_ros2(path, rosbag2.StoragePlugin.MCAP),
+}
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_a_bag_gives_the_spots_of_its_frames(tmp_path, name):
+    source = open_source(BAGS[name](tmp_path / name))
+    assert source.length == len(frames())
+    for frame, other in zip(source, frames(), strict=True):
+        np.testing.assert_array_equal(frame.image, other.image)
+        assert frame.index == other.index
+        assert frame.time_s == pytest.approx(other.time_s, abs=CLOCK_S, rel=0)
+    tracking = track_source(source, Reader(SubpixelSettings()))
+    expected = track((frame.image for frame in frames()), SubpixelSettings())
+    for record, spot in zip(tracking.records, expected, strict=True):
+        assert isinstance(spot, Spot)
+        np.testing.assert_equal(vars(record.result), vars(spot))
+
+
+def test_a_bag_that_is_written_has_the_rigs_topics_as_rosbags_reads_them(tmp_path):
+    path = write_ours(tmp_path / "rig.bag")
+    with AnyReader([path]) as reader:
+        kinds = {connection.topic: connection.msgtype for connection in reader.connections}
+        assert kinds == {
+            "/decklink/camera/image_raw": "sensor_msgs/msg/Image",
+            "/eye_robot/FrameEE": "geometry_msgs/msg/Transform",
+        }
+        received: list[tuple[str, int, Any]] = [
+            (c.topic, t, reader.deserialize(d, c.msgtype)) for c, t, d in reader.messages()
+        ]
+    times = [time_ns for _, time_ns, _ in received]
+    assert times == sorted(times)
+    images = [(t, m) for topic, t, m in received if topic == IMAGE_TOPIC]
+    for (time_ns, image), frame in zip(images, frames(), strict=True):
+        assert (image.height, image.width, image.encoding) == (160, 200, "rgb8")
+        assert image.data.tobytes() == frame.image.tobytes()
+        assert image.header.stamp.sec * 10**9 + image.header.stamp.nanosec == time_ns
+        assert image.header.seq == frame.index
+    transforms = [(t, m) for topic, t, m in received if topic == POSE_TOPIC]
+    for (time_ns, transform), pose in zip(transforms, poses(), strict=True):
+        assert time_ns == round(pose.time_s * 1e9)
+        assert transform.translation.z == pose.position_mm[2]
+        assert transform.rotation.w == pose.rotation[3]
+
+
+def test_frames_are_written_one_by_one(tmp_path):
+    """Neither all frames nor all poses are taken before the first is written."""
+    taken: list[float] = []
+
+    def noted(items):
+        for item in items:
+            taken.append(item.time_s)
+            yield item
+
+    write_bag(tmp_path / "a.bag", frames=noted(frames()), poses=noted(poses()))
+    # A merge holds one of each: what is taken is never further ahead than the other's next.
+    assert max(np.diff(taken)) <= 0.1 + CLOCK_S
+    assert taken.index(frames()[2].time_s) < taken.index(poses()[-1].time_s)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "channels", "encoding"),
+    [
+        ("uint8", 1, "mono8"),
+        ("uint16", 1, "mono16"),
+        ("uint8", 3, "rgb8"),
+        ("uint16", 3, "rgb16"),
+    ],
+)
+def test_a_frame_of_any_depth_goes_through_a_bag(tmp_path, dtype, channels, encoding):
+    shape = (6, 5) if channels == 1 else (6, 5, channels)
+    image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
+    frame = Frame(index=0, file_name="", time_s=1.0, image=image)
+    write_bag(tmp_path / "a.bag", frames=[frame], poses=[])
+    (back,) = read_frames(tmp_path / "a.bag")
+    assert back.image.dtype == dtype
+    np.testing.assert_array_equal(back.image, image)
+    with AnyReader([tmp_path / "a.bag"]) as reader:
+        ((connection, _, data),) = reader.messages()
+        stored: Any = reader.deserialize(data, connection.msgtype)
+    assert stored.encoding == encoding
+
+
+RGB = np.random.default_rng(1).integers(0, 255, (6, 5, 3), dtype=np.uint8)
+GREY = RGB[:, :, 0]
+DEEP = RGB.astype(np.uint16) * 257
+OPAQUE = np.full((6, 5, 1), 255, np.uint8)
+
+
+@pytest.mark.parametrize("types", [ROS1, ROS2], ids=["ros1", "ros2"])
+@pytest.mark.parametrize("padding", [0, 6])
+@pytest.mark.parametrize(
+    ("encoding", "data", "image"),
+    [
+        ("mono8", GREY, GREY),
+        ("mono16", DEEP[:, :, 0], DEEP[:, :, 0]),
+        ("mono16", DEEP[:, :, 0].astype(">u2"), DEEP[:, :, 0]),
+        ("rgb8", RGB, RGB),
+        ("bgr8", RGB[:, :, ::-1], RGB),
+        ("rgb16", DEEP, DEEP),
+        ("bgr16", DEEP[:, :, ::-1].astype(">u2"), DEEP),
+        ("rgba8", np.dstack([RGB, OPAQUE]), RGB),
+        ("bgra8", np.dstack([RGB[:, :, ::-1], OPAQUE]), RGB),
+    ],
+)
+def test_every_encoding_becomes_grey_or_rgb(types, padding, encoding, data, image):
+    found = frame_of_message(image_message(types, data, encoding, padding=padding))
+    assert found.dtype == image.dtype
+    np.testing.assert_array_equal(found, image)
+
+
+def test_bytes_as_rospy_gives_them_are_read_too():
+    raw = image_message(ROS1, RGB, "rgb8")
+    raw.data = raw.data.tobytes()
+    np.testing.assert_array_equal(frame_of_message(raw), RGB)
+
+
+def test_compressed_images_are_read(tmp_path):
+    path = write(
+        tmp_path / "a.bag", ROS1, [("/camera/compressed", 1, compressed_message(ROS1, RGB))]
+    )
+    (frame,) = open_source(path)  # the only image topic needs no name
+    np.testing.assert_array_equal(frame.image, RGB)
+    assert frame.time_s == EPOCH_S
+
+
+@pytest.mark.parametrize(
+    ("broken", "words"),
+    [
+        ({"encoding": "bayer_rggb8"}, "must be one of mono8, .* got 'bayer_rggb8'"),
+        ({"height": 7}, "5x7 px .* cannot be made of 90 bytes"),
+        ({"step": 3}, "3 bytes a row"),
+        ({"width": 0, "height": 0}, "cannot be made"),
+    ],
+)
+def test_an_image_that_makes_no_sense_is_refused_with_its_frame(tmp_path, broken, words):
+    bad = image_message(ROS1, RGB, "rgb8")
+    for name, value in broken.items():
+        setattr(bad, name, value)
+    good = image_message(ROS1, RGB, "rgb8")
+    messages = [(IMAGE_TOPIC, 1.0 + k, content) for k, content in enumerate([good, good, bad])]
+    tracking = track_source(
+        open_source(write(tmp_path / "a.bag", ROS1, messages)), Reader(SubpixelSettings())
+    )
+    assert tracking.ended is Ended.BROKEN
+    assert len(tracking.records) == 2
+    with pytest.raises(ValueError, match=f"a.bag, {IMAGE_TOPIC}, frame 2: .*{words}"):
+        raise ValueError(tracking.fault)
+
+
+def test_a_compressed_image_that_is_none_is_refused(tmp_path):
+    bad = compressed_message(ROS1, RGB)
+    bad.data = bad.data[:50]
+    path = write(tmp_path / "a.bag", ROS1, [(IMAGE_TOPIC, 1, bad)])
+    with pytest.raises(ValueError, match=r"frame 0: a compressed image \('png', 50 bytes\)"):
+        list(open_source(path))
+
+
+def test_an_image_without_a_stamp_has_the_time_of_its_arrival(tmp_path):
+    image = image_message(ROS1, RGB, "rgb8", time_s=0.0)
+    (frame,) = open_source(write(tmp_path / "a.bag", ROS1, [(IMAGE_TOPIC, 12.5, image)]))
+    assert frame.time_s == 12.5
+
+
+def test_the_topic_is_the_rigs_or_the_only_one_or_the_one_that_is_named(tmp_path):
+    other = image_message(ROS1, RGB, "rgb8")
+    rig = image_message(ROS1, GREY, "mono8")
+    both = write(tmp_path / "both.bag", ROS1, [("/left", 1, other), (IMAGE_TOPIC, 2, rig)])
+    assert [frame.image.ndim for frame in open_source(both)] == [2]
+    assert [frame.image.ndim for frame in open_source(both, image_topic="/left")] == [3]
+    with pytest.raises(ValueError, match=r"no topic /up .*Choose one of /decklink/.*, /left"):
+        open_source(both, image_topic="/up")
+    strange = write(tmp_path / "two.bag", ROS1, [("/left", 1, other), ("/right", 2, other)])
+    with pytest.raises(ValueError, match=r"Choose one of /left, /right"):
+        open_source(strange)
+    with pytest.raises(ValueError, match="no topic of geometry_msgs"):
+        read_poses(strange)
+
+
+def the_file(bag: Path) -> Path:
+    """A ROS 1 bag, or the one file of messages in a ROS 2 bag."""
+    if bag.is_file():
+        return bag
+    (found,) = (path for path in bag.iterdir() if path.suffix in (".db3", ".mcap"))
+    return found
+
+
+@pytest.mark.parametrize("name", ["sqlite", "mcap"])
+def test_the_file_in_a_ros2_bag_is_as_good_as_its_folder(tmp_path, name):
+    source = open_source(the_file(BAGS[name](tmp_path / name)))
+    for frame, other in zip(source, frames(), strict=True):
+        np.testing.assert_array_equal(frame.image, other.image)
+
+
+@pytest.mark.parametrize("name", BAGS)
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.999])
+def test_a_bag_cut_short_is_refused_with_a_remedy(tmp_path, name, share):
+    bag = BAGS[name](tmp_path / name)
+    data = the_file(bag).read_bytes()
+    the_file(bag).write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(ValueError, match=rf"{name}.* cannot be read: .*reindex") as caught:
+        list(open_source(bag))
+    assert "\n" not in str(caught.value)
+
+
+def test_broken_metadata_of_a_ros2_bag_are_refused_in_one_line(tmp_path):
+    bag = BAGS["mcap"](tmp_path / "bag")
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
+    with pytest.raises(ValueError, match=r"cannot be read: .*metadata\.yaml") as caught:
+        open_source(bag)
+    assert "\n" not in str(caught.value)
+
+
+def test_damage_inside_a_bag_ends_it_at_that_frame(tmp_path):
+    path = tmp_path / "a.bag"
+    writer = rosbag1.Writer(path)
+    writer.set_compression(rosbag1.Writer.CompressionFormat.BZ2)
+    writer.chunk_threshold = 1  # every message a chunk of its own
+    with writer:
+        connection = writer.add_connection(IMAGE_TOPIC, "sensor_msgs/msg/Image", typestore=ROS1)
+        for frame in frames():
+            content = image_message(ROS1, frame.image, "rgb8", frame.time_s)
+            data = ROS1.serialize_ros1(content, connection.msgtype)
+            writer.write(connection, round(frame.time_s * 1e9), data)
+    damaged = bytearray(path.read_bytes())
+    chunks = [at for at in range(len(damaged)) if damaged[at : at + 4] == b"BZh9"]
+    damaged[chunks[2] + 200 : chunks[2] + 400] = bytes(200)
+    path.write_bytes(damaged)
+    tracking = track_source(open_source(path), Reader(SubpixelSettings()))
+    assert tracking.ended is Ended.BROKEN
+    assert len(tracking.records) == 2
+    assert f"{IMAGE_TOPIC}, message 2: cannot be read" in tracking.fault
+
+
+def test_a_bag_is_not_written_over_and_takes_no_zero_time(tmp_path):
+    path = write_ours(tmp_path / "rig.bag")
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="exists already"):
+        write_bag(path, frames=[], poses=[])
+    assert path.read_bytes() == before
+    at_zero = Frame(index=0, file_name="", time_s=0.0, image=RGB)
+    with pytest.raises(ValueError, match=r"must be positive.*got 0\.0 s"):
+        write_bag(tmp_path / "zero.bag", frames=[at_zero], poses=[])
+    assert [entry.name for entry in tmp_path.iterdir()] == ["rig.bag"]
+
+
+def test_poses_come_back_from_a_bag_in_mm_at_their_arrival(tmp_path):
+    track_ = read_poses(write_ours(tmp_path / "rig.bag"))
+    assert len(track_) == len(poses())
+    for pose in poses():
+        back, age_s = known(track_, pose.time_s + CLOCK_S)
+        assert age_s <= 2 * CLOCK_S
+        assert back.position_mm == pose.position_mm
+        assert back.rotation == pytest.approx(pose.rotation, abs=1e-15)
+
+
+@pytest.mark.parametrize("types", [ROS1, ROS2], ids=["ros1", "ros2"])
+def test_a_stamped_pose_is_in_m_at_its_own_time(tmp_path, types):
+    point = message(types, "geometry_msgs/msg/Point", x=0.001, y=-0.002, z=0.25)
+    turn = message(types, "geometry_msgs/msg/Quaternion", x=0.0, y=1.0, z=0.0, w=0.0)
+    pose = message(types, "geometry_msgs/msg/Pose", position=point, orientation=turn)
+    stamped = message(
+        types, "geometry_msgs/msg/PoseStamped", header=header(types, EPOCH_S), pose=pose
+    )
+    options = {"version": 9} if types is ROS2 else {}
+    path = tmp_path / ("a.bag" if types is ROS1 else "a")
+    write(path, types, [("/tool", EPOCH_S + 7, stamped)], **options)
+    back, age_s = known(read_poses(path), EPOCH_S + 1)
+    assert age_s == 1.0
+    assert back.position_mm == pytest.approx((1.0, -2.0, 250.0))
+    assert back.axis == pytest.approx((0.0, 0.0, -1.0))
+
+
+def test_the_pose_at_a_time_is_the_latest_that_was_known():
+    track_ = PoseTrack(reversed(poses()))
+    times = [pose.time_s for pose in poses()]
+    for time_s in np.random.default_rng(0).uniform(times[0], times[-1] + 1, 200):
+        pose, age_s = known(track_, time_s)
+        assert pose.time_s == max(t for t in times if t <= time_s)
+        assert age_s == time_s - pose.time_s >= 0
+    assert known(track_, times[0])[1] == 0.0
+    assert track_.at(times[0] - 1e-3) is None
+    assert track_.at(math.nan) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_vector_is_turned_as_scipy_turns_it(seed):
+    rng = np.random.default_rng(seed)
+    turn, vector = Rotation.random(rng=rng), tuple(rng.normal(size=3))
+    assert turned(vector, tuple(turn.as_quat())) == pytest.approx(tuple(turn.apply(vector)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_poses_axis_is_the_third_column_of_its_rotation(seed):
+    turn = Rotation.random(rng=np.random.default_rng(seed))
+    pose = Pose(time_s=0.0, position_mm=(0, 0, 0), rotation=tuple(turn.as_quat()))
+    assert pose.axis == pytest.approx(tuple(turn.as_matrix()[:, 2]), abs=1e-14)
+    again = Pose.along(pose.axis, time_s=0.0, position_mm=(0, 0, 0))
+    assert again.axis == pytest.approx(pose.axis, abs=1e-14)
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 1), (0, 0, -1), (1e-9, 0, -1), (0.0, 0.6, -0.8)])
+def test_a_pose_can_be_made_of_any_axis(axis):
+    pose = Pose.along(axis, time_s=0.0, position_mm=(0, 0, 0))
+    # Within the 1e-6 below which the turn is taken as half a circle.
+    assert pose.axis == pytest.approx(axis, abs=1e-8)
+
+
+def test_poses_come_from_csv_with_a_quaternion_or_an_axis(tmp_path):
+    quaternion, axis = tmp_path / "q.csv", tmp_path / "a.csv"
+    quaternion.write_text("time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw,note\n0.5,1,2,3,0,1,0,0,x\n")
+    axis.write_text("axis_x,axis_y,axis_z,time_s,x_mm,y_mm,z_mm\n0,0,-1,0.5,1,2,3\n")
+    for path in (quaternion, axis):
+        pose, age_s = known(read_poses(path), 0.75)
+        assert age_s == 0.25
+        assert pose.position_mm == (1, 2, 3)
+        assert pose.axis == pytest.approx((0, 0, -1))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "line 1: no poses: column 'time_s' is missing"),
+        ("time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n", "holds no poses"),
+        ("time_s,x_mm,y_mm,z_mm\n1,2,3,4\n", "column 'axis_x' is missing"),
+        ("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n1,2,3,far,0,0,1\n", "line 2: z_mm .* 'far'"),
+        ("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n1,2,3,4,0,0\n", "line 2: axis_z .* None"),
+        ("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n1,2,3,4,0,0,2\n", "line 2: .* unit vector"),
+        ("time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n1,2,3,4,0,0,0,0\n", "line 2: .* unit quaternion"),
+        ("time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\nnan,2,3,4,0,0,0,1\n", "line 2: .* finite"),
+        ("\0\1", "poses.csv"),
+    ],
+)
+def test_a_bad_file_of_poses_is_refused_with_its_line(tmp_path, text, words):
+    path = tmp_path / "poses.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=words) as caught:
+        read_poses(path)
+    assert "poses.csv" in str(caught.value)
+
+
+def test_the_age_of_the_pose_stands_beside_every_frame(tmp_path):
+    path = write_ours(tmp_path / "rig.bag")
+    tracking = track_source(open_source(path), Reader(SubpixelSettings()), poses=read_poses(path))
+    # Poses at -12.5 ms + 5 ms k: 2.5 ms before every frame at a multiple of 100 ms.
+    for record in tracking.records:
+        assert record.pose_age_s == pytest.approx(0.0025, abs=2 * CLOCK_S)
+
+
+def test_poses_need_frames_with_a_time(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), RGB)
+    with pytest.raises(ValueError, match=r"frame 0 has no time.*Leave the poses out"):
+        track_source(open_source(tmp_path), Reader(SubpixelSettings()), poses=PoseTrack(poses()))

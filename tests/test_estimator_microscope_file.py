@@ -1,0 +1,206 @@
+"""Microscope files: ours, and what OpenCV and ROS write."""
+
+import json
+import math
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from estimator.microscope_file import MicroscopeFileError, read_microscope
+
+FOCAL, CX, CY = 3432.8, 330.5, 224.25
+MATRIX = np.array([[FOCAL, 0, CX], [0, FOCAL, CY], [0, 0, 1.0]])
+DISTORTION = np.array([-0.21, 0.13, 1e-3, -2e-3, 0.05])
+EYE = {"pinhole_height_mm": 200.0, "eye_radius_mm": 11.5}
+
+
+def ours(**changed):
+    scale = 0.0067
+    focal = 23.0 / scale
+    return {
+        "schema": 1,
+        "width_px": 640,
+        "height_px": 480,
+        "camera_matrix": [[focal, 0, 900.0], [0, focal, -300.0], [0, 0, 1]],
+        "distortion": [0.0] * 5,
+        "scale_mm_px": scale,
+        "principal_point_px": [900.0, -300.0],
+        "pinhole_height_mm": 11.5,
+        "eye_radius_mm": 11.5,
+        "response": "srgb",
+        "paper_exposure_s": 0.004,
+        **changed,
+    }
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text, suffix=".json"):
+        path = tmp_path / f"microscope{suffix}"
+        path.write_text(text if isinstance(text, str) else json.dumps(text))
+        return path
+
+    return write
+
+
+def test_our_file_is_read(written):
+    microscope = read_microscope(written(ours()))
+    assert (microscope.width_px, microscope.height_px) == (640, 480)
+    assert microscope.scale_mm_px == 0.0067
+    assert microscope.principal_point_px == (900.0, -300.0)
+    assert microscope.pinhole_height_mm == microscope.eye_radius_mm == 11.5
+    assert microscope.response.curve == "srgb"
+    assert microscope.paper_exposure_s == 0.004
+    assert microscope.camera() is None  # nothing to take out
+
+
+def test_a_telecentric_microscope_has_no_matrix(written):
+    microscope = read_microscope(written(ours(camera_matrix=None, pinhole_height_mm=None)))
+    assert math.isinf(microscope.pinhole_height_mm)
+    assert microscope.camera() is None
+    assert float(microscope.ideal_microscope().inverse_working_distance) == 0.0
+
+
+@pytest.mark.parametrize(("response", "curve"), [("linear", "linear"), (2.2, "gamma")])
+def test_response_curves_keep_their_meaning(written, response, curve):
+    read = read_microscope(written(ours(response=response))).response
+    assert read.curve == curve
+    assert read.gamma == 2.2
+
+
+@pytest.mark.parametrize("suffix", [".yml", ".yaml", ".json", ".xml"])
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("camera_matrix", "distortion_coefficients", "image_width", "image_height"),
+        ("Camera_Matrix", "Distortion_Coefficients", "image_Width", "image_Height"),
+        ("cameraMatrix", "distCoeffs", "width", "height"),
+        ("K", "D", "image_width", "image_height"),
+    ],
+)
+def test_what_opencv_writes_is_read(tmp_path, suffix, names):
+    path = tmp_path / f"camera{suffix}"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in zip(names[:2], (MATRIX, DISTORTION), strict=True):
+        storage.write(name, value)
+    for name, count in zip(names[2:], (640, 480), strict=True):
+        storage.write(name, count)
+    storage.release()
+    microscope = read_microscope(path, **EYE)
+    assert (microscope.width_px, microscope.height_px) == (640, 480)
+    np.testing.assert_array_equal(microscope.camera_matrix, MATRIX)
+    np.testing.assert_array_equal(microscope.distortion, DISTORTION)
+    # delta = (z_F + r)/f at the pole.
+    assert microscope.scale_mm_px == pytest.approx(211.5 / FOCAL, rel=1e-12)
+
+
+ROS = """image_width: 640
+image_height: 480
+camera_name: microscope
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [3432.8, 0, 330.5, 0, 3432.8, 224.25, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.21, 0.13, 0.001, -0.002, 0.05]
+"""
+
+
+def test_what_ros_writes_is_read(written):
+    microscope = read_microscope(written(ROS, ".yaml"), **EYE)
+    assert microscope.camera_matrix is not None
+    np.testing.assert_allclose(microscope.camera_matrix, MATRIX)
+    np.testing.assert_allclose(microscope.distortion, DISTORTION)
+
+
+def test_plain_lists_in_json_are_read(written):
+    content = {"K": MATRIX.tolist(), "D": DISTORTION.tolist(), "width": 640, "height": 480}
+    microscope = read_microscope(written(content), **EYE)
+    assert microscope.camera_matrix is not None
+    np.testing.assert_allclose(microscope.camera_matrix, MATRIX)
+    np.testing.assert_allclose(microscope.distortion, DISTORTION)
+
+
+def test_undistorted_points_lie_in_the_ideal_microscopes_image(written):
+    content = {"K": MATRIX.tolist(), "D": DISTORTION.tolist(), "width": 640, "height": 480}
+    microscope = read_microscope(written(content), **EYE)
+    # Points of the eye, seen by OpenCV's camera at F that looks down: (X, -Y, z_F - Z).
+    points = np.array([[0.0, 0.0, -11.5], [5.0, -3.0, -10.0], [-8.0, 6.0, -6.0]])
+    from_pinhole = points * [1, -1, -1] + [0, 0, 200.0]
+    seen, _ = cv2.projectPoints(from_pinhole, np.zeros(3), np.zeros(3), MATRIX, DISTORTION)
+    camera = microscope.camera()
+    assert camera is not None
+    undistorted = camera.undistorted(seen[:, 0])
+    ideal = microscope.ideal_microscope().project(jnp.asarray(points))
+    # OpenCV inverts the distortion by five fixed-point steps.
+    np.testing.assert_allclose(undistorted, ideal, atol=1e-4)
+
+
+@pytest.mark.parametrize("missing", ["pinhole_height_mm", "eye_radius_mm"])
+def test_what_opencv_does_not_hold_must_be_given(written, missing):
+    given = {name: value for name, value in EYE.items() if name != missing}
+    with pytest.raises(MicroscopeFileError, match=f"does not hold {missing}"):
+        read_microscope(written(ROS, ".yaml"), **given)
+
+
+def test_what_stands_in_the_file_must_not_be_given_too(written):
+    with pytest.raises(MicroscopeFileError, match="eye_radius_mm stands in the file"):
+        read_microscope(written(ours()), eye_radius_mm=12.0)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"schema": 0}, "schema is 0; this version reads 1"),
+        ({"schema": 2}, "schema is 2; this version reads 1"),
+        ({"width_px": "wide"}, "width_px must be a number; got 'wide'"),
+        ({"width_px": 0}, "width_px must be positive"),
+        ({"scale_mm_px": -1}, "scale_mm_px must be positive"),
+        ({"eye_radius_mm": None}, "eye_radius_mm must be a number"),
+        ({"camera_matrix": None}, "camera_matrix must be finite numbers"),
+        ({"camera_matrix": [[1, 2], [3, 4]]}, r"camera_matrix must be finite numbers \(3x3\)"),
+        ({"pinhole_height_mm": None}, "camera_matrix must be null"),
+        ({"pinhole_height_mm": -20, "scale_mm_px": -0.1}, "must be positive"),
+        ({"scale_mm_px": 0.0068}, "Change both alike"),
+        ({"principal_point_px": [0, 0]}, "Change both alike"),
+        ({"principal_point_px": [0, 0, 0]}, "principal_point_px must be finite numbers"),
+        ({"distortion": None}, "distortion must be finite numbers"),
+        ({"response": "log"}, "response must be linear, srgb"),
+    ],
+)
+def test_nonsense_in_our_file_is_refused_with_file_and_key(written, changed, told):
+    path = written(ours(**changed))
+    with pytest.raises(MicroscopeFileError, match=told) as error:
+        read_microscope(path)
+    assert str(error.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("image_width: 640\n", "", "image_width is missing"),
+        ("width: 640", "width: [640, 480]", "image_width must be one whole number"),
+        ("width: 640", "width: wide", "image_width must hold numbers"),
+        ("3432.8, 224.25", "3500.0, 224.25", "square pixels.*CALIB_FIX_ASPECT_RATIO"),
+        ("[3432.8, 0,", "[3432.8, 20.0,", "square pixels without skew"),
+        ("  cols: 3\n", "  cols: 2\n", "9 numbers, but rows and cols say"),
+        ("0.05]", "0.05, 1]", "6 numbers, but rows and cols say"),
+        ("-0.21", "red", "must hold numbers"),
+        ("-0.21, 0.13", ".nan, 0.13", "finite coefficients"),
+    ],
+)
+def test_nonsense_in_a_ros_file_is_refused(written, old, new, told):
+    assert old in ROS
+    with pytest.raises(MicroscopeFileError, match=told):
+        read_microscope(written(ROS.replace(old, new, 1), ".yaml"), **EYE)
+
+
+@pytest.mark.parametrize("content", ["", "hello", "[1, 2", "{}", "\x00\x01", "%YAML:1.0\n---\n"])
+def test_what_is_no_microscope_file_is_refused(written, content):
+    with pytest.raises(MicroscopeFileError):
+        read_microscope(written(content, ".yaml"), **EYE)

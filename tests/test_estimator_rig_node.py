@@ -1,0 +1,465 @@
+"""The rig's node: without ROS what it makes of messages, and its proof under a real ROS 1.
+
+The proof (slow) renders a stack, writes it as a bag with the rig's topics, starts roscore, the node
+and `rosbag record`, plays the bag at the camera's 10 Hz, and compares what was recorded with the
+same frames measured offline. `tools/try-rig-node` runs it from nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xmlrpc.client import ServerProxy
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from estimator import LiteralSettings, Spot, SubpixelSettings, rig_node, track
+from estimator.bags import write_bag
+from estimator.calibration_file import Calibration, read_calibration, write_calibration
+from estimator.microscope_file import read_microscope
+from estimator.poses import Pose, PoseTrack, read_poses
+from estimator.range import RangeFlag
+from estimator.ranger import Ranger
+from estimator.rig import Parameters, Rig
+from estimator.sources import Frame, open_source
+from estimator.stack import read_stack
+
+HOME = Path(__file__).resolve().parents[1]
+MESSAGES = get_typestore(Stores.ROS1_NOETIC).types
+
+
+def image_message(image: np.ndarray) -> Any:
+    """A `sensor_msgs/Image` of a grey image."""
+    stamp = MESSAGES["builtin_interfaces/msg/Time"](sec=1, nanosec=0)
+    return MESSAGES["sensor_msgs/msg/Image"](
+        header=MESSAGES["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id="microscope"),
+        height=image.shape[0],
+        width=image.shape[1],
+        encoding="mono8",
+        is_bigendian=0,
+        step=image.shape[1],
+        data=image.ravel(),
+    )
+
+
+def pose_message(x: float = 0.0, qx: float = 0.0, qw: float = 1.0) -> Any:
+    """A `geometry_msgs/Transform`."""
+    return MESSAGES["geometry_msgs/msg/Transform"](
+        translation=MESSAGES["geometry_msgs/msg/Vector3"](x=x, y=0.0, z=0.0),
+        rotation=MESSAGES["geometry_msgs/msg/Quaternion"](x=qx, y=0.0, z=0.0, w=qw),
+    )
+
+
+def disc(x: float, y: float, radius: float) -> np.ndarray:
+    """A bright disc with an edge a pixel wide, 320x240 px."""
+    v, u = np.mgrid[:240, :320]
+    inside = np.clip(radius + 0.5 - np.hypot(u - x, v - y), 0, 1)
+    return np.rint(20 + 160 * inside).astype(np.uint8)
+
+
+DARK = np.full((240, 320), 20, np.uint8)
+# Of a pinhole on the sphere, 6.7 um/px at the pole.
+MICROSCOPE = """{
+ "schema": 1, "width_px": 320, "height_px": 240,
+ "camera_matrix": [[1716.4179104477612, 0, 159.5], [0, 1716.4179104477612, 119.5], [0, 0, 1]],
+ "distortion": [0, 0, 0, 0, 0], "scale_mm_px": 0.0134, "principal_point_px": [159.5, 119.5],
+ "pinhole_height_mm": 11.5, "eye_radius_mm": 11.5, "response": "linear"
+}"""
+
+
+def calibrated(folder: Path, model: str) -> Path:
+    """A calibration file of the cone that default scenes have."""
+    calibration = Calibration(
+        model=model,
+        values={"k": 20.0, "b": -5.117},
+        covariance=np.diag([0.01**2, 0.005**2]),
+        medium="air",
+        medium_index=1.0,
+        fitted_on="the scene's own values",
+        data_sha256="0" * 64,
+        software="none",
+    )
+    write_calibration(folder / "calibration.json", calibration)
+    return folder / "calibration.json"
+
+
+def test_a_disc_in_an_image_message_is_read_where_it_was_drawn() -> None:
+    reading = Rig(Parameters()).measured(image_message(disc(150.25, 110.5, 40.0)), 1.0)
+    # Clean sub-pixel edges: the estimator's own tests hold 0.02 px; 8-bit rounding adds no more.
+    assert reading.centre == pytest.approx((150.25, 110.5, 1.0), abs=0.05)
+    assert reading.axes[:2] == pytest.approx((40.0, 40.0), abs=0.05)
+    assert reading.doubt == ""
+    assert math.isnan(reading.distance_m)
+
+
+def test_a_dark_image_is_no_spot_and_says_why() -> None:
+    reading = Rig(Parameters()).measured(image_message(DARK), 1.0)
+    np.testing.assert_equal(reading.centre, (math.nan, math.nan, 0.0))
+    np.testing.assert_equal(reading.axes, (math.nan,) * 3)
+    assert reading.doubt == "none_found"
+    assert math.isnan(reading.distance_m)
+
+
+def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline() -> None:
+    rig = Rig(Parameters())
+    images = [disc(80, 120, 40), disc(240, 120, 40), disc(240, 120, 40)]
+    doubts = [rig.measured(image_message(image), float(n)).doubt for n, image in enumerate(images)]
+    assert doubts == ["", "ambiguous", ""]
+
+
+def test_the_distance_is_in_metres(tmp_path: Path) -> None:
+    microscope = tmp_path / "microscope.json"
+    microscope.write_text(MICROSCOPE)
+    parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
+    reading = Rig(parameters).measured(image_message(disc(159.5, 119.5, 30.0)), 1.0)
+    # d = delta k e1' + b; an error of 0.05 px is one of 13 um.
+    truth_mm = 0.0134 * 20 * 30.0 - 5.117
+    assert reading.distance_m == pytest.approx(truth_mm / 1e3, abs=13e-6)
+    assert float(reading.details["sigma_distance_mm"]) > 0
+
+
+def test_a_tip_behind_the_wall_is_doubted(tmp_path: Path) -> None:
+    microscope = tmp_path / "microscope.json"
+    microscope.write_text(MICROSCOPE)
+    parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
+    # At contact the spot has -b/(delta k) = 19.1 px.
+    reading = Rig(parameters).measured(image_message(disc(159.5, 119.5, 17.0)), 1.0)
+    assert reading.doubt == "out_of_range"
+    assert reading.distance_m < 0
+
+
+def test_the_pose_of_an_image_is_the_last_that_came_before_it() -> None:
+    rig, image = Rig(Parameters()), image_message(disc(150, 110, 40))
+    assert math.isnan(pose_age_s(rig.measured(image, 5.0).details))
+    for received_s in (4.97, 4.98, 5.01):
+        rig.take_pose(pose_message(), received_s)
+    assert pose_age_s(rig.measured(image, 5.0).details) == pytest.approx(0.02, abs=1e-9)
+
+
+def test_a_pose_that_is_none_is_refused() -> None:
+    with pytest.raises(ValueError, match="unit quaternion"):
+        Rig(Parameters()).take_pose(pose_message(qw=0.0), 1.0)
+
+
+def test_parameters_are_taken_as_ros_hands_them_over() -> None:
+    # What `_start:=320,240 _settings:="{threshold: 180}"` becomes on the parameter server.
+    parameters = Parameters.of({"start": "320,240", "settings": {"threshold": 180}})
+    assert parameters.start == (320.0, 240.0)
+    assert parameters.settings == {"threshold": 180}
+    assert Parameters.of({"start": "auto"}).start is None
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"image_topik": "/camera"}, "image_topik is unknown.*image_topic"),
+        ({"mode": "fast"}, "mode: .*'literal'; got 'fast'"),
+        ({"start": "left"}, "start: must be X,Y in px.*'left'"),
+        ({"start": 3}, "start: must be X,Y in px.*3"),
+        ({"exposure_s": 0.0}, "exposure_s: .*greater than 0; got 0.0"),
+        ({"calibration": "c.json"}, "calibration does nothing without microscope"),
+        ({"pinhole_height_mm": 200.0}, "pinhole_height_mm does nothing without microscope"),
+        ({"settings": {"response": "srgb"}}, "settings are numbers.*microscope"),
+        ({"settings": {"min_contrast": "high"}}, "settings: "),
+        ({"eye_from_robot": [0, 0, 0, 0.5]}, "eye_from_robot: must be a unit quaternion"),
+        ({"mode": "literal", "settings": {"treshold": 180}}, "treshold"),
+    ],
+)
+def test_parameters_that_make_no_sense_are_named(given: dict[str, Any], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        Rig(Parameters.of(given))
+
+
+def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path: Path) -> None:
+    microscope = tmp_path / "microscope.json"
+    microscope.write_text(MICROSCOPE)
+    rig = Rig(Parameters(microscope=microscope))
+    with pytest.raises(ValueError, match=r"240x320 px.*320x240 px"):
+        rig.measured(image_message(DARK.T.copy()), 1.0)
+    with pytest.raises(ValueError, match=r"start .*outside.*320x240 px"):
+        Rig(Parameters(start=(320.0, 10.0))).measured(image_message(DARK), 1.0)
+
+
+def test_without_ros_the_node_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setitem(sys.modules, "rospy", None)  # stands in for a machine without ROS
+    with pytest.raises(SystemExit) as ended:
+        rig_node.main()
+    assert ended.value.code == 2
+    assert "tools/install-ros" in capsys.readouterr().err
+
+
+START_S = 1_600_000_000.0  # of the recording; ROS reads 0 as no time
+PATIENCE_S = 300.0  # before what should take seconds is given up
+TOPICS = {name: f"/eyespot/{name}" for name in ("spot", "axes", "range", "status")}
+SCENE = """
+schema = 1
+seed = 5
+[source]
+kind = "cone"
+[motion]
+kind = "withdrawal"
+travel_mm = 4.0
+frames = 12
+speed_mm_s = 3.6363636363636362  # 12 frames at 10 Hz
+[microscope]
+scale_mm_px = 0.0134
+width_px = 320
+height_px = 240
+[exposures]
+kinds = ["metered"]
+"""
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tip that withdraws: the instrument hides the first spots, so some frames have none."""
+    folder = tmp_path_factory.mktemp("rendered")
+    (folder / "scene.toml").write_text(SCENE)
+    scene, made = str(folder / "scene.toml"), str(folder / "stack")
+    command = [sys.executable, "eyespot.py", "render", scene, "--out", made]
+    subprocess.run(command, cwd=HOME, check=True)
+    return folder / "stack"
+
+
+@pytest.fixture(scope="module")
+def ros() -> None:
+    """ROS 1, installed where this is root's Debian."""
+    done = subprocess.run([HOME / "tools" / "install-ros"], capture_output=True, text=True)
+    if done.returncode:
+        pytest.fail(f"no ROS 1 to try the node with: {done.stderr.strip()}", pytrace=False)
+
+
+def recording_of(stack: Path, bag: Path) -> list[int]:
+    """Write a stack as the rig records it: images at 10 Hz, poses at 200 Hz.
+
+    Returns:
+        The images' time stamps, ns.
+    """
+    labels = read_stack(stack).labels
+    frames = [
+        Frame(index=f.index, file_name="", time_s=START_S + f.time_s, image=f.image)
+        for f in open_source(stack)
+    ]
+    times = [row.time_s for row in labels]
+    # From a second before the first image, while clocks and topics come to life.
+    at = np.arange(times[0] - 1.0, times[-1] + 0.1, 1 / 200)
+    tips = np.transpose([np.interp(at, times, [row.tip_mm[i] for row in labels]) for i in range(3)])
+    poses = (
+        Pose.along(labels[0].axis, time_s=START_S + moment, position_mm=(x, y, z))
+        for moment, (x, y, z) in zip(at.tolist(), tips.tolist(), strict=True)
+    )
+    write_bag(bag, frames=frames, poses=poses)
+    return [round(frame.time_s * 1e9) for frame in frames]
+
+
+class RosSession:
+    """A roscore of its own on a free port; what is started in it ends with it.
+
+    Args:
+        home: empty folder for ROS's files and the processes' output.
+    """
+
+    def __init__(self, home: Path) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        self._port, self.uri = port, f"http://127.0.0.1:{port}"
+        self._home = home
+        self._environment = {
+            **os.environ,
+            "ROS_MASTER_URI": self.uri,
+            "ROS_HOSTNAME": "127.0.0.1",
+            "ROS_HOME": str(home),
+            "ROS_LOG_DIR": str(home / "log"),
+        }
+        self._started: list[subprocess.Popen[bytes]] = []
+
+    def __enter__(self) -> RosSession:
+        self.start("roscore", "-p", str(self._port))
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for process in reversed(self._started):
+            process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(15)
+        # Children of what did not go: roscore and rosbag start others in groups of their own.
+        mark = f"ROS_HOME={self._home}\0".encode()
+        for entry in Path("/proc").glob("[0-9]*/environ"):
+            with contextlib.suppress(OSError):
+                if mark in entry.read_bytes():
+                    os.kill(int(entry.parent.name), signal.SIGKILL)
+        for process in self._started:
+            process.wait()
+
+    def start(self, *command: str | Path) -> subprocess.Popen[bytes]:
+        """Start a program; its output goes into a file of the home folder."""
+        name = f"output-{len(self._started)}-{Path(command[0]).name}.log"
+        with (self._home / name).open("wb") as output:
+            process = subprocess.Popen(
+                command,
+                cwd=HOME,
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+        self._started.append(process)
+        return process
+
+    def wait_until(self, done: Callable[[], bool], what: str) -> None:
+        """Poll; fail with what the programs have said if it takes too long or one of them fails."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not done():
+            failed = any(process.poll() for process in self._started)
+            if failed or time.monotonic() > deadline:
+                said = "\n".join(
+                    f"== {path.name}\n{path.read_text(errors='replace')[-2000:]}"
+                    for path in sorted(self._home.glob("output-*.log"))
+                )
+                pytest.fail(f"{what}: waited in vain.\n{said}", pytrace=False)
+            time.sleep(0.1)
+
+    def ask(self, uri: str, question: str, *arguments: str) -> Any:
+        """Call the XML-RPC interface of the master or of a node; None where nothing answers."""
+        with contextlib.suppress(OSError), ServerProxy(uri) as proxy:
+            code, _, answer = getattr(proxy, question)("/proof", *arguments)
+            return answer if code == 1 else None
+
+    def published(self, node: str) -> set[str]:
+        """Topics that a node sends to somebody at this moment."""
+        uri = self.ask(self.uri, "lookupNode", node)
+        links = self.ask(uri, "getBusInfo") if uri else None
+        return {link[4] for link in links or [] if link[2] == "o"}
+
+
+def node_output(bag: Path, folder: Path, count: int, *parameters: str) -> dict[str, list[Any]]:
+    """Play a bag to the node; the messages of each of its topics, in order of arrival."""
+    recorded = folder / "recorded.bag"
+    with RosSession(folder) as session:
+        session.wait_until(lambda: session.ask(session.uri, "getPid") is not None, "roscore")
+        # Poses carry no time: the node takes that of their arrival, on the bag's clock.
+        session.start("rosparam", "set", "use_sim_time", "true").wait()
+        session.start(sys.executable, "-m", "estimator.rig_node", *parameters)
+        limit = f"--limit={count}"  # messages a topic, after which it ends by itself
+        recorder = session.start("rosbag", "record", limit, "-O", recorded, *TOPICS.values())
+        session.wait_until(
+            lambda: session.published("/eyespot") >= set(TOPICS.values()), "node and recorder"
+        )
+        session.start("rosbag", "play", "--clock", "--wait-for-subscribers", bag)
+        session.wait_until(lambda: recorder.poll() is not None, f"{count} messages on each topic")
+    messages: dict[str, list[Any]] = {name: [] for name in TOPICS}
+    with AnyReader([recorded]) as reader:
+        for connection, _, data in reader.messages():
+            name = connection.topic.rpartition("/")[2]
+            messages[name].append(reader.deserialize(data, connection.msgtype))
+    return messages
+
+
+def measured_offline(
+    stack: Path,
+    settings: LiteralSettings | SubpixelSettings,
+    start: tuple[float, float] | None,
+    ranger: Ranger,
+    poses: PoseTrack | None,
+) -> tuple[list[list[float]], list[str]]:
+    """For each frame x, y, valid, the axes and the distance in m, and what its status says."""
+    numbers, doubts = [], []
+    frames = list(open_source(stack))
+    results = track((frame.image for frame in frames), settings, start)
+    for frame, spot in zip(frames, results, strict=True):
+        if not isinstance(spot, Spot):
+            numbers.append([math.nan, math.nan, 0.0, math.nan, math.nan, math.nan, math.nan])
+            doubts.append(spot.reason.value)
+            continue
+        known = poses.at(START_S + frame.time_s) if poses else None
+        axis = known[0].axis if known else None
+        distance = ranger.distance(spot, axis=axis, frame=frame.image)
+        ellipse = [spot.semi_major_px, spot.semi_minor_px, spot.angle_rad]
+        metres = float(np.float32(distance.distance_mm / 1e3))  # as sensor_msgs/Range holds it
+        numbers.append([spot.x_px, spot.y_px, 1.0, *ellipse, metres])
+        doubts.append("ok" if distance.flag is RangeFlag.NONE else distance.flag.value)
+    return numbers, doubts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("settings", "start", "model", "with_axis"),
+    [
+        (SubpixelSettings(), None, "exact", True),
+        # The grey of the spot stays below the paper's threshold; the last spots are too large.
+        (LiteralSettings(threshold=60, max_minor_axis_px=60.0), (159.0, 119.0), "corrected", False),
+    ],
+    ids=["subpixel", "literal"],
+)
+def test_under_a_real_roscore_the_node_measures_what_is_measured_offline(
+    ros: None,
+    stack: Path,
+    tmp_path: Path,
+    settings: LiteralSettings | SubpixelSettings,
+    start: tuple[float, float] | None,
+    model: str,
+    with_axis: bool,
+) -> None:
+    microscope, calibration = stack / "microscope.json", calibrated(tmp_path, model)
+    parameters = [f"_microscope:={microscope}", f"_calibration:={calibration}"]
+    if isinstance(settings, LiteralSettings):
+        given = f"{{threshold: {settings.threshold}, max_minor_axis_px: 60}}"
+        parameters += ["_mode:=literal", f"_settings:={given}"]
+    if start is not None:
+        parameters += ["_start:={:g},{:g}".format(*start)]
+    if with_axis:
+        parameters += ["_eye_from_robot:=[0, 0, 0, 1]"]  # the scene's poses are in the eye's frame
+    bag = tmp_path / "rig.bag"
+    stamps = recording_of(stack, bag)
+    live = node_output(bag, tmp_path, len(stamps), *parameters)
+
+    ranger = Ranger(read_calibration(calibration), read_microscope(microscope))
+    poses = read_poses(bag) if with_axis else None
+    numbers, doubts = measured_offline(stack, settings, start, ranger, poses)
+    received = [
+        [*xyz(spot.point), *xyz(axes.vector), distance.range]
+        for spot, axes, distance in zip(live["spot"], live["axes"], live["range"], strict=True)
+    ]
+    # The same code ran on the same pixels: not a bit differs.
+    np.testing.assert_array_equal(received, numbers)
+    assert [message.status[0].message for message in live["status"]] == doubts
+    for messages in live.values():
+        assert [nanoseconds(message.header.stamp) for message in messages] == stamps
+    # At 200 Hz the last pose is 5 ms old; the bound leaves room for a machine that is busy.
+    details = ({item.key: item.value for item in m.status[0].values} for m in live["status"])
+    ages = [pose_age_s(one) for one in details]
+    assert 0 <= min(ages) <= max(ages) < 1.0
+    spots = int(np.sum(numbers, axis=0)[2])
+    assert 0 < spots < len(numbers)
+    print(
+        f"{model}: of {len(numbers)} frames {spots} with a spot; equal: {np.size(numbers)} numbers,"
+        f" {len(doubts)} statuses, {len(stamps) * len(live)} stamps"
+    )
+
+
+def xyz(vector: Any) -> list[float]:
+    return [vector.x, vector.y, vector.z]
+
+
+def nanoseconds(stamp: Any) -> int:
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+def pose_age_s(details: dict[str, str]) -> float:
+    return float(details["pose_age_s"])

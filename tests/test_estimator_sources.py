@@ -1,0 +1,400 @@
+"""Frames come out of every kind of source as they went in, or the error says where it breaks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from benchmarks.estimator_frames import Scene, Truth, frame_of
+from estimator import (
+    FrameLabels,
+    NoSpot,
+    Reader,
+    Reason,
+    Spot,
+    StackWriter,
+    SubpixelSettings,
+    track,
+)
+from estimator.offline import Ended, track_source
+from estimator.source import Frame, Source
+from estimator.sources import open_source
+
+SHAPE = (160, 200)
+GONE = 4  # the frame without a spot
+
+Results = list[Spot | NoSpot]
+
+
+def truths() -> list[Truth]:
+    return [
+        Truth(x=70.3 + 6 * k, y=80, semi_major=33 + k, semi_minor=30 + k, angle=0.3)
+        for k in range(12)
+    ]
+
+
+@pytest.fixture(scope="module")
+def images() -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    return [
+        frame_of(Scene(truth=truth, amplitude=0.0 if k == GONE else 180.0), rng, SHAPE)
+        for k, truth in enumerate(truths())
+    ]
+
+
+@pytest.fixture(scope="module")
+def expected(images: list[np.ndarray]) -> Results:
+    results = list(track(images, SubpixelSettings()))
+    assert results[GONE] == NoSpot(Reason.NONE_FOUND)
+    assert sum(map(bool, results)) == len(images) - 1
+    return results
+
+
+def offline(source: Source) -> Results:
+    tracking = track_source(source, Reader(SubpixelSettings()))
+    assert tracking.ended is Ended.COMPLETE
+    return [record.result for record in tracking.records]
+
+
+def assert_same(results: Results, expected: Results) -> None:
+    for result, other in zip(results, expected, strict=True):
+        if isinstance(other, Spot):
+            np.testing.assert_equal(vars(result), vars(other))
+        else:
+            assert result == other
+
+
+def opencv_order(image: np.ndarray) -> np.ndarray:
+    return image[:, :, ::-1] if image.ndim == 3 else image
+
+
+def labels(k: int, exposure: str, truth: Truth) -> FrameLabels:
+    """Labels whose half-maximum ellipse is the truth; what no test reads is zero."""
+    ellipse = {
+        "x_px": truth.x,
+        "y_px": truth.y,
+        "semi_major_px": truth.semi_major,
+        "semi_minor_px": truth.semi_minor,
+        "angle_rad": truth.angle,
+    }
+    zeros = (
+        "d_mm nearest_mm c_mm azimuth_rad phi_rad incidence_rad incidence_azimuth_rad"
+        " visible_fraction saturated_fraction speed_mm_s"
+    ).split()
+    return FrameLabels(
+        file_name=f"frames/{exposure}{k:06d}.png",
+        mask_file_name=f"masks/{k:06d}.png",
+        frame=k,
+        time_s=k / 25,
+        exposure=exposure,
+        exposure_s=0.01,
+        tip_mm=(0.0, 0.0, 0.0),
+        axis=(0.0, 0.0, -1.0),
+        spot_mm=(0.0, 0.0, 0.0),
+        medium="air",
+        seed=0,
+        **dict.fromkeys(zeros, 0.0),
+        **{
+            f"{kind}_{name}": value
+            for kind in ("cone", "half_max")
+            for name, value in ellipse.items()
+        },
+    )
+
+
+def write_stack(folder: Path, images: list[np.ndarray], exposures: tuple[str, ...]) -> Path:
+    with StackWriter(folder) as writer:
+        writer.describe(stack={}, microscope={})
+        for k, (image, truth) in enumerate(zip(images, truths(), strict=False)):
+            for exposure in exposures:
+                dimmed = image // 2 if exposure == "paper" else image
+                writer.add(dimmed, labels(k, exposure, truth), None)
+    return folder
+
+
+def write_folder(folder: Path, images: list[np.ndarray], suffix: str = ".png") -> Path:
+    folder.mkdir()
+    for k, image in enumerate(images):
+        assert cv2.imwrite(str(folder / f"frame{k}{suffix}"), opencv_order(image))
+    return folder
+
+
+def write_tiff(path: Path, images: list[np.ndarray]) -> Path:
+    tifffile.imwrite(path, np.stack(images), photometric="rgb", compression="zlib")
+    return path
+
+
+def write_video(path: Path, images: list[np.ndarray], codec: str = "FFV1") -> Path:
+    size = images[0].shape[1], images[0].shape[0]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 25.0, size)
+    assert writer.isOpened()
+    for image in images:
+        writer.write(np.ascontiguousarray(opencv_order(image)))
+    writer.release()
+    return path
+
+
+LOSSLESS: dict[str, Callable[[Path, list[np.ndarray]], Path]] = {
+    "stack": lambda path, images: write_stack(path, images, ("metered",)),
+    "folder": write_folder,
+    "tiff.tif": write_tiff,
+    "ffv1.avi": write_video,
+    "ffv1.mkv": write_video,
+}
+
+
+@pytest.mark.parametrize("name", LOSSLESS)
+def test_a_source_without_loss_gives_the_spots_of_its_frames(tmp_path, images, expected, name):
+    source = open_source(LOSSLESS[name](tmp_path / name, images))
+    assert source.length == len(images)
+    frames = list(source)
+    assert [frame.index for frame in frames] == list(range(len(images)))
+    for frame, image in zip(frames, images, strict=True):
+        np.testing.assert_array_equal(frame.image, image)
+    # A source can be read again from its start.
+    assert_same(offline(source), expected)
+
+
+def test_a_lossy_video_moves_spots_by_no_more_than_its_noise_can(tmp_path, images, expected):
+    source = open_source(write_video(tmp_path / "mjpg.avi", images, "MJPG"))
+    grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(float) for image in images]
+    for frame, image, result, other in zip(source, grey, offline(source), expected, strict=True):
+        loss = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY) - image
+        if not isinstance(other, Spot):
+            assert result == other
+            continue
+        assert isinstance(result, Spot)
+        # DESIGN §7: std(b) = (noise/step) sqrt(3 edge/(sqrt(pi) B)); profiles reach 3.3 times
+        # that, a JPEG's errors are alike within its blocks of 8 px (a factor sqrt 8), and all of
+        # 11 frames stay within 4 standard deviations.
+        step, edge = 180.0, 2.0
+        bound = loss.std() / step * math.sqrt(3 * edge / (math.sqrt(math.pi) * other.semi_minor_px))
+        assert abs(result.semi_minor_px - other.semi_minor_px) < 4 * math.sqrt(8) * 3.3 * bound
+
+
+def test_the_hidden_labels_of_a_stack_are_met(tmp_path, images):
+    folder = write_stack(tmp_path / "stack", images, ("metered",))
+    tracking = track_source(open_source(folder), Reader(SubpixelSettings()))
+    for record, truth in zip(tracking.records, truths(), strict=True):
+        assert record.file_name == f"frames/metered{record.frame:06d}.png"
+        if isinstance(record.result, Spot):
+            # DESIGN §7: std(b) = 0.012 px at 3.3 times the bound for grey noise 2, step 180, edge
+            # 2 px and B = 30 px. Bias 0.02 px and 5 standard deviations.
+            assert np.abs(truth.errors(record.result)).max() < 0.02 + 5 * 0.012
+
+
+def test_typed_failures_are_counted_by_their_reason(tmp_path, images):
+    clipped = Truth(x=0, y=80, semi_major=33, semi_minor=30)
+    frame = frame_of(Scene(truth=clipped), np.random.default_rng(1), SHAPE)
+    folder = write_folder(tmp_path / "folder", [*images, frame, images[GONE]])
+    tracking = track_source(open_source(folder), Reader(SubpixelSettings()))
+    by_hand = [r.result.reason.value for r in tracking.records if isinstance(r.result, NoSpot)]
+    assert tracking.no_spot == {reason: by_hand.count(reason) for reason in by_hand}
+    assert tracking.no_spot["none_found"] == 2
+    assert tracking.spots + tracking.no_spot.total() == len(images) + 2
+
+
+def test_times_are_those_of_the_source(tmp_path, images):
+    stack = open_source(write_stack(tmp_path / "stack", images, ("metered",)))
+    video = open_source(write_video(tmp_path / "video.avi", images))
+    for source in (stack, video):
+        assert source.rate_hz == pytest.approx(25.0)
+        assert [frame.time_s for frame in source] == pytest.approx([k / 25 for k in range(12)])
+    folder = open_source(write_folder(tmp_path / "folder", images))
+    assert all(math.isnan(frame.time_s) for frame in folder)
+
+
+def test_a_stack_of_two_exposures_is_read_in_the_one_that_is_chosen(tmp_path, images):
+    folder = write_stack(tmp_path / "stack", images, ("paper", "metered"))
+    with pytest.raises(ValueError, match=r"metered and paper\. Choose"):
+        open_source(folder)
+    for exposure, divisor in (("paper", 2), ("metered", 1)):
+        for frame, image in zip(open_source(folder, exposure=exposure), images, strict=True):
+            np.testing.assert_array_equal(frame.image, image // divisor)
+    with pytest.raises(ValueError, match=r"no exposure strong\. Choose metered or paper"):
+        open_source(folder, exposure="strong")
+    with pytest.raises(ValueError, match="is no stack"):
+        open_source(write_folder(tmp_path / "folder", images), exposure="paper")
+
+
+def test_images_are_read_in_the_order_in_which_a_person_counts(tmp_path):
+    for name in ("a10.png", "a9.png", "A011.png", "b1.png", ".a1.png", "notes.txt"):
+        cv2.imwrite(str(tmp_path / "x.png"), np.zeros((4, 4), np.uint8))
+        (tmp_path / "x.png").rename(tmp_path / name)
+    names = [frame.file_name for frame in open_source(tmp_path)]
+    assert names == ["a9.png", "a10.png", "A011.png", "b1.png"]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("shape", [(6, 5), (6, 5, 3)])
+def test_depth_and_channels_of_an_image_are_kept(tmp_path, suffix, dtype, shape):
+    image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
+    path = write_folder(tmp_path / "one", [image], suffix) / f"frame0{suffix}"
+    (frame,) = open_source(path)
+    assert frame.image.dtype == dtype
+    np.testing.assert_array_equal(frame.image, image)
+
+
+def test_an_alpha_channel_is_dropped(tmp_path):
+    image = np.random.default_rng(0).integers(0, 255, (6, 5, 4), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "a.png"), cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA))
+    tifffile.imwrite(tmp_path / "a.tif", image, photometric="rgb", extrasamples=["unassalpha"])
+    for name in ("a.png", "a.tif"):
+        (frame,) = open_source(tmp_path / name)
+        np.testing.assert_array_equal(frame.image, image[:, :, :3])
+
+
+def test_planes_of_a_tiff_become_channels(tmp_path):
+    planes = np.random.default_rng(0).integers(0, 255, (3, 6, 5), dtype=np.uint8)
+    path = tmp_path / "planes.tif"
+    tifffile.imwrite(path, planes, photometric="rgb", planarconfig="separate")
+    (frame,) = open_source(path)
+    np.testing.assert_array_equal(frame.image, np.moveaxis(planes, 0, 2))
+
+
+def test_a_tiff_whose_images_share_one_page_is_refused_with_a_way_out(tmp_path):
+    path = tmp_path / "large.tif"
+    images = np.zeros((3, 6, 5), np.uint8)
+    tifffile.imwrite(path, images, imagej=True, truncate=True)  # as ImageJ writes above 4 GB
+    with pytest.raises(ValueError, match=r"holds 3 images in 1 pages.*BigTIFF"):
+        open_source(path)
+
+
+def test_a_tiff_of_lzw_is_read_like_any_other(tmp_path, images):
+    path = tmp_path / "lzw.tif"
+    options = [cv2.IMWRITE_TIFF_COMPRESSION, 5]
+    assert cv2.imwritemulti(str(path), [opencv_order(image) for image in images], options)
+    for frame, image in zip(open_source(path), images, strict=True):
+        np.testing.assert_array_equal(frame.image, image)
+
+
+def cut(path: Path, share: float) -> Path:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    return path
+
+
+def frames_until_it_breaks(path: Path) -> tuple[list[Frame], str]:
+    frames: list[Frame] = []
+    with pytest.raises(ValueError) as caught:
+        frames.extend(open_source(path))  # extends frame by frame, so that the first ones stay
+    return frames, str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("video.avi", write_video),
+        ("video.mkv", write_video),
+        ("compressed.tif", write_tiff),
+        ("plain.tif", lambda path, images: tifffile.imwrite(path, np.stack(images)) or path),
+    ],
+)
+def test_a_file_cut_short_gives_its_frames_and_says_where_it_ends(tmp_path, images, name, write):
+    whole = [frame.image for frame in open_source(write(tmp_path / name, images))]
+    frames, message = frames_until_it_breaks(cut(tmp_path / name, 0.6))
+    assert 0 < len(frames) < len(images)
+    for frame, image in zip(frames, whole, strict=False):
+        np.testing.assert_array_equal(frame.image, image)
+    assert name in message
+    assert f"frame {len(frames)}" in message or f"after frame {len(frames) - 1}" in message
+    assert "again" in message
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif"])
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_an_image_cut_short_is_refused_by_its_name(tmp_path, images, suffix, share):
+    folder = write_folder(tmp_path / "folder", images, suffix)
+    cut(folder / f"frame7{suffix}", share)
+    frames, message = frames_until_it_breaks(folder)
+    assert len(frames) == 7
+    assert f"frame7{suffix} (frame 7)" in message
+    assert "Record, copy or convert it again." in message
+
+
+@pytest.mark.parametrize("name", ["a.avi", "a.mp4", "a.tif", "a.png", "a.bag", "a.db3", "a.mcap"])
+@pytest.mark.parametrize("content", [b"", b"\x00\x01 no such format " * 400])
+def test_what_is_no_recording_is_refused_with_its_name(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    frames, message = frames_until_it_breaks(path)
+    assert frames == []
+    assert str(path) in message
+
+
+def test_missing_and_empty_places_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="there is no such file or folder"):
+        open_source(tmp_path / "missing.avi")
+    with pytest.raises(ValueError, match="holds no images"):
+        open_source(tmp_path)
+    (tmp_path / "stack.toml").write_text("schema = 1\n")
+    with pytest.raises(ValueError, match=r"is not a stack: metadata\.jsonl is missing"):
+        open_source(tmp_path)
+    (tmp_path / "metadata.jsonl").touch()
+    with pytest.raises(ValueError, match="holds no frames"):
+        open_source(tmp_path)
+
+
+def test_what_was_measured_before_a_break_is_kept(tmp_path, images, expected):
+    path = cut(write_video(tmp_path / "video.avi", images), 0.6)
+    tracking = track_source(open_source(path), Reader(SubpixelSettings()))
+    assert tracking.ended is Ended.BROKEN
+    count = len(tracking.records)
+    assert f"breaks off at frame {count} of the 12" in tracking.fault
+    assert_same([record.result for record in tracking.records], expected[:count])
+
+
+class FakeCamera:
+    """Stands in for cv2.VideoCapture of a camera, which no test machine has."""
+
+    def __init__(self, images: list[np.ndarray], end: BaseException | None) -> None:
+        self._images, self._end = iter(images), end
+
+    def isOpened(self) -> bool:
+        return True
+
+    def get(self, _: int) -> float:
+        return 30.0
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        image = next(self._images, None)
+        if image is None and self._end is not None:
+            raise self._end
+        return image is not None, image
+
+    def release(self) -> None:
+        pass
+
+
+def test_a_camera_runs_until_it_is_stopped(monkeypatch, images, expected):
+    frames = [np.ascontiguousarray(opencv_order(image)) for image in images]
+    monkeypatch.setattr(cv2, "VideoCapture", lambda number: FakeCamera(frames, KeyboardInterrupt()))
+    source = open_source("0")
+    assert source.live
+    assert source.length is None
+    assert_same(offline(source), expected)
+
+
+def test_a_camera_that_stops_by_itself_is_a_fault(monkeypatch, images):
+    monkeypatch.setattr(cv2, "VideoCapture", lambda number: FakeCamera(images[:2], None))
+    tracking = track_source(open_source("0"), Reader(SubpixelSettings()))
+    assert tracking.ended is Ended.BROKEN
+    assert "camera 0 stopped at frame 2" in tracking.fault
+
+
+def test_a_camera_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match="camera 63 cannot be opened"):
+        open_source("63")
+
+
+def test_a_start_outside_of_the_frame_is_refused(tmp_path, images):
+    source = open_source(write_folder(tmp_path / "folder", images))
+    with pytest.raises(ValueError, match=r"\(200, 80\) px lies outside .* 200x160 px"):
+        track_source(source, Reader(SubpixelSettings(), start=(200, 80)))

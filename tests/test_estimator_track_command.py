@@ -1,0 +1,552 @@
+"""`eyespot track`: what it writes, what it says, and how it ends."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import eyespot
+from benchmarks.estimator_frames import Scene, Truth, frame_of
+from estimator import (
+    FrameLabels,
+    LiteralSettings,
+    NoSpot,
+    Reason,
+    Response,
+    Spot,
+    SpotRecord,
+    StackWriter,
+    SubpixelSettings,
+    read_spots,
+    track,
+    write_spots,
+)
+from estimator.bags import write_bag
+from estimator.calibration_file import Calibration, read_calibration, write_calibration
+from estimator.camera import Camera
+from estimator.microscope_file import read_microscope
+from estimator.overlay import annotated
+from estimator.poses import Pose
+from estimator.ranger import Ranger
+from estimator.source import Frame
+
+EYESPOT = Path(sys.executable).with_name("eyespot")
+SHAPE = (160, 200)
+GONE = 4  # the frame without a spot
+SCALE_MM_PX = 0.0067
+NOTHING = NoSpot(Reason.NONE_FOUND)
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Runs `eyespot track` in this process."""
+
+    def run_here(*arguments):
+        monkeypatch.setattr(sys, "argv", ["eyespot", "track", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as exit_:
+            eyespot.main()
+        return Outcome(int(exit_.value.code or 0), *capsys.readouterr())
+
+    return run_here
+
+
+def truth(k: int) -> Truth:
+    return Truth(x=70.3 + 6 * k, y=80, semi_major=33 + k, semi_minor=30 + k, angle=0.3)
+
+
+@pytest.fixture(scope="module")
+def images() -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    scenes = [Scene(truth=truth(k), amplitude=0.0 if k == GONE else 180.0) for k in range(8)]
+    return [frame_of(scene, rng, SHAPE) for scene in scenes]
+
+
+@pytest.fixture
+def frames(tmp_path, images) -> Path:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for k, image in enumerate(images):
+        assert cv2.imwrite(str(folder / f"{k}.png"), image[:, :, ::-1])
+    return folder
+
+
+@pytest.fixture
+def microscope(tmp_path) -> Path:
+    """A telecentric one with a curved response."""
+    content = {
+        "schema": 1,
+        "width_px": SHAPE[1],
+        "height_px": SHAPE[0],
+        "camera_matrix": None,
+        "distortion": [0.0] * 5,
+        "scale_mm_px": SCALE_MM_PX,
+        "principal_point_px": [100.0, 80.0],
+        "pinhole_height_mm": None,
+        "eye_radius_mm": 11.5,
+        "response": "srgb",
+        "paper_exposure_s": 0.01,
+    }
+    path = tmp_path / "microscope.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.fixture
+def distorted(tmp_path) -> Path:
+    """A calibration of OpenCV's with 8 px of distortion in the corners."""
+    path = tmp_path / "camera.yml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", SHAPE[1])
+    storage.write("image_height", SHAPE[0])
+    storage.write("camera_matrix", CAMERA.matrix)
+    storage.write("distortion_coefficients", CAMERA.distortion)
+    storage.release()
+    return path
+
+
+CAMERA = Camera(
+    matrix=np.array([[400.0, 0, 100], [0, 400, 80], [0, 0, 1]]),
+    distortion=np.array([-0.6, 0, 0, 0, 0]),
+)
+EYE = ("--pinhole-height-mm", 200, "--eye-radius-mm", 11.5)
+
+
+@pytest.fixture
+def calibration(tmp_path) -> Path:
+    path = tmp_path / "calibration.json"
+    made = Calibration(
+        model="planar",
+        values={"k": 20.0, "b": -4.5},
+        covariance=np.zeros((2, 2)),
+        medium="air",
+        medium_index=1.0,
+        fitted_on="made up for a test",
+        data_sha256="0" * 64,
+        software="test",
+    )
+    write_calibration(path, made)
+    return path
+
+
+def assert_same(records: list[SpotRecord], results: list[Spot | NoSpot]) -> None:
+    for record, result in zip(records, results, strict=True):
+        if isinstance(result, Spot):
+            # The file holds the upper triangle of the covariance.
+            above = np.triu(result.covariance)
+            symmetric = above + above.T - np.diag(above.diagonal())
+            expected = vars(result) | {"covariance": symmetric}
+            np.testing.assert_equal(vars(record.result), expected)
+        else:
+            assert record.result == result
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_the_file_holds_what_the_tracker_measures(run, tmp_path, frames, images, suffix):
+    out = tmp_path / f"spots{suffix}"
+    assert run(frames, "--out", out).code == 0
+    records = read_spots(out)
+    assert_same(records, list(track(images, SubpixelSettings())))
+    assert [record.file_name for record in records] == [f"{k}.png" for k in range(8)]
+    assert {record.mode for record in records} == {"subpixel"}
+    assert all(math.isnan(record.distance_mm) for record in records)
+
+
+def test_parquet_has_typed_columns_and_nulls(run, tmp_path, frames):
+    pyarrow = pytest.importorskip("pyarrow.parquet")
+    out = tmp_path / "spots.parquet"
+    run(frames, "--out", out)
+    table = pyarrow.read_table(out)
+    types = {name: str(table.schema.field(name).type) for name in table.column_names}
+    assert types["frame"] == types["schema_version"] == "int64"
+    assert types["reason"] == "string"
+    assert types["semi_minor_px"] == types["distance_mm"] == "double"
+    assert table["distance_mm"].null_count == 8
+    assert [k for k, x in enumerate(table["x_px"].to_pylist()) if x is None] == [GONE]
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1 and no more"])
+def test_a_damaged_parquet_file_is_refused_by_name(tmp_path, content):
+    path = tmp_path / "spots.parquet"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"spots\.parquet: cannot be read"):
+        read_spots(path)
+
+
+def test_parquet_of_something_else_is_refused(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    path = tmp_path / "other.parquet"
+    pytest.importorskip("pyarrow.parquet").write_table(pyarrow.table({"frame": [1]}), path)
+    with pytest.raises(ValueError, match="not a spots file: column 'file_name' is missing"):
+        read_spots(path)
+
+
+def test_literal_mode_starts_at_the_point_that_is_given(run, tmp_path, frames, images):
+    out = tmp_path / "spots.csv"
+    assert run(frames, "--out", out, "--mode", "literal", "--start", "70,80").code == 0
+    assert_same(read_spots(out), list(track(images, LiteralSettings(), start=(70, 80))))
+
+
+def test_json_is_one_object_and_counts_every_frame(run, tmp_path, frames):
+    outcome = run(frames, "--out", tmp_path / "spots.csv", "--json")
+    summary = json.loads(outcome.out)
+    assert summary["frames"] == 8
+    assert summary["spots"] == 7
+    assert summary["no_spot"] == {"none_found": 1}
+    assert summary["ended"] == "complete"
+    assert outcome.err == ""
+
+
+def test_the_table_counts_by_reason(run, tmp_path, frames):
+    words = run(frames, "--out", tmp_path / "spots.csv").out
+    for row in (("spot", "7"), ("no spot: none found", "1"), ("all", "8")):
+        assert any(all(part in line for part in row) for line in words.splitlines()), row
+    assert f"Wrote {tmp_path / 'spots.csv'}." in words
+
+
+def test_a_planar_calibration_makes_its_closed_form_of_every_spot(
+    run, tmp_path, frames, images, microscope, calibration
+):
+    out = tmp_path / "spots.csv"
+    options = ("--calibration", calibration, "--microscope", microscope)
+    summary = json.loads(run(frames, "--out", out, *options, "--json").out)
+    assert summary["distances"] == 7
+    records = read_spots(out)
+    assert_same(records, list(track(images, SubpixelSettings(response=Response(curve="srgb")))))
+    for record in records:
+        spot = record.result
+        if isinstance(spot, Spot):
+            # The paper's planar model: d = delta k e1' + b; k and b are exact here.
+            slope = SCALE_MM_PX * 20
+            assert record.distance_mm == pytest.approx(slope * spot.semi_minor_px - 4.5, abs=1e-12)
+            # By differences of 1e-6 relative, of a linear function.
+            assert record.sigma_distance_mm == pytest.approx(
+                slope * spot.sigma_semi_minor_px, rel=1e-6
+            )
+        else:
+            assert math.isnan(record.distance_mm)
+    # Spots of less than 4.5 / 0.134 = 33.6 px would have the tip behind the wall: 30 to 33 px.
+    assert summary["doubtful_distances"] == {"out_of_range": 4}
+
+
+def test_a_stack_brings_its_microscope_and_its_exposures(run, tmp_path, images, microscope):
+    folder, out = tmp_path / "stack", tmp_path / "spots.csv"
+    with StackWriter(folder) as writer:
+        writer.describe(stack={}, microscope=json.loads(microscope.read_text()))
+        for k, image in enumerate(images):
+            for exposure, exposed in (("metered", image), ("paper", image // 2)):
+                writer.add(exposed, stack_labels(k, exposure), None)
+    assert_bad_input(run(folder, "--out", out), "metered and paper", "Choose")
+    assert run(folder, "--out", out, "--exposure", "paper").code == 0
+    settings = SubpixelSettings(response=Response(curve="srgb"))
+    records = read_spots(out)
+    assert_same(records, list(track([image // 2 for image in images], settings)))
+    assert [record.time_s for record in records] == [k / 10 for k in range(8)]
+
+
+def stack_labels(k: int, exposure: str) -> FrameLabels:
+    """Labels that the tracker must not see: nothing in them is true but the time."""
+    untrue = {field.name: 1e6 for field in dataclasses.fields(FrameLabels) if field.type == "float"}
+    vector = (1e6, 1e6, 1e6)
+    return FrameLabels(
+        **untrue
+        | {
+            "file_name": f"frames/{exposure}{k}.png",
+            "mask_file_name": f"masks/{k}.png",
+            "frame": k,
+            "time_s": k / 10,
+            "exposure": exposure,
+            "tip_mm": vector,
+            "axis": vector,
+            "spot_mm": vector,
+            "medium": "air",
+            "seed": 0,
+        }  # type: ignore[arg-type]
+    )
+
+
+def test_a_distorted_lens_is_taken_out_of_the_spots(run, tmp_path, frames, images, distorted):
+    out = tmp_path / "spots.csv"
+    assert run(frames, "--out", out, "--microscope", distorted, *EYE).code == 0
+    assert_same(read_spots(out), list(track(images, SubpixelSettings(camera=CAMERA))))
+
+
+def test_poses_leave_their_age_beside_the_frames(run, tmp_path, images):
+    video, poses, out = tmp_path / "video.avi", tmp_path / "poses.csv", tmp_path / "spots.csv"
+    writer = cv2.VideoWriter(
+        str(video), cv2.VideoWriter.fourcc(*"FFV1"), 10.0, (SHAPE[1], SHAPE[0])
+    )
+    for image in images:
+        writer.write(np.ascontiguousarray(image[:, :, ::-1]))
+    writer.release()
+    poses.write_text("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n0.15,0,0,0,0,0,-1\n")
+    summary = json.loads(run(video, "--out", out, "--poses", poses, "--json").out)
+    ages = [record.pose_age_s for record in read_spots(out)]
+    expected = [math.nan, math.nan, 0.05, 0.15, 0.25, 0.35, 0.45, 0.55]
+    assert ages == pytest.approx(expected, nan_ok=True)
+    assert summary["median_pose_age_s"] == pytest.approx(0.3)
+
+
+@pytest.mark.slow
+def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(
+    run, tmp_path, frames, images, microscope, calibration
+):
+    bag, out = tmp_path / "rig.bag", tmp_path / "spots.csv"
+    turn = Rotation.from_euler("xyz", [0.4, -0.2, 0.3])  # from the robot to the eye
+    axis = Rotation.from_euler("x", 0.3).apply([0.0, 0.0, -1.0])  # in the eye
+    reported = tuple(turn.inv().apply(axis).tolist())
+    stamped = [
+        Frame(index=k, file_name="", time_s=1.0 + k / 10, image=image)
+        for k, image in enumerate(images[:2])
+    ]
+    pose = Pose.along(reported, time_s=0.9, position_mm=(0.0, 0.0, 0.0))
+    write_bag(bag, frames=stamped, poses=[pose])
+    quaternion = ",".join(map(repr, turn.as_quat().tolist()))
+    options = ("--calibration", calibration, "--microscope", microscope, "--model", "exact")
+    known = ("--poses", bag, f"--eye-from-robot={quaternion}")
+    assert run(bag, "--out", out, *options, *known).code == 0
+    ranger = Ranger(read_calibration(calibration), read_microscope(microscope), model="exact")
+    for record in read_spots(out):
+        assert isinstance(record.result, Spot)
+        with_axis = ranger.distance(record.result, axis=axis)
+        without = ranger.distance(record.result)
+        assert record.distance_mm == pytest.approx(with_axis.distance_mm, abs=1e-6)
+        # The test could fail: the axis says more than the contour alone.
+        assert with_axis.sigma_mm < without.sigma_mm
+
+
+def drawn_pixels(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """(n, 2) of the pixels that a line went through, below the text."""
+    change = np.abs(picture.astype(int) - image).max(axis=2)
+    rows, columns = np.nonzero(change > 80)  # of the 135 and more that the line's colour differs
+    return np.stack([columns, rows], axis=1)[rows > 30]
+
+
+def off_contour_px(points: np.ndarray, ellipse: Truth | Spot) -> np.ndarray:
+    """Distance of points from an ellipse, to first order."""
+    if isinstance(ellipse, Spot):
+        ellipse = Truth(
+            x=ellipse.x_px,
+            y=ellipse.y_px,
+            semi_major=ellipse.semi_major_px,
+            semi_minor=ellipse.semi_minor_px,
+            angle=ellipse.angle_rad,
+        )
+    c, s = math.cos(ellipse.angle), math.sin(ellipse.angle)
+    u, v = (points - (ellipse.x, ellipse.y)).T
+    x, y = (u * c + v * s) / ellipse.semi_major, (v * c - u * s) / ellipse.semi_minor
+    radius = np.hypot(x, y)
+    return (radius - 1) * ellipse.semi_minor
+
+
+def on_the_contour(points: np.ndarray, ellipse: Truth | Spot) -> np.ndarray:
+    """The points that are not the cross in the middle."""
+    off = off_contour_px(points, ellipse)
+    return off[off > -15]
+
+
+def test_the_overlay_folder_shows_each_ellipse_where_the_spot_is(run, tmp_path, frames, images):
+    folder = tmp_path / "overlay"
+    assert run(frames, "--out", tmp_path / "spots.csv", "--overlay", folder).code == 0
+    pictures = sorted(folder.iterdir())
+    assert [path.name for path in pictures] == [f"{k:06d}.png" for k in range(8)]
+    for k, path in enumerate(pictures):
+        stored = cv2.imread(str(path))
+        assert stored is not None
+        points = drawn_pixels(stored[:, :, ::-1], images[k])
+        if k == GONE:
+            assert len(points) == 0
+            continue
+        off = on_the_contour(points, truth(k))
+        assert len(off) > 50
+        assert np.abs(off).max() < 1.5  # a line of 1 px, smoothed over its neighbours
+
+
+def test_the_overlay_of_a_distorting_lens_is_drawn_as_the_lens_sees_it(images):
+    seen, ideal = (
+        next(track(images, SubpixelSettings(camera=camera))) for camera in (None, CAMERA)
+    )
+    assert isinstance(seen, Spot)
+    assert isinstance(ideal, Spot)
+    frame = Frame(index=0, file_name="", time_s=0.0, image=images[0])
+    record = SpotRecord(frame=0, file_name="", time_s=0.0, mode="subpixel", result=ideal)
+    picture = annotated(frame, record, response=Response(), camera=CAMERA)
+    off = on_the_contour(drawn_pixels(picture, images[0]), seen)
+    assert np.abs(off).max() < 1.5
+    # The test could fail: without the camera the drawing would lie elsewhere.
+    plain = annotated(frame, record, response=Response())
+    assert np.abs(on_the_contour(drawn_pixels(plain, images[0]), seen)).max() > 1.5
+
+
+@pytest.mark.parametrize("dtype", ["uint16", "float32"])
+def test_an_overlay_is_as_bright_as_its_frame(dtype):
+    full_scale = {"uint16": 4095, "float32": 1}[dtype]
+    image = (np.full((40, 50), 0.5) * full_scale).astype(dtype)
+    frame = Frame(index=0, file_name="", time_s=math.nan, image=image)
+    record = SpotRecord(frame=0, file_name="", time_s=math.nan, mode="", result=NOTHING)
+    picture = annotated(frame, record, response=Response(full_scale=full_scale))
+    assert picture[-1, -1].tolist() == pytest.approx([127.5] * 3, abs=0.6)
+
+
+@pytest.mark.parametrize("name", ["overlay.mp4", "overlay.avi"])
+def test_the_overlay_video_has_every_frame(run, tmp_path, frames, name):
+    video = tmp_path / name
+    assert run(frames, "--out", tmp_path / "spots.csv", "--overlay", video).code == 0
+    capture = cv2.VideoCapture(str(video))
+    count = 0
+    while True:
+        seen, picture = capture.read()
+        if not seen:
+            break
+        assert picture.shape[:2] == SHAPE
+        count += 1
+    capture.release()
+    assert count == 8
+
+
+def assert_bad_input(outcome: Outcome, *words: str) -> None:
+    assert outcome.code == 2, outcome.err
+    assert outcome.err.startswith("eyespot: ")
+    assert len(outcome.err.splitlines()) == 1
+    for word in words:
+        assert word in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--start", "12"], ["X,Y in px", "'12'"]),
+        (["--start", "nan,3"], ["X,Y in px"]),
+        (["--start", "500,80"], ["(500, 80) px", "200x160 px"]),
+        (["--out", "spots.txt"], [".csv or .parquet"]),
+        (["--out", "none/spots.csv"], ["none is no folder"]),
+        (["--overlay", "overlay.mov"], [".mp4, .avi", "folder", "'.mov'"]),
+        (["--exposure", "paper"], ["is no stack"]),
+        (["--model", "planar"], ["model does nothing without calibration"]),
+        (["--eye-radius-mm", "11.5"], ["eye_radius_mm does nothing without microscope"]),
+        (["--pose-topic", "/pose"], ["pose_topic does nothing without poses"]),
+        (["--calibration", "CALIBRATION"], ["calibration does nothing without microscope"]),
+        (["--microscope", "DISTORTED"], ["pinhole_height_mm"]),
+        (["--microscope", "missing.json"], ["missing.json", "Check the path."]),
+        (["--mode", "literal", "--microscope", "DISTORTED", *EYE], ["literal", "distortion"]),
+        (["--poses", "missing.csv"], ["missing.csv", "Check the path"]),
+        (["--poses", "POSES"], ["has no time", "Leave the poses out"]),
+        (["--poses", "POSES", "--eye-from-robot", "0,0,0,2"], ["unit quaternion", "0,0,0,2"]),
+    ],
+)
+def test_bad_input_is_one_message_and_leaves_nothing_behind(
+    run, monkeypatch, tmp_path, frames, distorted, calibration, options, words
+):
+    poses = tmp_path / "poses.csv"
+    poses.write_text("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n0,0,0,0,0,0,-1\n")
+    files = {"DISTORTED": distorted, "CALIBRATION": calibration, "POSES": poses}
+    before = sorted(tmp_path.iterdir())
+    monkeypatch.chdir(tmp_path)
+    arguments = [files.get(option, option) for option in options]
+    outcome = run(frames, "--out", "spots.csv", *arguments)
+    assert_bad_input(outcome, *words)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_microscope_of_another_frame_size_is_refused(run, tmp_path, frames, microscope):
+    microscope.write_text(microscope.read_text().replace("200", "640", 1))
+    outcome = run(frames, "--out", tmp_path / "spots.csv", "--microscope", microscope)
+    assert_bad_input(outcome, "200x160 px", "640x160 px")
+
+
+@pytest.mark.parametrize("option", ["--out", "--overlay"])
+def test_nothing_is_written_over(run, tmp_path, frames, option):
+    there = tmp_path / ("there.csv" if option == "--out" else "there")
+    there.write_text("precious")
+    options = {"--out": tmp_path / "spots.csv"} | {option: there}
+    outcome = run(frames, *(part for pair in options.items() for part in pair))
+    assert_bad_input(outcome, f"{there} exists already")
+    assert there.read_text() == "precious"
+
+
+def test_a_source_that_breaks_leaves_its_frames_and_one_message(run, tmp_path, frames, images):
+    broken, out = frames / "5.png", tmp_path / "spots.csv"
+    broken.write_bytes(broken.read_bytes()[:1000])
+    outcome = run(frames, "--out", out, "--overlay", tmp_path / "overlay", "--json")
+    assert_bad_input(outcome, "5.png (frame 5) is cut short", f"{out} holds the 5 frames before")
+    assert json.loads(outcome.out)["ended"] == "broken"
+    assert_same(read_spots(out), list(track(images[:5], SubpixelSettings())))
+    assert len(list((tmp_path / "overlay").iterdir())) == 5
+
+
+def test_frames_of_two_sizes_do_not_fit_into_one_video(run, tmp_path, frames, images):
+    cv2.imwrite(str(frames / "3.png"), np.zeros((90, 90), np.uint8))
+    outcome = run(frames, "--out", tmp_path / "spots.csv", "--overlay", tmp_path / "video.mp4")
+    assert_bad_input(outcome, "one size", "Choose a folder")
+    assert len(read_spots(tmp_path / "spots.csv")) == 3
+
+
+def test_a_real_process_prints_one_line_for_a_broken_video(tmp_path):
+    """OpenCV and FFmpeg say nothing of their own beside it."""
+    path = tmp_path / "video.mp4"
+    path.write_bytes(b"\0\0\0\x18ftypmp42" + bytes(500))
+    child = subprocess.run(
+        [EYESPOT, "track", path, "--out", tmp_path / "spots.csv"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert_bad_input(Outcome(child.returncode, child.stdout, child.stderr), str(path))
+
+
+def test_ctrl_c_keeps_whole_lines_of_the_frames_measured_so_far(tmp_path, frames, images):
+    # The sixth frame is a pipe: once somebody reads it, five frames are measured for certain.
+    pipe, out = frames / "5.png", tmp_path / "spots.csv"
+    pipe.unlink()
+    os.mkfifo(pipe)
+    child = subprocess.Popen(
+        [EYESPOT, "track", frames, "--out", out, "--overlay", tmp_path / "overlay.mp4"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with pipe.open("wb"):
+        child.send_signal(signal.SIGINT)
+        _, words = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert words == f"Stopped. {out} holds the 5 frames measured so far.\n"
+    assert_same(read_spots(out), list(track(images[:5], SubpixelSettings())))
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "frames",
+        "overlay.mp4",
+        "spots.csv",
+    ]
+
+
+def test_a_spots_file_is_replaced_whole_or_stays(tmp_path):
+    path = tmp_path / "spots.csv"
+    record = SpotRecord(frame=0, file_name="", time_s=0.0, mode="subpixel", result=NOTHING)
+    write_spots(path, [record])
+    before = path.read_bytes()
+
+    def torn():
+        yield record
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_spots(path, torn())
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
