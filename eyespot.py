@@ -23,6 +23,9 @@ import typer
 
 PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
 
+SCENE_SCHEMA = "scene.schema.json"
+"""Name under which `eyespot scene init` looks for what `eyespot scene schema` prints."""
+
 REMEDIES = {
     errno.EACCES: "Choose a place that you may write to.",
     errno.EEXIST: "Name another one; nothing is written over.",
@@ -71,17 +74,164 @@ def validate(
 
 
 @app.command()
-def render(scene: SceneFile, out: OutputFolder) -> None:
-    """Render a scene file to an image stack with labels."""
+def render(
+    scene: SceneFile,
+    out: OutputFolder,
+    preview: Annotated[
+        bool, typer.Option("--preview", help="One small frame only: the image DIR.png.")
+    ] = False,
+) -> None:
+    """Render a scene file to an image stack with labels.
+
+    A run that was stopped goes on where it was when it is given the same folder.
+    """
     from rich.progress import Progress
 
     import scenes
 
     settings = scenes.load_scene(scene)
+    if preview:
+        # Beside the stack's folder, which does not exist before the stack is whole.
+        image = out.with_name(f"{out.name}.png")
+        scenes.write_preview(settings, image)
+        typer.echo(f"Wrote {image}.")
+        return
     with Progress(transient=True) as progress:
-        task = progress.add_task("Rendering", total=settings.withdrawal.frames)
+        task = progress.add_task("Rendering", total=scenes.frame_count(settings))
         scenes.render_stack(settings, out, progress=lambda: progress.advance(task))
     typer.echo(f"Wrote the stack {out}.")
+
+
+@app.command()
+def track(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="Stack, folder of images, TIFF, video, ROS bag, or number of a camera.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="Spots file, .csv or .parquet; new.")
+    ],
+    mode: Annotated[
+        Literal["subpixel", "literal"],
+        typer.Option(help="The half-maximum contour, or the paper's algorithm step by step."),
+    ] = "subpixel",
+    start: Annotated[
+        str, typer.Option(metavar="X,Y|auto", help="Spot in the first frame, px, or find it.")
+    ] = "auto",
+    exposure: Annotated[
+        Literal["paper", "metered"] | None, typer.Option(help="Of a stack that holds both.")
+    ] = None,
+    microscope: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="microscope.json or a calibration of OpenCV's; a stack has its own.",
+        ),
+    ] = None,
+    pinhole_height_mm: Annotated[
+        float | None,
+        typer.Option(help="Above the eyeball's centre, for a microscope file of OpenCV's."),
+    ] = None,
+    eye_radius_mm: Annotated[
+        float | None, typer.Option(help="For a microscope file of OpenCV's.")
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Turns spots into distances.")
+    ] = None,
+    model: Annotated[
+        str | None, typer.Option(help="Of the distance; the calibration's own by default.")
+    ] = None,
+    eccentricity_mm: Annotated[
+        float | None, typer.Option(help="Of the spots; read off their positions by default.")
+    ] = None,
+    exposure_s: Annotated[
+        float | None, typer.Option(help="Exposure time, for the model lens; a stack has its own.")
+    ] = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The robot's poses, CSV or ROS bag, on SOURCE's clock."),
+    ] = None,
+    eye_from_robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="QX,QY,QZ,QW",
+            help="Turns the poses' frame into the eye's, for the model exact.",
+        ),
+    ] = None,
+    image_topic: Annotated[
+        str | None, typer.Option(help="Of a bag, if not the rig's and not the only one.")
+    ] = None,
+    pose_topic: Annotated[
+        str | None, typer.Option(help="Of a bag, if not the rig's and not the only one.")
+    ] = None,
+    overlay: Annotated[
+        Path | None,
+        typer.Option(metavar="VIDEO|DIR", help="Draw the spots: .mp4, .avi, or a folder; new."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, and nothing else.")
+    ] = False,
+) -> None:
+    """Measure the spot in every frame and write a spots file.
+
+    Ctrl-C ends it and keeps the frames measured so far; that is how a camera is stopped.
+    """
+    # OpenCV and FFmpeg tell in their own words what comes back as one error.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    from estimator import track_command
+
+    track_command.run(
+        source,
+        out=out,
+        mode=mode,
+        start=start,
+        exposure=exposure,
+        image_topic=image_topic,
+        microscope_file=microscope,
+        pinhole_height_mm=pinhole_height_mm,
+        eye_radius_mm=eye_radius_mm,
+        calibration_file=calibration,
+        model=model,
+        eccentricity_mm=eccentricity_mm,
+        exposure_s=exposure_s,
+        poses_file=poses,
+        pose_topic=pose_topic,
+        eye_from_robot=eye_from_robot,
+        overlay_path=overlay,
+        as_json=as_json,
+    )
+
+
+@app.command()
+def fit(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="STACK…", help="Withdrawals from contact, one microscope."),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Calibration (JSON); new.")],
+    model: Annotated[
+        Literal["cone", "plane"],
+        typer.Option(help="The exact geometry, or the paper's line through the planes."),
+    ] = "cone",
+    exposure: Annotated[
+        Literal["paper", "metered"] | None, typer.Option(help="Of stacks that hold both.")
+    ] = None,
+    free: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME,…",
+            help="What the cone's fit finds: half_angle, b, scale, eye_radius.",
+        ),
+    ] = "half_angle,b",
+) -> None:
+    """Fit the beam to tracked stacks and write a calibration for `eyespot track`."""
+    from calibration import fit_command
+
+    fit_command.run(sources, model=model, out=out, exposure=exposure, free=free.split(","))
 
 
 @scene_commands.command("init")
@@ -91,9 +241,23 @@ def scene_init(
     """Write a scene file with every key, its unit and its default."""
     import scenes
 
+    schema = f"./{SCENE_SCHEMA}" if path.with_name(SCENE_SCHEMA).exists() else None
     with path.open("x", encoding="utf-8") as file:
-        file.write(scenes.scene_template())
+        file.write(scenes.scene_template(schema_file=schema))
     typer.echo(f"Wrote {path}. Edit it, then: eyespot scene check {path}")
+
+
+@scene_commands.command("schema")
+def scene_schema() -> None:
+    """Print the JSON schema of scene files, for editors.
+
+    Saved as scene.schema.json, it is named in every scene file that `scene init` writes beside it.
+    """
+    import json
+
+    import scenes
+
+    typer.echo(json.dumps(scenes.scene_schema(), indent=2))
 
 
 @scene_commands.command("check")
@@ -104,7 +268,7 @@ def scene_check(scene: SceneFile) -> None:
 
     settings = scenes.load_scene(scene)
     # What the keys alone do not tell, such as a spot that leaves the window.
-    labels.truth(settings, geometry.lens_table(settings))
+    labels.moments(settings, geometry.lens_table(settings))
     typer.echo(f"{scene}: fine.")
 
 

@@ -22,12 +22,14 @@ class Solution(NamedTuple):
     Attributes:
         parameters: at the best point found, in the order of the start.
         covariance: s^2 (J^T J)^-1 with s^2 = sum of squares / (n - p).
+        information: J^T J, whose inverse is the covariance where residuals are over their sigma.
         residuals: at the solution, in the residual function's unit.
         converged: whether the solver says so; never silently assumed.
     """
 
     parameters: Float[Array, "p"]
     covariance: Float[Array, "p p"]
+    information: Float[Array, "p p"]
     residuals: Float[Array, "n"]
     converged: bool | Array
 
@@ -53,10 +55,12 @@ def least_squares(
     )
     value = residual(result.value)
     jacobian = jax.jacfwd(residual)(result.value)
+    information = jacobian.T @ jacobian
     variance = jnp.sum(value**2) / (count - jacobian.shape[1])
     return Solution(
         parameters=result.value,
-        covariance=variance * jnp.linalg.inv(jacobian.T @ jacobian),
+        covariance=variance * jnp.linalg.inv(information),
+        information=information,
         residuals=value,
         converged=result.result == optx.RESULTS.successful,
     )
