@@ -42,7 +42,7 @@ _LATEST = 2  # frames within which a lost spot must be found
 _MEDIAN_MS, _TAIL_MS, _TIMES_FASTER = 0.5, 1.5, 2.0
 
 _WIDTH = 250  # characters of the widest table
-_SHORT = {"silent_wrong": "> 0.5", "rmse": "RMSE"}
+_SHORT = {"silent_wrong": "wrong", "rmse": "RMSE"}
 
 Errors = dict[str, np.ndarray]
 """By method, (frames, 2): error of the semi-minor axis, px, NaN for a miss; and 1 if flagged."""
@@ -147,15 +147,15 @@ def _said(met: bool) -> str:
 
 
 def _accuracy(pool: ProcessPoolExecutor, number: int) -> Table:
-    columns = ("bias", "std", "bound", "RMSE", "missed", "silent", "> 0.5", "met")
+    columns = ("bias", "std", "bound", "RMSE", "missed", "silent", "wrong", "met")
     table = Table(
         Column("frames", no_wrap=True),
         Column("asked", no_wrap=True),
         *columns,
         *list(METHODS)[1:],
         title=f"error of the semi-minor axis, px, {number} frames a line (renders fewer).\n"
-        "Left: sub-pixel mode; silent: spots without a flag, > 0.5: those of them that are off by"
-        " more.\nRight: the others on the same crops, RMSE (missed).",
+        "Left: sub-pixel mode; silent: spots without a flag; wrong: those off by over 0.5 px."
+        "\nRight: the others on the same crops, RMSE (missed).",
     )
     known: dict[str, Line | None] = {**lines(), **dict.fromkeys(RENDERS)}
     results = pool.map(errors_of, known, [number] * len(known))

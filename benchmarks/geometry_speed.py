@@ -1,8 +1,10 @@
-"""A million exact spots: 128-point contour, ellipse and distance, each of another geometry."""
+"""A million exact spots (128-point contour, ellipse, distance), and what one inverse takes."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +17,7 @@ import optics
 _COUNT = 1_000_000
 _NUMPY_COUNT = 2_000
 _BATCH = 512
+_REPEATS = 300
 _EYE, _SCALE, _HEIGHT, _APEX = 11.5, 0.0067, 200.0, -5.117
 _LIMITS = {
     "eccentricity": (0.0, 6.0),
@@ -27,7 +30,7 @@ _LIMITS = {
 
 
 def main() -> None:
-    """Print seconds for a million geometries by JAX and by a NumPy loop over geometries."""
+    """Print seconds for a million geometries by JAX and by NumPy, and for single inverses."""
     rng = np.random.default_rng(0)
     poses = {name: jnp.asarray(rng.uniform(*ends, _COUNT)) for name, ends in _LIMITS.items()}
     run = jax.jit(lambda poses: jax.lax.map(_distance, poses, batch_size=_BATCH))
@@ -53,6 +56,44 @@ def main() -> None:
     Console().print(table)
     worst = np.max(np.abs(np.asarray(ours[:_NUMPY_COUNT]) - theirs))
     print(f"largest difference between the two: {worst:.1e} mm")
+    _print_inverses()
+
+
+def _print_inverses() -> None:
+    """Print what one inverse evaluation takes after compilation."""
+    sphere = optics.Sphere(_EYE)
+    camera = optics.microscope(scale=_SCALE, pinhole_height=_HEIGHT, eye_radius=_EYE)
+    cone = {"half_angle": jnp.asarray(0.05), "apex_offset": jnp.asarray(_APEX)}
+    place = {"eccentricity": jnp.asarray(3.0), "incidence": jnp.asarray(0.4)}
+    beam = optics.beam_at_spot(sphere, distance=4.0, **place, **cone)
+    noise = np.random.default_rng(0).normal(0.0, 0.05, (128, 2))
+    contour = optics.spot_contour(beam, sphere, camera) + noise
+    ellipse = optics.ellipse_of_contour(contour)
+    prior = optics.DirectionPrior(beam.axis, jnp.asarray(0.1))
+    covariance = jnp.diag(jnp.array([0.01, 0.01, 0.01, 0.01, 0.001]) ** 2)
+    distance = jax.jit(partial(optics.exact_distance, sphere, camera, **place, **cone))
+    ways: dict[str, Callable[[], object]] = {
+        "distance, axis known": lambda: distance(semi_minor_px=ellipse.semi_minor),
+        "tip from a contour, axis known": lambda: optics.tip_from_contour(
+            contour, sphere, camera, axis=beam.axis, sigma_px=0.05, **cone
+        ),
+        "pose and mirror from a contour": lambda: optics.pose_from_contour(
+            contour, sphere, camera, sigma_px=0.05, prior=prior, **cone
+        ),
+        "pose and mirror from an ellipse": lambda: optics.pose_from_ellipse(
+            ellipse, sphere, camera, covariance=covariance, prior=prior, **cone
+        ),
+    }
+    table = Table("inverse", "ms, median", "ms, best", title=f"one spot, {_REPEATS} times")
+    for name, way in ways.items():
+        jax.block_until_ready(way())
+        times = []
+        for _ in range(_REPEATS):
+            began = time.perf_counter()
+            jax.block_until_ready(way())
+            times.append(1e3 * (time.perf_counter() - began))
+        table.add_row(name, f"{np.median(times):.2f}", f"{min(times):.2f}")
+    Console().print(table)
 
 
 def _distance(pose: dict[str, jax.Array]) -> jax.Array:
