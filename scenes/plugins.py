@@ -199,7 +199,8 @@ class SpotIntegrator(mi.SamplingIntegrator):
             )
             throughput *= weight
             si = scene.ray_intersect(si.spawn_ray(si.to_world(scattered.wo)), active)
-            active &= si.is_valid() & (si.p.z < self.pupil_height)
+            # Not `&=`, which would change the caller's mask of pixels.
+            active = active & si.is_valid() & (si.p.z < self.pupil_height)
             bounce += 1
         return radiance
 

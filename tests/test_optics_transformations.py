@@ -24,8 +24,9 @@ BEAM = {
     "apex_offset": -5.0,
 }
 SQUARE = {"scale": SCALE, "k": 20.0, "b": -5.0, "eccentricity": 3.0, "eye_radius": R_EYE}
+# The core is narrower than the cap: where they are equal the power has a kink.
 LENS = {
-    "core_radius": 0.25,
+    "core_radius": 0.2,
     "glue_length": 0.3,
     "sag": 0.05,
     "aperture_radius": 0.25,

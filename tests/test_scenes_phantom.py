@@ -3,6 +3,7 @@
 from typing import Any
 
 import cv2
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.ndimage
@@ -32,7 +33,7 @@ def dots(path, places_mm, *, mm_px, size, radius_mm=0.15):
     x_mm, y_mm = (x - (width - 1) / 2) * mm_px, ((height - 1) / 2 - y) * mm_px
     away = np.min([np.hypot(x_mm - a, y_mm - b) for a, b in places_mm], axis=0)
     image = np.clip((radius_mm - away) / mm_px + 0.5, 0, 1)
-    cv2.imwrite(str(path), np.uint8(255 * image))
+    cv2.imwrite(str(path), (255 * image).astype(np.uint8))
 
 
 PLACES_MM = [(0.0, 0.0), (3.0, 0.0), (0.0, 2.5), (-2.0, -2.0), (4.0, -2.5)]
@@ -68,7 +69,7 @@ def test_dots_of_an_image_lie_where_their_arcs_from_the_pole_end(tmp_path, kind,
     points = np.stack(
         [across * np.cos(angle), across * np.sin(angle), -11.5 * np.cos(polar)], axis=-1
     )
-    expected = np.asarray(geometry.microscope(settings).project(points))
+    expected = np.asarray(geometry.microscope(settings).project(jnp.asarray(points)))
     away = np.linalg.norm(found[:, None, ::-1] - expected, axis=-1).min(axis=0)
     # Pixels above the half of a dot of 15 px across, counted whole, have their mean within 0.1 px;
     # dots of the coarsest file are sampled at 10 px across. A map of 0.012 mm adds nothing.
