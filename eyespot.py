@@ -293,6 +293,10 @@ def main() -> None:
     raises OSError; their messages are printed as they are. Whatever else arrives here is a bug
     and keeps its traceback.
     """
+    # Half of a short run is compilation, which the next run need not repeat.
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(caches / "eyespot" / "jax"))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
     try:
         _refuse_foreign_packages()
         app()

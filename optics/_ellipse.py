@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -49,10 +50,13 @@ def ellipse_of_contour(contour: Float[Array, "*batch n 2"]) -> Ellipse:
     Returns:
         The ellipse; exact (to rounding) if the contour is one.
     """
-    weights = jnp.ones(contour.shape[:-1])
-    for _ in range(_REWEIGHTINGS):
-        weights = steps_of_eccentric_angle(contour, _fit(contour, weights))
-    return _fit(contour, weights)
+
+    def refit(_: int, ellipse: Ellipse) -> Ellipse:
+        return _fit(contour, steps_of_eccentric_angle(contour, ellipse))
+
+    # A loop, because unrolled it takes seconds to compile wherever it is used.
+    even = _fit(contour, jnp.ones(contour.shape[:-1]))
+    return jax.lax.fori_loop(0, _REWEIGHTINGS, refit, even)
 
 
 def ellipse_points(ellipse: Ellipse, angles: Float[Array, "n"]) -> Float[Array, "*batch n 2"]:
