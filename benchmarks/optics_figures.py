@@ -26,7 +26,7 @@ from benchmarks.model_error import Geometry, estimates
 
 _FOLDER = Path(__file__).resolve().parents[1] / "docs" / "optics"
 _WIDTH_IN = 8.0
-_MEDIA = {"air": 1.0, "vitreous": 1.336}
+_MEDIA = {medium: optics.MEDIA[medium] for medium in ("air", "vitreous")}
 _EYE, _K, _APEX = 11.5, 20.0, -5.117
 _CONE: dict[str, Any] = {"half_angle": float(np.arctan(1.0 / _K)), "apex_offset": _APEX}
 _CONE_TEXT = f"$k$ {_K:g}, $b$ −{-_APEX:g} mm, eye radius {_EYE:g} mm"

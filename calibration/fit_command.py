@@ -13,13 +13,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+import optics
 from calibration._cone_fit import ConeFit, fit_cone
-from calibration._paper_fits import fit_plane
+from calibration._paper_fits import PlaneFit, fit_plane
 from calibration.recordings import Recording, read_recording
 from estimator.calibration_file import Calibration, write_calibration
 from estimator.model_parameters import QUANTITIES
 
-_MEDIUM_INDEX = {"air": 1.0, "water": 1.333, "vitreous": 1.336}
 _CHI_SQUARED = (0.8, 1.25)
 """Per degree of freedom: outside, the noise model or the geometry is not that of the data."""
 
@@ -60,7 +60,7 @@ def run(
             values=values,
             covariance=covariance,
             medium=medium,
-            medium_index=_MEDIUM_INDEX[medium],
+            medium_index=optics.MEDIA[medium],
             fitted_on=f"{spots} spots of {', '.join(r.name for r in recordings)}",
             data_sha256=hashlib.sha256(
                 json.dumps([r.sha256 for r in recordings]).encode()
@@ -78,10 +78,7 @@ def _plane(recordings: Sequence[Recording]) -> tuple[dict[str, float], np.ndarra
     planes = [r for r in recordings if r.trial.kind == "plane"]
     if not planes:
         raise ValueError("the model plane needs a stack of a plane; all of these are eyeballs.")
-    fit = fit_plane(
-        semi_minor_px=np.concatenate([np.asarray(r.trial.ellipses.semi_minor) for r in planes]),
-        distance=np.concatenate([r.trial.readings for r in planes]),
-    )
+    fit = _line(planes)
     scale = planes[0].microscope.scale_mm_px
     own = np.array([fit.delta_k_error / scale, fit.b_error])
     covariance = np.outer(own, own) * np.array([[1.0, fit.correlation], [fit.correlation, 1.0]])
@@ -111,11 +108,16 @@ def _cone(
 
 def _start(recordings: Sequence[Recording]) -> dict[str, float]:
     """The planar model through all spots, near enough for the exact one to find its way."""
-    fit = fit_plane(
+    fit = _line(recordings)
+    return {"half_angle": math.atan(recordings[0].microscope.scale_mm_px / fit.delta_k), "b": fit.b}
+
+
+def _line(recordings: Sequence[Recording]) -> PlaneFit:
+    """The paper's line through the spots of all stacks."""
+    return fit_plane(
         semi_minor_px=np.concatenate([np.asarray(r.trial.ellipses.semi_minor) for r in recordings]),
         distance=np.concatenate([r.trial.readings for r in recordings]),
     )
-    return {"half_angle": math.atan(recordings[0].microscope.scale_mm_px / fit.delta_k), "b": fit.b}
 
 
 def _doubts(fit: ConeFit) -> list[str]:

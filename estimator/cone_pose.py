@@ -106,14 +106,9 @@ class ConePoses:
 
 
 def _covariance(spot: Spot, known: bool) -> np.ndarray:
-    elongation = spot.semi_major_px - spot.semi_minor_px
-    if elongation < _CIRCLE * spot.semi_major_px:
-        # The angle is one of rounding. Zero tells `optics` that it says nothing.
-        covariance = spot.covariance.copy() if known else np.eye(5) * UNKNOWN_SIGMA_PX**2
-        covariance[4, :] = covariance[:, 4] = 0.0
-        return covariance
     if known:
         return spot.covariance
+    elongation = max(spot.semi_major_px - spot.semi_minor_px, _CIRCLE * spot.semi_major_px)
     # The angle may move the contour as far as the centre and the axes do.
     return UNKNOWN_SIGMA_PX**2 * np.diag([1.0, 1.0, 1.0, 1.0, elongation**-2])
 

@@ -14,6 +14,7 @@ _pose_from_contour, _pose_from_ellipse  what it is estimated from
 _half_maximum  the spot's edge by light on any wall
 _truth       what is true of the spot of any beam: the numbers behind labels
 _indirect    light scattered back by a closed matt eyeball
+_refraction  Snell, Fresnel, the media by name
 _lens        GlueLens and its presets
 _lens_misaligned  a cap off centre, a tilted end face: no symmetry about the axis
 _emission    rays from the core through the cap, and the power they carry
@@ -94,6 +95,7 @@ from optics._profile import ambiguous_distances as ambiguous_distances
 from optics._profile import effective_cone as effective_cone
 from optics._profile import half_maximum_radius as half_maximum_radius
 from optics._profile import isophote_radius as isophote_radius
+from optics._refraction import MEDIA as MEDIA
 from optics._surface import BEHIND as BEHIND
 from optics._surface import HIT as HIT
 from optics._surface import MISS as MISS

@@ -4,6 +4,9 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+MEDIA = {"air": 1.0, "water": 1.333, "vitreous": 1.336}
+"""Refractive index by name, visible light; vitreous as in Gullstrand's schematic eye."""
+
 
 def refracted_cosine(*, cos_incident: ArrayLike, index_ratio: ArrayLike) -> Float[Array, "*batch"]:
     r"""Cosine of the refraction angle, 0 under total internal reflection.

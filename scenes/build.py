@@ -12,7 +12,7 @@ import optics
 import scenes.plugins
 import scenes.sensor  # noqa: F401
 from scenes import geometry
-from scenes.settings import GAUGE_DIAMETER_MM, MEDIA, Scene
+from scenes.settings import GAUGE_DIAMETER_MM, Scene
 from scenes.wall import wall, wall_colour
 
 _SHAFT_MM = 40.0
@@ -108,7 +108,7 @@ def _source(scene: Scene, table: optics.IrradianceTable | None) -> dict[str, Any
         "farthest": float(table.farthest),
         "power": scene.source.power_mw,
         "lens": scene.source.lens,
-        "medium_index": MEDIA[scene.source.medium],
+        "medium_index": optics.MEDIA[scene.source.medium],
     }
 
 

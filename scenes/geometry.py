@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import optics
-from scenes.settings import MEDIA, MicroscopeSettings, Scene, SceneError
+from scenes.settings import MicroscopeSettings, Scene, SceneError
 
 _CALIBRATED_RANGE_MM = (0.5, 6.0)
 """Distances over which a lens's effective cone is regressed: those of the paper's trials."""
@@ -84,7 +84,7 @@ def lens_table(scene: Scene) -> optics.IrradianceTable | None:
     """Vector irradiance of the glue lens in its medium, per unit power; None for the cone."""
     if scene.source.kind == "cone":
         return None
-    return _lens_table(scene.source.lens, MEDIA[scene.source.medium])
+    return _lens_table(scene.source.lens, optics.MEDIA[scene.source.medium])
 
 
 @functools.lru_cache(maxsize=4)
@@ -194,3 +194,8 @@ def _check_distortion(scene: Scene) -> None:
             f"microscope.distortion = {list(scene.microscope.distortion)} folds the image within "
             "the window. Lower it, or spot.eccentricity_mm, or raise pinhole_height_mm."
         )
+
+
+def wall_shape(mitsuba_scene: Any) -> Any:
+    """The one shape of a Mitsuba scene that the spot falls on."""
+    return next(shape for shape in mitsuba_scene.shapes() if shape.id() == "wall")

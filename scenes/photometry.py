@@ -9,7 +9,7 @@ import numpy as np
 import optics
 from scenes import geometry
 from scenes.camera_settings import CameraSettings
-from scenes.settings import MEDIA, Scene
+from scenes.settings import Scene
 
 _GREY = np.array([0.299, 0.587, 0.114])
 """Luma weights of ITU-R BT.601, which OpenCV's grey conversion uses."""
@@ -31,7 +31,9 @@ def uniform_irradiance(scene: Scene, *, wall_colour: np.ndarray) -> np.ndarray:
     share = 1.0
     if scene.source.kind != "cone":
         lens = optics.load_lens(scene.source.lens)
-        share = float(optics.transmitted_power(lens, medium_index=MEDIA[scene.source.medium]))
+        share = float(
+            optics.transmitted_power(lens, medium_index=optics.MEDIA[scene.source.medium])
+        )
     return np.asarray(
         optics.indirect_irradiance(
             flux=share * scene.source.power_mw,

@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 
 import optics
+from scenes import geometry
 from scenes.photons import Glass
 
 # Two wall points nearer than this see each other at an angle that float32 does not resolve; in the
@@ -166,7 +167,7 @@ class SpotIntegrator(mi.SamplingIntegrator):
             lit = valid & (dr.max(reflected) > 0)
             lit &= ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
             radiance += reflected & lit
-        wall = si.shape == mi.ShapePtr(next(s for s in scene.shapes() if s.id() == "wall"))
+        wall = si.shape == mi.ShapePtr(geometry.wall_shape(scene))
         return radiance & valid, valid, [dr.select(valid & wall, mi.Float(1), mi.Float(0))]
 
     @dr.syntax

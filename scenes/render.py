@@ -191,6 +191,8 @@ class Renderer:
         ray, _ = self.mitsuba_scene.sensors()[0].sample_ray(
             0.0, 0.5, mi.Point2f(mi.Float(u), mi.Float(v)), mi.Point2f(0.5)
         )
-        wall = next(s for s in self.mitsuba_scene.shapes() if s.id() == "wall")
-        seen = np.asarray(self.mitsuba_scene.ray_intersect(ray).shape == mi.ShapePtr(wall))
+        seen = np.asarray(
+            self.mitsuba_scene.ray_intersect(ray).shape
+            == mi.ShapePtr(geometry.wall_shape(self.mitsuba_scene))
+        )
         return float(np.mean(inside & seen))

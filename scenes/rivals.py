@@ -15,7 +15,7 @@ import numpy as np
 import optics
 from scenes import build, photometry
 from scenes.render import Renderer
-from scenes.settings import MEDIA, Scene
+from scenes.settings import Scene
 
 
 class CapEmitter(mi.Emitter):
@@ -87,7 +87,7 @@ def cap_scene(scene: Scene) -> Any:
     lens = optics.load_lens(scene.source.lens)
     if float(lens.glue_length) > 0:
         raise ValueError("only a flat end without glue is a disc of uniform light")
-    index = MEDIA[scene.source.medium]
+    index = optics.MEDIA[scene.source.medium]
     renderer = Renderer(scene)
     content = build.mitsuba_dict(scene, table=renderer.table, uniform=np.zeros(3))
     beam = renderer.truth.beam

@@ -10,9 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scenes.camera_settings import CameraSettings
 from scenes.motion_settings import Clocks, Motion, Withdrawal
 
-MEDIA = {"air": 1.0, "water": 1.333, "vitreous": 1.336}
-"""Refractive index by name; vitreous after DESIGN's 1.336 (Gullstrand's schematic eye)."""
-
 GAUGE_DIAMETER_MM = {20: 0.91, 23: 0.64, 25: 0.51}
 """Outer diameter of vitrectomy instruments by gauge, mm."""
 
