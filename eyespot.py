@@ -52,6 +52,12 @@ OutputFolder = Annotated[
     Path, typer.Option("--out", metavar="DIR", help="Folder for the results; made if missing.")
 ]
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
+Changes = Annotated[
+    list[str],
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Another value for a scene's key, camera.bit_depth=12."
+    ),
+]
 
 
 @app.command()
@@ -80,6 +86,7 @@ def render(
     preview: Annotated[
         bool, typer.Option("--preview", help="One small frame only: the image DIR.png.")
     ] = False,
+    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
 ) -> None:
     """Render a scene file to an image stack with labels.
 
@@ -89,7 +96,7 @@ def render(
 
     import scenes
 
-    settings = scenes.load_scene(scene)
+    settings = scenes.load_scene(scene, changes)
     if preview:
         # Beside the stack's folder, which does not exist before the stack is whole.
         image = out.with_name(f"{out.name}.png")
@@ -261,12 +268,12 @@ def scene_schema() -> None:
 
 
 @scene_commands.command("check")
-def scene_check(scene: SceneFile) -> None:
+def scene_check(scene: SceneFile, changes: Changes = []) -> None:  # noqa: B006
     """Say whether a scene file can be rendered, and if not, why not."""
     import scenes
     from scenes import geometry, labels
 
-    settings = scenes.load_scene(scene)
+    settings = scenes.load_scene(scene, changes)
     # What the keys alone do not tell, such as a spot that leaves the window.
     labels.moments(settings, geometry.lens_table(settings))
     typer.echo(f"{scene}: fine.")

@@ -22,6 +22,7 @@ from scenes.motion import frame_count as frame_count
 from scenes.preview import write_preview as write_preview
 from scenes.render import LinearFrame as LinearFrame
 from scenes.render import Renderer as Renderer
+from scenes.scene_file import changed as changed
 from scenes.scene_file import load_scene as load_scene
 from scenes.scene_file import scene_schema as scene_schema
 from scenes.scene_file import scene_template as scene_template

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -13,28 +14,39 @@ from pydantic import BaseModel, ValidationError
 from scenes.motion_settings import MOTIONS
 from scenes.settings import Scene, SceneError
 
+_UNNAMED = "withdrawal"
+"""The motion of a scene that names none."""
 
-def load_scene(path: Path) -> Scene:
+
+def load_scene(path: Path | None, changes: Sequence[str] = ()) -> Scene:
     """Read and validate a scene file (TOML).
+
+    Args:
+        path: the file; None for the scene of the defaults.
+        changes: keys set after reading, each "table.key=value", the value as in TOML; the quotes
+            of a string may be left out.
 
     Raises:
         SceneError: the file is missing, is no TOML, has unknown keys (the nearest known one is
-            named) or describes an impossible geometry.
+            named) or describes an impossible geometry; or a change is no "key=value".
     """
-    path = Path(path)
-    try:
-        content = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise SceneError(
-            f"{path}: cannot be read ({error.strerror}). `eyespot scene init {path}` writes one."
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: not a TOML file: {error}.") from error
-    try:
-        return Scene.model_validate(content)
-    except ValidationError as error:
-        problems = "\n".join(f"{path}: {_sentence(problem)}" for problem in error.errors())
-        raise SceneError(problems) from error
+    content = {} if path is None else _read(Path(path))
+    for change in changes:
+        content = _merged(content, _parsed(change))
+    where = " ".join([str(path or "the default scene"), *(f"--set {c}" for c in changes)])
+    return _validated(content, where)
+
+
+def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+    """The scene with other values, {"table.key": value}; a new motion.kind brings its defaults.
+
+    Raises:
+        SceneError: a key is unknown, or the scene cannot be.
+    """
+    content = scene.model_dump(mode="json", by_alias=True)
+    for key, value in changes.items():
+        content = _merged(content, _nested(key.split("."), value))
+    return _validated(content, "the changed scene")
 
 
 def scene_toml(scene: Scene) -> str:
@@ -64,6 +76,55 @@ def scene_template(*, schema_file: str | None = None) -> str:
         if isinstance(field.default, BaseModel):
             lines += _table(name, type(field.default))
     return "\n".join(lines) + "\n"
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text())
+    except OSError as error:
+        raise SceneError(
+            f"{path}: cannot be read ({error.strerror}). `eyespot scene init {path}` writes one."
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SceneError(f"{path}: not a TOML file: {error}.") from error
+
+
+def _parsed(change: str) -> dict[str, Any]:
+    key, equals, text = (part.strip() for part in change.partition("="))
+    if not (key and equals):
+        raise SceneError(f"a change is written table.key=value; got {change!r}.")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    return _nested(key.split("."), value)
+
+
+def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
+    for part in reversed(path):
+        value = {part: value}
+    return value
+
+
+def _merged(content: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """The content with the change's values; the keys of another kind of motion are dropped."""
+    merged = dict(content)
+    if change.get("kind") in MOTIONS and change["kind"] != content.get("kind", _UNNAMED):
+        merged.clear()
+    for key, value in change.items():
+        old = merged.get(key)
+        if isinstance(value, Mapping) and isinstance(old, Mapping):
+            value = _merged(old, value)
+        merged[key] = value
+    return merged
+
+
+def _validated(content: Mapping[str, Any], where: str) -> Scene:
+    try:
+        return Scene.model_validate(content)
+    except ValidationError as error:
+        problems = "\n".join(f"{where}: {_sentence(problem)}" for problem in error.errors())
+        raise SceneError(problems) from error
 
 
 def _table(name: str, model: type[BaseModel]) -> list[str]:

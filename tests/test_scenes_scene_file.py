@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 import eyespot
-from scenes import Scene, scene_schema, scene_template
+from scenes import Scene, SceneError, changed, load_scene, scene_schema, scene_template
 
 
 def accepted_by_schema(content: dict[str, Any]) -> bool:
@@ -76,3 +76,37 @@ def test_a_new_scene_file_names_the_schema_that_lies_beside_it(monkeypatch, caps
     first, *rest = (tmp_path / "scene.toml").read_text().splitlines()
     assert first == "#:schema ./scene.schema.json"
     assert rest == (tmp_path / "alone.toml").read_text().splitlines()
+
+
+def test_a_change_on_the_command_line_is_the_same_as_in_the_file(tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text('[motion]\nkind = "scan"\nlength_mm = 2.0\n[source]\nkind = "cone"\n')
+    by_option = load_scene(
+        None, ["motion.kind=scan", "motion.length_mm = 2.0", 'source.kind="cone"']
+    )
+    assert by_option == load_scene(file)
+    assert changed(
+        Scene(), {"motion.kind": "scan", "motion.length_mm": 2, "source.kind": "cone"}
+    ) == (by_option)
+
+
+def test_a_change_leaves_all_other_keys_alone():
+    scene = load_scene(None, ["motion.travel_mm=3", "spot.eccentricity_mm=2"])
+    assert scene.motion == Scene().motion.model_copy(update={"travel_mm": 3.0})
+    assert changed(scene, {"motion.kind": "withdrawal"}) == scene
+    assert changed(scene, {"motion.kind": "hand"}).spot == scene.spot
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("motion.travel=3", "--set motion.travel=3: unknown key 'motion.travel'; did you mean"),
+        ("spot.eccentricity_mm=far", "spot.eccentricity_mm: .* got 'far'"),
+        ("seed", "a change is written table.key=value; got 'seed'"),
+        ("=3", "a change is written table.key=value; got '=3'"),
+        ("spot=3", "spot: .* got 3"),
+    ],
+)
+def test_a_change_that_cannot_be_is_named(change, message):
+    with pytest.raises(SceneError, match=message):
+        load_scene(None, [change])
