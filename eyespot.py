@@ -277,6 +277,8 @@ def scene_check(scene: SceneFile, changes: Changes = []) -> None:  # noqa: B006
     # What the keys alone do not tell, such as a spot that leaves the window.
     labels.moments(settings, geometry.lens_table(settings))
     typer.echo(f"{scene}: fine.")
+    for approximation in settings.approximations:
+        typer.echo(f"Approximate: {approximation}.")
 
 
 @app.command()

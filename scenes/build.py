@@ -188,8 +188,14 @@ def _sensor(scene: Scene, microscope: optics.Microscope, sampler: dict[str, Any]
         "principal_point": mi.ScalarPoint2f(u0, v0),
         "entry_height": _inside_the_eye(scene, microscope),
         "vignetting": scene.microscope.vignetting,
+        "aperture_slope": _aperture_slope(scene),
+        "focus_height": scene.microscope.focus_mm - scene.phantom.radius_mm,
         **dict(zip(names, scene.microscope.distortion, strict=True)),
     }
+
+
+def _aperture_slope(scene: Scene) -> float:
+    return math.tan(math.asin(scene.microscope.numerical_aperture))
 
 
 def _film(scene: Scene) -> dict[str, Any]:
@@ -220,6 +226,14 @@ def _inside_the_eye(scene: Scene, microscope: optics.Microscope) -> float:
         return 3 * r if math.isinf(settings.pinhole_height_mm) else settings.pinhole_height_mm
     border = geometry.border(settings)
     point, direction = (np.asarray(a) for a in microscope.ray(border))
+    if slope := _aperture_slope(scene):
+        # The outermost lines of sight that a thin lens adds cross these in the plane in focus.
+        aside = slope * np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+        below = (settings.focus_mm - r - point[:, 2:]) / direction[:, 2:]
+        point, direction = point + below * direction, direction / -direction[:, 2:]
+        direction = (direction + aside[:, None]).reshape(-1, 3)
+        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+        point = np.tile(point, (len(aside), 1))
     along = -np.sum(point * direction, axis=-1)
     chord = along**2 + r**2 - np.sum(point * point, axis=-1)
     if chord.min() <= 0:

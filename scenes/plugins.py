@@ -165,10 +165,10 @@ class SpotIntegrator(mi.SamplingIntegrator):
             ds, weight = emitter.sample_direction(si, mi.Point2f(0.5), valid)
             reflected = bsdf.eval(context, si, si.to_local(ds.d), valid) * weight
             lit = valid & (dr.max(reflected) > 0)
-            lit &= ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
-            radiance += reflected & lit
-        wall = si.shape == mi.ShapePtr(geometry.wall_shape(scene))
-        return radiance & valid, valid, [dr.select(valid & wall, mi.Float(1), mi.Float(0))]
+            lit = dr.select(scene.ray_test(si.spawn_ray_to(ds.p), lit), False, lit)
+            radiance += dr.select(lit, reflected, 0)
+        wall = si.shape == geometry.wall_shape(scene)
+        return dr.select(valid, radiance, 0), valid, [dr.select(valid & wall, mi.Float(1), 0)]
 
     @dr.syntax
     def _interreflection(self, scene, sampler, si, active):

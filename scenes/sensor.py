@@ -21,6 +21,10 @@ class MicroscopeSensor(mi.Sensor):
     Unlike Mitsuba's `perspective` it looks into the closed eyeball: lines of sight begin at the
     height where they enter the eye. Corners are darker: a pixel has the part
     1 - vignetting (s / s_corner)^2 of its light, s its distance from the window's middle.
+
+    With an aperture it is a thin lens in the pinhole's place: the lines of sight of a pixel all
+    cross where the one through the pinhole meets the height in focus, within a slope (tangent of
+    the angle) of it.
     """
 
     def __init__(self, props):
@@ -30,6 +34,8 @@ class MicroscopeSensor(mi.Sensor):
         self.centre = mi.Vector2f(props["principal_point"])
         self.distortion = tuple(props[name] for name in ("k1", "k2", "p1", "p2", "k3"))
         self.vignetting = props["vignetting"]
+        self.aperture_slope, self.focus_height = props["aperture_slope"], props["focus_height"]
+        self.m_needs_sample_3 = self.aperture_slope > 0
 
     def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
         """Line of sight through a place of the film, and the part of the light that arrives."""
@@ -37,9 +43,11 @@ class MicroscopeSensor(mi.Sensor):
         ideal = self._undistorted(mi.Vector2f(position_sample) * size - self.centre)
         x, y = ideal.x * self.scale, -ideal.y * self.scale
         depth = self._depth(self.entry_height)
+        aside = self._slope(aperture_sample)
+        above = self.entry_height - self.focus_height
         ray = mi.Ray3f(
-            mi.Point3f(x * depth, y * depth, self.entry_height),
-            dr.normalize(mi.Vector3f(self.bend * x, self.bend * y, -1)),
+            mi.Point3f(x * depth - above * aside.x, y * depth - above * aside.y, self.entry_height),
+            dr.normalize(mi.Vector3f(self.bend * x + aside.x, self.bend * y + aside.y, -1)),
             time,
         )
         return ray, mi.Color3f(self._part(position_sample))
@@ -57,11 +65,15 @@ class MicroscopeSensor(mi.Sensor):
         """Direction to the pinhole; weight by which a photon's radiance enters the film."""
         size = mi.Vector2f(self.film().size())
         depth = self._depth(it.p.z)
+        aside = self._slope(sample)
+        # Where the line of sight of that slope would start from were it the pinhole's.
+        above = it.p.z - self.focus_height
+        x, y = (it.p.x + above * aside.x) / depth, (it.p.y + above * aside.y) / depth
         ds = dr.zeros(mi.DirectionSample3f)
-        ds.d = dr.normalize(mi.Vector3f(-self.bend * it.p.x, -self.bend * it.p.y, depth))
+        ds.d = -dr.normalize(mi.Vector3f(self.bend * x + aside.x, self.bend * y + aside.y, -1))
         ds.dist = (self.entry_height - it.p.z) / ds.d.z
         ds.p = it.p + ds.dist * ds.d
-        offset, growth = self._distorted(mi.Vector2f(it.p.x, -it.p.y) / (self.scale * depth))
+        offset, growth = self._distorted(mi.Vector2f(x, -y) / self.scale)
         place = self.centre + offset
         seen = active & (ds.dist > 0) & dr.all((place >= 0) & (place < size))
         ds.uv = mi.Point2f(place)
@@ -72,6 +84,10 @@ class MicroscopeSensor(mi.Sensor):
 
     def _depth(self, height):
         return 1 - self.bend * (height - self.pole_height)
+
+    def _slope(self, sample):
+        """Of a line of sight against the pinhole's, from uniform numbers; zero for a pinhole."""
+        return self.aperture_slope * mi.warp.square_to_uniform_disk_concentric(sample)
 
     def _part(self, position):
         """Of the light at a place of the film, what vignetting leaves."""

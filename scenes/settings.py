@@ -43,6 +43,11 @@ class Phantom(_Settings):
         24.0, gt=0, description="Width of the image: along the wall, as an arc through the pole."
     )
     texture_seed: int = Field(1, ge=0, description="Seed of the fundus drawn on the wall.")
+    coat: Literal["none", "wet", "glossy"] = Field(
+        "none",
+        description="On the matt wall: wet, a film of water, or glossy, a varnish. Approximate "
+        "with source.kind 'lens', whose light has no directions, and with the closed form.",
+    )
     indirect: Literal["closed form", "traced", "off"] = Field(
         "closed form",
         description="Light scattered back by the closed eyeball; traced: seconds a frame, with "
@@ -120,6 +125,14 @@ class MicroscopeSettings(_Settings):
         (0.0, 0.0, 0.0, 0.0, 0.0),
         description="k1, k2, p1, p2, k3 of Brown's lens, as OpenCV has them.",
     )
+    numerical_aperture: float = Field(
+        0.0,
+        ge=0,
+        le=0.3,
+        description="On the eye's side; 0: a pinhole, sharp everywhere. Above, walls out of focus "
+        "are blurred, and samples counts lines of sight through the lens too: take 64.",
+    )
+    focus_mm: float = Field(0.0, description="Height in focus above the retinal pole.")
     samples: int = Field(4, ge=1, description="Per pixel, on a regular grid: 1, 4, 9, 16 …")
 
 
@@ -158,6 +171,17 @@ class Scene(_Settings):
     microscope: MicroscopeSettings = MicroscopeSettings()
     camera: CameraSettings = CameraSettings()
     exposures: Exposures = Exposures()
+
+    @property
+    def approximations(self) -> list[str]:
+        """What about its images is not exact, for those who use them."""
+        phantom, found = self.phantom, []
+        if phantom.coat != "none" and self.source.kind == "lens":
+            found.append("the lens's light has no directions: highlights are those of its mean one")
+        if phantom.coat != "none" and phantom.kind == "eyeball":
+            if phantom.indirect == "closed form":
+                found.append("indirect light is that of the wall without its coat")
+        return found
 
     @model_validator(mode="after")
     def _is_possible(self) -> Scene:

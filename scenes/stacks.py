@@ -62,7 +62,11 @@ def render_stack(
                 "scene": _dump(scene),
                 "cone": geometry.cone(scene, renderer.table)._asdict(),
                 "wall_colour": renderer.wall_colour.tolist(),
-                "run": {"variant": variant, "versions": _versions()},
+                "run": {
+                    "variant": variant,
+                    "versions": _versions(),
+                    "approximations": scene.approximations,
+                },
             },
             microscope=_microscope_file(scene, camera.paper_exposure_s),
             kinematics=motion.kinematics(scene, renderer.moments.motion),

@@ -13,12 +13,15 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+import optics
 from scenes import geometry
 from scenes.fundus import fundus
 from scenes.settings import Phantom, Scene
 from scenes.wall_image import wall_image
 
 _TEXTURE_MM, _TEXTURE_PX = 24.0, 2048
+_COATS = {"wet": (optics.MEDIA["water"], 0.05), "glossy": (1.5, 0.2)}
+"""Refractive index, and Beckmann's roughness (an assumption)."""
 
 
 def wall_colour(scene: Scene) -> np.ndarray:
@@ -61,12 +64,16 @@ def wall(scene: Scene) -> dict[str, Any]:
             "raw": True,
             "wrap_mode": "clamp",
         }
-    matt = {"type": "diffuse", "reflectance": reflectance}
+    surface = _surface(scene, reflectance)
     if scene.phantom.kind == "plane":
         pole = geometry.wall(scene).frame_at(eccentricity=0.0, azimuth=0.0)
         place = geometry.rigid_transform(np.asarray(pole.origin), -np.asarray(pole.outward))
         half = np.diag([_TEXTURE_MM / 2, _TEXTURE_MM / 2, 1.0, 1.0])
-        return {"type": "rectangle", "to_world": mi.ScalarTransform4f(place @ half), "bsdf": matt}
+        return {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f(place @ half),
+            "bsdf": surface,
+        }
     if "bitmap" in reflectance:
         reflectance["to_uv"] = _longitude_latitude_to_uv(radius=scene.phantom.radius_mm)
     return {
@@ -74,7 +81,21 @@ def wall(scene: Scene) -> dict[str, Any]:
         "radius": scene.phantom.radius_mm,
         "flip_normals": True,
         "to_world": mi.ScalarTransform4f(_EQUATOR_AT_POLE),
-        "bsdf": matt,
+        "bsdf": surface,
+    }
+
+
+def _surface(scene: Scene, reflectance: dict[str, Any]) -> dict[str, Any]:
+    medium = optics.MEDIA[scene.source.medium]
+    index, roughness = _COATS.get(scene.phantom.coat, (medium, 0.0))
+    if index == medium:  # no coat, or water on a wall under water
+        return {"type": "diffuse", "reflectance": reflectance}
+    return {
+        "type": "roughplastic",
+        "diffuse_reflectance": reflectance,
+        "int_ior": index,
+        "ext_ior": medium,
+        "alpha": roughness,
     }
 
 

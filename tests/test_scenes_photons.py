@@ -163,6 +163,18 @@ CASES: dict[str, dict[str, Any]] = {
             "distortion": [-0.4, 0.1, 0.05, 0.04, -0.2],
         },
     },
+    "dome, vitreous, 0.5 mm, eyeball, a thin lens in focus 2 mm above the wall": {
+        "phantom": {"kind": "eyeball"},
+        "source": {"medium": "vitreous"},
+        "spot": {"eccentricity_mm": 2.0},
+        "motion": withdrawal(0.5),
+        "microscope": {
+            "scale_mm_px": 0.02,
+            "numerical_aperture": 0.1,
+            "focus_mm": 2.0,
+            "samples": 4096,
+        },
+    },
 }
 
 
