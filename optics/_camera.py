@@ -97,13 +97,26 @@ class Microscope(eqx.Module):
         (u, v), one, zero = self.principal_point, jnp.ones(()), jnp.zeros(())
         return jnp.array([[f, zero, u], [zero, f, v], [zero, zero, one]])
 
-    def centred_on(self, point: Float[Array, "3"], *, width: int, height: int) -> Microscope:
+    def centred_on(
+        self,
+        point: Float[Array, "3"],
+        *,
+        width: int,
+        height: int,
+        offset: tuple[float, float] = (0.0, 0.0),
+    ) -> Microscope:
         """The same microscope with its sensor window shifted so that `point` is in the middle.
 
         The pinhole stays on the axis (DESIGN: a shifted window, not a tilted camera).
+
+        Args:
+            point: eye frame, mm.
+            width: of the window, px.
+            height: of the window, px.
+            offset: of the window's middle from the point's image, px.
         """
         middle = jnp.array([(width - 1) / 2.0, (height - 1) / 2.0])
-        shift = middle - self.project(point)
+        shift = middle - jnp.array(offset) - self.project(point)
         return eqx.tree_at(lambda m: m.principal_point, self, self.principal_point + shift)
 
 

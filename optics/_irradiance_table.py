@@ -77,10 +77,11 @@ class IrradianceTable(eqx.Module):
         farthest: distance of the last row, mm.
     """
 
-    values: Float[Array, "n_s n_rho 2"]
-    medium_index: Float[Array, ""]
-    contact_radius: Float[Array, ""]
-    slope: Float[Array, ""]
+    # A NumPy array, as from a file, would be copied at every compiled call: 19 MB.
+    values: Float[Array, "n_s n_rho 2"] = eqx.field(converter=jnp.asarray)
+    medium_index: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    contact_radius: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    slope: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     nearest: float = _NEAREST
     farthest: float = _FARTHEST
 

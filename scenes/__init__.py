@@ -3,12 +3,15 @@
 settings     what a scene holds, validated; motion_settings, camera_settings: tables of it
 scene_file   scenes as TOML, its template and JSON schema
 geometry     the scene as optics objects
+lens_light   the glue lens's light, kept on disk between runs
 photometry   indirect light, exposure of the `paper` frames
 motion       where the tip is at any moment, and the clocks that sample it
 labels       the truth of every frame
+check        refuses what cannot be rendered
 fundus       the wall's picture, made from a seed; wall_image: from a file
 build        the scene as a Mitsuba dictionary; wall: its largest part
 plugins      emitters and integrator; sensor: the microscope (import after a variant is set)
+images       one pose without noise; pixels: some of it; reach: which of them a pose changes
 render       linear frames, sharp or gathered over an exposure
 stacks       stacks on disk, rendered or exposed again
 preview      one small frame
@@ -18,6 +21,7 @@ llvm         finds a libLLVM that works
 doctor       what a machine has and lacks
 """
 
+from scenes.check import check_scene as check_scene
 from scenes.motion import frame_count as frame_count
 from scenes.preview import write_preview as write_preview
 from scenes.render import LinearFrame as LinearFrame

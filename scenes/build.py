@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import mitsuba as mi
@@ -72,6 +73,19 @@ def _pupil_height(scene: Scene) -> float:
     """Height from which on the eyeball's wall is open; beyond all walls if it is closed."""
     r, pupil = scene.phantom.radius_mm, scene.phantom.pupil_radius_mm
     return math.sqrt(r * r - pupil * pupil) if pupil else math.inf
+
+
+def mover(scene: Scene, mitsuba_scene: Any) -> Callable[[np.ndarray, np.ndarray], None]:
+    """What puts the tip and the axis of a scene that is loaded somewhere."""
+    parameters = mi.traverse(mitsuba_scene)
+
+    def move(tip: np.ndarray, axis: np.ndarray) -> None:
+        apex = tip + scene.source.cone_apex_offset_mm * axis
+        for name, value in pose_parameters(scene, tip=tip, axis=axis, apex=apex).items():
+            parameters[name] = value
+        parameters.update()
+
+    return move
 
 
 def pose_parameters(scene: Scene, *, tip: Any, axis: Any, apex: Any) -> dict[str, Any]:

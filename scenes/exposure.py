@@ -26,9 +26,9 @@ from scenes.camera_output import demosaiced, mosaic
 from scenes.camera_settings import CameraSettings
 from scenes.response import CONVERTER_MAX, full_wells, response_table
 
-# At 50 electrons a normal number has the mean and variance of a Poisson number and misses its
-# skewness of 1/sqrt(50) = 0.14; below, the electrons are counted.
-POISSON_BELOW_E = 50.0
+# A normal number has the mean and variance of a Poisson number and misses its skewness, which from
+# 50 electrons on is 1/sqrt(50) = 0.14 or less. So much may be missed of shot and read noise.
+_NORMAL_FROM_E = 50.0
 
 # Samples per pass: the working arrays of one pass stay in the cache.
 _BLOCK = 1 << 16
@@ -130,6 +130,7 @@ def _raw(
     black = np.float32(settings.black_level_dn * per_dn + 0.5)
     dark_e = np.float32(settings.dark_signal_e)
     read_variance = np.float32(settings.read_noise_e**2)
+    few_e = counted_below_e(settings)
 
     flat, flat_raw = light_e.reshape(-1), raw.reshape(-1)
     noise = np.empty(_BLOCK, np.float32)
@@ -142,7 +143,7 @@ def _raw(
         # One normal number serves shot and read noise, whose variances add; where electrons are
         # counted it is left with the read noise.
         variance = mean + read_variance
-        for few in _few_electrons(mean):
+        for few in _few_electrons(mean, few_e):
             mean[few] = _poisson(mean[few], rng)
             variance[few] = read_variance
         electrons = noise[: mean.size]
@@ -228,11 +229,24 @@ def linearise(dn: NDArray[np.integer], *, settings: CameraSettings) -> NDArray[n
     return full_wells(levels, settings).astype(np.float32)[dn]
 
 
-def _few_electrons(mean: NDArray[np.float32]) -> list[NDArray[np.intp]]:
+def counted_below_e(settings: CameraSettings) -> float:
+    """Mean electrons below which a camera's electrons are counted, in place of a normal number.
+
+    Shot noise of m electrons and read noise of variance s have the skewness m/(m + s)^(3/2)
+    together: normal read noise hides that of few electrons, and from 2.7 electrons of it on that
+    of any number.
+    """
+    s = settings.read_noise_e**2
+    # Where the skewness is that of 50 electrons without read noise: 50 m^2 = (m + s)^3.
+    roots = np.roots([1.0, 3 * s - _NORMAL_FROM_E, 3 * s**2, s**3])
+    return max(0.0, *roots[np.isreal(roots)].real)
+
+
+def _few_electrons(mean: NDArray[np.float32], few_e: float) -> list[NDArray[np.intp]]:
     """Indices of the pixels whose electrons are counted, those of like mean together."""
-    if mean.min() >= POISSON_BELOW_E:
+    if mean.min() >= few_e:
         return []
-    edges = (-math.inf, 6.0, POISSON_BELOW_E)
+    edges = (-math.inf, min(6.0, few_e), few_e)
     return [np.flatnonzero((mean >= low) & (mean < high)) for low, high in pairwise(edges)]
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import optics
+from scenes.lens_light import lens_light
 from scenes.settings import MicroscopeSettings, Scene, SceneError
 
 _CALIBRATED_RANGE_MM = (0.5, 6.0)
@@ -49,7 +49,7 @@ def wall_frame(scene: Scene) -> optics.WallFrame:
 
 
 def microscope(scene: Scene) -> optics.Microscope:
-    """The microscope, its window shifted so that the place of [spot] lies in the middle."""
+    """The microscope, its window shifted to the place of [spot]."""
     settings = scene.microscope
     camera = optics.microscope(
         scale=settings.scale_mm_px,
@@ -58,7 +58,12 @@ def microscope(scene: Scene) -> optics.Microscope:
         distortion=settings.distortion,
     )
     spot = wall_frame(scene).origin
-    return camera.centred_on(spot, width=settings.width_px, height=settings.height_px)
+    return camera.centred_on(
+        spot,
+        width=settings.width_px,
+        height=settings.height_px,
+        offset=settings.window_offset_px,
+    )
 
 
 def rigid_transform(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -84,13 +89,7 @@ def lens_table(scene: Scene) -> optics.IrradianceTable | None:
     """Vector irradiance of the glue lens in its medium, per unit power; None for the cone."""
     if scene.source.kind == "cone":
         return None
-    return _lens_table(scene.source.lens, optics.MEDIA[scene.source.medium])
-
-
-@functools.lru_cache(maxsize=4)
-def _lens_table(lens: str, medium_index: float) -> optics.IrradianceTable:
-    # Seconds of quadrature that all trials of a run share.
-    return optics.irradiance_table(optics.load_lens(lens), medium_index=medium_index)
+    return lens_light(scene.source.lens, optics.MEDIA[scene.source.medium]).table
 
 
 def cone(scene: Scene, table: optics.IrradianceTable | None) -> Cone:
@@ -156,7 +155,7 @@ def check_poses(scene: Scene, *, times: np.ndarray, tip: np.ndarray, axis: np.nd
 
 
 def check_window(scene: Scene, *, times: np.ndarray, contours: np.ndarray) -> None:
-    """Refuse a scene whose spot leaves the window.
+    """Refuse a scene whose spot leaves a window that was not shifted to cut it.
 
     Args:
         scene: the scene.
@@ -170,7 +169,7 @@ def check_window(scene: Scene, *, times: np.ndarray, contours: np.ndarray) -> No
     _check_distortion(scene)
     width, height = scene.microscope.width_px, scene.microscope.height_px
     inside = (contours >= 0) & (contours <= (width - 1, height - 1))  # false for NaN too
-    if inside.all():
+    if inside.all() or any(scene.microscope.window_offset_px):
         return
     first = int(np.argmin(inside.all(axis=(1, 2))))
     low, high = contours[first].min(axis=0), contours[first].max(axis=0)

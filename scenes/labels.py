@@ -40,12 +40,7 @@ def moments(scene: Scene, table: optics.IrradianceTable | None) -> Moments:
         SceneError: the tip touches the wall or leaves the eye, or the spot leaves the window; the
             message names the moment.
     """
-    motion = trajectory(scene)
-    times = frame_times(scene, motion)
-    # Between frames the tip meets no wall either.
-    often = np.arange(0.0, times.max(), 1 / scene.clocks.kinematics_hz)
-    both = np.union1d(often, times)
-    geometry.check_poses(scene, times=both, **motion.at(both)._asdict())
+    motion, times = timeline(scene)
     cone = geometry.cone(scene, table)
     spots = optics.spot_truth(
         geometry.wall(scene),
@@ -59,38 +54,54 @@ def moments(scene: Scene, table: optics.IrradianceTable | None) -> Moments:
     return Moments(motion, times, spots, motion.speed(times))
 
 
+def timeline(scene: Scene) -> tuple[Trajectory, np.ndarray]:
+    """The motion, and the middle of each frame's exposure, s.
+
+    Raises:
+        SceneError: the tip touches the wall or leaves the eye; the message names the moment.
+    """
+    motion = trajectory(scene)
+    times = frame_times(scene, motion)
+    # Between frames the tip meets no wall either.
+    often = np.arange(0.0, times.max(), 1 / scene.clocks.kinematics_hz)
+    both = np.union1d(often, times)
+    geometry.check_poses(scene, times=both, **motion.at(both)._asdict())
+    return motion, times
+
+
 def spot_labels(scene: Scene, moments: Moments, frame: int) -> dict[str, Any]:
     """The labels of `estimator.FrameLabels` that geometry decides, of one frame."""
     spots, eyeball = moments.spots, scene.phantom.kind == "eyeball"
-    c = float(spots.eccentricity[frame])
+
+    def at(column: object) -> Any:
+        # A frame of a NumPy array takes a tenth of the time of one of a JAX array.
+        return np.asarray(column)[frame].tolist()
+
+    c = at(spots.eccentricity)
     labels: dict[str, Any] = {
         "frame": frame,
-        "time_s": float(moments.times[frame]),
-        "d_mm": float(spots.distance[frame]),
-        "nearest_mm": float(spots.nearest[frame]),
+        "time_s": at(moments.times),
+        "d_mm": at(spots.distance),
+        "nearest_mm": at(spots.nearest),
         "c_mm": c,
-        "azimuth_rad": float(spots.azimuth[frame]),
+        "azimuth_rad": at(spots.azimuth),
         "phi_rad": math.asin(c / scene.phantom.radius_mm) if eyeball else 0.0,
-        "incidence_rad": float(spots.incidence[frame]),
-        "incidence_azimuth_rad": float(spots.incidence_azimuth[frame]),
-        "tip_mm": _floats(spots.beam.tip[frame]),
-        "axis": _floats(spots.beam.axis[frame]),
-        "spot_mm": _floats(spots.origin[frame]),
-        "speed_mm_s": float(moments.speed[frame]),
+        "incidence_rad": at(spots.incidence),
+        "incidence_azimuth_rad": at(spots.incidence_azimuth),
+        "tip_mm": tuple(at(spots.beam.tip)),
+        "axis": tuple(at(spots.beam.axis)),
+        "spot_mm": tuple(at(spots.origin)),
+        "speed_mm_s": at(moments.speed),
         "medium": scene.source.medium,
         "seed": scene.seed,
     }
     for kind, ellipse in (("cone", spots.cone), ("half_max", spots.half_max)):
-        x, y = _floats(ellipse.centre[frame])
+        x, y = at(ellipse.centre)
         labels |= {
             f"{kind}_x_px": x,
             f"{kind}_y_px": y,
-            f"{kind}_semi_major_px": float(ellipse.semi_major[frame]),
-            f"{kind}_semi_minor_px": float(ellipse.semi_minor[frame]),
-            f"{kind}_angle_rad": float(ellipse.angle[frame]),
+            f"{kind}_semi_major_px": at(ellipse.semi_major),
+            f"{kind}_semi_minor_px": at(ellipse.semi_minor),
+            f"{kind}_angle_rad": at(ellipse.angle),
         }
     return labels
-
-
-def _floats(vector: object) -> tuple[float, ...]:
-    return tuple(float(x) for x in np.asarray(vector))

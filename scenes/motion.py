@@ -38,6 +38,10 @@ class Poses(NamedTuple):
     axis: NDArray[np.float64]
 
 
+PosesAt = Callable[[NDArray[np.float64]], Poses]
+"""Poses at moments in s."""
+
+
 class Trajectory(NamedTuple):
     """A motion.
 
@@ -48,7 +52,7 @@ class Trajectory(NamedTuple):
     """
 
     moments: NDArray[np.float64]
-    at: Callable[[NDArray[np.float64]], Poses]
+    at: PosesAt
 
     def speed(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Speed of the tip, mm/s; where it jumps, as at a start from rest, the larger."""
@@ -67,18 +71,40 @@ def trajectory(scene: Scene) -> Trajectory:
     """
     match scene.motion:
         case Withdrawal():
-            return _withdrawal(scene, scene.motion)
+            at = _withdrawal(scene, scene.motion)
         case Scan():
-            return _scan(scene, scene.motion)
+            at = _scan(scene, scene.motion)
         case Hand():
-            return _hand(scene, scene.motion)
+            at = _hand(scene, scene.motion)
         case Recorded():
-            return _recorded(scene, scene.motion)
+            at = _recorded(scene.motion)
+    return Trajectory(_moments(scene), at)
 
 
 def frame_count(scene: Scene) -> int:
-    """Number of frames that a scene has of each kind of exposure."""
-    return trajectory(scene).moments.size
+    """Number of frames that a scene has of each kind of exposure.
+
+    Raises:
+        SceneError: a recorded motion cannot be read.
+    """
+    return _moments(scene).size
+
+
+def _moments(scene: Scene) -> NDArray[np.float64]:
+    """When the camera's frames are due, s."""
+    match scene.motion:
+        case Withdrawal() as motion:
+            travelled = np.linspace(0.0, motion.travel_mm, motion.frames)
+            return travelled / motion.speed_mm_s
+        case Scan() as motion:
+            duration = motion.length_mm / motion.speed_mm_s
+        case Hand() as motion:
+            duration = motion.duration_s
+        case Recorded() as motion:
+            duration = float(_recording(motion)[0][-1])
+    # A motion that ends on a frame, but for rounding, has that frame.
+    count = math.floor(duration * scene.clocks.camera_hz + 1e-6) + 1
+    return np.arange(count) / scene.clocks.camera_hz
 
 
 def frame_times(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
@@ -110,7 +136,7 @@ def kinematics(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
     return np.column_stack([np.maximum.accumulate(stamps), poses.tip, poses.axis])
 
 
-def _withdrawal(scene: Scene, motion: Withdrawal) -> Trajectory:
+def _withdrawal(scene: Scene, motion: Withdrawal) -> PosesAt:
     spot, axis = _aim(scene)
     start = motion.start_mm
     if isinstance(start, str):
@@ -120,10 +146,10 @@ def _withdrawal(scene: Scene, motion: Withdrawal) -> Trajectory:
         distance = start + np.clip(motion.speed_mm_s * times, 0.0, motion.travel_mm)
         return Poses(spot - distance[:, None] * axis, np.broadcast_to(axis, (distance.size, 3)))
 
-    return Trajectory(np.linspace(0.0, motion.travel_mm, motion.frames) / motion.speed_mm_s, at)
+    return at
 
 
-def _scan(scene: Scene, motion: Scan) -> Trajectory:
+def _scan(scene: Scene, motion: Scan) -> PosesAt:
     spot, axis = _aim(scene)
     wall = geometry.wall(scene)
     frame = geometry.wall_frame(scene)
@@ -142,16 +168,16 @@ def _scan(scene: Scene, motion: Scan) -> Trajectory:
         pointing = _unit((place - spot) / motion.trocar_mm + axis)
         return Poses(place - motion.distance_mm * pointing, pointing)
 
-    return Trajectory(_regular(scene, motion.length_mm / motion.speed_mm_s), at)
+    return at
 
 
-def _hand(scene: Scene, motion: Hand) -> Trajectory:
+def _hand(scene: Scene, motion: Hand) -> PosesAt:
     spot, axis = _aim(scene)
     rng = np.random.default_rng(motion.seed)
     tremor = _Band.random(rng, _TREMOR_HZ, rms=(1 - motion.damping) * motion.tremor_rms_mm)
     slow = _Band.random(rng, _VOLUNTARY_HZ, rms=1.0)
-    moments = _regular(scene, motion.duration_s)
-    fine = np.linspace(0.0, moments[-1], 1 + math.ceil(moments[-1] / _FINE_S))
+    last = _moments(scene)[-1]
+    fine = np.linspace(0.0, last, 1 + math.ceil(last / _FINE_S))
     size = _scale_to_speed(slow.velocity(fine), tremor.velocity(fine), motion.top_speed_mm_s)
     home = spot - motion.distance_mm * axis
     lever = motion.trocar_mm - motion.distance_mm
@@ -165,10 +191,21 @@ def _hand(scene: Scene, motion: Hand) -> Trajectory:
         aside = size * slow.position(times) + tremor.position(times)
         return Poses(home + aside, _unit(aside / lever + axis))
 
-    return Trajectory(moments, at)
+    return at
 
 
-def _recorded(scene: Scene, motion: Recorded) -> Trajectory:
+def _recorded(motion: Recorded) -> PosesAt:
+    stamps, rows = _recording(motion)
+
+    def at(times: NDArray[np.float64]) -> Poses:
+        row = np.column_stack([np.interp(times, stamps, column) for column in rows.T])
+        return Poses(row[:, :3], _unit(row[:, 3:]))
+
+    return at
+
+
+def _recording(motion: Recorded) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times from the first on, s, and rows of tip (mm) and axis."""
     try:
         found = list(read_poses(Path(motion.file)))
     except ValueError as error:
@@ -179,13 +216,7 @@ def _recorded(scene: Scene, motion: Recorded) -> Trajectory:
             f"motion.file: {motion.file} must hold at least two poses, no two of one time_s."
         )
     stamps -= stamps[0]
-    rows = np.array([[*pose.position_mm, *pose.axis] for pose in found])
-
-    def at(times: NDArray[np.float64]) -> Poses:
-        row = np.column_stack([np.interp(times, stamps, column) for column in rows.T])
-        return Poses(row[:, :3], _unit(row[:, 3:]))
-
-    return Trajectory(_regular(scene, stamps[-1]), at)
+    return stamps, np.array([[*pose.position_mm, *pose.axis] for pose in found])
 
 
 def _aim(scene: Scene) -> Poses:
@@ -202,13 +233,6 @@ def _aim(scene: Scene) -> Poses:
         apex_offset=0.0,
     )
     return Poses(np.asarray(beam.tip), np.asarray(beam.axis))
-
-
-def _regular(scene: Scene, duration: float) -> NDArray[np.float64]:
-    """Moments of the camera's frames up to the end of a motion, s."""
-    # A motion that ends on a frame, but for rounding, has that frame.
-    count = math.floor(duration * scene.clocks.camera_hz + 1e-6) + 1
-    return np.arange(count) / scene.clocks.camera_hz
 
 
 class _Band(NamedTuple):

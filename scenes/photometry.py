@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 import optics
-from scenes import geometry
+from scenes import geometry, motion
 from scenes.camera_settings import CameraSettings
-from scenes.settings import Scene
+from scenes.lens_light import lens_light
+from scenes.settings import Scene, SceneError
 
 _GREY = np.array([0.299, 0.587, 0.114])
 """Luma weights of ITU-R BT.601, which OpenCV's grey conversion uses."""
@@ -30,10 +31,7 @@ def uniform_irradiance(scene: Scene, *, wall_colour: np.ndarray) -> np.ndarray:
         return np.zeros(3)
     share = 1.0
     if scene.source.kind != "cone":
-        lens = optics.load_lens(scene.source.lens)
-        share = float(
-            optics.transmitted_power(lens, medium_index=optics.MEDIA[scene.source.medium])
-        )
+        share = lens_light(scene.source.lens, optics.MEDIA[scene.source.medium]).transmitted
     return np.asarray(
         optics.indirect_irradiance(
             flux=share * scene.source.power_mw,
@@ -76,6 +74,9 @@ def paper_exposure(
         scene: the scene.
         table: vector irradiance of the lens, or None for the cone.
         wall_colour: mean reflectance of the wall per channel.
+
+    Raises:
+        SceneError: there are to be such frames, and the exposure outlasts the time between them.
     """
     exposures = scene.exposures
     peak = peak_irradiance(scene, table, distance=exposures.paper_distance_mm)
@@ -85,6 +86,13 @@ def paper_exposure(
         middle = 0.5 * (low + high)
         grey = _GREY @ _digital(radiance * exposures.sensitivity_mm2_sr_mj * middle, scene.camera)
         low, high = (middle, high) if grey < _PAPER_THRESHOLD_DN else (low, middle)
+    longest = motion.longest_exposure(scene)
+    if "paper" in exposures.kinds and high > longest:
+        raise SceneError(
+            f"the paper exposure takes {high:.3f} s, and clocks.camera_hz leaves {longest:.3f} s a "
+            "frame. Raise exposures.sensitivity_mm2_sr_mj or source.power_mw, or take 'paper' out "
+            "of exposures.kinds."
+        )
     return high
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from scenes import photometry
+from scenes import labels, photometry
 from scenes.exposure import expose, fixed_patterns
-from scenes.render import Renderer
+from scenes.images import Images
 from scenes.settings import Scene
 
 _SHRINK = 4
@@ -28,6 +28,7 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
     """The frame in the middle of the motion at a quarter of its size, with one sample a pixel.
 
     It has the fixed exposure of the `paper` frames and the sensor's noise, but no blur and no JPEG.
+    A spot that leaves the window, which a stack may not have, is shown as it is.
 
     Args:
         scene: the scene.
@@ -37,17 +38,19 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
         H/4 x W/4 x 3 (R, G, B), uint8 or uint16.
 
     Raises:
-        SceneError: the scene cannot be.
+        SceneError: the tip touches the wall, or the exposure outlasts a frame.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
-    renderer = Renderer(_small(scene), variant=variant)
-    frame = renderer.render(renderer.moments.times.size // 2)
+    motion, times = labels.timeline(scene)
+    (tip,), (axis,) = motion.at(times[[times.size // 2]])
+    images = Images(_small(scene), variant=variant)
+    radiance, _ = images.at(tip=tip, axis=axis, seed=0)
     camera, exposures = scene.camera, scene.exposures
-    seconds = photometry.paper_exposure(scene, renderer.table, wall_colour=renderer.wall_colour)
-    height, width = frame.wall.shape
+    seconds = photometry.paper_exposure(scene, images.table, wall_colour=images.wall_colour)
+    height, width, _ = radiance.shape
     shape = camera.sensor_shape(height=height, width=width)
     return expose(
-        frame.radiance,
+        radiance,
         exposure=seconds * exposures.sensitivity_mm2_sr_mj,
         settings=camera,
         rng=np.random.default_rng(scene.seed),

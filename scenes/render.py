@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from scenes import geometry, labels, photometry
+from scenes import geometry, labels
+from scenes.images import Images
 from scenes.settings import Scene
-from scenes.variant import load_mitsuba
 
 # A contour that shifts by less is blurred by 0.25 px / sqrt(12) = 0.07 px, in squares against the
 # pixel's own 0.3 px. The tip's edges, which nobody measures, may shift by a pixel.
@@ -58,6 +57,7 @@ class Renderer:
 
     Attributes:
         scene: as given.
+        images: of any pose of the tip.
         table: vector irradiance of the lens, or None for the cone.
         moments: what is true of every frame.
         truth: of the spots of all frames.
@@ -70,26 +70,19 @@ class Renderer:
     """
 
     def __init__(self, scene: Scene, *, variant: str = "llvm_ad_rgb") -> None:
-        self._mi = load_mitsuba(variant)
-        from scenes import build, wall  # Mitsuba's plugins need the variant
-
         self.scene = scene
-        self.table = geometry.lens_table(scene)
+        self.images = Images(scene, variant=variant)
+        self.mitsuba_scene, self.wall_colour = self.images.mitsuba_scene, self.images.wall_colour
+        self.table = self.images.table
         self.moments = labels.moments(scene, self.table)
         self.truth = self.moments.spots
         self._microscope = geometry.microscope(scene)
-        self.wall_colour = wall.wall_colour(scene)
-        uniform = photometry.uniform_irradiance(scene, wall_colour=self.wall_colour)
-        content = build.mitsuba_dict(scene, table=self.table, uniform=uniform)
-        self.mitsuba_scene = self._mi.load_dict(content)
-        self._parameters = self._mi.traverse(self.mitsuba_scene)
-        self._place = functools.partial(build.pose_parameters, scene)
 
     def render(self, frame: int) -> LinearFrame:
         """Linear frame of one moment."""
-        beam = self.truth.beam
-        radiance, wall = self._image(tip=beam.tip[frame], axis=beam.axis[frame], seed=frame)
-        return LinearFrame(radiance, wall, self._visible_fraction(frame))
+        (tip,), (axis,) = self.moments.motion.at(self.moments.times[[frame]])
+        radiance, wall = self.images.at(tip=tip, axis=axis, seed=frame)
+        return LinearFrame(radiance, wall, self._visible_fraction(frame, wall))
 
     def exposed(self, frame: int, sharp: LinearFrame, *, exposure_s: float) -> Exposed:
         """What a frame gathers while the tip moves: the mean over sub-frames.
@@ -108,8 +101,7 @@ class Renderer:
         if spot_px < _STILL_SPOT_PX and tip_px < _STILL_TIP_PX:
             return exposed
         # Frames that are noise themselves never settle: one sub-frame a pixel has to do.
-        noisy = self.scene.source.kind == "photons" or self.scene.phantom.indirect == "traced"
-        most = min(max(spot_px, tip_px) if noisy else math.inf, _MOST_SUB_FRAMES)
+        most = min(max(spot_px, tip_px) if self.images.random else math.inf, _MOST_SUB_FRAMES)
         settled = False
         while not settled:
             count = 3 * exposed.sub_frames
@@ -131,25 +123,8 @@ class Renderer:
         for part, tip, axis in zip(parts, *poses, strict=True):
             # Light that is sampled at random needs numbers of its own in every sub-frame.
             seed = frame + (count + part) * self.moments.times.size
-            total = total + self._image(tip=tip, axis=axis, seed=seed)[0]
+            total = total + self.images.at(tip=tip, axis=axis, seed=seed)[0]
         return total / np.float32(len(parts))
-
-    def _image(self, *, tip: Any, axis: Any, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """Radiance, and the part of each pixel in which the wall is seen, for one pose."""
-        apex = tip + self.truth.beam.apex_offset[0] * axis
-        for name, value in self._place(tip=tip, axis=axis, apex=apex).items():
-            self._parameters[name] = value
-        self._parameters.update()
-        image = np.array(self._mi.render(self.mitsuba_scene, seed=seed))
-        if self.scene.source.kind == "photons":
-            from scenes.photons import photon_image
-
-            image[..., :3] += photon_image(
-                self.mitsuba_scene,
-                photons_per_pixel=self.scene.source.photons_per_pixel,
-                seed=seed,
-            )
-        return image[..., :3], image[..., 3]
 
     def _shift(self, frame: int, exposure_s: float) -> tuple[float, float]:
         """How far the spot's contour and the tip's image move in an exposure, px."""
@@ -178,21 +153,11 @@ class Renderer:
         """Pixels whose centre lies inside the half-maximum contour and sees the wall."""
         from skimage.draw import polygon2mask
 
-        contour = np.asarray(self.truth.contour_px[frame])[:, ::-1]
+        contour = np.asarray(self.truth.contour_px)[frame, :, ::-1]
         return polygon2mask(linear.wall.shape, contour) & (linear.wall > 0.5)
 
-    def _visible_fraction(self, frame: int) -> float:
-        mi = self._mi
-        contour = np.asarray(self.truth.contour_px[frame])
-        # Mitsuba's pixel i spans [i, i + 1), the contour's pixel centres are integers.
-        size = np.array([self.scene.microscope.width_px, self.scene.microscope.height_px])
-        u, v = ((contour + 0.5) / size).T
-        inside = (u > 0) & (u < 1) & (v > 0) & (v < 1)
-        ray, _ = self.mitsuba_scene.sensors()[0].sample_ray(
-            0.0, 0.5, mi.Point2f(mi.Float(u), mi.Float(v)), mi.Point2f(0.5)
-        )
-        seen = np.asarray(
-            self.mitsuba_scene.ray_intersect(ray).shape
-            == mi.ShapePtr(geometry.wall_shape(self.mitsuba_scene))
-        )
-        return float(np.mean(inside & seen))
+    def _visible_fraction(self, frame: int, wall: np.ndarray) -> float:
+        column, row = np.rint(np.asarray(self.truth.contour_px)[frame]).astype(int).T
+        height, width = wall.shape
+        inside = (0 <= row) & (row < height) & (0 <= column) & (column < width)
+        return float(np.sum(wall[row[inside], column[inside]]) / inside.size)

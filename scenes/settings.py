@@ -104,12 +104,17 @@ class SecondTool(_Settings):
 
 
 class MicroscopeSettings(_Settings):
-    """Pinhole microscope; its window is centred on the spot."""
+    """Pinhole microscope; its window is centred on the place of [spot]."""
 
     pinhole_height_mm: float = Field(11.5, description="z_F above the eye's centre; inf allowed.")
     scale_mm_px: float = Field(0.0067, gt=0, description="At the pole.")
     width_px: int = Field(640, ge=16, le=8192)
     height_px: int = Field(480, ge=16, le=8192)
+    window_offset_px: tuple[float, float] = Field(
+        (0.0, 0.0),
+        description="Of the window's middle from that place, in x and y; other than zero, the "
+        "border may cut the spot.",
+    )
     light: Literal["coaxial", "ambient"] = Field(
         "coaxial", description="From the pinhole, without shadows; or from all sides alike."
     )

@@ -14,6 +14,7 @@ import numpy as np
 
 import optics
 from estimator import FrameLabels, Stack, StackWriter, read_stack
+from estimator.stack import fingerprint
 from scenes import geometry, labels, motion, photometry
 from scenes.camera_output import after_jpeg
 from scenes.exposure import FixedPatterns, expose, fixed_patterns, metered_exposure
@@ -62,6 +63,7 @@ def render_stack(
                 "scene": _dump(scene),
                 "cone": geometry.cone(scene, renderer.table)._asdict(),
                 "wall_colour": renderer.wall_colour.tolist(),
+                "files": _files(scene),
                 "run": {
                     "variant": variant,
                     "versions": _versions(),
@@ -137,13 +139,6 @@ class _Camera(NamedTuple):
         )
         patterns = fixed_patterns(settings=scene.camera, shape=shape, seed=scene.seed)
         paper = photometry.paper_exposure(scene, table, wall_colour=wall_colour)
-        longest = motion.longest_exposure(scene)
-        if "paper" in scene.exposures.kinds and paper > longest:
-            raise SceneError(
-                f"the paper exposure takes {paper:.3f} s, and clocks.camera_hz leaves {longest:.3f}"
-                " s a frame. Raise exposures.sensitivity_mm2_sr_mj or source.power_mw, or take "
-                "'paper' out of exposures.kinds."
-            )
         return cls(scene, patterns, paper)
 
     def exposure_s(self, kind: str, light: np.ndarray, mask: np.ndarray) -> float:
@@ -182,7 +177,7 @@ class _Camera(NamedTuple):
             rng=np.random.default_rng([self.scene.seed, frame, order]),
             patterns=self.patterns,
         )
-        saturated = np.any(image >= self.scene.camera.full_scale_dn, axis=-1)[mask]
+        saturated = np.any(image[mask] >= self.scene.camera.full_scale_dn, axis=-1)
         if quality := self.scene.camera.jpeg_quality:
             image = after_jpeg(image, quality=quality)
         row = FrameLabels(
@@ -285,6 +280,14 @@ def _check_anew(stack: Stack, scene: Scene) -> None:
 
 def _file_name(scene: Scene, frame: int, order: int) -> str:
     return f"frames/{frame * len(scene.exposures.kinds) + order:06d}.png"
+
+
+def _files(scene: Scene) -> dict[str, dict[str, Any]]:
+    """Fingerprints of the files that a scene names: with another content it is another scene."""
+    image = scene.phantom.wall_image if scene.phantom.wall == "image" else ""
+    lens = scene.source.lens if scene.source.lens.endswith(".toml") else ""
+    poses = getattr(scene.motion, "file", "")
+    return {name: fingerprint(Path(name)) for name in (image, lens, poses) if name}
 
 
 def _dump(scene: Scene) -> dict[str, Any]:

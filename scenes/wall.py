@@ -1,7 +1,4 @@
-"""The phantom's wall for Mitsuba: its shape and the picture on it.
-
-Import after `load_mitsuba`.
-"""
+"""The phantom's wall for Mitsuba: its shape and the picture on it."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
+import cv2
 import numpy as np
 
 import optics
@@ -51,7 +48,9 @@ def _fundus(seed: int, palette: Any) -> np.ndarray:
 
 
 def wall(scene: Scene) -> dict[str, Any]:
-    """Mitsuba's dictionary of the wall."""
+    """Mitsuba's dictionary of the wall, for the variant that `load_mitsuba` has set."""
+    import mitsuba as mi
+
     if scene.phantom.wall == "uniform":
         reflectance = {"type": "rgb", "value": scene.phantom.reflectance}
     else:
@@ -107,33 +106,35 @@ _EQUATOR_AT_POLE = np.array(
 )
 
 
-@functools.lru_cache(maxsize=2)
 def _on_sphere(phantom: Phantom) -> np.ndarray:
     """The picture, azimuthal-equidistant about the pole, on longitude and latitude."""
     texture, radius = _texture(phantom), phantom.radius_mm
     half = 0.5 * _TEXTURE_MM / radius
     centres = half * ((np.arange(_TEXTURE_PX) + 0.5) / _TEXTURE_PX * 2 - 1)
-    longitude, latitude = np.meshgrid(centres, -centres)
+    longitude, latitude = centres, -centres[:, None]
     x = np.cos(latitude) * np.sin(longitude)
     y = np.sin(latitude)
-    arc = np.arctan2(np.hypot(x, y), np.cos(latitude) * np.cos(longitude))
-    stretch = radius * arc / np.maximum(np.hypot(x, y), 1e-12)
-    return _bilinear(texture, x * stretch, y * stretch)
-
-
-def _bilinear(texture: np.ndarray, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:
-    column = np.clip((x_mm / _TEXTURE_MM + 0.5) * _TEXTURE_PX - 0.5, 0, _TEXTURE_PX - 1.001)
-    row = np.clip((0.5 - y_mm / _TEXTURE_MM) * _TEXTURE_PX - 0.5, 0, _TEXTURE_PX - 1.001)
-    i, j = row.astype(np.int32), column.astype(np.int32)
-    fi = (row - i).astype(np.float32)[..., None]
-    fj = (column - j).astype(np.float32)[..., None]
-    upper = texture[i, j] * (1 - fj) + texture[i, j + 1] * fj
-    lower = texture[i + 1, j] * (1 - fj) + texture[i + 1, j + 1] * fj
-    return upper * (1 - fi) + lower * fi
+    aside = np.hypot(x, y)
+    arc = np.arctan2(aside, np.cos(latitude) * np.cos(longitude))
+    stretch = radius * arc / np.maximum(aside, 1e-12)
+    # From mm about the pole to pixels of the picture, whose rows go down.
+    per_mm, middle = _TEXTURE_PX / _TEXTURE_MM, (_TEXTURE_PX - 1) / 2
+    columns, rows = middle + per_mm * x * stretch, middle - per_mm * y * stretch
+    return np.asarray(
+        cv2.remap(
+            texture,
+            columns.astype(np.float32),
+            rows.astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+    )
 
 
 def _longitude_latitude_to_uv(*, radius: float) -> Any:
     """Maps the sphere's (longitude/2pi, colatitude/pi) so that the texture covers its extent."""
+    import mitsuba as mi
+
     extent = _TEXTURE_MM / radius
     scale_u, scale_v = 2 * math.pi / extent, math.pi / extent
     return mi.ScalarTransform3f(

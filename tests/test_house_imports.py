@@ -45,6 +45,7 @@ FROM_SPOT_TO_DISTANCE = {
 # What `scenes` may take from `estimator`: the schemas, readers and writers of files.
 FILE_FORMATS = {
     "estimator.calibration_file",
+    "estimator.files",
     "estimator.microscope_file",
     "estimator.poses",
     "estimator.spots",

@@ -123,6 +123,25 @@ def test_a_normal_number_passes_for_poisson_above_fifty_electrons():
     assert counts.var() - 1 / 12 == pytest.approx(mean_e, rel=4 * math.sqrt(2 / n))
 
 
+@pytest.mark.parametrize("read_noise_e", [0.5, 2.0, 2.8, 10.0])
+@pytest.mark.parametrize("mean_e", [1.0, 8.0, 30.0])
+def test_no_more_skewness_is_missed_than_that_of_fifty_electrons(mean_e, read_noise_e):
+    settings = CameraSettings(
+        full_well_e=65535.0 / 16, bit_depth=16, black_level_dn=0.0, read_noise_e=read_noise_e
+    )
+    # Sixteen numbers an electron, and light enough of dark signal that none is cut off at zero.
+    light = np.full((400, 500), mean_e / settings.full_well_e)
+    black = settings.model_copy(update={"black_level_dn": 2000.0})
+    rng = np.random.default_rng(6)
+    electrons = (expose(light, exposure=1.0, settings=black, rng=rng) - 2000.0) / black.system_gain
+    variance = mean_e + read_noise_e**2
+    found = np.mean((electrons - mean_e) ** 3) / variance**1.5
+    # The error of a skewness of 200,000 samples is sqrt(6/200,000) = 0.0055, twice of it if skewed.
+    assert abs(found - mean_e / variance**1.5) < 1 / math.sqrt(50) + 0.03
+    assert electrons.mean() == pytest.approx(mean_e, abs=5 * math.sqrt(variance / light.size))
+    assert electrons.var() == pytest.approx(variance, rel=0.02)
+
+
 def test_dark_signal_adds_its_mean_and_its_shot_noise():
     settings = CameraSettings(
         bit_depth=12, full_well_e=4000.0, dark_signal_e=30.0, read_noise_e=4.0, black_level_dn=95.0

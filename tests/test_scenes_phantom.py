@@ -166,3 +166,29 @@ def test_a_missing_image_and_a_tool_outside_the_eye_are_named(tmp_path):
         Renderer(scene(phantom=missing))
     with pytest.raises(ValueError, match="inside the eye"):
         scene(second_tool={"visible": True, "tip_mm": (0.0, 0.0, -12.0)})
+
+
+def test_a_shifted_window_sees_its_part_of_the_larger_one_and_cuts_the_spot():
+    # A whole number of pixels: both windows sample the wall at the same places, but for float32.
+    light = {"power_mw": 1.0}
+    spot = {"incidence_deg": 0.0}
+    whole = Renderer(scene(source=light, spot=spot, microscope={"width_px": 400, "height_px": 300}))
+    part = Renderer(
+        scene(
+            source=light,
+            spot=spot,
+            microscope={"width_px": 200, "height_px": 100, "window_offset_px": [90.0, -20.0]},
+        )
+    )
+    seen, all_of_it = part.render(0), whole.render(0)
+    # The window's middle moves by 90 px right of the spot's and 20 px above it.
+    expected = all_of_it.radiance[80:180, 190:390]
+    changed = np.abs(seen.radiance - expected).max(axis=-1) > 1e-4 * expected.max()
+    assert changed.mean() < 2e-3
+    place = np.asarray(part.truth.contour_px) - np.asarray(whole.truth.contour_px)
+    np.testing.assert_allclose(place, np.broadcast_to([-190.0, -80.0], place.shape), atol=1e-9)
+    # The spot's middle is 10 px inside of the left border: a little over half of it is seen.
+    radius = np.ptp(np.asarray(part.truth.contour_px)[0, :, 0]) / 2
+    seen_part = 1 - np.arccos(9.5 / radius) / np.pi
+    assert all_of_it.visible_fraction == 1.0
+    assert seen.visible_fraction == pytest.approx(seen_part, abs=2 / 128)

@@ -13,11 +13,12 @@ import time
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from estimator import Stack, StackError, StackWriter, read_stack
-from scenes import Scene, SceneError, expose_again, render_stack, scene_toml
+from scenes import Scene, SceneError, check_scene, expose_again, render_stack, scene_toml
 
 
 def scene(**parts: Any) -> Scene:
@@ -132,6 +133,20 @@ def test_frames_of_another_scene_are_not_used(whole, tmp_path):
     assert digests(out) == digests(whole.folder)
 
 
+def test_frames_of_another_wall_image_are_not_used(tmp_path):
+    picture = tmp_path / "wall.png"
+
+    def painted(grey: int) -> Scene:
+        cv2.imwrite(str(picture), np.full((40, 40, 3), grey, np.uint8))
+        return scene(phantom={"wall": "image", "wall_image": str(picture)})
+
+    with pytest.raises(KeyboardInterrupt):
+        render_stack(painted(90), tmp_path / "stack", progress=Stop(5))
+    render_stack(painted(200), tmp_path / "stack")
+    render_stack(painted(200), tmp_path / "whole")
+    assert digests(tmp_path / "stack") == digests(tmp_path / "whole")
+
+
 def test_two_processes_do_not_write_one_stack(tmp_path):
     with StackWriter(tmp_path / "stack") as writer:
         writer.describe(stack={}, microscope={})
@@ -244,8 +259,12 @@ def test_no_exposure_outlasts_the_time_between_frames(tmp_path):
     dim = {"sensitivity_mm2_sr_mj": 10.0}
     content = scene(exposures=dim).model_dump(mode="json", by_alias=True)
     content["motion"] = {"kind": "scan", "length_mm": 0.1}
-    with pytest.raises(SceneError, match=r"paper exposure takes .*camera_hz leaves 0\.100 s"):
+    message = r"paper exposure takes .*camera_hz leaves 0\.100 s"
+    with pytest.raises(SceneError, match=message):
         render_stack(Scene.model_validate(content), tmp_path / "paper")
+    with pytest.raises(SceneError, match=message):
+        check_scene(Scene.model_validate(content))
     content["exposures"]["kinds"] = ["metered"]
+    check_scene(Scene.model_validate(content))
     stack = render_stack(Scene.model_validate(content), tmp_path / "metered")
     assert [row.exposure_s for row in stack.labels] == [0.1, 0.1]

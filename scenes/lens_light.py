@@ -1,0 +1,85 @@
+"""The light of a glue lens in its medium: half a minute's quadrature, kept on disk between runs."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import optics
+from estimator.files import damage_told
+
+
+class LensLight(NamedTuple):
+    """Light of a lens in a medium.
+
+    Attributes:
+        table: vector irradiance per unit power in the core.
+        transmitted: part of that power that leaves the cap.
+    """
+
+    table: optics.IrradianceTable
+    transmitted: float
+
+
+@functools.lru_cache(maxsize=4)
+def lens_light(lens: str, medium_index: float) -> LensLight:
+    """Light of a lens: computed once, then read from the user's cache folder.
+
+    Args:
+        lens: preset name or path of a lens file.
+        medium_index: n0, refractive index of the medium.
+    """
+    glass = optics.load_lens(lens)
+
+    def compute() -> dict[str, Any]:
+        table = optics.irradiance_table(glass, medium_index=medium_index)
+        return {
+            "values": np.asarray(table.values),
+            "medium_index": np.asarray(table.medium_index),
+            "contact_radius": np.asarray(table.contact_radius),
+            "slope": np.asarray(table.slope),
+            "transmitted": np.asarray(optics.transmitted_power(glass, medium_index=medium_index)),
+        }
+
+    # By what it depends on: the lens's numbers, the medium, and the code that computes with them.
+    numbers = {name: x if x is None else float(x) for name, x in vars(glass).items()}
+    key = hashlib.sha256(repr((sorted(numbers.items()), medium_index)).encode())
+    for source in (Path(__file__), *sorted(Path(optics.__file__).parent.glob("*.py"))):
+        key.update(source.read_bytes())
+    kept = _kept(_cache_folder() / f"{key.hexdigest()}.npz", compute)
+    table = optics.IrradianceTable(
+        values=kept["values"],
+        medium_index=kept["medium_index"],
+        contact_radius=kept["contact_radius"],
+        slope=kept["slope"],
+    )
+    return LensLight(table, float(kept["transmitted"]))
+
+
+def _cache_folder() -> Path:
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return caches / "eyespot" / "lens_light"
+
+
+def _kept(path: Path, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Arrays from a file; where it is missing or damaged they are computed and written to it."""
+    with suppress(ValueError), damage_told(f"{path}", "It is written anew."):
+        with path.open("rb") as file:
+            return dict(np.load(file))
+    values = compute()
+    # A cache that cannot be written costs time, not results.
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=path.parent) as folder:
+            whole = Path(folder) / path.name
+            np.savez(whole, **values)
+            whole.replace(path)
+    return values

@@ -1,0 +1,329 @@
+"""Photon images and their derivatives: against differences, `optics` and Mitsuba's own glass.
+
+What float32 and the kinks of the pixel's spline leave of a central difference: photons move by h
+times their speed. Rounding of their places, some 4e-6 px, is divided by it; of the spline's second
+derivative, which jumps, only the part of photons that cross a jump is wrong, by as much as they
+move. With moves of 0.005 to 0.05 px both stay below 0.5 % of the derivative's image; STEP has them.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.interpolate
+import scipy.stats
+
+import optics
+from benchmarks.photon_fit import glass_images, in_spline_pixels
+from calibration._least_squares import least_squares
+from calibration.render_bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
+from scenes import Scene, SceneError, load_mitsuba
+
+ALPHA = 1e-3
+STEP = {
+    "core_radius": 1e-4,
+    "glue_length": 1e-3,
+    "aperture_radius": 1e-4,
+    "sag": 4e-5,
+    "glue_index": 1.5e-4,
+    "numerical_aperture": 2e-4,
+    "tip_x": 3e-4,
+    "tip_y": 3e-4,
+    "tip_z": 1e-3,
+    "axis_x": 2e-4,
+    "axis_y": 2e-4,
+    "axis_z": 2e-3,
+    "power": 1e-2,
+}
+
+# The core's face lies so deep that both the core and the rim cut the light.
+DEEP_DOME = dict(
+    core_radius=0.25,
+    glue_length=0.2,
+    aperture_radius=0.25,
+    sag=0.12,
+    glue_index=1.49,
+    numerical_aperture=0.2,
+)
+LAUNCHED = {**DEEP_DOME, "glue_length": 0.5, "launch_radius": 0.15, "launch_aperture": 0.12}
+
+
+def scene(lens: dict[str, float], folder: Path, **parts: Any) -> Scene:
+    path = folder / "lens.toml"
+    keys = "\n".join(f"{key} = {value}" for key, value in lens.items())
+    path.write_text(f"schema = 1\n[lens]\n{keys}\n", encoding="utf-8")
+    plain: dict[str, Any] = {
+        "schema": 1,
+        "phantom": {"wall": "uniform", "indirect": "off"},
+        "source": {"kind": "photons", "lens": str(path), "medium": "vitreous"},
+        "instrument": {"visible": False},
+        "motion": {"start_mm": 3.0, "travel_mm": 0.001, "frames": 1},
+        "microscope": {
+            "illumination_mw_mm2": 0.0,
+            "width_px": 64,
+            "height_px": 48,
+            "scale_mm_px": 0.04,
+        },
+    }
+    for name, values in parts.items():
+        plain[name] = {**plain.get(name, {}), **values}
+    return Scene.model_validate(plain)
+
+
+PLANE = {"kind": "plane"}
+SQUARE = {"incidence_deg": 0.0}
+
+
+def photon_image(scene: Scene, **settings: Any):
+    load_mitsuba()
+    from scenes.differentiable import PhotonImage
+
+    return PhotonImage(scene, **{"photons": 1 << 17, **settings})
+
+
+CASES: dict[str, tuple[dict[str, float], dict[str, Any], tuple[str, ...]]] = {
+    "dome in air, with total reflection, on a plane": (
+        DEEP_DOME,
+        {"source": {"medium": "air"}, "phantom": PLANE},
+        ("sag", "glue_index", "tip_z"),
+    ),
+    "light that core and rim cut, in vitreous, in the eye": (
+        LAUNCHED,
+        {"spot": {"eccentricity_mm": 2.0}},
+        ("glue_length", "numerical_aperture", "axis_x", "power"),
+    ),
+}
+ALL_FREE: dict[str, tuple[dict[str, float], dict[str, Any], tuple[str, ...]]] = {
+    f"{name}, all": (lens, parts, tuple(STEP)) for name, (lens, parts, _) in CASES.items()
+} | {
+    "a flat end's index, a microscope that distorts": (
+        {**DEEP_DOME, "sag": 0.0},
+        {"microscope": {"distortion": [-0.4, 0.1, 0.05, 0.04, -0.2], "vignetting": 0.4}},
+        ("glue_index", "numerical_aperture", "tip_x", "axis_z"),
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    "case", [*CASES, *(pytest.param(name, marks=pytest.mark.slow) for name in ALL_FREE)]
+)
+def test_derivatives_are_central_differences(case, tmp_path):
+    lens, parts, free = {**CASES, **ALL_FREE}[case]
+    image = photon_image(scene(lens, tmp_path, **parts), free=free)
+    value, jacobian = image.value_and_jacobian(image.start)
+    # Other kernels, the same photons: rounding.
+    np.testing.assert_allclose(value, image.value(image.start), atol=2e-6 * value.max())
+    for name, column, direction in zip(
+        free, np.moveaxis(jacobian, -1, 0), np.eye(len(free)), strict=True
+    ):
+        step = STEP[name] * direction
+        difference = image.value(image.start + step) - image.value(image.start - step)
+        difference /= 2 * STEP[name]
+        error = np.linalg.norm(column - difference) / np.linalg.norm(difference)
+        assert error < 0.01, f"{name}: {error:.3%}"
+
+
+def test_reverse_mode_is_forward_mode_transposed(tmp_path):
+    image = photon_image(scene(DEEP_DOME, tmp_path), free=("sag", "tip_z"))
+    weight = np.random.default_rng(0).normal(size=image.shape)
+    _, jacobian = image.value_and_jacobian(image.start)
+    forward = np.einsum("ijc,ijcp->p", weight, jacobian)
+    # Sums of 1e4 terms of both signs in float32, each rounded to 6e-8.
+    scale = np.linalg.norm(weight) * np.linalg.norm(jacobian.reshape(-1, 2), axis=0)
+    assert np.all(np.abs(image.vjp(image.start, weight) - forward) < 1e-4 * scale)
+
+
+def test_an_image_is_rendered_without_jax(tmp_path):
+    image = photon_image(scene(DEEP_DOME, tmp_path), free=("sag", "tip_z"), photons=4096)
+    with jax.no_execution(True):
+        value = image.value(image.start)
+        image.value_and_jacobian(image.start)
+        image.vjp(image.start, value)
+
+
+def test_the_light_in_the_image_is_what_leaves_the_cap(tmp_path):
+    # All of it falls in a window of 19 x 14 mm, seen telecentrically, and square to the wall.
+    wide = scene(
+        DEEP_DOME,
+        tmp_path,
+        phantom=PLANE,
+        spot=SQUARE,
+        microscope={"scale_mm_px": 0.3, "pinhole_height_mm": float("inf")},
+    )
+    free, seeds = ("glue_length", "sag", "glue_index"), 8
+    to_power = np.pi / 0.5 * 0.3**2
+    found = []
+    for seed in range(seeds):
+        image = photon_image(wide, free=free, photons=1 << 16, seed=seed)
+        value, jacobian = image.value_and_jacobian(image.start)
+        slopes = jacobian[..., 0, :].sum(axis=(0, 1))
+        found.append(to_power * np.array([value[..., 0].sum(), *slopes]))
+
+    def power(name, step):
+        lens = optics.glue_lens(**{**DEEP_DOME, name: DEEP_DOME[name] + step})
+        return float(optics.transmitted_power(lens, medium_index=1.336))
+
+    # The quadrature is smooth; its slope bends by less than 1e-3 of itself over such steps.
+    expected = [power("sag", 0), *((power(n, 1e-3) - power(n, -1e-3)) / 2e-3 for n in free)]
+    error = np.std(found, axis=0, ddof=1) / np.sqrt(seeds)
+    t = (np.mean(found, axis=0) - expected) / error
+    assert np.all(np.abs(t) < scipy.stats.t(seeds - 1).isf(ALPHA / t.size / 2)), t
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("medium", ["air", "vitreous"])
+def test_images_and_derivatives_are_those_of_the_closed_form_lens(medium, tmp_path):
+    """Pixel by pixel, by Student's t over seeds; nothing is scaled to fit."""
+    square = scene(
+        DEEP_DOME,
+        tmp_path,
+        phantom=PLANE,
+        spot=SQUARE,
+        source={"medium": medium},
+        microscope={"pinhole_height_mm": float("inf")},
+    )
+    free, seeds = ("sag", "numerical_aperture", "glue_index", "tip_z"), 16
+    rendered = []
+    for seed in range(seeds):
+        image = photon_image(square, free=free, photons=1 << 20, seed=seed)
+        value, jacobian = image.value_and_jacobian(image.start)
+        rendered.append(np.concatenate([value[..., :1], jacobian[..., 0, :]], axis=-1))
+    distance = image.start[3] + 11.5
+
+    def profile(sag, aperture, index, distance):
+        changed = {"sag": sag, "numerical_aperture": aperture, "glue_index": index}
+        lens = optics.glue_lens(**{**DEEP_DOME, **changed})
+        _, axial = optics.vector_irradiance(
+            lens, medium_index=optics.MEDIA[medium], radius=RADII, distance=distance
+        )
+        return 0.5 / np.pi * axial
+
+    start = (*image.start[:3], distance)
+    slopes = jax.jacfwd(profile, argnums=(0, 1, 2, 3))(*start)
+    expected = _spline_pixels(np.stack([profile(*start), *slopes], axis=-1))
+
+    mean = np.mean(rendered, axis=0)
+    error = np.std(rendered, axis=0, ddof=1) / np.sqrt(seeds)
+    # Photons in a pixel and seed: 200 make a sum near normal.
+    lit = expected[..., 0] > 200 * expected[..., 0].sum() / (1 << 20)
+    assert lit.sum() > 100
+    student = scipy.stats.t(seeds - 1)
+    for name, t in zip(("value", *free), ((mean - expected) / error)[lit].T, strict=True):
+        assert np.abs(t).max() < student.isf(ALPHA / t.size / 2), name
+        assert scipy.stats.kstest(t, student.cdf).pvalue > ALPHA, name
+
+
+RADII = np.linspace(0.0, 1.75, 512)
+"""Of the closed form's profile, mm: to the window's corner."""
+
+
+def _spline_pixels(profile: np.ndarray) -> np.ndarray:
+    """What pixels of the quadratic spline see of a profile about the window's middle."""
+    interpolate = scipy.interpolate.make_interp_spline(RADII, profile, k=1)
+    parts = 12  # of a pixel: the spot's edge is sharper than one
+    offset = (np.arange(3 * parts) + 0.5) / parts - 1.5
+    spline = np.where(abs(offset) < 0.5, 0.75 - offset**2, 0.5 * (1.5 - abs(offset)) ** 2) / parts
+    v, u = np.arange(48) - 23.5, np.arange(64) - 31.5
+    pixels = np.zeros((v.size, u.size, profile.shape[1]))
+    for du, across in zip(offset, spline, strict=True):
+        for dv, along in zip(offset, spline, strict=True):
+            radius = 0.04 * np.hypot(*np.meshgrid(u + du, v + dv))
+            pixels += across * along * interpolate(radius)
+    return pixels
+
+
+@pytest.mark.slow
+def test_images_are_those_of_mitsuba_s_own_glass(tmp_path):
+    """Blocks of pixels by Welch's t over seeds; nothing is scaled to fit."""
+    load_mitsuba()
+    inside = scene(DEEP_DOME, tmp_path, spot={"eccentricity_mm": 2.0})
+    seeds, per_pixel = 16, 64
+    glass = glass_images(inside, frame=0, photons_per_pixel=per_pixel, seeds=range(seeds))
+    ours = []
+    for seed in range(seeds):
+        image = photon_image(inside, free=(), photons=per_pixel * 64 * 48, seed=seed)
+        ours.append(image.value(image.start)[..., 0])
+    sums = [
+        x.reshape(seeds, 12, 4, 16, 4).sum(axis=(2, 4))
+        for x in (in_spline_pixels(glass), np.array(ours))
+    ]
+    lit = sums[0].mean(axis=0) > 0.01 * sums[0].mean(axis=0).max()
+    assert lit.sum() > 30
+    p = scipy.stats.ttest_ind(*sums, axis=0, equal_var=False).pvalue[lit]
+    assert p.min() > ALPHA / p.size
+    assert scipy.stats.kstest(p, "uniform").pvalue > ALPHA
+
+
+@pytest.mark.parametrize("part", ["instrument", "second_tool"])
+def test_what_would_hide_photons_is_refused(part, tmp_path):
+    with pytest.raises(SceneError, match=rf"{part}.visible = true .*up to 20 % off"):
+        photon_image(scene(DEEP_DOME, tmp_path, **{part: {"visible": True}}), free=("sag",))
+
+
+def test_a_cone_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="'cone' has no glass"):
+        photon_image(scene(DEEP_DOME, tmp_path, source={"kind": "cone"}), free=("sag",))
+
+
+def test_an_unknown_parameter_is_named_beside_the_known_ones(tmp_path):
+    with pytest.raises(ValueError, match=r"names sagg; choose from core_radius, .*power"):
+        photon_image(scene(DEEP_DOME, tmp_path), free=("sagg",))
+
+
+def test_parameters_that_make_no_lens_are_refused(tmp_path):
+    image = photon_image(scene(DEEP_DOME, tmp_path), free=("sag",))
+    with pytest.raises(ValueError, match=r"sag must lie in \[0, 0.2\]; got 0.3"):
+        image.value(np.array([0.3]))
+
+
+def bridged(image):
+    return render_as_jax(image.value, image.value_and_jacobian, shape=image.shape)
+
+
+@pytest.mark.parametrize("calls", [50, pytest.param(1000, marks=pytest.mark.slow)])
+def test_mitsuba_behind_the_bridge_comes_back_from_every_call(calls, tmp_path):
+    image = photon_image(scene(DEEP_DOME, tmp_path), free=("sag", "tip_z"), photons=4096)
+    function = bridged(image)
+    both = jax.jit(jax.value_and_grad(lambda p: jnp.sum(function(p) ** 2)))
+    start = jnp.asarray(image.start)
+    for number in range(calls):
+        loss, gradient = both(start + 1e-6 * number)
+    last = np.asarray(start + 1e-6 * (calls - 1))
+    value = image.value(last)
+    # Float32 of some 100 photons a pixel, added in any order.
+    np.testing.assert_allclose(loss, np.sum(value**2), rtol=1e-5)
+    np.testing.assert_allclose(gradient, image.vjp(last, 2 * value), rtol=1e-3)
+
+
+def test_a_lens_is_found_in_another_seed_s_image(tmp_path):
+    free = ("sag", "numerical_aperture", "tip_z")
+    still = scene(DEEP_DOME, tmp_path)
+    model = photon_image(still, free=free, seed=1000)
+    seeds = 8
+    data = np.stack(
+        [
+            photon_image(still, free=free, seed=seed).value(model.start)[..., 0]
+            for seed in range(seeds)
+        ]
+    )
+    mean = data.mean(axis=0)
+    sigma = np.sqrt(np.maximum(mean, 0.01 * mean.max()))
+    function = bridged(model)
+
+    def residual(parameters):
+        return ((function(parameters)[..., 0] - data[0]) / sigma).ravel()
+
+    start = jnp.asarray(model.start) + jnp.array([-0.02, 0.04, 0.1])
+    solution = least_squares(residual, start, count=mean.size, solver=FLOAT32_LEVENBERG_MARQUARDT)
+    assert bool(solution.converged)
+    # What the other seeds' noise would do to the parameters; twice, as the model has as much.
+    jacobian = np.asarray(jax.jacfwd(residual)(solution.parameters))
+    noise = ((data - mean) / sigma).reshape(seeds, -1)
+    shifts = np.linalg.lstsq(jacobian, noise.T, rcond=None)[0]
+    spread = np.sqrt(2 * np.sum(shifts**2, axis=1) / (seeds - 1))
+    # Three sigma of a normal error, whose sigma is known from 7 degrees of freedom.
+    leeway = scipy.stats.t(seeds - 1).isf(scipy.stats.norm.sf(3))
+    assert np.all(np.abs(np.asarray(solution.parameters) - model.start) < leeway * spread)
