@@ -28,8 +28,7 @@ from benchmarks.estimator_methods import METHODS, View, available
 from benchmarks.estimator_pupil import PACKAGE, why_unavailable
 from benchmarks.estimator_renders import ASKED, RENDERS, rendered
 from benchmarks.estimator_speed import Times, frame_times
-from benchmarks.estimator_spotless import false_spots as false_spots
-from benchmarks.estimator_spotless import frames_until_found
+from benchmarks.estimator_spotless import false_spots, frames_until_found
 from estimator.frames import GREY_WEIGHTS
 
 _WRONG_PX = 0.5  # error that must not go without a flag
@@ -114,7 +113,7 @@ def _views(name: str, number: int, rng: np.random.Generator) -> Iterator[tuple[V
             min(max(scene.truth.x + dx, 0), SHAPE[1] - 1),
             min(max(scene.truth.y + dy, 0), SHAPE[0] - 1),
         )
-        yield View(image, at, _half_level(scene), reference), line.truth(scene)
+        yield View(image, at, _half_level(scene), reference), scene.truth
 
 
 def _half_level(scene: Scene) -> float:

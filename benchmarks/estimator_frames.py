@@ -109,7 +109,10 @@ _SHAFT_LEVEL = 5.0
 
 def light_of(scene: Scene, shape: tuple[int, int] = SHAPE) -> np.ndarray:
     """Noise-free values of the three channels, neither clipped nor rounded, (H, W, 3)."""
-    spot = scene.amplitude * scene.profile(*_radius_and_distance(scene.truth, shape))
+    if scene.amplitude == 0:
+        spot = np.zeros(shape)
+    else:
+        spot = scene.amplitude * scene.profile(*_radius_and_distance(scene.truth, shape))
     if scene.path_px is not None:
         spot = _moved(spot, *scene.path_px)
     if scene.lit is not None:
@@ -127,8 +130,11 @@ def light_of(scene: Scene, shape: tuple[int, int] = SHAPE) -> np.ndarray:
 def frame_of(scene: Scene, rng: np.random.Generator, shape: tuple[int, int] = SHAPE) -> np.ndarray:
     """The camera's 8-bit RGB frame."""
     image = light_of(scene, shape)
-    image += scene.noise * rng.standard_normal(image.shape, dtype=np.float32)
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    noise = rng.standard_normal(image.shape, dtype=np.float32)
+    noise *= scene.noise
+    image += noise
+    np.clip(np.rint(image, out=image), 0, 255, out=image)
+    return image.astype(np.uint8)
 
 
 def _radius_and_distance(truth: Truth, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -209,11 +215,11 @@ def with_quarter_in_shadow(scene: Scene, rng: np.random.Generator) -> Scene:
 
 def with_glints(scene: Scene, rng: np.random.Generator, *, on_edge: bool, number: int = 4) -> Scene:
     """Bright discs of 3 to 9 px radius, centred on the contour or anywhere within 1.6 radii."""
-    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    v, u = np.ogrid[: SHAPE[0], : SHAPE[1]]
     glints = np.zeros(SHAPE)
     for _ in range(number):
         angle, radius = rng.uniform(0, 2 * math.pi), rng.uniform(3, 9)
         away = scene.truth.semi_minor * (1.0 if on_edge else rng.uniform(0.2, 1.6))
         x, y = scene.truth.x + away * math.cos(angle), scene.truth.y + away * math.sin(angle)
-        glints[np.hypot(u - x, v - y) < radius] = 250
+        glints[(u - x) ** 2 + (v - y) ** 2 < radius**2] = 250
     return replace(scene, glints=gaussian_filter(glints, 1.0))

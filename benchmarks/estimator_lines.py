@@ -7,13 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from benchmarks.estimator_beams import lens_profile
 from benchmarks.estimator_frames import (
     Profile,
     Scene,
-    Truth,
     any_truth,
     any_wall,
     bell,
@@ -21,7 +19,6 @@ from benchmarks.estimator_frames import (
     erf_edge,
     flank,
     frame_of,
-    light_of,
     with_glints,
     with_quarter_in_shadow,
     with_shaft,
@@ -49,14 +46,12 @@ class Line:
         asked: largest magnitude by name of `estimator_accuracy.Figures`.
         reference: whether there is a reference frame.
         blur_px: of the edge, where the Cramér-Rao bound is known; else None.
-        truth: of a scene, if it is not the scene's own ellipse.
     """
 
     make: Make
     asked: dict[str, float] = field(default_factory=dict)
     reference: bool = False
     blur_px: float | None = None
-    truth: Callable[[Scene], Truth] = lambda scene: scene.truth
 
     def reference_of(self, scene: Scene, rng: np.random.Generator) -> np.ndarray | None:
         """The mean of some frames without the spot."""
@@ -179,11 +174,7 @@ def _adverse() -> dict[str, Line]:
     }
     found = {f"retina, {name}": Line(make=make, asked=ADVERSE) for name, make in made.items()}
     for wall, at_rest in (("even", _even(60)), ("retina", _retina(60))):
-        make = _moving(at_rest)
-        found[f"{wall}, moved by half a diameter, mid-exposure"] = Line(make=make, asked=ADVERSE)
-        found[f"{wall}, moved by half a diameter, half maximum"] = Line(
-            make=make, asked=ADVERSE, truth=half_maximum
-        )
+        found[f"{wall}, moved by half a diameter"] = Line(make=_moving(at_rest), asked=ADVERSE)
     return found
 
 
@@ -194,30 +185,3 @@ def _moving(make: Make) -> Make:
         return replace(scene, path_px=(length * math.cos(heading), length * math.sin(heading)))
 
     return moving
-
-
-def half_maximum(scene: Scene) -> Truth:
-    """Ellipse of the contour on which the scene's noise-free light on an even wall is half."""
-    import jax.numpy as jnp
-
-    import optics
-
-    plain = replace(scene, wall=None, ambient=0.0)
-    light = light_of(plain)[..., 0]
-    truth = scene.truth
-    angles, radii = 2 * math.pi * np.arange(256) / 256, np.linspace(0.5, 1.6, 1101)
-    along = truth.semi_major * np.cos(angles)
-    across = truth.semi_minor * np.sin(angles)
-    c, s = math.cos(truth.angle), math.sin(truth.angle)
-    rays = np.stack([c * along - s * across, s * along + c * across])[..., None] * radii
-    profiles = map_coordinates(light, [rays[1] + truth.y, rays[0] + truth.x], order=1)
-    half = np.argmax(profiles < light.max() / 2, axis=1)
-    contour = rays[:, np.arange(angles.size), half].T
-    ellipse = optics.ellipse_of_contour(jnp.asarray(contour))
-    return Truth(
-        x=truth.x + float(ellipse.centre[0]),
-        y=truth.y + float(ellipse.centre[1]),
-        semi_major=float(ellipse.semi_major),
-        semi_minor=float(ellipse.semi_minor),
-        angle=float(ellipse.angle),
-    )

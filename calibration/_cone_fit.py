@@ -20,17 +20,28 @@ import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 
 import optics
+from calibration._identifiability import correlations, covariance_and_lost, marginal_information
 from calibration._least_squares import Solution, least_squares
 
-PARAMETERS = ("half_angle", "b", "scale", "eye_radius", "inverse_working_distance")
-"""What a fit may leave free: rad, mm, mm/px, mm, 1/mm."""
+PARAMETERS = (
+    "half_angle",
+    "b",
+    "scale",
+    "eye_radius",
+    "inverse_working_distance",
+    "tilt_x",
+    "tilt_y",
+)
+"""What a fit may leave free: rad, mm, mm/px, mm, 1/mm, and the tangents of the plane's tilt.
 
+The focal length is 1/(scale inverse_working_distance) px, the pinhole's height
+1/inverse_working_distance - eye_radius.
+"""
+
+_SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1}
+"""Of parameters that may be zero; the others are as large as they are."""
 _NUISANCES = ("touch", "u", "v", "lean", "lean_sideways")
 _POINTS = 32
-_PART = 0.1  # of a unit direction, from which on a parameter has a part in it
-_UNDETERMINED = 0.5
-"""Information, in units of a parameter's own size (or of a nuisance's prior), below which a
-direction counts as not seen: its standard error exceeds the parameter itself."""
 
 
 class Prior(NamedTuple):
@@ -52,7 +63,8 @@ class Trial:
         axis: unit vector from the tip towards the wall, eye frame.
         principal_point: (u0, v0) of this trial's window, px.
         touch: distance at reading 0, mm.
-        kind: "eyeball", a sphere about the origin, or "plane", through its pole and square to z.
+        kind: "eyeball", a sphere about the origin, or "plane", through its pole and square to z but
+            for its tilt.
     """
 
     ellipses: optics.Ellipse
@@ -71,7 +83,12 @@ class ConeFit(NamedTuple):
         values: by name, in the units of `PARAMETERS`, the given ones too.
         free: names of the fitted ones, in the covariance's order.
         covariance: of the fitted ones, from the noise model (the ellipses' covariances).
+        information: Fisher's, of the fitted ones, with the nuisances unknown but for their priors.
         touch: per trial, mm: the distance at reading 0.
+        touch_error: its standard error, mm; infinite where the data do not determine it.
+        lean: per trial, rad: of the axis off the robot's, along the two vectors of
+            `optics.perpendicular_frame`.
+        residuals: per trial, n x 5: of `optics.ellipse_mismatch`, each of variance 1.
         chi_squared: sum of squared whitened residuals, priors included.
         degrees_of_freedom: data and priors minus parameters.
         undetermined: directions that neither data nor priors hold, in words; empty if none.
@@ -81,11 +98,20 @@ class ConeFit(NamedTuple):
     values: dict[str, float]
     free: tuple[str, ...]
     covariance: Float[np.ndarray, "p p"]
+    information: Float[np.ndarray, "p p"]
     touch: Float[np.ndarray, "trials"]
+    touch_error: Float[np.ndarray, "trials"]
+    lean: Float[np.ndarray, "trials 2"]
+    residuals: tuple[Float[np.ndarray, "n 5"], ...]
     chi_squared: float
     degrees_of_freedom: int
     undetermined: tuple[str, ...]
     converged: bool
+
+    @property
+    def correlations(self) -> Float[np.ndarray, "p p"]:
+        """Of the fitted ones."""
+        return correlations(self.covariance)
 
 
 def fit_cone(
@@ -103,8 +129,8 @@ def fit_cone(
         trials: planes and spheres together.
         microscope: ideal pinhole; `start` may replace its scale, eye radius and working distance,
             each trial has its own principal point.
-        start: values of `half_angle` and `b`, and of others that the microscope does not tell;
-            those that are not free stay as they are.
+        start: values of `half_angle` and `b`, and of others that the microscope does not tell (the
+            plane's tilt is 0); those that are not free stay as they are.
         free: names of `PARAMETERS` to fit.
         priors: of free parameters.
         lean_sigma: of the robot's axis, rad.
@@ -123,43 +149,58 @@ def fit_cone(
         "eye_radius": -float(microscope.pole_height),
         "inverse_working_distance": float(microscope.inverse_working_distance),
     }
-    fixed = known | dict(start)
-    held = {name: prior for name, prior in (priors or {}).items() if name in free}
+    fixed = known | {"tilt_x": 0.0, "tilt_y": 0.0} | dict(start)
     # Steps of one size in all parameters keep the damping fair.
-    sizes = np.array([abs(fixed[name]) or 1.0 for name in free])
-    first = np.array([fixed[name] for name in free])
+    sizes = np.array([_SIZES.get(name) or abs(fixed[name]) for name in free])
+    held = [(priors or {}).get(name) if name in free else None for name in PARAMETERS]
     groups = [
-        _Group.of([trial for trial in trials if trial.kind == kind], kind, lean_sigma)
-        for kind in sorted({trial.kind for trial in trials})
+        _Group.of(trials, kind, lean_sigma) for kind in sorted({trial.kind for trial in trials})
     ]
     # Every nuisance counts from what is expected of it, in units of its standard deviation.
     begin = jnp.zeros(len(free) + len(_NUISANCES) * len(trials))
-    count = sum(group.data for group in groups) + len(held) + 3 * len(trials)
+    priors_held = sum(prior is not None for prior in held)
+    count = sum(group.data for group in groups) + priors_held + 3 * len(trials)
+    # Names become numbers here, so that one compilation serves all choices of as many parameters.
     solution = _solve(
         begin,
         groups,
         microscope,
-        fixed,
-        tuple(free),
-        jnp.asarray(first),
-        jnp.asarray(sizes),
-        held,
-        count,
+        jnp.array([fixed[name] for name in PARAMETERS]),
+        jnp.array([[name == own for own in free] for name in PARAMETERS]) * sizes,
+        jnp.array([prior.mean if prior else 0.0 for prior in held]),
+        jnp.array([1.0 / prior.sigma if prior else 0.0 for prior in held]),
+        jnp.asarray(count),
     )
     information = np.asarray(solution.information)
-    covariance, undetermined = _inverse(information, (*free, *_names(groups)))
-    own = slice(len(free))
     found = np.asarray(solution.parameters)
-    in_order = [t for group in groups for t in trials if t.kind == group.kind]
-    touched = np.empty(len(trials))
-    for trial, moved in zip(in_order, found[len(free) :: len(_NUISANCES)], strict=True):
-        touched[trials.index(trial)] = trial.touch.mean + trial.touch.sigma * moved
-    values = fixed | dict(zip(free, (first + sizes * found[own]).tolist(), strict=True))
+    moved = sizes * found[: len(free)]
+    values = fixed | {
+        name: fixed[name] + float(step) for name, step in zip(free, moved, strict=True)
+    }
+    covariance, undetermined = covariance_and_lost(
+        information,
+        (*free, *_names(groups)),
+        [*(values[name] for name in free), *found[len(free) :]],
+    )
+    errors = np.sqrt(np.diag(covariance))
+    touch, touch_error = np.empty((2, len(trials)))
+    lean = np.empty((len(trials), 2))
+    at = len(free)
+    for number in (number for group in groups for number in group.numbers):
+        mean, sigma = trials[number].touch
+        touch[number], touch_error[number] = mean + sigma * found[at], sigma * errors[at]
+        lean[number] = lean_sigma * found[at + 3 : at + 5]
+        at += len(_NUISANCES)
+    own = slice(len(free))
     return ConeFit(
         values=values,
         free=tuple(free),
         covariance=covariance[own, own] * np.outer(sizes, sizes),
-        touch=touched,
+        information=marginal_information(information, len(free)) / np.outer(sizes, sizes),
+        touch=touch,
+        touch_error=touch_error,
+        lean=lean,
+        residuals=_by_trial(np.asarray(solution.residuals)[len(PARAMETERS) :], groups, trials),
         chi_squared=float(np.sum(np.square(solution.residuals))),
         degrees_of_freedom=count - found.size,
         undetermined=undetermined,
@@ -167,11 +208,21 @@ def fit_cone(
     )
 
 
-def phantom_wall(kind: str, *, eye_radius: ScalarLike) -> optics.Surface:
-    """The wall of a `Trial.kind`; eye_radius in mm."""
-    if kind == "plane":
-        return optics.pole_plane(eye_radius=eye_radius)
-    return optics.Sphere(eye_radius)
+def phantom_wall(
+    kind: str, *, eye_radius: ScalarLike, tilt: tuple[ScalarLike, ScalarLike] = (0.0, 0.0)
+) -> optics.Surface:
+    """The wall of a `Trial.kind`.
+
+    Args:
+        kind: "eyeball" or "plane".
+        eye_radius: mm.
+        tilt: of the plane about the pole: tangents towards +X and +Y of its normal's lean.
+    """
+    if kind == "eyeball":
+        return optics.Sphere(eye_radius)
+    pole = jnp.array([0.0, 0.0, -1.0]) * eye_radius
+    inward = jnp.stack([*map(jnp.asarray, tilt), jnp.ones(())])
+    return optics.Plane(point=pole, inward=inward / jnp.linalg.norm(inward))
 
 
 class _Group(eqx.Module):
@@ -187,13 +238,16 @@ class _Group(eqx.Module):
     lean_sigma: Float[Array, ""]
     kind: str = eqx.field(static=True)
     data: int = eqx.field(static=True)
+    numbers: tuple[int, ...] = eqx.field(static=True)
 
     @property
     def size(self) -> int:
         return self.readings.shape[0]
 
     @classmethod
-    def of(cls, trials: list[Trial], kind: str, lean_sigma: float) -> _Group:
+    def of(cls, of_all_kinds: Sequence[Trial], kind: str, lean_sigma: float) -> _Group:
+        numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
+        trials = [of_all_kinds[n] for n in numbers]
         longest = max(trial.readings.size for trial in trials)
 
         def stacked(arrays: list[np.ndarray]) -> Array:
@@ -223,41 +277,57 @@ class _Group(eqx.Module):
             lean_sigma=jnp.asarray(lean_sigma),
             kind=kind,
             data=5 * int(frames.sum()),
+            numbers=numbers,
         )
 
 
 def _names(groups: list[_Group]) -> list[str]:
     return [
-        f"{name} of {group.kind} {number + 1}"
+        f"{name} of trial {number + 1}"
         for group in groups
-        for number in range(group.size)
+        for number in group.numbers
         for name in _NUISANCES
     ]
 
 
+def _by_trial(
+    residuals: Float[np.ndarray, "n"], groups: list[_Group], trials: Sequence[Trial]
+) -> tuple[Float[np.ndarray, "n 5"], ...]:
+    """The frames' residuals of each trial, from the order of `_solve`."""
+    found = {}
+    for group in groups:
+        longest = group.readings.shape[1]
+        mine = residuals[: group.size * (5 * longest + 3)].reshape(group.size, -1)
+        residuals = residuals[mine.size :]
+        for number, row in zip(group.numbers, mine, strict=True):
+            frames = trials[number].readings.size
+            found[number] = row[: 5 * frames].reshape(frames, 5)
+    return tuple(found[number] for number in range(len(trials)))
+
+
 @eqx.filter_jit
-def _solve(begin, groups, microscope, fixed, free, first, sizes, held, count) -> Solution:
+def _solve(
+    begin: Float[Array, "p"],
+    groups: list[_Group],
+    microscope: optics.Microscope,
+    fixed: Float[Array, "q"],
+    steps: Float[Array, "q f"],
+    prior_means: Float[Array, "q"],
+    prior_weights: Float[Array, "q"],
+    count: Array,
+) -> Solution:
+    """Free parameters first, then the nuisances group by group; residuals likewise."""
+
     def residual(x: Array) -> Array:
-        values = fixed | {
-            name: value for name, value in zip(free, first + sizes * x[: len(free)], strict=True)
-        }
+        parameters = fixed + steps @ x[: steps.shape[1]]
+        values = dict(zip(PARAMETERS, parameters, strict=True))
         camera = eqx.tree_at(
             lambda m: (m.scale, m.pole_height, m.inverse_working_distance),
             microscope,
-            tuple(
-                jnp.asarray(value, float)
-                for value in (
-                    values["scale"],
-                    -values["eye_radius"],
-                    values["inverse_working_distance"],
-                )
-            ),
+            (values["scale"], -values["eye_radius"], values["inverse_working_distance"]),
         )
-        parts = [
-            jnp.reshape((values[name] - prior.mean) / prior.sigma, (1,))
-            for name, prior in held.items()
-        ]
-        at = len(free)
+        parts = [prior_weights * (parameters - prior_means)]
+        at = steps.shape[1]
         for group in groups:
             nuisances = x[at : at + group.size * len(_NUISANCES)].reshape(group.size, -1)
             at += nuisances.size
@@ -269,7 +339,9 @@ def _solve(begin, groups, microscope, fixed, free, first, sizes, held, count) ->
 
 def _misfit(group: _Group, camera: optics.Microscope, values, nuisances) -> Array:
     """Whitened mismatch of every frame, and the priors of the nuisances."""
-    wall = phantom_wall(group.kind, eye_radius=values["eye_radius"])
+    wall = phantom_wall(
+        group.kind, eye_radius=values["eye_radius"], tilt=(values["tilt_x"], values["tilt_y"])
+    )
 
     def of_trial(ellipses, whitening, readings, axis, principal_point, touch, nuisance):
         view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
@@ -304,23 +376,3 @@ def _misfit(group: _Group, camera: optics.Microscope, values, nuisances) -> Arra
             nuisances,
         )
     )
-
-
-def _inverse(
-    information: Float[np.ndarray, "p p"], names: Sequence[str]
-) -> tuple[Float[np.ndarray, "p p"], tuple[str, ...]]:
-    """Covariance, and in words the directions in which there is none."""
-    strength, directions = np.linalg.eigh(information)
-    lost = strength < _UNDETERMINED
-    told = []
-    for direction in directions.T[lost]:
-        parts = [n for n, share in zip(names, np.abs(direction), strict=True) if share > _PART]
-        told.append(
-            f"{' and '.join(parts)} only together: fix one, give a prior, or add a trial that "
-            "tells them apart"
-        )
-    inverse = np.where(lost, 0.0, 1.0 / np.where(lost, 1.0, strength))
-    covariance = (directions * inverse) @ directions.T
-    hidden = np.abs(directions[:, lost]).max(axis=1, initial=0.0) > _PART
-    covariance[hidden, :] = covariance[:, hidden] = np.inf
-    return covariance, tuple(told)

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt by Optimistix, with the covariance at the solution."""
+"""Nonlinear least squares by Optimistix: the solution, its information, what was left over."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import lineax  # type: ignore[import-untyped]
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Float
@@ -14,6 +15,15 @@ from jaxtyping import Array, ArrayLike, Float
 _TOLERANCE = 1e-10
 _MAX_STEPS = 256
 _PADDING = 64
+
+Solver = optx.AbstractLeastSquaresSolver
+
+LEVENBERG_MARQUARDT: Solver = optx.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
+"""From far off, or where directions are nearly unseen."""
+GAUSS_NEWTON: Solver = optx.GaussNewton(
+    rtol=_TOLERANCE, atol=_TOLERANCE, linear_solver=lineax.Normal(lineax.Cholesky())
+)
+"""Of few parameters that enter almost linearly: a few steps, and batches run side by side."""
 
 
 class Solution(NamedTuple):
@@ -36,9 +46,10 @@ class Solution(NamedTuple):
 
 def least_squares(
     residual: Callable[[Float[Array, "p"]], Float[Array, "n"]],
-    start: Float[Array, "p"],
+    start: Float[ArrayLike, "p"],
     *,
     count: ArrayLike,
+    solver: Solver = LEVENBERG_MARQUARDT,
 ) -> Solution:
     """Minimise the sum of squared residuals.
 
@@ -46,12 +57,14 @@ def least_squares(
         residual: function of the parameters, differentiable by JAX; zero where data are padding.
         start: first guess.
         count: number of data that are not padding.
+        solver: `LEVENBERG_MARQUARDT` or `GAUSS_NEWTON`.
     """
-    solver: optx.AbstractLeastSquaresSolver = optx.BestSoFarLeastSquares(
-        optx.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
-    )
     result: optx.Solution = optx.least_squares(
-        lambda parameters, _: residual(parameters), solver, start, max_steps=_MAX_STEPS, throw=False
+        lambda parameters, _: residual(parameters),
+        optx.BestSoFarLeastSquares(solver),
+        jnp.asarray(start),
+        max_steps=_MAX_STEPS,
+        throw=False,
     )
     value = residual(result.value)
     jacobian = jax.jacfwd(residual)(result.value)

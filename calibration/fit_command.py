@@ -1,4 +1,4 @@
-"""The command `eyespot fit`: stacks in, a table and a calibration file out."""
+"""The command `eyespot fit`: recordings in; a report, a table and a calibration file out."""
 
 from __future__ import annotations
 
@@ -6,138 +6,250 @@ import hashlib
 import importlib.metadata
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 import optics
-from calibration._cone_fit import ConeFit, fit_cone
-from calibration._paper_fits import PlaneFit, fit_plane
-from calibration.recordings import Recording, read_recording
+from calibration import fit_report
+from calibration._cone_fit import PARAMETERS, Prior
+from calibration._fit_models import MODELS, Choices, Fitted
+from calibration._goodness import doubts
+from calibration._identifiability import correlations
+from calibration.recordings import LogBook, Recording, read_recording
 from estimator.calibration_file import Calibration, write_calibration
+from estimator.files import written_whole
 from estimator.model_parameters import QUANTITIES
+from estimator.poses import Quaternion, unit_quaternion
 
-_CHI_SQUARED = (0.8, 1.25)
-"""Per degree of freedom: outside, the noise model or the geometry is not that of the data."""
+_PACKAGES = ("eyespot", "jax", "optimistix")
+_T = TypeVar("_T")
 
 
 def run(
-    sources: Sequence[Path], *, model: str, out: Path, exposure: str | None, free: Sequence[str]
+    sources: Sequence[Path],
+    *,
+    model: str,
+    out: Path,
+    exposure: str | None = None,
+    free: Sequence[str] | None = None,
+    priors: Sequence[str] = (),
+    robust: bool = False,
+    microscope: Path | None = None,
+    poses: Sequence[Path] = (),
+    phantoms: Sequence[str] = (),
+    medium: str | None = None,
+    fibre_diameter_mm: float = 0.5,
+    eye_from_robot: str | None = None,
 ) -> None:
-    """Fit a model to stacks and write a calibration file.
+    """Fit a model to withdrawals, write a report, and if the fit is good a calibration file.
 
     Args:
-        sources: stacks of one microscope and one medium.
-        model: "plane", delta k and b of the planes (Zhou et al. 2020, eq. 7); or "cone", the exact
-            geometry on planes and eyeballs together.
-        out: the calibration file; must not exist.
+        sources: stacks, spots files, bags: of one microscope and one medium.
+        model: of `MODELS`: "plane", delta k and b of the planes (Zhou et al. 2020, eq. 7);
+            "sphere", c of an eyeball beside them; "cone", the exact geometry on both together.
+        out: the calibration file; must not exist. The report stands beside it, as .html.
         exposure: of stacks with several.
-        free: what the cone fit leaves free, of half_angle, b, scale, eye_radius.
+        free: what the cone's fit finds, of `PARAMETERS`.
+        priors: "name=mean,sigma" of free parameters, or of `touch`, each trial's first distance.
+        robust: Huber's loss for each trial of the paper's fits; outliers are named and left out.
+        microscope: of what is no stack, see `read_microscope`.
+        poses: of each source that is no stack, in order; a bag may hold its own.
+        phantoms: "plane" or "eyeball", one for each source that is no stack or one for all.
+        medium: of what is no stack, of `optics.MEDIA`.
+        fibre_diameter_mm: of what is no stack.
+        eye_from_robot: "QX,QY,QZ,QW" turns the poses of what is no stack into the eye's frame.
 
     Raises:
-        ValueError: bad input, or data that do not determine what is asked for.
+        ValueError: bad input, or a fit that is not good: nothing but the report is written then,
+            unless the only doubt is that the errors are too large.
     """
     if out.exists():
         raise ValueError(f"{out} exists already. Choose another name; nothing is written over.")
+    if not out.parent.is_dir():
+        raise ValueError(f"{out.parent} is no folder. Make it, or write {out.name} elsewhere.")
+    report = out.with_suffix(".html")
+    if report == out:
+        raise ValueError(f"{out}: .html is the report's. Name the calibration .json.")
+    given = _priors(priors)
+    choices = Choices(
+        free=None if free is None else tuple(free),
+        priors=given,
+        loss="huber" if robust else "squares",
+    )
+    _check_names(choices)
+    others = [Path(s) for s in sources if not (Path(s) / "stack.toml").is_file()]
+    books = _log_books(
+        others, microscope, poses, phantoms, medium, fibre_diameter_mm, _turn(eye_from_robot)
+    )
     console = Console(stderr=True)
     with console.status("Measuring spots"):
-        recordings = [read_recording(Path(source), exposure=exposure) for source in sources]
+        recordings = [
+            read_recording(
+                Path(source),
+                exposure=exposure if Path(source) not in others else None,
+                log_book=books.get(Path(source)),
+                touch=given.get("touch"),
+            )
+            for source in sources
+        ]
     _check_alike(recordings)
+    frames = sum(recording.frames for recording in recordings)
     with console.status("Fitting"):
-        if model == "plane":
-            values, covariance, doubts = _plane(recordings)
-        else:
-            values, covariance, doubts = _cone(recordings, tuple(free))
-    spots = sum(r.trial.readings.size for r in recordings)
-    medium = recordings[0].medium
+        fitted = MODELS[model](recordings, choices)
+    wrong = doubts(
+        converged=fitted.converged,
+        bounds=fitted.bounds,
+        undetermined=fitted.undetermined,
+        chi_squared_per_degree=fitted.chi_squared_per_degree,
+        residuals=fitted.residuals,
+    )
+    fingerprint = hashlib.sha256(json.dumps([r.sha256 for r in recordings]).encode()).hexdigest()
+    software = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES)
+    with written_whole(report) as partial:
+        partial.write_text(
+            fit_report.render(
+                fitted,
+                model=model,
+                recordings=recordings,
+                doubts=wrong,
+                software=software,
+                fingerprint=fingerprint,
+            ),
+            encoding="utf-8",
+        )
+    goodness = fitted.chi_squared_per_degree
+    title = f"{fitted.spots} of {frames} frames in {len(recordings)} recordings"
+    title += "" if goodness is None else f"; χ²/n {goodness:.2f}"
+    Console().print(_table(fitted, title=title))
+    reasons = "; ".join(doubt.reason for doubt in wrong)
+    if not all(doubt.harmless for doubt in wrong):
+        raise ValueError(
+            f"not a good fit: {reasons}. No calibration was written; {report} shows the residuals."
+        )
+    used = recordings[0].medium
     write_calibration(
         out,
         Calibration(
-            model="planar" if model == "plane" else "exact",
-            values=values,
-            covariance=covariance,
-            medium=medium,
-            medium_index=optics.MEDIA[medium],
-            fitted_on=f"{spots} spots of {', '.join(r.name for r in recordings)}",
-            data_sha256=hashlib.sha256(
-                json.dumps([r.sha256 for r in recordings]).encode()
-            ).hexdigest(),
-            software=f"eyespot {importlib.metadata.version('eyespot')}",
+            model=fitted.calibration_model,
+            values=fitted.values,
+            covariance=fitted.covariance,
+            medium=used,
+            medium_index=optics.MEDIA[used],
+            fitted_on=f"{fitted.spots} spots of {', '.join(r.name for r in recordings)}",
+            data_sha256=fingerprint,
+            software=software,
         ),
     )
-    Console().print(_table(values, covariance, recordings))
-    for doubt in doubts:
-        print(f"Not a good fit: {doubt}")
-    print(f"Wrote {out}.")
+    verdict = f"Not called a good fit: {reasons}" if wrong else "A good fit"
+    print(f"{verdict}. Wrote {out} and {report}.")
 
 
-def _plane(recordings: Sequence[Recording]) -> tuple[dict[str, float], np.ndarray, list[str]]:
-    planes = [r for r in recordings if r.trial.kind == "plane"]
-    if not planes:
-        raise ValueError("the model plane needs a stack of a plane; all of these are eyeballs.")
-    fit = _line(planes)
-    scale = planes[0].microscope.scale_mm_px
-    own = np.array([fit.delta_k_error / scale, fit.b_error])
-    covariance = np.outer(own, own) * np.array([[1.0, fit.correlation], [fit.correlation, 1.0]])
-    doubts = [] if fit.converged else ["the solver did not converge."]
-    return {"k": fit.delta_k / scale, "b": fit.b}, covariance, doubts
+def _priors(given: Iterable[str]) -> dict[str, Prior]:
+    found = {}
+    for text in given:
+        name, _, numbers = text.partition("=")
+        try:
+            mean, sigma = map(float, numbers.split(","))
+        except ValueError:
+            mean = sigma = math.nan
+        if not (math.isfinite(mean) and 0 < sigma < math.inf):
+            raise ValueError(
+                f"--prior must be NAME=MEAN,SIGMA with a positive sigma, such as "
+                f"eye_radius=11.5,0.2; got {text!r}."
+            )
+        found[name] = Prior(mean, sigma)
+    return found
 
 
-def _cone(
-    recordings: Sequence[Recording], free: tuple[str, ...]
-) -> tuple[dict[str, float], np.ndarray, list[str]]:
-    fit = fit_cone(
-        [r.trial for r in recordings],
-        recordings[0].microscope.ideal_microscope(),
-        start=_start(recordings),
-        free=free,
-    )
-    if fit.undetermined:
-        raise ValueError(f"these stacks do not determine {'; '.join(fit.undetermined)}.")
-    order = ("half_angle", "b", *(name for name in free if name not in ("half_angle", "b")))
-    values = {name: fit.values[name] for name in order}
-    covariance = np.zeros((len(order), len(order)))
-    for i, row in enumerate(fit.free):
-        for j, column in enumerate(fit.free):
-            covariance[order.index(row), order.index(column)] = fit.covariance[i, j]
-    return values, covariance, _doubts(fit)
+def _check_names(choices: Choices) -> None:
+    for name in choices.free or ():
+        if name not in PARAMETERS:
+            raise ValueError(
+                f"--free knows {', '.join(PARAMETERS)}; got {name!r}. Touches, places and leans of "
+                "the axis are always free."
+            )
+    for name in choices.priors:
+        if name != "touch" and name not in (choices.free or ("half_angle", "b")):
+            raise ValueError(f"--prior {name} does nothing while {name} is not in --free. Add it.")
 
 
-def _start(recordings: Sequence[Recording]) -> dict[str, float]:
-    """The planar model through all spots, near enough for the exact one to find its way."""
-    fit = _line(recordings)
-    return {"half_angle": math.atan(recordings[0].microscope.scale_mm_px / fit.delta_k), "b": fit.b}
+def _turn(text: str | None) -> Quaternion:
+    if text is None:
+        return (0.0, 0.0, 0.0, 1.0)
+    try:
+        x, y, z, w = map(float, text.split(","))
+        return unit_quaternion((x, y, z, w))
+    except ValueError:
+        raise ValueError(
+            f"--eye-from-robot must be a unit quaternion QX,QY,QZ,QW; got {text!r}."
+        ) from None
 
 
-def _line(recordings: Sequence[Recording]) -> PlaneFit:
-    """The paper's line through the spots of all stacks."""
-    return fit_plane(
-        semi_minor_px=np.concatenate([np.asarray(r.trial.ellipses.semi_minor) for r in recordings]),
-        distance=np.concatenate([r.trial.readings for r in recordings]),
-    )
-
-
-def _doubts(fit: ConeFit) -> list[str]:
-    low, high = _CHI_SQUARED
-    per_degree = fit.chi_squared / fit.degrees_of_freedom
-    doubts = [] if fit.converged else ["the solver did not converge."]
-    if not low <= per_degree <= high:
-        doubts.append(
-            f"chi squared per degree of freedom is {per_degree:.2f}, not within {low} and {high}: "
-            "the standard errors stand for the noise that the estimator reports, not for this."
+def _log_books(
+    sources: Sequence[Path],
+    microscope: Path | None,
+    poses: Sequence[Path],
+    phantoms: Sequence[str],
+    medium: str | None,
+    fibre_diameter_mm: float,
+    eye_from_robot: Quaternion,
+) -> dict[Path, LogBook]:
+    """What is said of the sources that are no stacks."""
+    if not sources:
+        for option, said in (
+            ("--microscope", microscope),
+            ("--poses", poses),
+            ("--phantom", phantoms),
+            ("--medium", medium),
+        ):
+            if said:
+                raise ValueError(f"{option} does nothing: a stack has its own. Leave it out.")
+        return {}
+    if microscope is None or medium is None or not phantoms:
+        raise ValueError(
+            f"{sources[0]} is no stack, which would tell what a fit needs. Give --microscope, "
+            "--phantom and --medium, and --poses unless it is a bag."
         )
-    return doubts
+    if medium not in optics.MEDIA:
+        raise ValueError(f"--medium must be one of {', '.join(optics.MEDIA)}; got {medium!r}.")
+    kinds = _one_each("--phantom", phantoms, sources)
+    # A bag of images holds the poses of the same minutes.
+    tracks = _one_each("--poses", poses, sources) if poses else list(sources)
+    return {
+        source: LogBook(
+            kind=kind,
+            medium=medium,
+            fibre_diameter_mm=fibre_diameter_mm,
+            microscope=microscope,
+            poses=track,
+            eye_from_robot=eye_from_robot,
+        )
+        for source, kind, track in zip(sources, kinds, tracks, strict=True)
+    }
+
+
+def _one_each(option: str, given: Sequence[_T], sources: Sequence[Path]) -> Sequence[_T]:
+    if len(given) == 1:
+        return [*given] * len(sources)
+    if len(given) != len(sources):
+        raise ValueError(
+            f"{option} must be given once, or once for each of the {len(sources)} sources that are "
+            f"no stacks; got {len(given)}."
+        )
+    return given
 
 
 def _check_alike(recordings: Sequence[Recording]) -> None:
     media = {r.medium for r in recordings}
     if len(media) > 1:
         raise ValueError(
-            f"these stacks were taken in {' and '.join(sorted(media))}. A calibration holds in one "
-            "medium; fit each by itself."
+            f"these recordings were taken in {' and '.join(sorted(media))}. A calibration holds in "
+            "one medium; fit each by itself."
         )
     first = recordings[0].microscope
     for recording in recordings[1:]:
@@ -151,22 +263,29 @@ def _check_alike(recordings: Sequence[Recording]) -> None:
                 f"{recording.name} was taken with another microscope or eye than "
                 f"{recordings[0].name}. Fit each by itself."
             )
+    planes = [r for r in recordings if r.trial.kind == "plane"]
+    for plane in planes[1:]:
+        if plane.tilt != planes[0].tilt:
+            raise ValueError(
+                f"the planes of {planes[0].name} and {plane.name} are tilted differently. Fit each "
+                "by itself."
+            )
 
 
-def _table(
-    values: dict[str, float], covariance: np.ndarray, recordings: Sequence[Recording]
-) -> Table:
-    spots = sum(r.trial.readings.size for r in recordings)
-    frames = sum(r.frames for r in recordings)
-    table = Table(title=f"{spots} of {frames} frames in {len(recordings)} stacks")
-    for heading in ("parameter", "value", "± σ", "unit", *(f"ρ {name}" for name in values)):
+def _table(fitted: Fitted, *, title: str) -> Table:
+    table = Table(title=title)
+    for heading in ("parameter", "value", "± σ", "unit", *(f"ρ {name}" for name in fitted.values)):
         table.add_column(heading, justify="left" if heading == "parameter" else "right")
-    sigma = np.sqrt(np.diag(covariance))
-    for i, (name, value) in enumerate(values.items()):
-        correlations = [
-            f"{covariance[i, j] / (sigma[i] * sigma[j]):+.2f}" if sigma[i] * sigma[j] else ""
-            for j in range(len(values))
-        ]
-        error = f"{sigma[i]:.2g}" if sigma[i] else "given"
-        table.add_row(name, f"{value:.6g}", error, QUANTITIES[name].unit, *correlations)
+    sigma, together = np.sqrt(np.diag(fitted.covariance)), correlations(fitted.covariance)
+    for i, (name, value) in enumerate(fitted.values.items()):
+        cells = ["" if math.isnan(rho) else f"{rho:+.2f}" for rho in together[i]]
+        table.add_row(name, f"{value:.6g}", _error(sigma[i]), QUANTITIES[name].unit, *cells)
+    for name, value, error, unit in fitted.others:
+        table.add_row(name, f"{value:.4g}", _error(error), unit)
     return table
+
+
+def _error(sigma: float) -> str:
+    if math.isinf(sigma):
+        return "not determined"
+    return "" if math.isnan(sigma) else f"{sigma:.2g}"

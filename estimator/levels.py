@@ -10,14 +10,14 @@ import numpy as np
 
 from .coarse import Candidate, Coarse
 from .ellipse import Ellipse
-from .unwrap import RAYS, Patch, ring_variance
+from .unwrap import RAYS, Patch
 
 RADII = np.linspace(0.05, 1.6, 48)
 """Radii of the wide view, in units of the ellipse."""
 RADIUS_STEP = float(RADII[1] - RADII[0])
 
 _NEAR_EDGE = np.abs(RADII[1:-1] - 1) < 0.35
-_DOUBT = 9.0  # variances that a dome must exceed to count
+_DOUBT = 13.0  # variances that a dome must exceed to count
 _FAR_ENOUGH = 0.9  # part of the radius where the background begins that must be in view
 _TAILED = 0.3  # width, in radii, from which an edge is a bell's, with tails ...
 _TAIL = 4.4  # ... below half a percent of its peak from here, in radii
@@ -59,7 +59,7 @@ class Levels:
     @property
     def sees_background(self) -> bool:
         """Whether the background was taken where the spot's light no longer reaches the wall."""
-        return self.background_radius > _FAR_ENOUGH * _dark_radius(self.width)
+        return self.background_radius > _FAR_ENOUGH * dark_radius(self.width)
 
     def in_units_of(self, radius: float) -> Levels:
         """The same levels about an ellipse that is so many times as large."""
@@ -127,7 +127,7 @@ def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float
     The rings lie nearer where the window does not show them; None if it shows none.
     """
     levels = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
-    radius = _dark_radius(width)
+    radius = dark_radius(width)
     for _ in range(6):
         ring = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII, every=2).ravel()
         if not levels.holds(ellipse.scaled(radius + 0.4)):
@@ -138,7 +138,8 @@ def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float
     return None
 
 
-def _dark_radius(width: float) -> float:
+def dark_radius(width: float) -> float:
+    """Radius from which a spot's light no longer reaches the wall, by its edge's width in radii."""
     near = 1 + 4 * width
     # The tails of a lens's bell reach further than a Gaussian's of the same flank.
     return near if width < _TAILED else max(near, _TAIL)
@@ -172,10 +173,8 @@ def _top(
     whole = inner[seen.all(axis=1)]
     if len(whole) < 8 or not height > 0:
         return plateau, (1.0, 0.0, 0.0), 0.0
-    contrast = np.where(np.arange(len(radii)) < len(radii) // 2, 1.0, -1.0)
-    rise = whole @ contrast.astype(np.float32) * (2 / len(radii))
-    variance = 4 * ring_variance(rise - rise.mean(), slice(2, 6)) / len(rise) / plateau**2
-    kept = max(0.0, 1 - _DOUBT * variance / height**2)
+    variance = float(np.var(whole.sum(axis=1))) / (plateau * len(radii)) ** 2
+    kept = max(0.0, 1 - (_DOUBT * variance / height**2) ** 2)
     c0, c1, c2 = (coefficients[:, 0] / top).tolist()
     dome = (1 - kept + kept * c0, kept * c1, kept * c2)
     return plateau / (1 - kept + kept * plateau / top), dome, variance

@@ -30,6 +30,7 @@ QUANTITIES = {
     "b": Quantity("mm", -math.inf, math.inf),
     "scale": Quantity("mm/px", 0, math.inf),
     "eye_radius": Quantity("mm", 0, math.inf),
+    "inverse_working_distance": Quantity("1/mm", 0, math.inf, low_included=True),
     "eccentricity": Quantity("mm", 0, math.inf, low_included=True),
     "core_radius": Quantity("mm", 0, math.inf),
     "glue_length": Quantity("mm", 0, math.inf, low_included=True),
@@ -43,15 +44,16 @@ QUANTITIES = {
 }
 """Unit and range of every parameter that a file may hold.
 
-k = 1/tan(half_angle); b: apex offset; scale: delta at the pole; eccentricity: c of the trials that
-were fitted; core_radius ... launch_aperture: of the glue lens, as `optics.GlueLens` has them;
-brightness: of the spot's peak as a fraction of full scale, over irradiance (1/mm2 per unit power)
-and exposure time.
+k = 1/tan(half_angle); b: apex offset; scale: delta at the pole; inverse_working_distance: 1/(z_F +
+r), 0 if telecentric; eccentricity: c of the trials that were fitted; core_radius ...
+launch_aperture: of the glue lens, as `optics.GlueLens` has them; brightness: of the spot's peak as
+a fraction of full scale, over irradiance (1/mm2 per unit power) and exposure time.
 """
 
-LENS_PARAMETERS = tuple(QUANTITIES)[6:14]
+_NAMES = tuple(QUANTITIES)
+LENS_PARAMETERS = _NAMES[_NAMES.index("core_radius") : _NAMES.index("brightness")]
 _LENS_REQUIRED = LENS_PARAMETERS[:6]
-_COMMON = {"scale", "eye_radius", "eccentricity"}
+_COMMON = {"scale", "eye_radius", "inverse_working_distance", "eccentricity"}
 
 
 def check_parameters(model: str, values: Mapping[str, float]) -> None:

@@ -14,6 +14,7 @@ from .coarse import Candidate, Coarse, TooSmall, bright_regions
 from .edges import REACH, EdgeFit, fit_edge
 from .ellipse import Ellipse, covariance_of_axes, refitted
 from .frames import GREY, GREY_WEIGHTS, Window
+from .motion_blur import SMEARED, at_mid_exposure
 from .spot import NoSpot, Reason, Spot
 from .subpixel import SubpixelSettings
 from .unwrap import Patch, contour_points, share_of_contour
@@ -56,7 +57,11 @@ class Region:
     def measured(self) -> Spot | NoSpot:
         """The region's spot, if its contour is one."""
         fit = self.contour()
-        return fit if isinstance(fit, NoSpot) else _verdict(fit, self.settings, self.saturated)
+        if isinstance(fit, NoSpot):
+            return fit
+        if fit.levels.width > SMEARED:
+            fit = at_mid_exposure(self._patch(fit.ellipse), fit)
+        return _verdict(fit, self.settings, self.saturated)
 
     def contour(self) -> EdgeFit | NoSpot:
         """The region's contour, through the reading of which the most of it is seen."""

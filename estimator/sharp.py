@@ -19,7 +19,7 @@ from .unwrap import DESIGN, Patch
 
 _REACH = 3.0  # edge widths on either side that hold all of an edge ...
 _REACH_PX = 2.5  # ... and at least so many px
-_MIDDLE = 1.8  # edge widths on either side of the half level that a cubic fits
+_MIDDLE = 0.8  # edge widths on either side of the half level that a cubic fits
 _PLATEAU = 2.6  # edge widths from the edge to where its blur no longer shows
 _FORGIVEN = 0.1  # edge widths that texture may move an edge
 _ROUGH = 5.0  # times the typical variance left in a profile: it holds something else

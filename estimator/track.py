@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .frames import Window, checked_frame
+from .levels import dark_radius
 from .literal import LiteralSettings, measure_literal
 from .regions import Region, regions_in
 from .spot import NoSpot, Reason, Spot
@@ -108,8 +109,9 @@ def _near(
     """The spot that continues the last one, or the brightest near the start point."""
     half = float(settings.search_half_width_px)
     if last is not None:
-        # A bell's background is seen only several edge widths away.
-        reach = last.semi_major_px + max(settings.max_jump_px, 5 * last.edge_width_px)
+        # The background is where a bell's tails end, round wherever it moved to.
+        reach = last.semi_major_px * dark_radius(last.edge_width_px / last.semi_minor_px)
+        reach += settings.max_jump_px
         half = max(half, reach)
     for region in regions_in(frame, Window.around(*at, half, half, frame), settings):
         if isinstance(region, Region):

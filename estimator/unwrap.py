@@ -74,6 +74,13 @@ def contour_points(ellipse: Ellipse, offsets: np.ndarray) -> np.ndarray:
     return ellipse.centre + ((1 + offsets) * (ellipse.shape @ _ACROSS)).T
 
 
+def normals_of(ellipse: Ellipse) -> tuple[np.ndarray, np.ndarray]:
+    """Outward unit normals on the rays, (2, RAYS), and radii per px along them, (RAYS,)."""
+    gradients = np.linalg.inv(ellipse.shape).T @ _ACROSS
+    per_px = np.hypot(*gradients)
+    return gradients / per_px, per_px
+
+
 def share_of_contour(ellipse: Ellipse, rays: np.ndarray) -> float:
     """Fraction of the contour's length that the rays in the mask stand for."""
     steps = np.hypot(*(ellipse.shape @ _ALONG))

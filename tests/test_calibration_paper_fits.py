@@ -1,12 +1,18 @@
 """The paper's fits against NumPy's, known truth, and the spread that their errors promise."""
 
+import functools
 import math
+from typing import Any
 
+import jax
 import numpy as np
 import pytest
+import scipy.optimize
+import scipy.stats
 
 import optics
 from calibration import fit_eccentricity, fit_plane
+from calibration._paper_fits import plane_solution, sphere_solution
 
 
 def test_plane_fit_is_the_linear_regression_of_numpy():
@@ -91,3 +97,147 @@ def test_too_few_spots_are_refused():
             scale=0.01,
             eye_radius=11.5,
         )
+
+
+PLANE: dict[str, Any] = {"delta_k": 0.134, "b": -5.117}
+EYE: dict[str, Any] = {"scale": 0.0067, "eye_radius": 11.5}
+
+
+def test_huber_names_the_outliers_and_finds_the_minimum_that_scipy_finds():
+    rng = np.random.default_rng(2)
+    axis = np.linspace(38.0, 83.0, 61)
+    distance = 0.134 * axis - 5.117 + rng.normal(0, 0.02, axis.size)
+    distance[[5, 30, 55]] += (0.4, -0.3, 0.5)
+    plain = fit_plane(semi_minor_px=axis, distance=distance)
+    robust = fit_plane(semi_minor_px=axis, distance=distance, loss="huber")
+    assert robust.converged
+    assert robust.outliers == (5, 30, 55)
+    assert plain.outliers == ()
+    assert robust.b_error < 0.5 * plain.b_error
+
+    def residual(p):
+        return p[0] * axis + p[1] - distance
+
+    scale = np.median(np.abs(residual((robust.delta_k, robust.b)))) / 0.6745
+    theirs = scipy.optimize.least_squares(
+        residual, [0.1, 0.0], loss="huber", f_scale=1.345 * scale, xtol=1e-14, ftol=1e-14, gtol=None
+    )
+    # SciPy's solver stops where the loss changes by 1e-14, which is flat to its square root.
+    np.testing.assert_allclose([robust.delta_k, robust.b], theirs.x, rtol=1e-6)
+
+
+def test_huber_is_least_squares_of_spots_that_fit_exactly():
+    axis, distance = sphere_data(4.0)
+    fit = fit_eccentricity(semi_minor_px=axis, distance=distance, loss="huber", **PLANE, **EYE)
+    assert fit.c == pytest.approx(4.0, abs=1e-6)
+
+
+def test_the_band_of_the_line_is_the_textbooks():
+    rng = np.random.default_rng(3)
+    axis = np.linspace(38.0, 83.0, 21)
+    distance = 0.134 * axis - 5.117 + rng.normal(0, 0.05, axis.size)
+    fit = fit_plane(semi_minor_px=axis, distance=distance)
+    at = np.array([30.0, 60.0, 100.0])
+    s = fit.rmse * math.sqrt(21 / 19)
+    leverage = 1 / 21 + (at - axis.mean()) ** 2 / np.sum((axis - axis.mean()) ** 2)
+    # Student's t of 19 degrees of freedom at 97.5 %, from its printed tables.
+    np.testing.assert_allclose(fit.band(at), 2.0930 * s * np.sqrt(leverage), rtol=1e-4)
+
+
+def test_c_and_its_band_follow_what_they_were_fitted_with():
+    axis, distance = sphere_data(4.0)
+    distance = distance + np.random.default_rng(4).normal(0, 0.02, axis.size)
+
+    def c_of(delta_k, b):
+        return fit_eccentricity(
+            semi_minor_px=axis, distance=distance, delta_k=delta_k, b=b, **EYE
+        ).c
+
+    fit = fit_eccentricity(semi_minor_px=axis, distance=distance, **PLANE, **EYE)
+    step = 1e-5
+    by_differences = [
+        (c_of(0.134 + step, -5.117) - c_of(0.134 - step, -5.117)) / (2 * step),
+        (c_of(0.134, -5.117 + step) - c_of(0.134, -5.117 - step)) / (2 * step),
+    ]
+    # The implicit derivative leaves out the curvature times the residuals, 1e-3 of it here.
+    np.testing.assert_allclose(fit.sensitivity, by_differences, rtol=5e-3)
+
+    up, down = (
+        optics.small_plane_distance(
+            semi_minor_px=axis, k=20.0, b=-5.117, eccentricity=fit.c + sign * fit.c_error, **EYE
+        )
+        for sign in (1, -1)
+    )
+    band = fit.band(axis, delta_k=0.134, **EYE)
+    student = 2.0096  # of 49 degrees of freedom at 97.5 %
+    np.testing.assert_allclose(band, student * np.abs(up - down) / 2, rtol=1e-3)
+
+
+def many(c: np.ndarray, count: int, noise: float):
+    rng = np.random.default_rng(5)
+    axis = np.linspace(38.0, 83.0, 61) + rng.uniform(-2, 2, (count, 1))
+    distance = optics.small_plane_distance(
+        semi_minor_px=axis, k=20.0, b=-5.117, eccentricity=c, **EYE
+    )
+    return axis, np.asarray(distance) + rng.normal(0, noise, axis.shape)
+
+
+def test_a_batch_of_fits_is_what_numpy_and_scipy_find_one_by_one():
+    axis, distance = many(np.linspace(2.0, 6.0, 20)[:, None], 20, 0.05)
+    weight = np.ones_like(axis)
+    planes = jax.jit(jax.vmap(plane_solution))(axis, distance, weight)
+    spheres = jax.jit(jax.vmap(functools.partial(sphere_solution, **PLANE, **EYE)))(
+        axis, distance, weight
+    )
+    assert np.all(planes.converged)
+    assert np.all(spheres.converged)
+    for e, d, plane, sphere in zip(
+        axis, distance, planes.parameters, spheres.parameters, strict=True
+    ):
+        design = np.column_stack([e, np.ones_like(e)])
+        np.testing.assert_allclose(plane, np.linalg.lstsq(design, d)[0], atol=1e-8)
+        theirs = scipy.optimize.least_squares(
+            lambda p, e=e, d=d: np.asarray(
+                20 * (r := 0.0067 * e * p[0]) - 5.117 + 11.5 - np.sqrt(11.5**2 - r**2) - d
+            ),
+            [0.9],
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        )
+        np.testing.assert_allclose(sphere, theirs.x, atol=1e-8)
+
+
+def test_standard_errors_are_those_of_the_bootstrap():
+    rng = np.random.default_rng(6)
+    axis = np.linspace(38.0, 83.0, 61)
+    distance = 0.134 * axis - 5.117 + rng.normal(0, 0.05, axis.size)
+    fit = fit_plane(semi_minor_px=axis, distance=distance)
+    line = fit.delta_k * axis + fit.b
+    drawn = line + rng.choice(distance - line, (2000, axis.size))
+    weight = np.ones_like(drawn)
+    batch = jax.jit(jax.vmap(plane_solution, in_axes=(None, 0, 0)))
+    spread = np.std(batch(axis, drawn, weight).parameters, axis=0)
+    # Residuals are smaller than errors by sqrt(59/61), 1.6 %; 2000 draws know a spread to 1.6 %.
+    np.testing.assert_allclose(spread, [fit.delta_k_error, fit.b_error], rtol=0.016 + 3 * 0.016)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    runs = 200
+    hits = dict.fromkeys(("delta_k", "b", "c"), 0)
+    axis, exact = sphere_data(4.0)
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        distance = 0.134 * axis - 5.117 + rng.normal(0, 0.05, axis.size)
+        plane = fit_plane(semi_minor_px=axis, distance=distance)
+        sphere = fit_eccentricity(
+            semi_minor_px=axis, distance=exact + rng.normal(0, 0.05, axis.size), **PLANE, **EYE
+        )
+        wide = [scipy.stats.t.ppf(0.975, axis.size - p) for p in (2, 1)]
+        hits["delta_k"] += abs(plane.delta_k - 0.134) < wide[0] * plane.delta_k_error
+        hits["b"] += abs(plane.b + 5.117) < wide[0] * plane.b_error
+        hits["c"] += abs(sphere.c - 4.0) < wide[1] * sphere.c_error
+    # 95 % intervals by an exact binomial test at 1 %, over these and the six of the cone's fit.
+    low, high = (scipy.stats.binom.ppf(p, runs, 0.95) for p in (0.01 / 18, 1 - 0.01 / 18))
+    assert all(low <= count <= high for count in hits.values()), hits

@@ -1,0 +1,72 @@
+"""Levenberg-Marquardt on J^T J and J^T r, for residuals too many to hold a Jacobian of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+_MOST_STEPS = 40
+_DAMPING, _MOST_DAMPING = 1e-6, 1e8
+
+
+class NormalEquations(NamedTuple):
+    """A sum of squares about a point.
+
+    Attributes:
+        cost: sum of squared residuals; infinite where parameters have no meaning.
+        gradient: J^T r.
+        information: J^T J.
+    """
+
+    cost: float
+    gradient: Float[np.ndarray, "p"]
+    information: Float[np.ndarray, "p p"]
+
+
+class Minimum(NamedTuple):
+    """Where a minimisation ended, and whether less than its tolerance was still to be had."""
+
+    x: Float[np.ndarray, "p"]
+    at: NormalEquations
+    converged: bool
+
+
+def minimise(
+    evaluate: Callable[[Float[np.ndarray, "p"]], NormalEquations],
+    start: Float[np.ndarray, "p"],
+    *,
+    tolerance: float,
+) -> Minimum:
+    """Levenberg-Marquardt with Nielsen's damping.
+
+    It ends where an undamped step would lower the cost by less than the tolerance; of a chi
+    squared that is the square of the step in standard errors (Nielsen 1999, "Damping parameter in
+    Marquardt's method").
+
+    Args:
+        evaluate: normal equations at a point.
+        start: first guess.
+        tolerance: of the cost.
+    """
+    x, at = start, evaluate(start)
+    damping, growth = _DAMPING, 2.0
+    for _ in range(_MOST_STEPS):
+        # Where no residual depends on a parameter, or only on a product, the least step is taken.
+        if at.gradient @ np.linalg.pinv(at.information, rcond=1e-12) @ at.gradient < tolerance:
+            return Minimum(x, at, True)
+        damped = at.information + damping * np.diag(np.diag(at.information))
+        step = -np.linalg.lstsq(damped, at.gradient, rcond=None)[0]
+        tried = evaluate(x + step)
+        expected = -(2 * at.gradient + at.information @ step) @ step
+        gain = (at.cost - tried.cost) / expected
+        if gain > 0:
+            x, at = x + step, tried
+            damping, growth = damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 2.0
+        else:
+            damping, growth = damping * growth, 2 * growth
+            if damping > _MOST_DAMPING:
+                break
+    return Minimum(x, at, False)

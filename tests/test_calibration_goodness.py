@@ -1,0 +1,72 @@
+"""A fit is called good only where nothing speaks against it, and each reason is named."""
+
+import itertools
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calibration._goodness import bounds_hit, doubts, runs_probability
+
+
+@pytest.mark.parametrize(("positive", "negative"), [(4, 4), (3, 6), (1, 5), (5, 4)])
+def test_runs_have_the_chances_of_all_orders_counted(positive, negative):
+    signs = [1.0] * positive + [-1.0] * negative
+    orders = np.array(sorted(set(itertools.permutations(signs))))
+    runs = 1 + np.sum(orders[:, 1:] != orders[:, :-1], axis=1)
+    for order, number in zip(orders, runs, strict=True):
+        assert runs_probability(order) == pytest.approx(np.mean(runs <= number), rel=1e-12)
+
+
+def test_noise_is_called_structured_as_rarely_as_the_level_says():
+    rng = np.random.default_rng(0)
+    chances = [runs_probability(rng.standard_normal(52)) for _ in range(2000)]
+    # A discrete test is conservative. Binomial(2000, 0.01): 34 and more have a chance of 0.2 %.
+    assert sum(chance < 0.01 for chance in chances) < 34
+
+
+def test_a_bend_under_the_noise_is_found():
+    rng = np.random.default_rng(0)
+    x = np.linspace(-1, 1, 61)
+    assert runs_probability(rng.standard_normal(61) + 4 * (x**2 - 1 / 3)) < 1e-3
+
+
+def good(**changes):
+    noise = np.random.default_rng(1).standard_normal(40)
+    known: dict[str, Any] = {
+        "converged": True,
+        "bounds": (),
+        "undetermined": (),
+        "chi_squared_per_degree": 1.0,
+        "residuals": {"size": noise},
+    }
+    return doubts(**known | changes)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"converged": False}, "did not converge"),
+        ({"bounds": ("k = 0",)}, "hit a bound: k = 0"),
+        ({"undetermined": ("scale is not seen",)}, "do not determine scale is not seen"),
+        ({"chi_squared_per_degree": 0.79}, "0.79.*reports more noise than there is"),
+        ({"chi_squared_per_degree": 1.26}, "1.26.*leaves more than the noise"),
+        ({"residuals": {"size": np.linspace(-1, 1, 40)}}, "residuals of size have structure"),
+    ],
+)
+def test_each_reason_against_a_fit_is_named(change, told):
+    (doubt,) = good(**change)
+    assert re.search(told, doubt.reason)
+    assert doubt.harmless == ("more noise than there is" in told)
+
+
+def test_nothing_speaks_against_a_good_fit():
+    assert good() == []
+    assert good(chi_squared_per_degree=None) == []
+
+
+def test_a_value_that_cannot_be_is_a_bound_hit():
+    assert bounds_hit({"half_angle": 0.05, "b": -5.0}) == ()
+    (told,) = bounds_hit({"half_angle": -0.01, "b": -5.0})
+    assert told.startswith("half_angle = -0.01 rad")

@@ -1,0 +1,416 @@
+"""The fit to all pixels: its image is the renderer's, its slopes are right, its sigmas hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import ndimage, stats
+
+import calibration
+import optics
+from calibration._image_chunks import Chunk, Problem, sums
+from calibration._image_data import CameraNoise, Footage, Instrument, read_footage
+from calibration._image_fit import fit_footage
+from calibration._image_model import (
+    Cone,
+    Edge,
+    Lens,
+    WallPixels,
+    lit_moment,
+    lit_part,
+    radiance,
+    wall_pixels,
+)
+from calibration._image_parameters import check_names
+from calibration._image_table import Grid, LensTable, lens_grid, lens_parameters, lens_table
+from estimator import Stack, read_stack
+from estimator.frames import Response
+from scenes import Renderer, Scene, geometry, render_stack
+from scenes.camera_settings import CameraSettings
+from scenes.exposure import expose
+
+HALF_ANGLE, B = math.atan(1 / 20), -5.117
+START = {"half_angle": 1.3 * HALF_ANGLE, "b": 0.7 * B}
+SIDE = 32  # samples of a pixel each way
+
+
+def scene(**tables: Any) -> Scene:
+    """A withdrawal over an even wall, in frames of 128 x 128."""
+    settings: dict[str, Any] = {
+        "schema": 1,
+        "phantom": {"wall": "uniform"},
+        "source": {"kind": "cone"},
+        "spot": {"eccentricity_mm": 2.0},
+        "motion": {"travel_mm": 5.0, "frames": 10},
+        "microscope": {
+            "width_px": 128,
+            "height_px": 128,
+            "scale_mm_px": 0.02,
+            "samples": SIDE**2,
+        },
+        "exposures": {"kinds": ["metered"], "keep_linear": True},
+    }
+    merged = {name: settings.get(name, {}) | table for name, table in tables.items()}
+    return Scene.model_validate(settings | merged)
+
+
+def seen(settings: Scene) -> WallPixels:
+    """The wall behind the pixels of a scene with a cone or lens over an eyeball."""
+    v, u = np.mgrid[: settings.microscope.height_px, : settings.microscope.width_px]
+    pixels = jnp.stack([jnp.asarray(u.ravel(), float), jnp.asarray(v.ravel(), float)], axis=-1)
+    return wall_pixels(
+        pixels, microscope=geometry.microscope(settings), surface=geometry.wall(settings)
+    )
+
+
+VALUES = {"power": 1.0, "reflectance": 0.5, "illumination": 0.05, "eye_radius": 11.5}
+
+
+@pytest.mark.parametrize("pinhole", [11.5, 200.0])
+def test_model_image_of_a_cone_is_the_renderers(pinhole):
+    settings = scene(
+        motion={"start_mm": 1.0, "frames": 2},
+        instrument={"visible": False},
+        microscope={"pinhole_height_mm": pinhole},
+    )
+    renderer = Renderer(settings)
+    wall = seen(settings)
+    cone = Cone(jnp.asarray(HALF_ANGLE), jnp.asarray(B), None)
+    for frame in range(2):
+        beam = renderer.truth.beam
+        image = radiance(
+            wall, VALUES, source=cone, tip=beam.tip[frame], axis=beam.axis[frame], eyeball=True
+        )
+        rendered = renderer.render(frame).radiance[..., 0]
+        off = np.asarray(image).reshape(rendered.shape) - rendered
+        lit = (
+            np.asarray(cone.irradiance(wall, tip=beam.tip[frame], axis=beam.axis[frame])).reshape(
+                rendered.shape
+            )
+            > 0
+        )
+        inside = ndimage.binary_erosion(lit, iterations=2)
+        outside = ~ndimage.binary_dilation(lit, iterations=2)
+        # Single precision, summed over a pixel's samples; curvature within a pixel 1e-6.
+        np.testing.assert_allclose(off[inside] / rendered[inside], 0.0, atol=1e-4)
+        np.testing.assert_allclose(off[outside] / rendered[outside], 0.0, atol=1e-4)
+        edge = off[~inside & ~outside] / (rendered.max() - rendered.min())
+        # Samples on a grid of n x n are off by up to 1/(2n) where the edge runs along it.
+        assert np.abs(edge).max() < 0.6 / SIDE
+        assert np.sqrt(np.mean(edge**2)) < 0.1 / SIDE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("medium", ["air", "vitreous"])
+def test_model_image_of_a_lens_is_the_renderers(medium):
+    settings = scene(
+        source={"kind": "lens", "lens": "dome", "medium": medium},
+        motion={"start_mm": 2.0, "travel_mm": 3.0, "frames": 2},
+        instrument={"visible": False},
+        microscope={"width_px": 160, "samples": 16},
+    )
+    renderer = Renderer(settings)
+    wall = seen(settings)
+    values = lens_parameters(optics.load_lens("dome"))
+    index = optics.MEDIA[medium]
+    grid = lens_grid(values, medium_index=index, nearest=1.0, farthest=6.0, reach=1.05)
+    lens = Lens(lens_table(values, ("sag",), medium_index=index, grid=grid))
+    for frame in range(2):
+        beam = renderer.truth.beam
+        image = radiance(
+            wall, VALUES, source=lens, tip=beam.tip[frame], axis=beam.axis[frame], eyeball=True
+        )
+        rendered = renderer.render(frame).radiance[..., 0]
+        off = (np.asarray(image).reshape(rendered.shape) - rendered) / rendered.max()
+        # The renderer's own table is good to 3e-4 of the peak; ours cuts corners at caustics.
+        assert np.sqrt(np.mean(off**2)) < 3e-4
+        assert np.abs(off).max() < 1e-2
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 0.8, math.pi / 2])
+@pytest.mark.parametrize("inside", [-0.6, -0.2, 0.0, 0.35])
+def test_lit_part_is_that_of_many_samples(turn, inside):
+    n = 400
+    x, y = np.meshgrid(*2 * [(np.arange(n) + 0.5) / n - 0.5])
+    nu, nv = math.cos(turn), math.sin(turn)
+    lit = inside + nu * x + nv * y > 0
+    counted = np.mean(lit)
+    edge = Edge(*map(jnp.asarray, (inside, nu, nv)))
+    # A line of samples may fall on either side.
+    assert abs(float(lit_part(edge)) - counted) < 1.5 / n
+    # Blur of a hundredth of a pixel moves light by no more.
+    assert abs(float(lit_part(edge, blur=0.01)) - counted) < 1.5 / n + 0.01
+    moment = np.mean(lit * (nu * x + nv * y))
+    assert abs(float(lit_moment(edge)) - moment) < 1.5 / n
+    assert abs(float(lit_moment(edge, blur=0.01)) - moment) < 1.5 / n + 0.01
+
+
+def test_blurred_edge_keeps_its_light():
+    # Pixels across an edge: what is missing on one side is there on the other.
+    t = jnp.arange(-40.0, 41.0) + 0.25
+    for blur in (None, 0.5, 3.0):
+        normal = jnp.full(t.shape, 0.6), jnp.full(t.shape, 0.8)
+        lit = lit_part(Edge(t, *normal), blur=blur)
+        # At t and -t the parts add up to one, so that the sum is that of a step at 0.
+        back = lit_part(Edge(-t, *normal), blur=blur)
+        np.testing.assert_allclose(lit + back, 1.0, atol=1e-9)
+
+
+def test_table_is_exact_for_cubic_fields():
+    grid = Grid(1.0, 0.5, 0.5, 8.0)
+    y, x = np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 7), indexing="ij")
+
+    def field(x, y):
+        return 1 + x - 2 * x**3 + y * x**2 + 3 * y**3
+
+    values = jnp.asarray(np.stack([field(x, y), 2 * field(x, y)], axis=-1))
+    none = jnp.zeros((0, *values.shape))
+    table = LensTable(values, none, jnp.ones(()), jnp.zeros(0), jnp.zeros(0), grid)
+    rng = np.random.default_rng(0)
+    s = jnp.asarray(rng.uniform(0.5, 8.0, 50))
+    envelope = 1.0 + 0.5 * s
+    share = jnp.asarray(rng.uniform(0.0, 1.0, 50))
+    lateral, axial = table(radius=share * envelope, distance=s)
+    expected = field(share, jnp.log(s / 0.5) / jnp.log(16.0)) / envelope**2
+    np.testing.assert_allclose(lateral, expected, rtol=1e-10)
+    np.testing.assert_allclose(axial, 2 * expected, rtol=1e-10)
+
+
+def test_slopes_are_those_of_central_differences():
+    names = (
+        *("half_angle", "b", "blur", "scale", "eye_radius", "reflectance", "power"),
+        *("sensitivity", "illumination", "touch", "u", "v", "lean", "lean_sideways"),
+    )
+    first = jnp.array(
+        [HALF_ANGLE, B, 0.7, 0.02, 11.5, 0.5, 1.0, 200.0, 0.05, 0.15, 64.0, 63.0, 0.01, -0.02]
+    )
+    eye = optics.microscope(
+        scale=0.02, pinhole_height=11.5, eye_radius=11.5, principal_point=(-37.0, 63.0)
+    )
+    axis = np.array([0.1506, 0.5, -0.8528])
+    problem = Problem(
+        first=first,
+        size=jnp.maximum(jnp.abs(first), 0.01),
+        fixed={},
+        microscope=eye,
+        axis=jnp.asarray(axis / np.linalg.norm(axis)),
+        blur=None,
+        names=names,
+        kind="eyeball",
+    )
+    v, u = np.mgrid[0:128:2, 0:128:2]
+    chunk = Chunk(
+        pixels=np.stack([u.ravel(), v.ravel()], axis=-1).astype(float),
+        light=np.full(u.size, 0.3),
+        weight=np.full(u.size, 100.0),
+        reading=np.asarray(3.0),
+        exposure_s=np.asarray(0.05),
+        frame=np.asarray(0),
+    )
+    x, step = np.zeros(len(names)), 1e-5
+    at = sums(problem, None, jnp.asarray(x), jnp.zeros(()), chunk)
+    for i in range(len(names)):
+        ends = []
+        for sign in (1, -1):
+            moved = x.copy()
+            moved[i] = sign * step
+            ends.append(sums(problem, None, jnp.asarray(moved), jnp.zeros(()), chunk).residuals)
+        difference = (np.asarray(ends[0]) - np.asarray(ends[1])) / (2 * step)
+        # Of second order in the step, over an edge of 0.7 px that a step moves by 1e-3 px.
+        slope = 2 * float(at.gradient[i])
+        np.testing.assert_allclose(slope, 2 * difference @ np.asarray(at.residuals), rtol=1e-4)
+        norm = float(difference @ difference)
+        np.testing.assert_allclose(float(at.information[i, i]), norm, rtol=1e-4)
+
+
+@pytest.mark.parametrize("response", ["linear", "srgb", 2.2])
+@pytest.mark.parametrize("level", [0.05, 0.3, 0.8])
+def test_noise_is_that_of_the_camera(response, level):
+    camera = CameraSettings(response=response)
+    curves = {"linear": Response(), "srgb": Response(curve="srgb")}
+    noise = CameraNoise.of(
+        camera.model_dump(), curves.get(response, Response(curve="gamma", gamma=2.2))
+    )
+    image = expose(
+        np.full((300, 300, 3), level),
+        exposure=1.0,
+        settings=camera,
+        rng=np.random.default_rng(3),
+    )
+    light = noise.light(image)
+    expected = float(noise.variance(np.array([level]))[0])
+    n = light.size
+    # Means and variances of n normal numbers within 4.5 standard errors; rounding acts on the mean
+    # with a slope of its own, 1e-5 where the curve bends.
+    assert abs(light.mean() - level) < 4.5 * math.sqrt(expected / n) + 2e-5
+    assert abs(light.var() / expected - 1) < 4.5 * math.sqrt(2 / n) + 0.01
+
+
+def test_hidden_pixels_are_those_in_which_the_renderer_sees_the_instrument():
+    settings = scene(motion={"start_mm": 0.5, "travel_mm": 1.0, "frames": 2})
+    renderer = Renderer(settings)
+    instrument = Instrument(0.25, 6.0)
+    v, u = np.mgrid[:128, :128]
+    sight = geometry.microscope(settings).ray(jnp.stack([u, v], axis=-1).astype(float))
+    for frame in range(2):
+        seen_wall = renderer.render(frame).wall
+        hidden = instrument.hides(
+            np.asarray(seen(settings).point).reshape(128, 128, 3),
+            np.asarray(sight[1]),
+            tip=np.asarray(renderer.truth.beam.tip[frame]),
+            axis=np.asarray(renderer.truth.beam.axis[frame]),
+            margin=0.0,
+        )
+        # Where a pixel is cut, its centre may lie on either side.
+        np.testing.assert_array_equal(hidden[seen_wall > 0.9999], False)
+        fibre = ndimage.binary_erosion(seen_wall == 0.0, iterations=1)
+        np.testing.assert_array_equal(hidden[fibre], True)
+        assert fibre.any()
+
+
+@pytest.mark.parametrize(
+    ("choice", "words"),
+    [
+        ({"start": {"half_angle": 0.05}}, "missing b"),
+        ({"start": START, "free": ("half_angel",)}, "unknown half_angel"),
+        ({"start": START, "free": ("sag",)}, "unknown sag"),
+        ({"start": START, "free": ("blur",)}, "missing blur"),
+    ],
+)
+def test_names_that_the_fit_does_not_know_are_refused(choice, words):
+    with pytest.raises(ValueError, match=words):
+        check_names("cone", choice["start"], choice.get("free", ()), {})
+
+
+def test_cameras_of_dependent_pixels_are_refused():
+    camera = CameraSettings(bayer="RGGB", prnu=0.01)
+    with pytest.raises(ValueError, match=r"bayer = RGGB, prnu = 0.01"):
+        CameraNoise.of(camera.model_dump(), Response())
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory) -> Stack:
+    return render_stack(scene(), tmp_path_factory.mktemp("image") / "stack")
+
+
+@pytest.mark.slow
+def test_cone_is_found_from_thirty_percent_off(stack):
+    fit = calibration.fit_image(stack, source="cone", start=START)
+    assert fit.converged
+    assert not fit.undetermined
+    # 32,000 pixels: chi squared per degree of freedom scatters by 0.008.
+    assert abs(fit.chi_squared_per_dof - 1) < 0.04
+    for name, true in (("half_angle", HALF_ANGLE), ("b", B), ("sensitivity", 200.0)):
+        value, sigma = fit.parameters[name]
+        assert abs(value - true) < 3.5 * sigma, name
+    value, sigma = fit.parameters["half_angle"]
+    assert sigma < 1e-3 * HALF_ANGLE
+
+
+@pytest.mark.slow
+def test_labels_are_not_read(stack, tmp_path):
+    other = tmp_path / "stack"
+    shutil.copytree(stack.folder, other)
+    rows = [json.loads(line) for line in (other / "metadata.jsonl").read_text().splitlines()]
+    kept = {"time_s", "exposure_s", "frame", "seed"}
+    for row in rows:
+        for name, value in row.items():
+            if name not in kept and isinstance(value, float):
+                row[name] = 0.123
+    (other / "metadata.jsonl").write_text("\n".join(map(json.dumps, rows)) + "\n")
+    ours = calibration.fit_image(stack, source="cone", start=START)
+    blind = calibration.fit_image(read_stack(other), source="cone", start=START)
+    assert blind.parameters == ours.parameters
+
+
+@pytest.mark.slow
+def test_what_shows_in_products_alone_is_said(stack):
+    fit = calibration.fit_image(
+        stack, source="cone", start=START, free=("half_angle", "b", "power")
+    )
+    (told,) = fit.undetermined
+    assert "power" in told
+    assert "sensitivity" in told
+    assert math.isinf(fit.parameters["power"][1])
+    # What can be seen is seen as well as before.
+    value, sigma = fit.parameters["half_angle"]
+    assert abs(value - HALF_ANGLE) < 3.5 * sigma
+
+
+@pytest.mark.slow
+def test_exposures_can_be_fitted_frame_by_frame(stack):
+    footage = read_footage(stack)
+    wrong = 1 + 0.1 * np.sin(np.arange(10))
+    told = dataclasses.replace(footage, exposure_s=footage.exposure_s * wrong)
+    fit = fit_footage(told, source="cone", start=START, exposures="fitted")
+    found = np.array([fit.parameters[f"exposure of frame {frame}"] for frame in range(10)])
+    right, sigma = found[:, 0] * wrong, found[:, 1] * wrong
+    # The camera's clock is right on average, as far as anyone can tell.
+    assert np.all(np.abs(right / right.mean() - 1) < 4 * sigma)
+    assert np.all(sigma < 0.01)
+
+
+SEEDS = range(200)
+PRIORS = {"touch": 0.02, "lean": math.radians(1.0), "lean_sideways": math.radians(1.0)}
+
+
+def ideal_withdrawal(folder: Path) -> tuple[Footage, np.ndarray, dict[str, float]]:
+    """Frames without noise, exact as no renderer's samples are, their camera, and the truth."""
+    settings = scene(instrument={"visible": False}, microscope={"samples": 4})
+    stack = render_stack(settings, folder / "stack")
+    footage, beam = read_footage(stack), Renderer(settings).truth.beam
+    wall, cone = seen(settings), Cone(jnp.asarray(HALF_ANGLE), jnp.asarray(B), None)
+    light = [
+        radiance(wall, VALUES, source=cone, tip=tip, axis=axis, eyeball=True)
+        * settings.exposures.sensitivity_mm2_sr_mj
+        * time
+        for tip, axis, time in zip(beam.tip, beam.axis, footage.exposure_s, strict=True)
+    ]
+    truth = {
+        **{"half_angle": HALF_ANGLE, "b": B, "sensitivity": 200.0, "illumination": 0.05},
+        **{"touch": stack.labels[0].d_mm, "u": 63.5, "v": 63.5},
+        **{"lean": 0.0, "lean_sideways": 0.0},
+    }
+    exact = dataclasses.replace(footage, edge_variance=0.0)
+    return exact, np.asarray(light).reshape(footage.light.shape), truth
+
+
+def fit_of_seed(
+    seed: int, footage: Footage, light: np.ndarray, truth: dict[str, float]
+) -> calibration.ImageFit:
+    """The fit to the frames with noise; what is known beforehand scatters as it says, too."""
+    rng = np.random.default_rng(seed)
+    grey = np.repeat(light[..., None], 3, axis=-1)
+    images = [expose(frame, exposure=1.0, settings=CameraSettings(), rng=rng) for frame in grey]
+    noisy = dataclasses.replace(
+        footage,
+        light=np.stack([footage.noise.light(image) for image in images]).astype(np.float32),
+        clear=np.stack([((image > 0) & (image < 255)).all(axis=-1) for image in images]),
+    )
+    priors = {
+        name: calibration.Prior(truth[name] + sigma * rng.standard_normal(), sigma)
+        for name, sigma in PRIORS.items()
+    }
+    return fit_footage(noisy, source="cone", start=START, priors=priors)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_as_often_as_they_say(tmp_path):
+    footage, light, truth = ideal_withdrawal(tmp_path)
+    held = dict.fromkeys(truth, 0)
+    for seed in SEEDS:
+        fit = fit_of_seed(seed, footage, light, truth)
+        for name, true in truth.items():
+            value, sigma = fit.parameters[name]
+            held[name] += abs(value - true) < 1.959964 * sigma
+    for name, count in held.items():
+        chance = stats.binomtest(count, len(SEEDS), 0.95).pvalue
+        assert chance > 0.01 / len(truth), f"{name}: {count} of {len(SEEDS)}"

@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.estimator_frames import SHAPE, Scene, Truth, bell, frame_of
+from estimator import Spot, SubpixelSettings, TrackState, measure
+
+_TRUTH = Truth(x=321.3, y=238.8, semi_major=66, semi_minor=60, angle=0.7)
+_MIDDLE = TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2))
+
+
+def _measured(scene: Scene, seed: int) -> Spot:
+    frame = frame_of(scene, np.random.default_rng(seed))
+    spot, _ = measure(frame, _MIDDLE, SubpixelSettings())
+    assert isinstance(spot, Spot), spot
+    return spot
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.1, 2.5])
+def test_a_spot_that_moved_by_half_a_diameter_is_measured_in_the_middle_of_its_path(
+    heading: float,
+) -> None:
+    path = 60 * math.cos(heading), 60 * math.sin(heading)
+    spot = _measured(Scene(truth=_TRUTH, path_px=path), seed=1)
+    # The requirement is an RMSE of 0.15 px, with texture; the stated error is that of an even wall.
+    assert np.abs(_TRUTH.errors(spot)).max() < 3 * 0.15
+    assert 3 * spot.sigma_semi_minor_px < 0.5
+    # The edge is as wide as that of a spot at rest.
+    assert spot.edge_width_px == pytest.approx(2.0, abs=0.3)
+
+
+def test_a_moving_spot_is_measured_past_a_glint() -> None:
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    glint = np.where(np.hypot(u - 300, v - 190) < 5, 250.0, 0.0)
+    spot = _measured(Scene(truth=_TRUTH, path_px=(40.0, 20.0), glints=glint), seed=2)
+    assert np.abs(_TRUTH.errors(spot)).max() < 3 * 0.15
+
+
+def test_a_still_bell_is_not_taken_for_a_moving_disc() -> None:
+    scene = Scene(truth=_TRUTH, profile=bell)
+    still, elongated = _measured(scene, seed=3), replace(_TRUTH, semi_major=90)
+    # A Gaussian that is half at b has the slope of a blurred step of 0.58 b.
+    assert still.edge_width_px > 0.4 * _TRUTH.semi_minor
+    longer = _measured(replace(scene, truth=elongated), seed=3)
+    assert np.abs(elongated.errors(longer)).max() < 0.01 * elongated.semi_major
