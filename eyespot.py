@@ -17,7 +17,7 @@ import importlib.util
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -48,10 +48,39 @@ app = typer.Typer(
 scene_commands = typer.Typer(help="Write and check scene files.", no_args_is_help=True)
 app.add_typer(scene_commands, name="scene")
 
+
+class SpecFirst(typer.core.TyperGroup):
+    """`eyespot dataset SPEC` means `eyespot dataset make SPEC`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """What is no command of the group belongs to `make`."""
+        known = (*self.commands, *ctx.help_option_names)
+        return super().parse_args(ctx, args if not args or args[0] in known else ["make", *args])
+
+
+dataset_commands = typer.Typer(
+    cls=SpecFirst,
+    help="Make labelled sets, and prove that one is whole. `eyespot dataset SPEC` is `make SPEC`.",
+    no_args_is_help=True,
+)
+app.add_typer(dataset_commands, name="dataset")
+study_commands = typer.Typer(
+    help="Studies, each with a report, CSV files and figures.", no_args_is_help=True
+)
+app.add_typer(study_commands, name="study")
+
 OutputFolder = Annotated[
     Path, typer.Option("--out", metavar="DIR", help="Folder for the results; made if missing.")
 ]
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
+StartingScene = Annotated[
+    Path | None,
+    typer.Argument(metavar="SCENE", help="Scene file (TOML) to start from; or the study's own."),
+]
+Quick = Annotated[bool, typer.Option("--quick", help="A smaller study, for a first look.")]
+Seed = Annotated[
+    int | None, typer.Option(help="Of whatever is drawn at random; the scene's own.", min=0)
+]
 Changes = Annotated[
     list[str],
     typer.Option(
@@ -217,28 +246,267 @@ def track(
 def fit(
     sources: Annotated[
         list[Path],
-        typer.Argument(metavar="STACK…", help="Withdrawals from contact, one microscope."),
+        typer.Argument(
+            metavar="SOURCE…",
+            help="Withdrawals from contact, seen by one microscope: stacks, spots files, bags.",
+        ),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Calibration (JSON); new.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="Calibration (JSON); new. A report stands beside it."
+        ),
+    ],
     model: Annotated[
-        Literal["cone", "plane"],
-        typer.Option(help="The exact geometry, or the paper's line through the planes."),
+        Literal["cone", "plane", "sphere"],
+        typer.Option(
+            help="The exact geometry; the paper's line through the planes; or its eccentricity of "
+            "one eyeball beside them."
+        ),
     ] = "cone",
     exposure: Annotated[
         Literal["paper", "metered"] | None, typer.Option(help="Of stacks that hold both.")
     ] = None,
     free: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME,…",
-            help="What the cone's fit finds: half_angle, b, scale, eye_radius.",
+            help="What the cone's fit finds: half_angle, b, scale, eye_radius, "
+            "inverse_working_distance, tilt_x, tilt_y.  [default: half_angle,b]",
         ),
-    ] = "half_angle,b",
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=MEAN,SIGMA",
+            help="Known beforehand of a free parameter (mm, rad), or of touch, the distance at "
+            "the first frame. Repeatable.",
+        ),
+    ] = None,
+    robust: Annotated[
+        bool,
+        typer.Option("--robust", help="Name outliers and leave them out; models plane, sphere."),
+    ] = False,
+    microscope: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="microscope.json; a stack has its own.")
+    ] = None,
+    poses: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="The robot's poses, CSV or bag, of each source in turn; a stack has its own, and "
+            "a bag may.",
+        ),
+    ] = None,
+    phantom: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="plane|eyeball", help="Of each source in turn, or of all; a stack tells."
+        ),
+    ] = None,
+    medium: Annotated[
+        str | None, typer.Option(help="Between tip and wall: air, water, …; a stack tells.")
+    ] = None,
+    fibre_diameter_mm: Annotated[
+        float, typer.Option(help="Of the tip's face, whose rim touches first; a stack tells.")
+    ] = 0.5,
+    eye_from_robot: Annotated[
+        str | None,
+        typer.Option(metavar="QX,QY,QZ,QW", help="Turns the poses' frame into the eye's."),
+    ] = None,
 ) -> None:
-    """Fit the beam to tracked stacks and write a calibration for `eyespot track`."""
+    """Fit the beam to withdrawals and write a calibration for `eyespot track`.
+
+    A fit that is not good writes its report alone, says why, and ends with exit code 2; one whose
+    only fault is that its errors are too large is written and not called good.
+    """
     from calibration import fit_command
 
-    fit_command.run(sources, model=model, out=out, exposure=exposure, free=free.split(","))
+    fit_command.run(
+        sources,
+        model=model,
+        out=out,
+        exposure=exposure,
+        free=None if free is None else free.split(","),
+        priors=prior or (),
+        robust=robust,
+        microscope=microscope,
+        poses=poses or (),
+        phantoms=phantom or (),
+        medium=medium,
+        fibre_diameter_mm=fibre_diameter_mm,
+        eye_from_robot=eye_from_robot,
+    )
+
+
+@app.command()
+def export(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Labelled set or stack.")],
+    to: Annotated[
+        Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"],
+        typer.Option(help="Format; benchmarks/sets/formats says what each holds."),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="PATH", help="File (hdf5) or folder to write; new.")
+    ],
+) -> None:
+    """Write a labelled set, or one stack, in another format."""
+    from benchmarks.sets import export as exporting
+
+    exporting.run(folder, to=to, out=out)
+
+
+@app.command()
+def score(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Labelled set or stack.")],
+    spots: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="SPOTS…",
+            help="Spots files with names as seen from DIR, or folders of SPLIT/STACK.csv.",
+        ),
+    ] = None,
+    mode: Annotated[
+        Literal["literal", "subpixel", "both"] | None,
+        typer.Option(help="Measure with our estimator, too, and score that."),
+    ] = None,
+    against: Annotated[
+        Literal["half_max", "cone"], typer.Option(help="The ellipse that is the truth.")
+    ] = "half_max",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for tables and figure; new."),
+    ] = None,
+) -> None:
+    """Say how good an estimator's spots of a labelled set are."""
+    from benchmarks.sets import score_command
+
+    score_command.run(folder, spots or [], mode=mode, against=against, out=out)
+
+
+@study_commands.command("eccentricity")
+def study_eccentricity(
+    out: OutputFolder,
+    scene: StartingScene = None,
+    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
+    quick: Quick = False,
+    seed: Seed = None,
+    geometries: Annotated[
+        int | None,
+        typer.Option(help="To fill the space with; 131072, or 16384 if quick.", min=1),
+    ] = None,
+) -> None:
+    """How wrong each model is, at which eccentricity, and by which cause.
+
+    A run that was stopped goes on where it was when it is given the same folder.
+    """
+    from benchmarks.studies import Request, eccentricity
+
+    eccentricity.run(
+        Request(
+            out=out,
+            scene=scene,
+            changes=tuple(changes),
+            quick=quick,
+            seed=seed,
+            options={"geometries": geometries or (1 << 14 if quick else 1 << 17)},
+        )
+    )
+
+
+@study_commands.command("static")
+def study_static(
+    out: OutputFolder,
+    scene: StartingScene = None,
+    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
+    quick: Quick = False,
+    seed: Seed = None,
+) -> None:
+    """The paper's Tables I and II over many runs, and what adds to their error.
+
+    A run that was stopped goes on where it was when it is given the same folder.
+    """
+    from benchmarks.studies import Request, static
+
+    static.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
+
+
+@study_commands.command("table-one")
+def study_table_one(
+    out: OutputFolder,
+    scene: StartingScene = None,
+    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
+    quick: Quick = False,
+    seed: Seed = None,
+) -> None:
+    """Which lenses give the paper's Table I, and what sets its trials apart.
+
+    A run that was stopped goes on where it was when it is given the same folder.
+    """
+    from benchmarks.studies import Request, table_one
+
+    table_one.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
+
+
+@dataset_commands.command("make")
+def dataset_make(
+    spec: Annotated[
+        str,
+        typer.Argument(
+            metavar="SPEC",
+            help="Spec (TOML), or static-v1, eccentricity-v1, dynamic-v1, adverse-v1.",
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="The set's folder.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; one a core by default.", min=1)
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Dask scheduler whose workers do it: docs/datasets.md."
+        ),
+    ] = None,
+    shard: Annotated[
+        str | None, typer.Option(metavar="I/N", help="The I-th of N parts, for job arrays.")
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Set a scene key for all stacks, as in TOML."
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only say how many frames, how large, how long.")
+    ] = False,
+) -> None:
+    """Render a labelled set: splits of stacks, a data card and a manifest.
+
+    A run that was stopped goes on where it was when it is given the same folder.
+    """
+    from benchmarks.sets import command
+
+    command.make(
+        spec,
+        out=out,
+        workers=workers,
+        scheduler=scheduler,
+        shard=shard,
+        changes=changes or [],
+        dry_run=dry_run,
+    )
+
+
+@dataset_commands.command("verify")
+def dataset_verify(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The set's folder.")],
+) -> None:
+    """Prove by its manifest that a set is whole, or name what is missing or changed."""
+    from benchmarks.sets import command
+
+    command.verify(folder)
 
 
 @scene_commands.command("init")
@@ -271,11 +539,10 @@ def scene_schema() -> None:
 def scene_check(scene: SceneFile, changes: Changes = []) -> None:  # noqa: B006
     """Say whether a scene file can be rendered, and if not, why not."""
     import scenes
-    from scenes import geometry, labels
 
     settings = scenes.load_scene(scene, changes)
     # What the keys alone do not tell, such as a spot that leaves the window.
-    labels.moments(settings, geometry.lens_table(settings))
+    scenes.check_scene(settings)
     typer.echo(f"{scene}: fine.")
     for approximation in settings.approximations:
         typer.echo(f"Approximate: {approximation}.")

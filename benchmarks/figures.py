@@ -206,24 +206,29 @@ def half_maximum(
     return figure
 
 
-def model_error(findings: Findings) -> Figure:
+def model_error(
+    analytic: Sequence[ModelError],
+    rendered: Sequence[ModelError],
+    *,
+    models: Sequence[str] = COMPARED,
+) -> Figure:
     """Signed error against c: a row for each pinhole height, a column for each model."""
-    heights = list(dict.fromkeys(e.z_f_mm for e in findings.analytic))
-    incidences = sorted({e.incidence_deg for e in findings.analytic})
+    heights = list(dict.fromkeys(e.z_f_mm for e in analytic))
+    incidences = sorted({e.incidence_deg for e in analytic})
     shades = ("#A6CEE3", SKY, BLUE, "#08306B")
     colours = dict(zip(CHOSEN_DISTANCES_MM, shades, strict=True))
     figure = _figure(height=2.7 * len(heights) + 0.5)
-    grid = figure.subplots(len(heights), len(COMPARED), sharex=True, sharey="row", squeeze=False)
+    grid = figure.subplots(len(heights), len(models), sharex=True, sharey="row", squeeze=False)
     for axes_row, height in zip(grid, heights, strict=True):
-        for axes, model in zip(axes_row, COMPARED, strict=True):
+        for axes, model in zip(axes_row, models, strict=True):
             _limit(axes)
-            axes.set_title(f"{model}, $z_F$ = {height:g} mm")
+            axes.set_title(f"{model}, {pinhole_title(height)}")
             for d, colour in colours.items():
                 for incidence in incidences:
-                    line = _at(findings.analytic, model, height, d, incidence)
+                    line = _at(analytic, model, height, d, incidence)
                     style = "-" if incidence == incidences[-1] else ":"
                     axes.plot(*_c_and_error(line), color=colour, ls=style)
-                marks = _at(findings.rendered, model, height, d)
+                marks = _at(rendered, model, height, d)
                 axes.plot(*_c_and_error(marks), ls="", marker="o", ms=3.5, color=colour)
         axes_row[0].set_ylabel("estimate − $d$ (mm)")
     for axes in grid[-1]:
@@ -276,6 +281,11 @@ def model_error_size(findings: Findings) -> Figure:
     grid[0, 0].yaxis.set_major_formatter("{x:g}")
     grid[0, -1].legend(loc="center right")
     return figure
+
+
+def pinhole_title(z_f_mm: float) -> str:
+    """The pinhole's height, for titles and legends."""
+    return "telecentric" if np.isinf(z_f_mm) else f"$z_F$ = {z_f_mm:g} mm"
 
 
 def _figure(*, height: float) -> Figure:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -11,9 +11,11 @@ import jax
 import numpy as np
 
 import optics
+from calibration import SphereFit, fit_eccentricity
 from estimator import FrameLabels
 
 COMPARED = ("small_plane", "corrected", "stereographic", "exact")
+"""The models of a spot in an eyeball; `planar` knows of none."""
 
 
 class Geometry(NamedTuple):
@@ -29,7 +31,11 @@ class Geometry(NamedTuple):
 
 
 class ModelError(NamedTuple):
-    """Row of model_error.csv; error = estimate - truth."""
+    """Row of model_error.csv; error = estimate - truth.
+
+    `azimuth_deg` is the incidence's, counted from the meridian of O; `refit`: c was fitted to the
+    spots, as the paper does, and `c_mm` is the true one.
+    """
 
     model: str
     source: str
@@ -50,24 +56,93 @@ class ModelError(NamedTuple):
 def analytic_errors(
     geometry: Geometry, *, eccentricities: np.ndarray, distances: np.ndarray
 ) -> list[ModelError]:
-    """Errors of every model on the exact contour, at each c and d (mm)."""
+    """Errors of the models on the exact contour, at each c and d (mm)."""
     c, d = (a.ravel() for a in np.meshgrid(eccentricities, distances, indexing="ij"))
-    axis = np.asarray(_semi_minor(geometry, c, d))
-    return _rows(geometry, "analytic", "air", c=c, d=d, semi_minor_px=axis)
+    seen = semi_minor(geometry, c=c, d=d)
+    return model_errors(geometry, source="analytic", medium="air", c=c, d=d, semi_minor_px=seen)
 
 
 def measured_errors(
-    geometry: Geometry, *, labels: Sequence[FrameLabels], semi_minor_px: np.ndarray
+    geometry: Geometry,
+    *,
+    labels: Sequence[FrameLabels],
+    semi_minor_px: np.ndarray,
+    models: Sequence[str] = COMPARED,
 ) -> list[ModelError]:
-    """Errors of every model on measured spots whose truth is known."""
-    return _rows(
+    """Errors of the models on measured spots whose truth is known."""
+    return model_errors(
         geometry,
-        "rendered",
-        labels[0].medium,
+        source="rendered",
+        medium=labels[0].medium,
         c=np.array([row.c_mm for row in labels]),
         d=np.array([row.d_mm for row in labels]),
         semi_minor_px=semi_minor_px,
+        models=models,
     )
+
+
+def model_errors(
+    geometry: Geometry,
+    *,
+    source: str,
+    medium: str,
+    c: np.ndarray,
+    d: np.ndarray,
+    semi_minor_px: np.ndarray,
+    models: Sequence[str] = COMPARED,
+) -> list[ModelError]:
+    """Errors of the models on spots of known size, at c and d (mm), which they are given."""
+    found = estimates(geometry, c=c, semi_minor_px=semi_minor_px)
+    return _rows(geometry, source, medium, c=c, d=d, found={m: found[m] for m in models})
+
+
+def refitted_errors(
+    geometry: Geometry,
+    *,
+    source: str,
+    medium: str,
+    c: float,
+    d: np.ndarray,
+    semi_minor_px: np.ndarray,
+) -> tuple[SphereFit, list[ModelError]]:
+    """Errors of `small_plane` with c fitted to the spots themselves, as the paper's Table II does.
+
+    Args:
+        geometry: k, b and r are given to the fit, as they are.
+        source: "analytic" or "rendered".
+        medium: by name.
+        c: the true eccentricity of all spots, mm.
+        d: their distances, mm.
+        semi_minor_px: e1', px.
+
+    Returns:
+        The fit, and a row a spot, whose `c_mm` is the true one.
+    """
+    k = 1.0 / math.tan(geometry.half_angle)
+    fit = fit_eccentricity(
+        semi_minor_px=semi_minor_px,
+        distance=d,
+        delta_k=geometry.scale * k,
+        b=geometry.apex_offset,
+        scale=geometry.scale,
+        eye_radius=geometry.eye_radius,
+    )
+    estimate = optics.small_plane_distance(
+        semi_minor_px=semi_minor_px,
+        scale=geometry.scale,
+        k=k,
+        b=geometry.apex_offset,
+        eccentricity=fit.c,
+        eye_radius=geometry.eye_radius,
+    )
+    found = {"small_plane": np.asarray(estimate)}
+    true_c = np.full(d.shape, c)
+    return fit, _rows(geometry, source, medium, c=true_c, d=d, found=found, refit=True)
+
+
+def semi_minor(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """e1' of the exact contour at eccentricities and distances (mm), px."""
+    return np.asarray(_semi_minor(geometry, c, d))
 
 
 def estimates(
@@ -85,28 +160,34 @@ def _rows(
     *,
     c: np.ndarray,
     d: np.ndarray,
-    semi_minor_px: np.ndarray,
+    found: Mapping[str, np.ndarray],
+    refit: bool = False,
 ) -> list[ModelError]:
     return [
         ModelError(
             model=model,
             source=source,
-            refit=False,
+            refit=refit,
             medium=medium,
             c_mm=float(c[i]),
             d_mm=float(d[i]),
             r_mm=geometry.eye_radius,
             z_f_mm=geometry.pinhole_height,
-            incidence_deg=math.degrees(geometry.incidence),
-            azimuth_deg=math.degrees(geometry.incidence_azimuth),
-            half_angle_deg=math.degrees(geometry.half_angle),
+            incidence_deg=degrees(geometry.incidence),
+            azimuth_deg=degrees(geometry.incidence_azimuth),
+            half_angle_deg=degrees(geometry.half_angle),
             apex_offset_mm=geometry.apex_offset,
             estimate_mm=float(estimate),
             error_mm=float(estimate - d[i]),
         )
-        for model, values in estimates(geometry, c=c, semi_minor_px=semi_minor_px).items()
+        for model, values in found.items()
         for i, estimate in enumerate(values)
     ]
+
+
+def degrees(radians: float) -> float:
+    """An angle as a person wrote it: 30, not 29.999999999999996."""
+    return round(math.degrees(radians), 9)
 
 
 @jax.jit
@@ -127,7 +208,9 @@ def _estimates(geometry: Geometry, c: jax.Array, semi_minor_px: jax.Array) -> di
     }
     kappa = 1.0 / (geometry.pinhole_height + geometry.eye_radius)
     exact = partial(_at_geometry, optics.exact_distance, geometry)
+    on_a_plane = {name: known[name] for name in ("semi_minor_px", "scale", "k", "b")}
     return {
+        "planar": optics.planar_distance(**on_a_plane),
         "small_plane": optics.small_plane_distance(**known),
         "corrected": optics.corrected_distance(**known, inverse_working_distance=kappa),
         "stereographic": optics.stereographic_distance(**known),

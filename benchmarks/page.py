@@ -54,18 +54,9 @@ def render(
         versions: of packages, by what they did.
         images: data URIs by the figure's name.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("benchmarks"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["symbols"] = _symbols
     first = findings.trials[0]
     sources = dict.fromkeys(trial.source for trial in findings.trials if trial.kind == "plane")
-    return environment.get_template("report.html.j2").render(
-        number=number,
+    return template("report.html.j2").render(
         digits_for=_digits_for,
         pinhole=pinhole,
         settings=findings.settings,
@@ -89,6 +80,20 @@ def render(
         scene_toml=scene_toml(first.scene),
         seconds=findings.seconds,
     )
+
+
+def template(name: str) -> jinja2.Template:
+    """A page's template; `number` and the filter `symbols` are there for all."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("benchmarks"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["symbols"] = _symbols
+    environment.globals["number"] = number
+    return environment.get_template(name)
 
 
 def _symbols(text: str) -> Markup:

@@ -1,8 +1,13 @@
-"""How fast frames are made: beside the usual ways to render a spot, and from scene to disk."""
+"""How fast frames are made: from scene to disk, and beside the usual ways to render a spot.
+
+Times are the processor's, of all threads together, so that other work on the machine matters less;
+frames a second from scene to disk are counted by the clock on the wall too.
+"""
 
 from __future__ import annotations
 
-import resource
+import argparse
+import os
 import tempfile
 import time
 from collections.abc import Callable
@@ -16,13 +21,13 @@ from rich.table import Table
 
 from estimator import StackWriter
 from scenes import Renderer, Scene, frame_count, load_mitsuba, render_stack
-from scenes.exposure import POISSON_BELOW_E, expose, fixed_patterns, metered_exposure
+from scenes.exposure import expose, fixed_patterns, metered_exposure
 from scenes.labels import spot_labels
 
 _SEEDS, _REPEATS = 4, 10
 _FRAME = 10
 _WANTED_NOISE = 0.005
-_CONVERGED = 1024
+_CONVERGED = 256
 """Samples of a pixel whose mean stands for the truth."""
 _SPOT: dict[str, Any] = {
     "schema": 1,
@@ -33,7 +38,7 @@ _SPOT: dict[str, Any] = {
 
 
 class Measured(NamedTuple):
-    """One way to render the spot: s a frame, relative noise of a pixel, mean over the truth's."""
+    """One way to render the spot: CPU s a frame, noise of a pixel, mean over the truth's."""
 
     name: str
     seconds: float
@@ -48,9 +53,12 @@ class Measured(NamedTuple):
 
 def main() -> None:
     """Print the tables, all from this run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--full", action="store_true", help="5,000 frames in the longest stack.")
+    longest = 5000 if parser.parse_args().full else 1000
     load_mitsuba()
     console = Console()
-    console.print(_stacks())  # first: peak memory never falls, and tracing photons takes much of it
+    console.print(_stacks(longest))
     console.print(_steps())
     console.print(_efficiency_table(_ours(), _rivals()))
 
@@ -75,7 +83,7 @@ def _ours() -> list[Measured]:
         # Its samples lie on a grid: seeds change nothing, so its error stands for noise.
         error = np.sqrt(np.mean((image[spot] / truth[spot] - 1) ** 2))
         level = image[spot].mean() / truth[spot].mean()
-        seconds = _seconds(partial(_image, renderer.mitsuba_scene))
+        seconds = _cpu_seconds(partial(renderer.render, 0))
         found.append(Measured(f"ours, {samples} on a grid", seconds, error, level))
     at_random = _renderer_of(rivals.randomly_sampled_scene(_scene()))
     found.append(_over_seeds("ours, 4 at random", at_random, spot=spot, truth=truth))
@@ -128,29 +136,31 @@ def _over_seeds(
     render(0)
     seconds, images = [], []
     for seed in range(_SEEDS):
-        began = time.perf_counter()
+        began = time.process_time()
         image = render(seed + 1)
-        seconds.append(time.perf_counter() - began)
+        seconds.append(time.process_time() - began)
         images.append(image[spot] / truth[spot])
     noise = float(np.sqrt(np.mean(np.var(images, axis=0, ddof=1))))
     return Measured(name, float(np.median(seconds)), noise, float(np.mean(images)))
 
 
 def _efficiency_table(ours: list[Measured], rivals: list[Measured]) -> Table:
-    best = max(rivals, key=lambda way: way.efficiency)
+    tracers = [way for way in rivals if way.name.startswith("ptracer")]
+    best = max(tracers, key=lambda way: way.efficiency)
     table = Table(
         "way, per pixel",
-        "ms",
+        "CPU ms",
         "noise",
         "mean",
         "1/(s var)",
-        "s to 0.5%",
+        "CPU s to 0.5%",
         "ratio",
         title="the spot at 640 x 480, ours with indirect light, the rivals without",
-        caption="noise: scatter of a pixel over seeds; of a grid, error against "
-        f"{_CONVERGED} samples. mean: over theirs. ratio: to the best rival, *. ptracer: "
-        "photons led through the glass, none aimed past it. path: the cap as a lamp, refracted "
-        "backwards.",
+        caption="noise: scatter of a pixel over seeds. Stacks are rendered on a grid, which has "
+        f"none: there it is the whole error against {_CONVERGED} samples, and what no pose changes "
+        "was rendered before. at random: all of the same scene with points at random in each "
+        "pixel. mean: over theirs. ratio: to the best ptracer, *. ptracer: photons led through the "
+        "glass, none aimed past it. path: the cap as a lamp, refracted backwards.",
     )
     for way in (*ours, *rivals):
         table.add_row(
@@ -173,10 +183,7 @@ def _to_wanted_noise(way: Measured) -> float:
 def _steps() -> Table:
     """Where the time of one labelled frame goes, each step alone."""
     scene = Scene.model_validate({"schema": 1, "motion": {"frames": 20}})
-    coarse = scene.model_copy(
-        update={"microscope": scene.microscope.model_copy(update={"samples": 1})}
-    )
-    renderer, faster, camera = Renderer(scene), Renderer(coarse), scene.camera
+    renderer, camera = Renderer(scene), scene.camera
     linear = renderer.render(_FRAME)
     mask = renderer.mask(_FRAME, linear)
     gain = metered_exposure(linear.radiance, settings=camera, mask=mask)
@@ -187,7 +194,7 @@ def _steps() -> Table:
         return expose(linear.radiance, exposure=gain, settings=camera, rng=rng, patterns=patterns)
 
     image = photograph()
-    table = Table("step", "ms", "CPU ms", title="a 640 x 480 frame, step by step")
+    table = Table("step", "CPU ms", title="a 640 x 480 image, step by step")
     with tempfile.TemporaryDirectory() as folder:
         row = render_stack(scene, Path(folder) / "stack").labels[_FRAME]
         with StackWriter(Path(folder) / "steps") as writer:
@@ -206,25 +213,21 @@ def _steps() -> Table:
             for name, step in steps.items():
                 cpu = _cpu_seconds(step)
                 total += cpu
-                table.add_row(name, f"{1e3 * _seconds(step):.1f}", f"{1e3 * cpu:.1f}")
+                table.add_row(name, f"{1e3 * cpu:.1f}")
     table.add_section()
-    table.add_row("all", "", f"{1e3 * total:.1f}")
-    table.add_row("frames/s of two idle cores", "", f"{2 / total:.1f}")
+    table.add_row("all", f"{1e3 * total:.1f}")
+    table.add_row("images/s of two idle cores", f"{2 / total:.1f}")
     table.add_section()
-    step = partial(faster.render, _FRAME)
-    table.add_row(
-        "render, 1 sample a pixel", f"{1e3 * _seconds(step):.1f}", f"{1e3 * _cpu_seconds(step):.1f}"
-    )
-    assert renderer.table is not None  # the default source is a lens
-    reach = float(renderer.table.envelope(renderer.truth.distance[_FRAME]))
-    lit = np.pi * (reach / scene.microscope.scale_mm_px) ** 2 / mask.size
-    counted = np.mean(linear.radiance * gain * camera.full_well_e < POISSON_BELOW_E)
-    table.add_row("part of the frame that the beam reaches", f"{lit:.0%}", "")
-    table.add_row(f"samples below {POISSON_BELOW_E:g} electrons", f"{counted:.0%}", "")
+    whole = _cpu_seconds(partial(_image, renderer.mitsuba_scene))
+    table.add_row("the whole frame by mi.render", f"{1e3 * whole:.1f}")
+    (tip,), (axis,) = renderer.moments.motion.at(renderer.moments.times[[_FRAME]])
+    assert renderer.images.reach is not None  # nothing in the default scene is random
+    changed = renderer.images.reach.pixels(tip=tip, axis=axis).size / mask.size
+    table.add_row("part of the frame that is rendered anew", f"{changed:.0%}")
     return table
 
 
-def _stacks() -> Table:
+def _stacks(longest: int) -> Table:
     """Labelled stacks with camera noise, from the scene to files on disk."""
     table = Table(
         "stack",
@@ -232,55 +235,72 @@ def _stacks() -> Table:
         "s",
         "images/s",
         "CPU ms each",
+        "first fifth",
+        "last fifth",
         "two idle cores",
-        "peak MB",
+        "MB then",
+        "and then",
         title="scene to PNG files, masks, labels and checksums on disk",
-        caption="two idle cores: images/s if nothing else ran and all work were shared.",
+        caption="CPU ms each: of the whole call, set-up and checksums included; fifths: of the "
+        "frames alone, with the memory at their ends. two idle cores: images/s if nothing else "
+        "ran and all work were shared.",
     )
     one: dict[str, Any] = {"exposures": {"kinds": ["metered"]}}
     wide: dict[str, Any] = {"width_px": 1280, "height_px": 960, "scale_mm_px": 0.00335}
     stacks: dict[str, dict[str, Any]] = {
         "640 x 480, compiling": {"motion": {"frames": 10}, **one},
         "640 x 480": {"motion": {"frames": 100}, **one},
-        "640 x 480, long": {"motion": {"frames": 1000}, **one},
+        "640 x 480, long": {"motion": {"frames": longest}, **one},
         "640 x 480, two exposures": {"motion": {"frames": 100}},
         "1280 x 960": {"motion": {"frames": 50}, "microscope": wide, **one},
     }
     for name, parts in stacks.items():
         scene = Scene.model_validate({"schema": 1, **parts})
-        images = frame_count(scene) * len(scene.exposures.kinds)
+        each, kinds = frame_count(scene), len(scene.exposures.kinds)
+        log: list[tuple[float, float]] = []
+
+        def note(log: list[tuple[float, float]] = log) -> None:
+            log.append((time.process_time(), _memory()))
+
         with tempfile.TemporaryDirectory() as folder:
             wall, cpu = time.perf_counter(), time.process_time()
-            render_stack(scene, Path(folder) / "stack")
+            render_stack(scene, Path(folder) / "stack", progress=note)
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        fifth = each // 5
+        # A withdrawal's spot grows, so that fifths of one stack differ; stacks are to be compared.
+        first = (log[fifth][0] - log[0][0]) / (kinds * fifth)
+        last = (log[-1][0] - log[-1 - fifth][0]) / (kinds * fifth)
+        images = each * kinds
         table.add_row(
             name,
             str(images),
             f"{wall:.1f}",
             f"{images / wall:.1f}",
             f"{1e3 * cpu / images:.0f}",
+            f"{1e3 * first:.0f}",
+            f"{1e3 * last:.0f}",
             f"{2 * images / cpu:.1f}",
-            f"{peak:.0f}",
+            f"{log[fifth][1]:.0f}",
+            f"{log[-1][1]:.0f}",
         )
     return table
 
 
-def _seconds(step: Callable[[], object]) -> float:
-    """Median wall-clock time of a step."""
-    step()
-    return float(np.median([_timed(step, time.perf_counter) for _ in range(_REPEATS)]))
+def _memory() -> float:
+    """What this process holds now, MB."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGESIZE") / 1e6
 
 
 def _cpu_seconds(step: Callable[[], object]) -> float:
-    """Median processor time of a step, all threads together: other work does not change it."""
-    return float(np.median([_timed(step, time.process_time) for _ in range(_REPEATS)]))
-
-
-def _timed(step: Callable[[], object], clock: Callable[[], float]) -> float:
-    began = clock()
+    """Median processor time of a step."""
     step()
-    return clock() - began
+    seconds = []
+    for _ in range(_REPEATS):
+        began = time.process_time()
+        step()
+        seconds.append(time.process_time() - began)
+    return float(np.median(seconds))
 
 
 if __name__ == "__main__":

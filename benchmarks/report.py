@@ -6,16 +6,7 @@ whole, so a report that cannot be finished leaves an earlier one as it was.
 
 from __future__ import annotations
 
-import base64
-import importlib.metadata
-import io
-import json
-import math
-import os
-import platform
-import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,24 +16,13 @@ from matplotlib.figure import Figure
 from benchmarks import analysis, figures, page, strip, tables
 from benchmarks.conclusions import CHOSEN_ECCENTRICITIES_MM, Conclusion, conclusions
 from benchmarks.model_error import ModelError
+from benchmarks.run_folder import published, save_figure, versions, write_json
 from benchmarks.tables import Accuracy, FrameRow, PlaneRow, SphereRow, SpotRow
 from benchmarks.tracking import USED
 from benchmarks.validate import Findings
 from estimator import read_stack
 
 SCHEMA = 1
-_PACKAGES = (
-    "eyespot",
-    "mitsuba",
-    "drjit",
-    "jax",
-    "equinox",
-    "optimistix",
-    "numpy",
-    "opencv-python-headless",
-    "scikit-image",
-    "matplotlib",
-)
 _STRIPS = ("plane 1", "sphere 1")
 
 
@@ -57,35 +37,15 @@ def write(findings: Findings, out: Path) -> None:
         StackError: a stack that the strip of frames needs is missing or broken.
     """
     out = Path(out)
-    with _published(out) as folder:
+    with published(out) as folder:
         rows = _write_tables(findings, folder)
         found = conclusions(findings)
-        versions = _versions(findings, out / "stacks")
-        summary = _summary(findings, found, versions)
-        (folder / "summary.json").write_text(
-            json.dumps(_finite(summary), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-        )
+        used = _versions(findings, out / "stacks")
+        summary = _summary(findings, found, used)
+        write_json(folder / "summary.json", summary)
         images = _write_figures(findings, rows, folder, stacks=out / "stacks")
-        html = page.render(findings, found=found, versions=versions, images=images)
+        html = page.render(findings, found=found, versions=used, images=images)
         (folder / "report.html").write_text(html, encoding="utf-8")
-
-
-@contextmanager
-def _published(out: Path) -> Iterator[Path]:
-    """A folder whose files move into `out` when the block has ended well."""
-    folder = out / ".report.partial"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    try:
-        yield folder
-        for path in sorted(folder.rglob("*")):
-            target = out / path.relative_to(folder)
-            if path.is_dir():
-                target.mkdir(exist_ok=True)
-            else:
-                os.replace(path, target)
-    finally:
-        shutil.rmtree(folder)
 
 
 def _write_tables(findings: Findings, folder: Path) -> list[SpotRow]:
@@ -118,9 +78,9 @@ def _write_figures(
             name = f"strip_{group.replace(' ', '_')}"
             # Noise of a camera is what JPEG is for: a tenth of the SVG, with PNG inside.
             figure = strip.strip(lines, stacks=stacks)
-            images[name] = _save(figure, folder / "figures" / name, inline="jpeg")
+            images[name] = save_figure(figure, folder / "figures" / name, inline="jpeg")
         for name, figure in _plots(findings, rows):
-            images[name] = _save(figure, folder / "figures" / name, inline="svg")
+            images[name] = save_figure(figure, folder / "figures" / name, inline="svg")
     tables.write_csv(folder / "strip.csv", strip.StripRow, shown)
     return images
 
@@ -136,23 +96,8 @@ def _plots(findings: Findings, rows: list[SpotRow]) -> Iterator[tuple[str, Figur
     if curve is not None:
         ambiguous = analysis.ambiguous_range(*curve)
         yield "half_maximum", figures.half_maximum(findings, rows, ambiguous)
-    yield "model_error", figures.model_error(findings)
+    yield "model_error", figures.model_error(findings.analytic, findings.rendered)
     yield "model_error_size", figures.model_error_size(findings)
-
-
-def _save(figure: Figure, path: Path, *, inline: str) -> str:
-    """Write PNG and SVG; returns the figure as a data URI."""
-    figure.savefig(path.with_suffix(".png"), pil_kwargs={"compress_level": 1})
-    figure.set_layout_engine("none")  # it is laid out by now, which takes half of the time
-    # Without a date the same data give the same file.
-    figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
-    if inline == "svg":
-        data, kind = path.with_suffix(".svg").read_bytes(), "svg+xml"
-    else:
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="jpeg", pil_kwargs={"quality": 88})
-        data, kind = buffer.getvalue(), "jpeg"
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
 def _summary(
@@ -182,18 +127,7 @@ def _summary(
     }
 
 
-def _finite(value: Any) -> Any:
-    """The value with null for every number that JSON has no word for."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _versions(findings: Findings, stacks: Path) -> dict[str, dict[str, str]]:
     """Versions that rendered (by the stacks themselves) and that measured and fitted."""
     run = read_stack(stacks / findings.trials[0].name).description.get("run", {})
-    measured = {"python": platform.python_version()}
-    measured |= {name: importlib.metadata.version(name) for name in _PACKAGES}
-    return {"rendered": run.get("versions", {}), "measured": measured}
+    return {"rendered": run.get("versions", {}), "measured": versions()}

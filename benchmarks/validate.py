@@ -10,7 +10,6 @@ DIR/run.json         what was asked for; a folder with another run.json is refus
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -30,12 +29,12 @@ from rich.progress import (
 )
 
 import scenes
-from benchmarks import model_error
+from benchmarks import model_error, run_folder
 from benchmarks.model_error import Geometry, ModelError
 from benchmarks.tracking import WAYS, Tracked, track_stack
 from benchmarks.trials import PINHOLE_HEIGHTS_MM, Trial, grid_trials, paper_trials
 from calibration import PlaneFit, SphereFit, fit_eccentricity, fit_plane
-from estimator import Stack, read_stack
+from estimator import Stack
 from scenes.geometry import lens_table
 
 _RUN_SCHEMA = 1
@@ -97,7 +96,7 @@ def run(*, out: Path, quick: bool, seed: int, source: str) -> Findings:
         "source": source,
     }
     scenes.load_mitsuba()  # a machine that cannot render leaves no folder behind
-    _claim(out, settings)
+    run_folder.claim(out, settings, command="eyespot validate")
     sources = ("lens", "cone") if source == "both" else (source,)
     trials = [
         trial for kind in sources for trial in paper_trials(source=kind, quick=quick, seed=seed)
@@ -120,25 +119,6 @@ def run(*, out: Path, quick: bool, seed: int, source: str) -> Findings:
     with _timed(findings, "report"):
         report.write(findings, out)
     return findings
-
-
-def _claim(out: Path, settings: dict[str, object]) -> None:
-    """Take an empty folder, or one that a run with the same settings left."""
-    file = out / "run.json"
-    if file.is_file():
-        found = json.loads(file.read_text())
-        if found != settings:
-            raise ValueError(
-                f"{out} holds a run with other settings: {found} instead of {settings}. "
-                "Choose another --out, or remove the folder."
-            )
-        return
-    if out.is_dir() and any(out.iterdir()):
-        raise ValueError(
-            f"{out} holds something else than a run of `eyespot validate`. Choose another --out."
-        )
-    out.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(settings) + "\n")
 
 
 def _render_and_measure(
@@ -166,7 +146,9 @@ def _render_and_measure(
             progress.update(task, description=trial.name)
             if trial.source == "lens":
                 table.result()
-            stack = _stack(trial, out, lambda: progress.advance(task))
+            stack = run_folder.finished_stack(
+                trial.scene, out / "stacks" / trial.name, progress=lambda: progress.advance(task)
+            )
             measured[trial.name] = beside.submit(_measure, trial, stack, out)
         progress.update(task, description="measuring")
         return {
@@ -174,22 +156,6 @@ def _render_and_measure(
             for name, future in measured.items()
             for way, tracked in future.result().items()
         }
-
-
-def _stack(trial: Trial, out: Path, advance) -> Stack:
-    """The trial's stack, rendered unless an earlier run has finished it."""
-    folder = out / "stacks" / trial.name
-    if not folder.is_dir():
-        return scenes.render_stack(trial.scene, folder, progress=advance)
-    stack = read_stack(folder)
-    if stack.description["scene"] != trial.scene.model_dump(mode="json", by_alias=True):
-        raise ValueError(
-            f"{folder} was rendered from another scene than this version would render. Remove it, "
-            "or choose another --out."
-        )
-    for _ in range(scenes.frame_count(trial.scene)):
-        advance()
-    return stack
 
 
 def _measure(trial: Trial, stack: Stack, out: Path) -> dict[str, Tracked]:

@@ -1,0 +1,149 @@
+"""The folder of a run: taken once, resumed by the same request, filled with whole files only."""
+
+from __future__ import annotations
+
+import base64
+import importlib.metadata
+import io
+import json
+import math
+import os
+import platform
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import scenes
+from estimator import Stack, read_stack
+from scenes import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PACKAGES = (
+    "eyespot",
+    "mitsuba",
+    "drjit",
+    "jax",
+    "equinox",
+    "optimistix",
+    "numpy",
+    "opencv-python-headless",
+    "scikit-image",
+    "matplotlib",
+)
+
+
+def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
+    """Take an empty folder, or one that a run with the same settings left; writes run.json.
+
+    Args:
+        out: the folder; made if missing.
+        settings: what was asked for.
+        command: that runs it, for the message.
+
+    Raises:
+        ValueError: the folder holds a run with other settings, or something else.
+    """
+    file = out / "run.json"
+    if file.is_file():
+        found = json.loads(file.read_text())
+        if found != settings:
+            raise ValueError(
+                f"{out} holds a run with other settings: {_difference(found, settings)}. "
+                "Choose another --out, or remove the folder."
+            )
+        return
+    if out.is_dir() and any(out.iterdir()):
+        raise ValueError(
+            f"{out} holds something else than a run of `{command}`. Choose another --out."
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(settings) + "\n")
+
+
+def finished_stack(
+    scene: Scene, folder: Path, *, progress: Callable[[], None] = lambda: None
+) -> Stack:
+    """The scene's stack, rendered unless an earlier run has finished it.
+
+    Args:
+        scene: the scene.
+        folder: of the stack.
+        progress: called once for each frame.
+
+    Raises:
+        ValueError: the folder holds a stack of another scene.
+    """
+    if not folder.is_dir():
+        return scenes.render_stack(scene, folder, progress=progress)
+    stack = read_stack(folder)
+    if stack.description["scene"] != scene.model_dump(mode="json", by_alias=True):
+        raise ValueError(
+            f"{folder} was rendered from another scene than this version would render. Remove it, "
+            "or choose another --out."
+        )
+    for _ in range(scenes.frame_count(scene)):
+        progress()
+    return stack
+
+
+@contextmanager
+def published(out: Path) -> Iterator[Path]:
+    """A folder whose files move into `out` when the block has ended well."""
+    folder = out / ".report.partial"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    try:
+        yield folder
+        for path in sorted(folder.rglob("*")):
+            target = out / path.relative_to(folder)
+            if path.is_dir():
+                target.mkdir(exist_ok=True)
+            else:
+                os.replace(path, target)
+    finally:
+        shutil.rmtree(folder)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON; null stands for every number that JSON has no word for."""
+    text = json.dumps(_finite(value), indent=1, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
+    """Write PNG and SVG; returns the figure as a data URI, of `inline` "svg" or "jpeg"."""
+    figure.savefig(path.with_suffix(".png"), pil_kwargs={"compress_level": 1})
+    figure.set_layout_engine("none")  # it is laid out by now, which takes half of the time
+    # Without a date the same data give the same file.
+    figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
+    if inline == "svg":
+        data, kind = path.with_suffix(".svg").read_bytes(), "svg+xml"
+    else:
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="jpeg", pil_kwargs={"quality": 88})
+        data, kind = buffer.getvalue(), "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of the packages that results depend on."""
+    found = {"python": platform.python_version()}
+    return found | {name: importlib.metadata.version(name) for name in _PACKAGES}
+
+
+def _difference(found: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
+    """The keys in which two requests differ, each with both values."""
+    keys = [key for key in {**found, **asked} if found.get(key) != asked.get(key)]
+    return ", ".join(f"{key!r}: {found.get(key)!r} instead of {asked.get(key)!r}" for key in keys)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,109 @@
+"""Distributions over a scene key: from a number in [0, 1) to a value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag
+
+
+class _Distribution(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
+    low, high = interval
+    if not -math.inf < low < high < math.inf:
+        raise ValueError(
+            f"an interval is [low, high], finite, low below high; got [{low:g}, {high:g}]. "
+            "A single value stands by itself: key = value."
+        )
+    return interval
+
+
+def _positive(interval: tuple[float, float]) -> tuple[float, float]:
+    if interval[0] <= 0:
+        raise ValueError(
+            f"a log-uniform interval must lie above 0; got [{interval[0]:g}, {interval[1]:g}]. "
+            "Raise its lower end, or use uniform."
+        )
+    return interval
+
+
+def _finite(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if any(isinstance(value, float) and not math.isfinite(value) for value in values):
+        raise ValueError(
+            "a choice is of finite values, for it becomes a label in JSON. Take a large number "
+            "for inf."
+        )
+    return values
+
+
+_Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
+
+
+class Uniform(_Distribution):
+    """Every value of an interval alike."""
+
+    uniform: _Interval
+
+    def value(self, quantile: float) -> float:
+        """The value below which this part of the distribution lies."""
+        low, high = self.uniform
+        return low + quantile * (high - low)
+
+
+class LogUniform(_Distribution):
+    """Every ratio alike: the logarithm is uniform."""
+
+    log_uniform: Annotated[_Interval, AfterValidator(_positive)]
+
+    def value(self, quantile: float) -> float:
+        """The value below which this part of the distribution lies."""
+        low, high = self.log_uniform
+        return low * (high / low) ** quantile
+
+
+class Choice(_Distribution):
+    """One of some values, each as often as the others."""
+
+    choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(min_length=2)
+
+    def value(self, quantile: float) -> Any:
+        """The value whose turn it is at this part of the list."""
+        return self.choice[int(quantile * len(self.choice))]
+
+
+Distribution = Uniform | LogUniform | Choice
+KINDS = ("uniform", "log_uniform", "choice")
+
+
+def _kind(change: Any) -> str:
+    """The kind of distribution that a change is, or "value"."""
+    if isinstance(change, Distribution):
+        return next(iter(type(change).model_fields))
+    return next((kind for kind in KINDS if isinstance(change, Mapping) and kind in change), "value")
+
+
+Change = Annotated[
+    Annotated[Uniform, Tag("uniform")]
+    | Annotated[LogUniform, Tag("log_uniform")]
+    | Annotated[Choice, Tag("choice")]
+    | Annotated[Any, Tag("value")],
+    Discriminator(_kind),
+]
+"""What a spec says of a scene key: a distribution, or a value that is fixed."""
+
+
+def by_dotted_name(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The values and distributions of a nested table, each by its scene key's dotted name."""
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        key = f"{prefix}{name}"
+        if isinstance(value, Mapping) and _kind(value) == "value":
+            found |= by_dotted_name(value, f"{key}.")
+        else:
+            found[key] = value
+    return found

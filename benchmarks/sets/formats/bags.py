@@ -1,0 +1,46 @@
+"""ROS bags: SPLIT/STACK/EXPOSURE.bag (ROS 1) or SPLIT/STACK/EXPOSURE/ (ROS 2), labels beside it.
+
+A bag holds what the rig records: the microscope's images, and the poses that the robot reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from benchmarks.sets.read import SetStack
+from benchmarks.sets.stacks import copy_description, exposures_of, qualified_name
+from estimator import Frame, Pose, open_source, read_poses
+from estimator.bags import write_bag
+
+START_S = 1000.0
+"""When a bag's clock shows the stack's time 0: ROS reads 0 as no time, and reports come before."""
+
+
+def write(
+    stacks: Sequence[SetStack], out: Path, progress: Callable[[], None], *, ros: Literal[1, 2]
+) -> None:
+    """Write the bags, holding one image at a time in memory."""
+    for entry in stacks:
+        folder = out / qualified_name(entry)
+        copy_description(entry, folder)
+        for exposure in exposures_of(entry.open()):
+            write_bag(
+                folder / (f"{exposure}.bag" if ros == 1 else exposure),
+                frames=_frames(entry.folder, exposure, progress),
+                poses=_poses(entry.folder / "kinematics.csv"),
+                ros=ros,
+            )
+
+
+def _frames(folder: Path, exposure: str, progress: Callable[[], None]) -> Iterator[Frame]:
+    for frame in open_source(folder, exposure=exposure):
+        yield replace(frame, time_s=START_S + frame.time_s)
+        progress()
+
+
+def _poses(report: Path) -> Iterator[Pose]:
+    for pose in read_poses(report) if report.is_file() else ():
+        yield replace(pose, time_s=START_S + pose.time_s)

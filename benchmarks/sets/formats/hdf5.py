@@ -1,0 +1,87 @@
+"""HDF5: one file, a group SPLIT/STACK for each stack.
+
+set.json, LICENSE  of the set, as text
+
+Of each group:
+
+frames      n x H x W (x 3)
+masks       n x H x W, 255 where the spot is seen
+labels/     one dataset of n rows for each column of metadata.jsonl, its unit as attribute `unit`
+kinematics/ the robot's report, likewise
+
+The group's attributes `stack.toml` and `microscope.json` hold these files' text: the scene as run,
+and the camera.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from benchmarks.sets.read import SetStack
+from benchmarks.sets.stacks import qualified_name, set_files
+from estimator import FrameLabels, Stack
+
+_SCHEMA = 1
+_UNITS = {"_mm_s": "mm/s", "_mm": "mm", "_px": "px", "_rad": "rad", "_s": "s"}
+"""Unit of a column by the end of its name; the first that fits counts."""
+_TEXT = {"file_name", "mask_file_name", "exposure", "medium"}
+
+
+def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -> None:
+    """Write the file, holding one image at a time in memory."""
+    with h5py.File(out, "w") as file:
+        file.attrs["schema"] = _SCHEMA
+        for path in set_files(stacks):
+            file.create_dataset(path.name, data=path.read_text(encoding="utf-8"))
+        for entry in stacks:
+            _write_stack(file.create_group(qualified_name(entry)), entry.open(), progress)
+
+
+def _write_stack(group: h5py.Group, stack: Stack, progress: Callable[[], None]) -> None:
+    for name in ("stack.toml", "microscope.json"):
+        group.attrs[name] = (stack.folder / name).read_text(encoding="utf-8")
+    labels = group.create_group("labels")
+    for name in (field.name for field in fields(FrameLabels)):
+        _write_column(labels, name, [getattr(row, name) for row in stack.labels])
+    kinematics = stack.folder / "kinematics.csv"
+    if kinematics.is_file():
+        report = group.create_group("kinematics")
+        with kinematics.open(newline="", encoding="utf-8") as file:
+            head, *rows = csv.reader(file)
+        for name, column in zip(head, zip(*rows, strict=True), strict=True):
+            _write_column(report, name, [float(cell) for cell in column])
+    _write_images(group, stack, progress)
+
+
+def _write_images(group: h5py.Group, stack: Stack, progress: Callable[[], None]) -> None:
+    count, first = len(stack.labels), stack.labels[0]
+
+    def images(name: str, like: np.ndarray) -> h5py.Dataset:
+        # A chunk an image, so that one frame is read alone; level 1, because noise hardly shrinks.
+        return group.create_dataset(
+            name,
+            (count, *like.shape),
+            like.dtype,
+            chunks=(1, *like.shape),
+            compression="gzip",
+            compression_opts=1,
+        )
+
+    frames, masks = images("frames", stack.image(first)), images("masks", stack.mask(first))
+    for index, row in enumerate(stack.labels):
+        frames[index] = stack.image(row)
+        masks[index] = stack.mask(row)
+        progress()
+
+
+def _write_column(group: h5py.Group, name: str, values: list[object]) -> None:
+    text = h5py.string_dtype() if name in _TEXT else None
+    column = group.create_dataset(name, data=values, dtype=text)
+    if name not in _TEXT:
+        column.attrs["unit"] = next((u for end, u in _UNITS.items() if name.endswith(end)), "1")

@@ -1,0 +1,89 @@
+"""OME-TIFF: SPLIT/STACK/EXPOSURE.ome.tif, one file a recording, labels beside it.
+
+The first image series holds the frames over time, with the size of a pixel at the retinal pole and
+each frame's time and exposure time; the second holds the masks. Exposures are files of their own,
+because each is one recording; as channels they would be taken for colours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tifffile import TiffWriter
+
+from benchmarks.sets.read import SetStack
+from benchmarks.sets.stacks import copy_description, exposures_of, qualified_name
+from estimator import FrameLabels, Stack, read_microscope
+
+_CLASSIC_BYTES = 2**32 - 2**25  # what a TIFF of 32-bit offsets holds, with room for its tags
+
+
+def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -> None:
+    """Write the files, holding a few images at a time in memory."""
+    for entry in stacks:
+        stack = entry.open()
+        folder = out / qualified_name(entry)
+        copy_description(entry, folder)
+        scale_um = 1e3 * read_microscope(stack.folder / "microscope.json").scale_mm_px
+        for exposure in exposures_of(stack):
+            _write_recording(folder / f"{exposure}.ome.tif", stack, exposure, scale_um, progress)
+
+
+def _write_recording(
+    path: Path, stack: Stack, exposure: str, scale_um: float, progress: Callable[[], None]
+) -> None:
+    rows = stack.exposed(exposure)
+    frame, mask = stack.image(rows[0]), stack.mask(rows[0])
+
+    def frames() -> Iterator[np.ndarray]:
+        for row in rows:
+            yield stack.image(row)
+            progress()
+
+    pixels = {
+        "PhysicalSizeX": scale_um,
+        "PhysicalSizeXUnit": "µm",
+        "PhysicalSizeY": scale_um,
+        "PhysicalSizeYUnit": "µm",
+        **_times(rows),
+    }
+    bytes_ = len(rows) * (frame.nbytes + mask.nbytes)
+    with TiffWriter(path, ome=True, bigtiff=bytes_ > _CLASSIC_BYTES) as file:
+        _write_series(file, frames(), frame, rows, {**pixels, "Name": exposure})
+        _write_series(file, map(stack.mask, rows), mask, rows, {**pixels, "Name": "mask"})
+
+
+def _write_series(
+    file: TiffWriter,
+    images: Iterator[np.ndarray],
+    like: np.ndarray,
+    rows: Sequence[FrameLabels],
+    metadata: dict[str, Any],
+) -> None:
+    colour = like.ndim == 3
+    file.write(
+        images,
+        shape=(len(rows), *like.shape),
+        dtype=like.dtype,
+        photometric="rgb" if colour else "minisblack",
+        compression="zlib",
+        compressionargs={"level": 1},
+        metadata={**metadata, "axes": "TYXS" if colour else "TYX"},
+    )
+
+
+def _times(rows: Sequence[FrameLabels]) -> dict[str, Any]:
+    """When each frame began and how long it took, as OME counts."""
+    # OME's DeltaT is the beginning of an exposure; our times are its middle.
+    began = [row.time_s - row.exposure_s / 2 for row in rows]
+    return {
+        "Plane": {
+            "DeltaT": began,
+            "DeltaTUnit": ["s"] * len(rows),
+            "ExposureTime": [row.exposure_s for row in rows],
+            "ExposureTimeUnit": ["s"] * len(rows),
+        }
+    }

@@ -1,0 +1,76 @@
+"""WebDataset: tar shards SPLIT-000000.tar; a sample is an image, its mask and its labels.
+
+The files of a sample follow each other: SPLIT/STACK/000000.png, .mask.png and .json, as they lie in
+the stack. The same set gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import tarfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from benchmarks.sets.read import SetStack
+from benchmarks.sets.stacks import copy_description, qualified_name, split_name
+
+_SHARD_BYTES = 2**28  # large enough to read at a disk's speed, small enough to shuffle
+
+
+def write(
+    stacks: Sequence[SetStack],
+    out: Path,
+    progress: Callable[[], None],
+    *,
+    shard_bytes: int = _SHARD_BYTES,
+) -> None:
+    """Write the shards, each closed by the sample that reaches `shard_bytes`."""
+    for entry in stacks:
+        copy_description(entry, out / qualified_name(entry))
+    for part, group in itertools.groupby(stacks, key=split_name):
+        samples = itertools.chain.from_iterable(map(_samples, group))
+        for shard in itertools.count():
+            first = next(samples, None)
+            if first is None:
+                break
+            _write_shard(
+                out / f"{part}-{shard:06d}.tar",
+                itertools.chain([first], samples),
+                shard_bytes,
+                progress,
+            )
+
+
+def _samples(entry: SetStack) -> Iterator[dict[str, bytes]]:
+    """Names and contents of each sample's files."""
+    stack = entry.open()
+    for row in stack.labels:
+        key = f"{qualified_name(entry)}/{Path(row.file_name).stem}"
+        yield {
+            f"{key}.png": (stack.folder / row.file_name).read_bytes(),
+            f"{key}.mask.png": (stack.folder / row.mask_file_name).read_bytes(),
+            f"{key}.json": json.dumps(asdict(row)).encode(),
+        }
+
+
+def _write_shard(
+    path: Path,
+    samples: Iterator[dict[str, bytes]],
+    shard_bytes: int,
+    progress: Callable[[], None],
+) -> None:
+    written = 0
+    # A new TarInfo has no date and no owner.
+    with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as shard:
+        for sample in samples:
+            for name, content in sample.items():
+                info = tarfile.TarInfo(name)
+                info.size = len(content)
+                shard.addfile(info, io.BytesIO(content))
+                written += len(content)
+            progress()
+            if written >= shard_bytes:
+                return

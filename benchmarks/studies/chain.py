@@ -1,0 +1,222 @@
+r"""The chain from a distance to a spot's size and back, each link of which can be real or ideal.
+
+Ideal throughout, the chain is the planar model's world: a beam square to a flat wall that faces the
+microscope at the pole's height, e1' = (d - b)/(k delta). Each link that is switched on brings in
+one thing that a real eye has. A model undoes what its own terms are for; with a link off, the term
+that the model has for it is off too, so every model is right when all links are ideal, and what a
+link adds to the error is what the model leaves of it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+import optics
+
+LINKS = (
+    "foreshortening",
+    "magnification with depth",
+    "sagitta",
+    "ellipse fit of a non-ellipse",
+    "beam not square",
+)
+"""Names of the links, in the order of `Links`."""
+
+_POINTS = 64
+"""Of a contour; the test against `optics`, which takes 128, shows that they are enough."""
+
+_SECANT_STEPS = 5
+
+
+class Links(NamedTuple):
+    """Which links of the chain are real: True or False each.
+
+    Attributes:
+        foreshortening: the wall is inclined by phi against the image, not parallel to it; the
+            paper's cos(phi) is a term for it.
+        magnification: a point nearer to the pinhole is magnified more; without it the microscope
+            is telecentric.
+        sagitta: the wall is a sphere, not its tangent plane.
+        ellipse_fit: e1' is that of the fitted ellipse, not half of the contour's width.
+        incidence: the beam is inclined, not square to the wall.
+    """
+
+    foreshortening: Float[Array, ""] | bool
+    magnification: Float[Array, ""] | bool
+    sagitta: Float[Array, ""] | bool
+    ellipse_fit: Float[Array, ""] | bool
+    incidence: Float[Array, ""] | bool
+
+
+REAL = Links(True, True, True, True, True)
+"""Everything as it is."""
+
+
+class Eye(NamedTuple):
+    """One geometry, or what a model takes it for; mm, rad, 1/mm.
+
+    Attributes:
+        scale: delta, mm/px at the pole.
+        inverse_working_distance: kappa = 1/(z_F + r), 1/mm.
+        radius: r, mm.
+        half_angle: rad.
+        apex_offset: b, mm.
+        incidence: rad.
+        incidence_azimuth: rad.
+        eccentricity: c, mm.
+    """
+
+    scale: Float[Array, ""]
+    inverse_working_distance: Float[Array, ""]
+    radius: Float[Array, ""]
+    half_angle: Float[Array, ""]
+    apex_offset: Float[Array, ""]
+    incidence: Float[Array, ""]
+    incidence_azimuth: Float[Array, ""]
+    eccentricity: Float[Array, ""]
+
+
+def semi_minor(eye: Eye, distance: Float[Array, ""], links: Links = REAL) -> Float[Array, ""]:
+    """e1' of the spot's contour at a distance (mm) along the beam, px."""
+    contour = _contour(eye, distance, links) / eye.scale
+    ellipse = optics.ellipse_of_contour(contour)
+    across = _half_width(contour, ellipse.angle + 0.5 * jnp.pi)
+    return jnp.where(links.ellipse_fit, ellipse.semi_minor, across)
+
+
+def distances(
+    believed: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL
+) -> dict[str, Float[Array, ""]]:
+    """Distance by every model, mm, from e1' (px) seen through these links.
+
+    Args:
+        believed: the geometry as the models take it.
+        semi_minor_px: e1', px.
+        links: those that the spot was seen through; the models' terms are switched with them.
+    """
+    # The stereographic formula is exact for a square beam and a pinhole on the sphere.
+    on_the_sphere = believed._replace(
+        inverse_working_distance=0.5 / believed.radius, incidence=jnp.zeros_like(believed.incidence)
+    )
+    both = jax.tree.map(lambda *values: jnp.stack(values), on_the_sphere, believed)
+    stereographic, exact = jax.vmap(lambda eye: inverse(eye, semi_minor_px, links))(both)
+    closed = closed_forms(believed, semi_minor_px, links)
+    return {**closed, "stereographic": stereographic, "exact": exact}
+
+
+def closed_forms(
+    believed: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL
+) -> dict[str, Float[Array, ""]]:
+    """`distances` by planar, small_plane and corrected."""
+    k, b = optics.slope(believed.half_angle), believed.apex_offset
+    radius, c = believed.radius, believed.eccentricity
+    kappa = jnp.where(links.magnification, believed.inverse_working_distance, 0.0)
+    cos_phi = optics.paper_foreshortening(eccentricity=c, eye_radius=radius)
+
+    def on_sphere(factor: Float[Array, ""]) -> Float[Array, ""]:
+        spot = believed.scale * semi_minor_px * factor
+        depth = optics.sagitta(spot_radius=spot, eye_radius=radius)
+        return k * spot + b + jnp.where(links.sagitta, depth, 0.0)
+
+    factor = optics.corrected_factor(
+        eccentricity=c, eye_radius=radius, inverse_working_distance=kappa
+    )
+    # On a wall that faces the microscope only the height counts.
+    upright = 1.0 - kappa * radius * (1.0 - cos_phi)
+    return {
+        "planar": believed.scale * k * semi_minor_px + b,
+        "small_plane": on_sphere(jnp.where(links.foreshortening, cos_phi, 1.0)),
+        "corrected": on_sphere(jnp.where(links.foreshortening, factor, upright)),
+    }
+
+
+def inverse(eye: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL) -> Float[Array, ""]:
+    """Distance at which the chain gives a semi-minor axis, mm.
+
+    e1' all but scales with the distance from the apex, so rescaling that distance is a
+    contraction (`optics.exact_distance` repeats it); the secant through two of its steps gains the
+    product of their errors instead.
+    """
+    apex = eye.apex_offset
+
+    def secant(step: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        before, miss_before, reach = state
+        miss = reach * semi_minor_px / semi_minor(eye, reach + apex, links) - reach
+        change = miss - miss_before
+        # The first step has no secant yet, and what has settled has none any more.
+        plain = (step == 0) | (change == 0)
+        gain = -miss * (reach - before) / jnp.where(plain, 1.0, change)
+        return reach, miss, reach + jnp.where(plain, miss, gain)
+
+    planar = eye.scale * semi_minor_px / jnp.tan(eye.half_angle)
+    start = planar, jnp.zeros_like(planar), planar
+    _, _, reach = jax.lax.fori_loop(0, _SECANT_STEPS, secant, start)
+    return reach + apex
+
+
+def _contour(eye: Eye, distance: Float[Array, ""], links: Links) -> Float[Array, "n 2"]:
+    """Image of the spot's edge in mm at the pole's height; the meridian of O is the x axis."""
+    wall = _wall_contour(eye, distance, links)
+    along, across, inward = wall
+    c, r = eye.eccentricity, eye.radius
+    sin_phi = c / r
+    cos_phi = jnp.sqrt(1.0 - sin_phi**2)
+    height = r * (1.0 - cos_phi)  # of O over the pole
+    sin_tilt = jnp.where(links.foreshortening, sin_phi, 0.0)
+    cos_tilt = jnp.where(links.foreshortening, cos_phi, 1.0)
+    x = c + along * cos_tilt - inward * sin_tilt
+    z = height + along * sin_tilt + inward * cos_tilt
+    kappa = jnp.where(links.magnification, eye.inverse_working_distance, 0.0)
+    depth = 1.0 - kappa * z
+    return jnp.stack([x / depth, -across / depth], axis=-1)
+
+
+def _wall_contour(
+    eye: Eye, distance: Float[Array, ""], links: Links
+) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
+    r"""Edge of the spot in the wall's frame at O, mm: along the meridian, across it, inward.
+
+    With the curvature q = 1/r (0 for the plane) the wall is $q|P|^2 = 2 P_z$; on the generator
+    $P = A + t w$ that is $q t^2 - 2 h t + g = 0$, solved in the form that holds for q = 0 too.
+    """
+    curvature = jnp.where(links.sagitta, 1.0 / eye.radius, 0.0)
+    tilt = jnp.where(links.incidence, eye.incidence, 0.0)
+    azimuth = eye.incidence_azimuth
+    sideways = jnp.sin(tilt)
+    axis = [sideways * jnp.cos(azimuth), sideways * jnp.sin(azimuth), -jnp.cos(tilt)]
+    beam = optics.Beam(
+        tip=-distance * jnp.stack(axis),
+        axis=jnp.stack(axis),
+        half_angle=eye.half_angle,
+        apex_offset=eye.apex_offset,
+    )
+    ax, ay, az = beam.apex
+    w = beam.generators(jnp.arange(_POINTS) * (2 * jnp.pi / _POINTS))
+    wx, wy, wz = w[:, 0], w[:, 1], w[:, 2]
+    h = wz - curvature * (ax * wx + ay * wy + az * wz)
+    g = curvature * (ax**2 + ay**2 + az**2) - 2.0 * az
+    # The apex lies inside the eye (g < 0); light meets the wall ahead of it.
+    t = -g / (-h + jnp.sqrt(h**2 - curvature * g))
+    return ax + t * wx, ay + t * wy, az + t * wz
+
+
+def _half_width(contour: Float[Array, "n 2"], angle: Float[Array, ""]) -> Float[Array, ""]:
+    """Half of a closed curve's width in a direction (rad)."""
+    along = contour @ jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    return 0.5 * (_greatest(along) + _greatest(-along))
+
+
+def _greatest(periodic: Float[Array, "n"]) -> Float[Array, ""]:
+    """Greatest value of a periodic sequence, between its samples too.
+
+    A sinusoid goes through the greatest sample and its neighbours: right for every ellipse.
+    """
+    before, at, after = (jnp.roll(periodic, 1 - jnp.argmax(periodic))[i] for i in range(3))
+    step = 2.0 * jnp.pi / _POINTS
+    cosine = (at - 0.5 * (before + after)) / (1.0 - jnp.cos(step))
+    sine = 0.5 * (after - before) / jnp.sin(step)
+    return at - cosine + jnp.hypot(cosine, sine)

@@ -1,0 +1,34 @@
+"""Shapley's fair shares: what each player adds to a whole, over all orders of joining."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+def coalitions(players: int) -> np.ndarray:
+    """All sets of players, 2^n x n: True for those who are in; row i holds the bits of i."""
+    return (np.arange(1 << players)[:, None] >> np.arange(players) & 1).astype(bool)
+
+
+def shapley_values(worth: np.ndarray) -> np.ndarray:
+    r"""Each player's mean gain over all orders in which players can join.
+
+    $\phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!} (v(S \cup i) - v(S))$, the one
+    division that gives all of v(everyone) - v(nobody), equal shares to equal players, nothing to
+    those who change nothing, and adds up over sums of games (Shapley 1953).
+
+    Args:
+        worth: v of every coalition, ... x 2^n, in the order of `coalitions`.
+
+    Returns:
+        ... x n.
+    """
+    members = coalitions(int(worth.shape[-1]).bit_length() - 1)
+    players = members.shape[1]
+    size = members.sum(axis=1)
+    orders = np.array([math.factorial(n) for n in range(players + 1)], float)
+    joined = orders[size - 1] * orders[players - size] / orders[players]
+    missing = orders[size] * orders[np.minimum(players - size - 1, players)] / orders[players]
+    return np.asarray(worth @ np.where(members, joined[:, None], -missing[:, None]))

@@ -1,0 +1,324 @@
+"""Labelled sets on disk: complete, the same bytes whoever renders them, damage that is named."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from distributed import Client
+
+from benchmarks.sets import read_set
+from benchmarks.sets.cluster import local_workers, running_scheduler
+from benchmarks.sets.estimate import estimate
+from benchmarks.sets.generate import Shard, make_set
+from benchmarks.sets.manifest import verify_set
+from benchmarks.sets.plan import plan
+from benchmarks.sets.read import SetError
+from benchmarks.sets.spec import SetSpec, load_spec
+
+SPEC = """\
+name = "tiny"
+description = "Five stacks of ten small frames."
+seed = 9
+[splits]
+train = 2
+validation = 1
+test = 1
+[scene]
+source.kind = "cone"
+phantom.wall = "uniform"
+motion.start_mm = 2.0
+motion.travel_mm = 0.1
+motion.frames = 10
+microscope.width_px = 96
+microscope.height_px = 72
+microscope.scale_mm_px = 0.045
+exposures.kinds = ["metered"]
+clocks.kinematics_hz = 20.0
+[vary]
+spot.eccentricity_mm = { uniform = [0.0, 4.0] }
+source.cone_k = { log_uniform = [10.0, 25.0] }
+[adverse]
+stacks = 1
+[adverse.conditions.saturation]
+exposures.kinds = ["paper"]
+"""
+STACKS = ["train/0000", "train/0001", "validation/0000", "test/0000", "adverse/saturation-0000"]
+
+
+@contextmanager
+def here() -> Iterator[Client]:
+    """A Dask worker in this process, where everything is compiled already."""
+    with Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=":0") as own:
+        yield own
+
+
+@contextmanager
+def nobody() -> Iterator[Client]:
+    raise AssertionError("there is nothing to render")
+    yield
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file, by its name."""
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def spec_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("spec") / "tiny.toml"
+    file.write_text(SPEC)
+    return file
+
+
+@pytest.fixture(scope="module")
+def spec(spec_file: Path) -> SetSpec:
+    return load_spec(spec_file)
+
+
+@pytest.fixture(scope="module")
+def whole(spec: SetSpec, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_set(spec, tmp_path_factory.mktemp("whole") / "set", workers=here()).folder
+
+
+@pytest.fixture
+def copy(whole: Path, tmp_path: Path) -> Path:
+    """The whole set, to be damaged."""
+    return Path(shutil.copytree(whole, tmp_path / "copy"))
+
+
+def test_a_set_holds_every_stack_of_its_spec_with_all_labels(spec, whole):
+    labelled = read_set(whole)
+    assert [f"{stack.split}/{stack.name}" for stack in labelled.stacks] == STACKS
+    for planned, stack in zip(plan(spec), labelled.stacks, strict=True):
+        opened = stack.open()
+        assert opened.description["scene"] == planned.scene.model_dump(mode="json", by_alias=True)
+        assert len(opened.labels) == 10
+        opened.verify()
+    # 3 files a frame would be 2 images and a label; every stack adds 5 files of its own.
+    assert verify_set(whole) >= 5 * (20 + 5)
+
+
+def test_a_split_has_one_line_an_image_with_its_own_scene_parameters(whole):
+    labelled = read_set(whole)
+    for split in labelled.splits:
+        text = (whole / split / "metadata.jsonl").read_text()
+        lines = [json.loads(line) for line in text.splitlines()]
+        stacks = [stack for stack in labelled.stacks if stack.split == split]
+        assert len(lines) == 10 * len(stacks)
+        for line, stack in zip(lines[::10], stacks, strict=True):
+            assert (whole / split / line["file_name"]).is_file()
+            assert (whole / split / line["mask_file_name"]).is_file()
+            assert line["condition"] == (stack.condition or "")
+            assert line["c_mm"] == pytest.approx(line["spot.eccentricity_mm"], abs=1e-9)
+            assert line["cone_k"] == pytest.approx(line["source.cone_k"], rel=1e-12)
+
+
+def test_the_data_card_counts_what_is_there(whole):
+    card = (whole / "README.md").read_text()
+    assert "50 rendered images" in card
+    assert "| train |  | 2 | 20 |" in card
+    assert "| adverse | saturation | 1 | 10 |" in card
+    assert "license: cc-by-4.0" in card
+    for picture in ("samples.png", "histograms.png"):
+        assert picture in card
+        assert (whole / picture).is_file()
+
+
+def test_a_finished_set_is_left_as_it_is(spec, copy):
+    before = {path: path.stat().st_mtime_ns for path in copy.rglob("*")}
+    make_set(spec, copy, workers=nobody())
+    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*")} == before
+
+
+def test_what_one_shard_has_made_the_next_leaves_and_the_last_one_finishes_the_set(
+    spec, whole, tmp_path
+):
+    out = tmp_path / "set"
+    first = make_set(spec, out, workers=here(), shard=Shard(2, 2))
+    assert [f"{stack.split}/{stack.name}" for stack in first.missing] == STACKS[::2]
+    with pytest.raises(SetError, match="stack train/0000 is missing"):
+        verify_set(out)
+    before = (out / "train" / "0001" / "manifest.json").stat().st_mtime_ns
+    assert not make_set(spec, out, workers=here(), shard=Shard(1, 2)).missing
+    assert (out / "train" / "0001" / "manifest.json").stat().st_mtime_ns == before
+    assert digests(out) == digests(whole)
+
+
+def test_a_folder_with_another_set_or_something_else_is_refused(spec, spec_file, copy, tmp_path):
+    other = load_spec(spec_file, ["spot.incidence_deg = 20.0"])
+    with pytest.raises(SetError, match="holds a set of another spec"):
+        make_set(other, copy, workers=nobody())
+    description = json.loads((copy / "set.json").read_text())
+    description["versions"]["mitsuba"] = "3.0.0"
+    (copy / "set.json").write_text(json.dumps(description, indent=1) + "\n")
+    with pytest.raises(SetError, match=r"begun with other versions: .*3\.0\.0"):
+        make_set(spec, copy, workers=nobody())
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").touch()
+    with pytest.raises(SetError, match="holds something else"):
+        make_set(spec, tmp_path / "mine", workers=nobody())
+
+
+def test_verify_names_every_file_that_is_missing_changed_or_does_not_belong(copy):
+    frame = copy / "train" / "0000" / "frames" / "000003.png"
+    content = frame.read_bytes()
+    frame.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    (copy / "test" / "0000" / "masks" / "000001.png").unlink()
+    (copy / "notes.txt").touch()
+    with pytest.raises(SetError) as caught:
+        verify_set(copy)
+    told = str(caught.value).splitlines()
+    assert len(told) == 3
+    for line in (
+        "notes.txt is not in manifest.json",
+        "train/0000/frames/000003.png differs from its checksum",
+        "test/0000/masks/000001.png is missing",
+    ):
+        assert f"{copy}: {line}" in told
+
+
+def test_scenes_that_cannot_be_are_named_and_the_others_are_rendered(spec_file, tmp_path):
+    # At k < 15, b = -5.117 and d = 5.9 mm the spot is 1.47 mm wide; 72 px of 0.02 mm show 1.44 mm.
+    wide = load_spec(spec_file, ["microscope.scale_mm_px = 0.02", "motion.start_mm = 5.9"])
+    too_wide = {(s.split, s.name) for s in plan(wide) if s.scene.source.cone_k < 15}
+    assert too_wide
+    with pytest.raises(SetError, match="the spot leaves the 96 x 72 px window") as caught:
+        make_set(wide, tmp_path / "set", workers=here())
+    missing = read_set(tmp_path / "set").missing
+    assert too_wide <= {(stack.split, stack.name) for stack in missing}
+    assert len(missing) < 5
+    told = str(caught.value)
+    assert all(f"{stack.split}/{stack.name}: at " in told for stack in missing)
+    assert f"{5 - len(missing)} other stacks are done" in told
+    with pytest.raises(SetError, match="the spot leaves") as warned:
+        estimate(plan(wide))
+    assert len(str(warned.value).splitlines()) == len(missing)
+
+
+def test_an_estimate_counts_the_images_and_weighs_them(spec, whole):
+    found = estimate(plan(spec))
+    assert (found.stacks, found.images) == (5, 50)
+    images = sum(path.stat().st_size for path in whole.glob("*/*/*/*.png"))
+    # Five of ten like frames stand for the others; descriptions and labels are a few per cent.
+    assert found.size_bytes == pytest.approx(images, rel=0.5)
+    assert found.processor_s > 0
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "eyespot", "dataset", *map(str, arguments)]
+
+
+def started(role: str, *arguments: object) -> subprocess.Popen[bytes]:
+    """A process of Dask's."""
+    module = f"distributed.cli.dask_{role}"
+    return subprocess.Popen(
+        [sys.executable, "-m", module, "--dashboard-address", ":0", *map(str, arguments)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+def wait_for(found, process: subprocess.Popen | None = None) -> None:
+    """Until something is there; a process that ends before that has failed."""
+    while not found():
+        assert process is None or process.poll() is None, "it ended too early"
+        time.sleep(0.02)
+
+
+@pytest.mark.slow
+def test_two_processes_make_the_same_set_though_one_is_killed_again_and_again(
+    spec, whole, tmp_path
+):
+    out = tmp_path / "set"
+    killed: list[int] = []
+    with local_workers(2) as client:
+
+        @contextmanager
+        def these() -> Iterator[Client]:
+            yield client
+
+        def kill_one(done: int, total: int) -> None:
+            # Dask gives up on a stack whose workers died more than three times.
+            if done < total and len(killed) < 3:
+                client.wait_for_workers(1)
+                killed.append(next(iter(client.run(os.getpid).values())))
+                os.kill(killed[-1], signal.SIGKILL)
+
+        make_set(spec, out, workers=these(), progress=kill_one)
+    assert len(killed) == 3
+    verify_set(out)
+    assert digests(out) == digests(whole)
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_with_the_frames_that_it_had(spec_file, whole, tmp_path):
+    out = tmp_path / "set"
+    arguments = command(spec_file, "--out", out, "--workers", 1)
+    run = subprocess.Popen(arguments, start_new_session=True)
+    lines = out / "train" / ".0001.partial" / "metadata.jsonl"
+    wait_for(lambda: lines.is_file() and lines.stat().st_size, run)
+    os.killpg(run.pid, signal.SIGKILL)
+    run.wait()
+    assert (out / "train" / "0000").is_dir()
+    assert not (out / "manifest.json").exists()
+    first = (lines.parent / "frames" / "000000.png").stat().st_mtime_ns
+    subprocess.run(arguments, check=True)
+    assert (out / "train" / "0001" / "frames" / "000000.png").stat().st_mtime_ns == first
+    subprocess.run(command("verify", out), check=True)
+    assert digests(out) == digests(whole)
+
+
+@pytest.mark.slow
+def test_the_workers_of_a_running_scheduler_make_the_same_set(spec, whole, tmp_path):
+    file = tmp_path / "scheduler.json"
+    scheduler = started("scheduler", "--port", 0, "--scheduler-file", file)
+    worker = started("worker", "--scheduler-file", file, "--nthreads", 2)
+    try:
+        wait_for(file.is_file, scheduler)
+        address = json.loads(file.read_text())["address"]
+        make_set(spec, tmp_path / "set", workers=running_scheduler(address))
+    finally:
+        for process in (worker, scheduler):
+            process.terminate()
+            process.wait()
+    assert digests(tmp_path / "set") == digests(whole)
+
+
+def test_a_scheduler_that_does_not_answer_is_named():
+    with pytest.raises(ValueError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+        running_scheduler("tcp://127.0.0.1:9", patience="0.2s").__enter__()
+
+
+@pytest.mark.slow
+def test_hugging_face_reads_every_split_with_images_masks_and_labels(whole, tmp_path):
+    from datasets import load_dataset
+
+    every = load_dataset(str(whole), cache_dir=str(tmp_path))
+    assert {split: len(rows) for split, rows in every.items()} == {
+        "train": 20,
+        "validation": 10,
+        "test": 10,
+        "adverse": 10,
+    }
+    adverse = load_dataset(str(whole), "adverse", cache_dir=str(tmp_path))["adverse"]
+    assert len(adverse) == 10
+    row = adverse[3]
+    assert row["image"].size == row["mask"].size == (96, 72)
+    assert row["condition"] == "saturation"
+    assert row["saturated_fraction"] > 0.5
+    assert row["spot.eccentricity_mm"] == pytest.approx(row["c_mm"])

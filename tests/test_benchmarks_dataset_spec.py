@@ -1,0 +1,179 @@
+"""Specs of labelled sets: what is refused, and how stacks are drawn."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.sets.estimate import image_counts
+from benchmarks.sets.plan import plan
+from benchmarks.sets.spec import SEED_KEYS, SetSpec, SpecError, load_spec, named_specs
+from scenes import Scene, SceneError, scene_toml
+
+PLAIN = """\
+name = "plain"
+description = "Sixteen stacks."
+seed = 3
+[splits]
+train = 8
+validation = 4
+test = 4
+[scene]
+source.kind = "cone"
+[vary]
+spot.eccentricity_mm = { uniform = [0.0, 8.0] }
+source.cone_k = { log_uniform = [5.0, 80.0] }
+phantom.wall = { choice = ["retina", "uniform"] }
+"""
+
+ADVERSE = """
+[adverse]
+stacks = 2
+[adverse.conditions.blur]
+motion.speed_mm_s = 4.0
+motion.kind = "scan"
+[adverse.conditions.dim]
+spot.eccentricity_mm = 1.0
+source.power_mw = { uniform = [0.1, 0.2] }
+"""
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load_text(text: str, changes: tuple[str, ...] = ()) -> SetSpec:
+        file = tmp_path / "spec.toml"
+        file.write_text(text)
+        return load_spec(file, changes)
+
+    return load_text
+
+
+def values(spec: SetSpec, split: str, key: str) -> list[Any]:
+    return [stack.parameters[key] for stack in plan(spec) if stack.split == split]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("seed", "sed", r"unknown key 'sed'; did you mean 'seed'\?"),
+        ("validation", "validate", r"unknown key 'splits.validate'; did you mean 'validation'\?"),
+        ("uniform = [0.0, 8.0]", "unifrom = [0.0, 8.0]", "must be a distribution, one of uniform"),
+        ("[0.0, 8.0]", "[8.0, 0.0]", r"an interval is \[low, high\].*got \[8, 0\]"),
+        ("[5.0, 80.0]", "[0.0, 80.0]", r"must lie above 0; got \[0, 80\]"),
+        ('"retina", "uniform"', '"retina"', "at least 2 items"),
+        ('["retina", "uniform"]', "[1.0, inf]", "finite values"),
+        ("source.kind", "phantom.texture_seed", "a seed of its own from the set's"),
+        ("train = 8", "train = -8", "splits.train: .*greater than or equal to 0; got -8"),
+        ("[splits]", "[splits", "not TOML"),
+    ],
+)
+def test_a_broken_spec_is_answered_with_what_to_change(load, old, new, message):
+    with pytest.raises(SpecError, match=message):
+        load(PLAIN.replace(old, new, 1))
+
+
+def test_a_scene_key_that_does_not_exist_is_answered_with_the_nearest_one(load):
+    with pytest.raises(SceneError, match=r"train/0000: .*cone_l.*did you mean 'cone_k'\?"):
+        plan(load(PLAIN.replace("cone_k", "cone_l")))
+
+
+def test_an_impossible_draw_names_its_stack_before_anything_is_rendered(load):
+    # An eyeball of 11.5 mm has no wall at eccentricity 20 mm.
+    with pytest.raises(SceneError, match=r"(train|validation|test)/000\d: .*eccentricity_mm"):
+        plan(load(PLAIN.replace("[0.0, 8.0]", "[12.0, 20.0]")))
+
+
+def test_a_spec_that_does_not_exist_names_those_that_do(tmp_path):
+    with pytest.raises(SpecError, match="static-v1"):
+        load_spec(tmp_path / "missing.toml")
+
+
+def test_a_key_that_is_set_varies_no_longer(load):
+    spec = load(PLAIN, ("spot.eccentricity_mm = 2.5", 'phantom.wall = "uniform"'))
+    assert {stack.scene.spot.eccentricity_mm for stack in plan(spec)} == {2.5}
+    assert {stack.scene.phantom.wall for stack in plan(spec)} == {"uniform"}
+    assert len(set(values(spec, "train", "source.cone_k"))) == 8
+
+
+def test_a_scene_file_is_what_all_stacks_have(load, tmp_path):
+    scene = Scene.model_validate({"seed": 5, "instrument": {"gauge": 25}, "clocks": {"seed": 4}})
+    (tmp_path / "scene.toml").write_text(scene_toml(scene))
+    text = PLAIN.replace('[scene]\nsource.kind = "cone"\n', "")
+    spec = load('scene = "scene.toml"\n' + text)
+    assert {stack.scene.instrument.gauge for stack in plan(spec)} == {25}
+    assert len({stack.scene.clocks.seed for stack in plan(spec)}) == 16
+
+
+def test_what_a_set_says_of_its_spec_makes_the_same_stacks(load):
+    spec = load(PLAIN + ADVERSE)
+    written = spec.model_dump(mode="json", by_alias=True, exclude_none=True)
+    assert plan(SetSpec.model_validate(written)) == plan(spec)
+
+
+@pytest.mark.parametrize(("split", "count"), [("train", 8), ("validation", 4), ("test", 4)])
+def test_every_split_covers_each_distribution_evenly_by_itself(load, split, count):
+    # A block of 2^m points of a Sobol sequence has one in each 2^m-th part of every axis
+    # (Sobol 1967); the quantile of an interval and of its logarithm is uniform.
+    spec = load(PLAIN)
+    eccentricity = np.array(values(spec, split, "spot.eccentricity_mm")) / 8.0
+    cone = np.log(np.array(values(spec, split, "source.cone_k")) / 5.0) / math.log(80.0 / 5.0)
+    for quantile in (eccentricity, cone):
+        assert sorted(np.floor(quantile * count)) == list(range(count))
+    assert Counter(values(spec, split, "phantom.wall")) == {
+        "retina": count / 2,
+        "uniform": count / 2,
+    }
+
+
+@pytest.mark.parametrize("name", named_specs())
+def test_no_two_stacks_share_noise_wall_motion_or_place(name):
+    spec = load_spec(name)
+    stacks = plan(spec)
+    for key in SEED_KEYS:
+        seeds = [seed for stack in stacks if (seed := seed_of(stack.scene, key)) is not None]
+        assert len(set(seeds)) == len(seeds)
+    places = {(s.scene.spot.eccentricity_mm, s.scene.spot.incidence_deg) for s in stacks}
+    assert len(places) == len(stacks)
+    assert len({(stack.split, stack.name) for stack in stacks}) == len(stacks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", named_specs())
+def test_every_scene_of_a_named_set_can_be_rendered(name):
+    spec = load_spec(name)
+    assert len(image_counts(plan(spec))) == len(plan(spec))
+
+
+def test_no_two_named_sets_share_a_seed_or_lack_the_licence():
+    specs = [load_spec(name) for name in named_specs()]
+    assert [spec.name for spec in specs] == named_specs()
+    assert {spec.licence for spec in specs} == {"CC-BY-4.0"}
+    seeds = [stack.scene.seed for spec in specs for stack in plan(spec)]
+    assert len(set(seeds)) == len(seeds)
+
+
+def test_more_stacks_of_a_split_leave_those_there_are(load):
+    # Up to the next power of two, which every split's block has room for.
+    few, more = (plan(load(PLAIN.replace("test = 4", f"test = {n}"))) for n in (3, 7))
+    assert [stack for stack in more if stack in few] == few
+
+
+def test_a_condition_changes_what_it_names_and_keeps_what_else_varies(load):
+    stacks = [stack for stack in plan(load(PLAIN + ADVERSE)) if stack.split == "adverse"]
+    assert [stack.name for stack in stacks] == ["blur-0000", "blur-0001", "dim-0000", "dim-0001"]
+    blur, dim = stacks[:2], stacks[2:]
+    assert {stack.scene.motion.kind for stack in blur} == {"scan"}
+    assert {stack.scene.motion.kind for stack in dim} == {"withdrawal"}
+    assert len({stack.scene.spot.eccentricity_mm for stack in blur}) == 2
+    assert {stack.scene.spot.eccentricity_mm for stack in dim} == {1.0}
+    assert all(0.1 <= stack.scene.source.power_mw <= 0.2 for stack in dim)
+    assert {stack.parameters["source.power_mw"] for stack in blur} == {1.0}
+
+
+def seed_of(scene: Scene, key: str) -> int | None:
+    table, _, name = key.rpartition(".")
+    return getattr(getattr(scene, table) if table else scene, name, None)

@@ -1,0 +1,341 @@
+"""`eyespot export`: what a set holds comes back out of each format by that format's own reader."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import tomllib
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+import webdataset
+from PIL import Image
+from pycocotools.coco import COCO
+from rosbags.highlevel import AnyReader
+from typer.testing import CliRunner
+
+import eyespot
+from benchmarks.sets.export import Format, export
+from benchmarks.sets.formats import webdataset as webdataset_format
+from benchmarks.sets.formats.bags import START_S
+from benchmarks.sets.stacks import stacks_of
+from estimator import FrameLabels, Reader, SubpixelSettings, open_source, read_poses, read_stack
+from estimator.offline import track_source
+from tests.drawn_sets import MICROSCOPE, SHAPE, STACKS, labels_of, write_set, write_stack
+
+NAMES = [f"{split}/{name}" for split, names in STACKS.items() for name in names]
+FORMATS: list[Format] = ["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
+
+
+# The library webdataset does not close the shards that it reads.
+LEAVES_FILES_OPEN = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_set(tmp_path_factory.mktemp("drawn") / "set")
+
+
+def exported(drawn: Path, out: Path, to: Format) -> Path:
+    export(drawn, to=to, out=out)
+    return out
+
+
+def images_of(folder: Path, file: str = "file_name") -> Iterator[tuple[FrameLabels, np.ndarray]]:
+    """Labels and pixels of a stack, read by Pillow."""
+    for row in read_stack(folder).labels:
+        yield row, np.asarray(Image.open(folder / getattr(row, file)))
+
+
+def test_hdf5_holds_frames_masks_and_labels_with_their_units(drawn: Path, tmp_path: Path) -> None:
+    with h5py.File(exported(drawn, tmp_path / "set.h5", "hdf5")) as file:
+        assert json.loads(file["set.json"].asstr()[()])["licence"] == "CC-BY-4.0"
+        for name in NAMES:
+            group = file[name]
+            for index, (row, image) in enumerate(images_of(drawn / name)):
+                np.testing.assert_array_equal(group["frames"][index], image)
+                stored = {key: column[index] for key, column in group["labels"].items()}
+                assert stored.pop("file_name").decode() == row.file_name
+                assert stored.pop("exposure").decode() == row.exposure
+                np.testing.assert_array_equal(stored.pop("tip_mm"), row.tip_mm)
+                assert stored["half_max_semi_minor_px"] == row.half_max_semi_minor_px
+                assert set(asdict(row)) - set(stored) == {"file_name", "exposure", "tip_mm"}
+            for index, (_, mask) in enumerate(images_of(drawn / name, "mask_file_name")):
+                np.testing.assert_array_equal(group["masks"][index], mask)
+            units = {key: column.attrs.get("unit") for key, column in group["labels"].items()}
+            assert units["d_mm"] == "mm"
+            assert units["speed_mm_s"] == "mm/s"
+            assert units["cone_angle_rad"] == "rad"
+            assert units["exposure_s"] == "s"
+            assert units["visible_fraction"] == "1"
+            assert units["medium"] is None
+            scene = tomllib.loads(group.attrs["stack.toml"])
+            assert scene == tomllib.loads((drawn / name / "stack.toml").read_text())
+            assert json.loads(group.attrs["microscope.json"])["eye_radius_mm"] == 11.5
+            poses = list(read_poses(drawn / name / "kinematics.csv"))
+            assert list(group["kinematics/z_mm"]) == [pose.position_mm[2] for pose in poses]
+
+
+def test_one_hdf5_frame_is_read_alone_and_takes_less_than_its_pixels(
+    drawn: Path, tmp_path: Path
+) -> None:
+    with h5py.File(exported(drawn, tmp_path / "set.h5", "hdf5")) as file:
+        frames, masks = file["train/a/frames"], file["train/a/masks"]
+        assert frames.chunks == (1, *SHAPE, 3)
+        # Noise of 3 in 256 levels has log2(3 sqrt(2 pi e)) = 3.6 bits of 8.
+        assert frames.id.get_storage_size() < 0.7 * frames.nbytes
+        assert masks.id.get_storage_size() < 0.1 * masks.nbytes
+
+
+def test_ome_tiff_holds_the_recording_with_times_and_the_size_of_a_pixel(
+    drawn: Path, tmp_path: Path
+) -> None:
+    out = exported(drawn, tmp_path / "tiff", "ome-tiff")
+    assert {path.name for path in (out / "train" / "b").glob("*.tif")} == {
+        "paper.ome.tif",
+        "metered.ome.tif",
+    }
+    for name in NAMES:
+        for exposure in {row.exposure for row in read_stack(drawn / name).labels}:
+            rows, frames = zip(
+                *(pair for pair in images_of(drawn / name) if pair[0].exposure == exposure),
+                strict=True,
+            )
+            with tifffile.TiffFile(out / name / f"{exposure}.ome.tif") as file:
+                assert file.is_ome
+                recording, masks = file.series
+                assert (recording.axes, masks.axes) == ("TYXS", "TYX")
+                np.testing.assert_array_equal(recording.asarray(), frames)
+                stack = read_stack(drawn / name)
+                np.testing.assert_array_equal(masks.asarray(), [stack.mask(row) for row in rows])
+                assert file.ome_metadata is not None
+                document = ElementTree.fromstring(file.ome_metadata)
+            ome = {"ome": "http://www.openmicroscopy.org/Schemas/OME/2016-06"}
+            pixels = document.findall("ome:Image/ome:Pixels", ome)[0].attrib
+            assert float(pixels["PhysicalSizeX"]) == 1e3 * MICROSCOPE["scale_mm_px"]  # type: ignore[operator]
+            assert pixels["PhysicalSizeXUnit"] == "µm"
+            assert pixels["SizeT"] == str(len(rows))
+            planes = document.findall("ome:Image", ome)[0].findall("ome:Pixels/ome:Plane", ome)
+            middle = [
+                float(p.attrib["DeltaT"]) + float(p.attrib["ExposureTime"]) / 2 for p in planes
+            ]
+            assert middle == pytest.approx([row.time_s for row in rows], abs=1e-12)
+        labels = (out / name / "metadata.jsonl").read_bytes()
+        assert labels == (drawn / name / "metadata.jsonl").read_bytes()
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools's
+def test_coco_holds_each_visible_spot_as_the_mask_it_was_labelled_with(
+    drawn: Path, tmp_path: Path
+) -> None:
+    out = exported(drawn, tmp_path / "coco", "coco")
+    assert json.loads((out / "set.json").read_text())["licence"] == "CC-BY-4.0"
+    for split, names in STACKS.items():
+        coco = COCO(str(out / "annotations" / f"{split}.json"))
+        truth = {
+            f"{split}/{name}/{Path(row.file_name).name}": (row, mask, drawn / split / name)
+            for name in names
+            for row, mask in images_of(drawn / split / name, "mask_file_name")
+        }
+        assert {entry["file_name"] for entry in coco.imgs.values()} == set(truth)
+        assert [entry["name"] for entry in coco.cats.values()] == ["spot"]
+        for number, entry in coco.imgs.items():
+            row, mask, stack = truth[entry["file_name"]]
+            assert (entry["height"], entry["width"]) == mask.shape
+            assert entry["d_mm"] == row.d_mm
+            assert (out / entry["file_name"]).read_bytes() == (stack / row.file_name).read_bytes()
+            annotations = coco.loadAnns(coco.getAnnIds(imgIds=[number]))
+            if row.visible_fraction == 0:
+                assert annotations == []
+                continue
+            (annotation,) = annotations
+            np.testing.assert_array_equal(coco.annToMask(annotation) * 255, mask)
+            v, u = np.nonzero(mask)
+            box = [u.min(), v.min(), np.ptp(u) + 1, np.ptp(v) + 1]
+            assert annotation["bbox"] == box
+            assert annotation["area"] == v.size
+            assert annotation["half_max_semi_major_px"] == row.half_max_semi_major_px
+            assert annotation["cone_angle_rad"] == row.cone_angle_rad
+
+
+@LEAVES_FILES_OPEN
+def test_webdataset_holds_image_mask_and_labels_of_each_sample(drawn: Path, tmp_path: Path) -> None:
+    out = exported(drawn, tmp_path / "shards", "webdataset")
+    for split, names in STACKS.items():
+        reader = webdataset.WebDataset(
+            str(out / f"{split}-000000.tar"), shardshuffle=False, empty_check=False
+        )
+        samples = {sample["__key__"]: sample for sample in reader.decode("rgb8")}
+        assert len(samples) == sum(len(read_stack(drawn / split / name).labels) for name in names)
+        for name in names:
+            masks = dict(images_of(drawn / split / name, "mask_file_name"))
+            for row, image in images_of(drawn / split / name):
+                sample = samples[f"{split}/{name}/{Path(row.file_name).stem}"]
+                np.testing.assert_array_equal(sample["png"], image)
+                np.testing.assert_array_equal(sample["mask.png"][:, :, 0], masks[row])
+                assert sample["json"] == json.loads(json.dumps(asdict(row)))
+
+
+@LEAVES_FILES_OPEN
+def test_shards_are_the_same_bytes_each_time_and_no_larger_than_asked(
+    drawn: Path, tmp_path: Path
+) -> None:
+    outs = [tmp_path / "first", tmp_path / "second"]
+    for out in outs:
+        webdataset_format.write(stacks_of(drawn), out, lambda: None, shard_bytes=150_000)
+    digests = [
+        {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in out.glob("*.tar")}
+        for out in outs
+    ]
+    assert digests[0] == digests[1]
+    assert len(digests[0]) > len(STACKS)
+    shards = sorted(map(str, outs[0].glob("train-*.tar")))
+    reader = webdataset.WebDataset(shards, shardshuffle=False, empty_check=False)
+    keys = [sample["__key__"] for sample in reader]
+    assert len(keys) == len(set(keys)) == 12
+    assert keys == sorted(keys)
+
+
+@pytest.mark.parametrize("to", ["rosbag1", "rosbag2"])
+def test_a_bag_holds_the_recording_as_the_rig_makes_it(
+    drawn: Path, tmp_path: Path, to: Format
+) -> None:
+    out = exported(drawn, tmp_path / "bags", to)
+    ending = ".bag" if to == "rosbag1" else ""
+    assert {path.stem for path in (out / "train" / "b").iterdir()} >= {"paper", "metered"}
+    for name in NAMES:
+        for exposure in {row.exposure for row in read_stack(drawn / name).labels}:
+            bag = out / name / f"{exposure}{ending}"
+            stack = open_source(drawn / name, exposure=exposure)
+            reported = list(read_poses(drawn / name / "kinematics.csv"))
+            with AnyReader([bag]) as reader:
+                kinds = {topic: (t.msgtype, t.msgcount) for topic, t in reader.topics.items()}
+            assert kinds == {
+                "/decklink/camera/image_raw": ("sensor_msgs/msg/Image", stack.length),
+                "/eye_robot/FrameEE": ("geometry_msgs/msg/Transform", len(reported)),
+            }
+            for frame, other in zip(open_source(bag), stack, strict=True):
+                np.testing.assert_array_equal(frame.image, other.image)
+                assert frame.time_s == pytest.approx(START_S + other.time_s, abs=1e-9)
+            for pose, said in zip(read_poses(bag), reported, strict=True):
+                assert pose.time_s == pytest.approx(START_S + said.time_s, abs=1e-9)
+                assert pose.position_mm == said.position_mm
+                assert pose.axis == pytest.approx(said.axis, abs=1e-12)
+
+
+@pytest.mark.parametrize("to", ["rosbag1", "rosbag2"])
+def test_a_bag_gives_the_spots_of_its_stack(drawn: Path, tmp_path: Path, to: Format) -> None:
+    out = exported(drawn / "train" / "a", tmp_path / "bag", to)
+    bag = out / "a" / ("metered.bag" if to == "rosbag1" else "metered")
+    of_bag, of_stack = (
+        track_source(open_source(source), Reader(SubpixelSettings())).records
+        for source in (bag, drawn / "train" / "a")
+    )
+    for one, other in zip(of_bag, of_stack, strict=True):
+        assert one.result
+        np.testing.assert_equal(vars(one.result), vars(other.result))
+
+
+@pytest.fixture(scope="module")
+def lengths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Stacks of 24 and of 60 images of the same spot."""
+
+    def stack(count: int) -> Path:
+        labels = [replace(labels_of(0), file_name=f"frames/{n:06d}.png") for n in range(count)]
+        return write_stack(tmp_path_factory.mktemp("length") / "stack", labels)
+
+    return stack(24), stack(60)
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_memory_does_not_grow_with_the_number_of_frames(
+    lengths: tuple[Path, Path], tmp_path: Path, to: Format
+) -> None:
+    short, long = lengths
+    peaks: list[int] = []
+    for stack in (short, short, long):  # the first run loads what the format needs
+        tracemalloc.start()
+        export(stack, to=to, out=tmp_path / f"out-{len(peaks)}")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    frame = SHAPE[0] * SHAPE[1] * 3
+    # 36 frames more: their labels take a twentieth of a frame each, and bags are written in pieces
+    # of 1 MiB, 18 frames, which the shorter stack fills too.
+    assert peaks[2] - peaks[1] < 8 * frame
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_nothing_is_written_over_and_a_failure_leaves_nothing(
+    drawn: Path, tmp_path: Path, to: Format
+) -> None:
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(ValueError, match="taken exists already"):
+        export(drawn, to=to, out=tmp_path / "taken")
+    broken = write_set(tmp_path / "broken", images=2)
+    damaged = broken / "train" / "b" / "frames" / "000003.png"
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(ValueError, match=r"000003\.png differs"):
+        export(broken, to=to, out=tmp_path / "out")
+
+    def stop(total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export(drawn, to=to, out=tmp_path / "out", progress=stop)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_folder_that_is_no_set_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"neither a set \(set.json.*nor a stack"):
+        export(tmp_path, to="coco", out=tmp_path / "out")
+
+
+def test_a_set_that_is_not_whole_is_refused(drawn: Path, tmp_path: Path) -> None:
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "set.json").write_bytes((drawn / "set.json").read_bytes())
+    with pytest.raises(ValueError, match="3 of 3 stacks are missing"):
+        export(tmp_path / "set", to="coco", out=tmp_path / "out")
+
+
+def test_a_missing_library_names_the_extra(
+    drawn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("benchmarks.sets.formats.hdf5", "benchmarks.sets.formats"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "h5py", None)  # stands in for a machine without it
+    with pytest.raises(ValueError, match=r"hdf5 needs the package h5py: .*eyespot\[export\]"):
+        export(drawn, to="hdf5", out=tmp_path / "set.h5")
+
+
+def test_the_command_exports_a_stack_by_itself(drawn: Path, tmp_path: Path) -> None:
+    out = tmp_path / "shards"
+    command = ["export", str(drawn / "train" / "a"), "--to", "webdataset", "--out", str(out)]
+    done = CliRunner().invoke(eyespot.app, command)
+    assert done.exit_code == 0, done.output
+    assert [path.name for path in out.glob("*.tar")] == ["a-000000.tar"]
+
+
+@pytest.mark.slow
+def test_datasets_reads_a_stack_as_an_image_folder(
+    drawn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HF_HOME", str(tmp_path))
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    import datasets
+
+    stack: Any = drawn / "train" / "a"
+    found = datasets.load_dataset("imagefolder", data_dir=str(stack), split="train")
+    assert len(found) == 4
+    for entry, (row, image) in zip(found, images_of(stack), strict=True):
+        np.testing.assert_array_equal(np.asarray(entry["image"]), image)
+        assert entry["half_max_semi_minor_px"] == row.half_max_semi_minor_px

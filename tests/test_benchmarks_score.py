@@ -1,0 +1,322 @@
+"""`eyespot score`: errors that were put in come out; misses and false spots are counted."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import eyespot
+from benchmarks.sets.conditions import Circumstances, circumstances_of
+from benchmarks.sets.measures import Errors
+from benchmarks.sets.score import Score, score
+from benchmarks.sets.spots_of_set import read_set_spots
+from benchmarks.sets.stacks import stacks_of
+from estimator import FrameLabels, NoSpot, Reason, Spot, SpotRecord, write_spots
+from tests.drawn_sets import MICROSCOPE, STACKS, labels_of, write_set
+
+Images = Mapping[str, Circumstances]
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_set(tmp_path_factory.mktemp("drawn") / "set")
+
+
+@pytest.fixture(scope="module")
+def images(drawn: Path) -> Images:
+    return circumstances_of(stacks_of(drawn))
+
+
+def in_memory(count: int, stacks: int = 1, **known: Any) -> dict[str, Circumstances]:
+    """Images of a set that lies on no disk."""
+    return {
+        f"test/{n % stacks:04d}/frames/{n:06d}.png": Circumstances(
+            replace(labels_of(0), frame=n, **known), f"test/{n % stacks:04d}", "test", "", 0.01
+        )
+        for n in range(count)
+    }
+
+
+def spot_at(labels: FrameLabels, *, sigma: float = math.nan, **error: float) -> Spot:
+    """The half-maximum ellipse of the labels, off by errors in px."""
+    ellipse = {
+        name: getattr(labels, f"half_max_{name}") + error.get(name, 0.0)
+        for name in ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
+    }
+    quality = {"edge_width_px": 2.0, "coverage": 1.0, "inlier_fraction": 1.0, "saturated": 0.0}
+    return Spot(**ellipse, **quality, covariance=np.eye(5) * sigma**2)
+
+
+def records_of(
+    images: Images,
+    result: Callable[[FrameLabels], Spot | NoSpot],
+    *,
+    late_mm: float = math.nan,
+) -> dict[str, SpotRecord]:
+    return {
+        name: SpotRecord(
+            frame=about.labels.frame,
+            file_name=name,
+            time_s=about.labels.time_s,
+            mode="subpixel",
+            result=result(about.labels),
+            distance_mm=about.labels.d_mm + late_mm,
+        )
+        for name, about in images.items()
+    }
+
+
+def scored(images: Images, records: Mapping[str, SpotRecord], **options: str) -> Score:
+    return score(images, {"theirs": records}, **{"against": "half_max", **options})  # type: ignore[arg-type]
+
+
+def errors_in(result: Score, quantity: str) -> Errors:
+    found = result.total("theirs").of(quantity)
+    assert found is not None
+    return found
+
+
+def test_an_offset_is_the_bias_of_its_quantity_alone(images: Images) -> None:
+    offsets = {"x_px": 0.5, "y_px": -0.25, "semi_major_px": 1.5, "semi_minor_px": -2.0}
+    result = scored(images, records_of(images, lambda row: spot_at(row, **offsets), late_mm=0.125))
+    # Sums and differences of numbers below 100 in float64.
+    rounding = 1e-12
+    for quantity, offset in {**offsets, "distance_mm": 0.125}.items():
+        errors = errors_in(result, quantity)
+        assert errors.bias == pytest.approx(offset, abs=rounding)
+        for size in (errors.rmse, errors.median_abs, errors.max_abs):
+            assert size == pytest.approx(abs(offset), abs=rounding)
+    assert errors_in(result, "centre_px").rmse == pytest.approx(math.hypot(0.5, 0.25), abs=rounding)
+    assert math.isnan(errors_in(result, "centre_px").bias)
+
+
+def test_perfect_spots_have_no_error_and_miss_nothing(images: Images) -> None:
+    visible = {name: about for name, about in images.items() if about.labels.visible_fraction}
+    result = scored(images, records_of(visible, spot_at))
+    counts = result.total("theirs").counts
+    assert (counts.found, counts.missed, counts.false_spots) == (len(visible), 0, 0)
+    assert counts.hidden == len(images) - len(visible) == 1
+    assert {errors.quantity: errors.max_abs for errors in result.total("theirs").errors} == {
+        "x_px": 0.0,
+        "y_px": 0.0,
+        "centre_px": 0.0,
+        "semi_major_px": 0.0,
+        "semi_minor_px": 0.0,
+    }
+
+
+def test_the_other_ellipse_is_another_truth(images: Images) -> None:
+    # The drawn labels' cone has an edge 1 px outside the half-maximum contour.
+    result = scored(images, records_of(images, spot_at), against="cone")
+    assert errors_in(result, "semi_minor_px").bias == pytest.approx(-1.0, abs=1e-12)
+
+
+def test_what_was_missed_or_invented_is_counted() -> None:
+    seen, barely, unseen = (
+        in_memory(count, visible_fraction=part) for count, part in ((10, 0.5), (7, 0.49), (5, 0.0))
+    )
+    images = {
+        f"{kind} {name}": about
+        for kind, group in (("seen", seen), ("barely", barely), ("unseen", unseen))
+        for name, about in group.items()
+    }
+    labels = labels_of(0)
+    inside, outside = (labels.half_max_semi_major_px + step for step in (-0.01, 0.01))
+    records = records_of(images, lambda row: NoSpot(Reason.NONE_FOUND))
+    names = {kind: [n for n in images if n.startswith(kind)] for kind in ("seen", "barely")}
+    for name, far in zip(names["seen"], (0, 0, inside, outside, outside), strict=False):
+        records[name] = replace(records[name], result=spot_at(labels, x_px=far))
+    for name, far in zip(names["barely"], (0, 0, 0, outside), strict=False):
+        records[name] = replace(records[name], result=spot_at(labels, y_px=far))
+    hidden = next(name for name in images if name.startswith("unseen"))
+    records[hidden] = replace(records[hidden], result=spot_at(labels))
+
+    counts = scored(images, records).total("theirs").counts
+    assert (counts.images, counts.visible, counts.hidden) == (22, 10, 12)
+    assert (counts.found, counts.missed) == (3, 7)  # two of the seven are elsewhere
+    assert counts.false_spots == 2 + 1 + 1  # elsewhere of seen, elsewhere of barely, of nothing
+    assert counts.glimpsed == 3
+    assert errors_in(scored(images, records), "x_px").n == 3
+
+
+def test_an_image_without_a_line_is_missed_unless_its_whole_kind_is_left_out(
+    images: Images,
+) -> None:
+    records = records_of(images, spot_at)
+    told = {
+        name: record
+        for name, record in records.items()
+        if images[name].split == "train" and images[name].labels.exposure == "metered"
+    }
+    told.pop("train/a/frames/000002.png")
+    result = scored(images, told)
+    counts = result.total("theirs").counts
+    assert (counts.images, counts.missed) == (8, 1)
+    assert result.left_out["theirs"] == len(images) - 8
+
+
+@pytest.mark.parametrize(("claimed", "honest"), [(1.0, True), (0.5, False), (2.0, False)])
+def test_sigma_is_honest_where_errors_scatter_as_it_says(claimed: float, honest: bool) -> None:
+    images = in_memory(1000)
+    rng = np.random.default_rng(3)
+    result = scored(
+        images,
+        records_of(
+            images, lambda row: spot_at(row, sigma=0.1 * claimed, semi_minor_px=rng.normal(0, 0.1))
+        ),
+    )
+    errors = errors_in(result, "semi_minor_px")
+    inside_1 = errors.within_1_low < math.erf(1 / math.sqrt(2)) < errors.within_1_high
+    inside_2 = errors.within_2_low < math.erf(2 / math.sqrt(2)) < errors.within_2_high
+    assert (inside_1 and inside_2) == honest
+    # Of 1000 normal values the standard deviation scatters by 1/sqrt(2 * 1000) = 2.2 %; 4 sigma.
+    assert errors.z_std * claimed == pytest.approx(1.0, rel=0.09)
+    # No errors were put in: with a sigma, but not of this size.
+    assert errors_in(result, "x_px").within_1_sigma == 1.0
+
+
+def test_the_interval_of_a_part_is_exact() -> None:
+    images = in_memory(40)
+    result = scored(images, records_of(images, lambda row: spot_at(row, sigma=1.0, x_px=3.0)))
+    errors = errors_in(result, "x_px")
+    assert errors.within_2_sigma == 0.0
+    # Clopper and Pearson's interval of 0 in n: [0, 1 - 0.025^(1/n)].
+    assert errors.within_2_low == 0.0
+    assert errors.within_2_high == pytest.approx(1 - 0.025 ** (1 / 40), rel=1e-9)
+
+
+def test_stacks_that_differ_widen_the_interval_of_rmse() -> None:
+    alike, apart = in_memory(60, stacks=12), in_memory(60, stacks=12)
+    same = scored(alike, records_of(alike, lambda row: spot_at(row, x_px=0.1)))
+    assert errors_in(same, "x_px").rmse_low == pytest.approx(0.1, abs=1e-12)
+    assert errors_in(same, "x_px").rmse_high == pytest.approx(0.1, abs=1e-12)
+    # Half of the stacks are off by 0.1 and half by 0.3: mean square 0.05 +- 0.04/sqrt(12), which
+    # two standard deviations of 0.0115 take to [0.027, 0.073].
+    off = (0.1, 0.3)
+    mixed = scored(apart, records_of(apart, lambda row: spot_at(row, x_px=off[row.frame % 2])))
+    errors = errors_in(mixed, "x_px")
+    assert errors.rmse == pytest.approx(math.sqrt(0.05))
+    assert errors.rmse_low == pytest.approx(math.sqrt(0.027), rel=0.1)
+    assert errors.rmse_high == pytest.approx(math.sqrt(0.073), rel=0.1)
+
+
+def test_images_are_scored_apart_by_condition(images: Images) -> None:
+    result = scored(
+        images, records_of(images, lambda row: spot_at(row, semi_minor_px=0.1 * row.frame))
+    )
+    rows = result.by_condition()
+    bias = {
+        key: errors.bias
+        for key, row in rows.items()
+        if (errors := row["theirs"].of("semi_minor_px")) is not None
+    }
+    # d = 1, 2, 3 and 4 mm for frames 0 to 3.
+    assert bias["d_mm", "1–2"] == pytest.approx(0.0, abs=1e-12)
+    assert bias["d_mm", "2–4"] == pytest.approx(1.1 / 7, abs=1e-12)  # a 0.1 is hidden
+    assert bias["d_mm", "4–6"] == pytest.approx(0.3, abs=1e-12)
+    assert rows["split", "adverse"]["theirs"].counts.images == 4
+    assert not any(name == "medium" for name, _ in rows)  # all in air
+
+
+def per_stack(drawn: Path, folder: Path) -> Path:
+    """Spots as `eyespot track` writes them, stack by stack."""
+    for split, names in STACKS.items():
+        (folder / split).mkdir(parents=True)
+        for name in names:
+            for exposure in ("paper", "metered") if name == "b" else ("",):
+                out = folder / split / (f"{name}.{exposure}.csv" if exposure else f"{name}.csv")
+                command = ["track", str(drawn / split / name), "--out", str(out)]
+                chosen = ["--exposure", exposure] if exposure else []
+                assert CliRunner().invoke(eyespot.app, command + chosen).exit_code == 0
+    return folder
+
+
+def test_our_estimator_is_scored_from_its_files_as_when_it_is_run(
+    drawn: Path, tmp_path: Path
+) -> None:
+    tracked = per_stack(drawn, tmp_path / "tracked")
+    command = ["score", str(drawn), str(tracked), "--mode", "subpixel"]
+    done = CliRunner().invoke(eyespot.app, [*command, "--out", str(tmp_path / "score")])
+    assert done.exit_code == 0, done.output
+    with (tmp_path / "score" / "score.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    read, run = (
+        [{**row, "estimator": ""} for row in rows if row["estimator"] == name]
+        for name in ("tracked", "subpixel")
+    )
+    assert read == run
+    total = next(r for r in run if r["condition"] == "all" and r["quantity"] == "semi_minor_px")
+    # Drawn spots of a clean edge: the estimator's own tests hold 0.05 px.
+    assert float(total["rmse"]) < 0.05
+    assert total["missed"] == "0"
+    found = json.loads((tmp_path / "score" / "score.json").read_text())
+    assert found["outcomes"]["subpixel"] == {"found": 15, "hidden": 1}
+    for name in ("score.png", "score.svg"):
+        assert (tmp_path / "score" / name).stat().st_size > 0
+
+
+def test_a_stack_by_itself_is_scored_with_the_names_that_track_writes(
+    drawn: Path, tmp_path: Path
+) -> None:
+    stack = drawn / "train" / "a"
+    images = circumstances_of(stacks_of(stack))
+    write_spots(tmp_path / "theirs.csv", records_of(images, spot_at).values())
+    records = read_set_spots(tmp_path / "theirs.csv", stacks_of(stack), images)
+    assert scored(images, records).total("theirs").counts.found == 4
+    assert min(images) == "frames/000000.png"
+
+
+def test_names_that_the_set_does_not_hold_are_told_in_one_message(
+    drawn: Path, images: Images, tmp_path: Path
+) -> None:
+    records = records_of(images, spot_at)
+    lost = [replace(r, file_name=f"frames/{n}.png") for n, r in enumerate(records.values())]
+    write_spots(tmp_path / "lost.csv", lost)
+    with pytest.raises(ValueError, match=r"lost.csv.*'frames/0.png'.*and 11 more.*such as") as told:
+        read_set_spots(tmp_path / "lost.csv", stacks_of(drawn), images)
+    assert "\n" not in str(told.value)
+
+
+def test_two_lines_for_an_image_are_refused(drawn: Path, images: Images, tmp_path: Path) -> None:
+    records = list(records_of(images, spot_at).values())
+    write_spots(tmp_path / "twice.csv", [*records, records[3]])
+    with pytest.raises(ValueError, match=f"{records[3].file_name} has two lines"):
+        read_set_spots(tmp_path / "twice.csv", stacks_of(drawn), images)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "nothing to score"),
+        (["missing.csv"], "no such spots file"),
+        (["a/x.csv", "b/x.csv"], "two estimators are named x"),
+        (["--mode", "subpixel", "--out", "."], "exists already"),
+    ],
+)
+def test_what_cannot_be_scored_is_told(drawn: Path, arguments: list[str], words: str) -> None:
+    done = CliRunner().invoke(eyespot.app, ["score", str(drawn), *arguments])
+    assert isinstance(done.exception, ValueError)
+    assert words in str(done.exception)
+
+
+def test_a_file_of_no_stack_is_named(drawn: Path, images: Images, tmp_path: Path) -> None:
+    (tmp_path / "train").mkdir()
+    write_spots(tmp_path / "train" / "z.csv", [])
+    with pytest.raises(ValueError, match=r"z.csv: the set has no stack train/z"):
+        read_set_spots(tmp_path, stacks_of(drawn), images)
+
+
+def test_blur_is_counted_at_the_pole() -> None:
+    scale = MICROSCOPE["scale_mm_px"]
+    assert isinstance(scale, float)
+    about = Circumstances(labels_of(0, speed_mm_s=2.0, exposure_s=0.05), "s", "", "", scale)
+    assert about.blur_px == pytest.approx(0.1 * 858.2 / 23.0)
