@@ -1,5 +1,7 @@
 """The studies: each one command, each result with the figures and the CSV behind it.
 
+studies      `eyespot study`: eccentricity, static, table-one, dynamic, medium, pose
+sets         `eyespot dataset`, `export` and `score`: labelled sets
 validate     the main job, `eyespot validate`
 trials       its scenes
 tracking     its spots
@@ -12,6 +14,8 @@ tables       rows of the CSV files
 figures      the pictures
 strip        frames against distance
 page         the HTML page
+run_folder   a folder that holds one run, and goes on where it stopped
 optics_figures  the figures of docs/optics.md
-geometry_speed, render_speed, estimator_accuracy  what `make bench` prints
+geometry_speed, render_speed, fit_speed, study_speed, dataset_speed, estimator_accuracy (with the
+other estimator_ files), image_fit, photon_fit  what `make bench` prints
 """

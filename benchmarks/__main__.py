@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import runpy
 
-BENCHES = ("geometry_speed", "render_speed", "estimator_accuracy")
+BENCHES = (
+    "geometry_speed",
+    "render_speed",
+    "estimator_accuracy",
+    "fit_speed",
+    "image_fit",
+    "photon_fit",
+    "study_speed",
+    "dataset_speed",
+)
 
 if __name__ == "__main__":
     for bench in BENCHES:

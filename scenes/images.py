@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scenes import geometry, photometry
-from scenes.settings import Scene
+from scenes.settings import Scene, SceneError
 from scenes.variant import load_mitsuba
 
 # Far below the eye and turned away: hidden by the wall, and its beam is lost.
@@ -28,10 +28,12 @@ class Images:
         reach: which pixels a pose changes; None where all are rendered each time.
 
     Raises:
+        SceneError: a scalar variant was asked for more than a cone's direct light.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
 
     def __init__(self, scene: Scene, *, variant: str) -> None:
+        _refuse_slow_light(scene, variant)
         self._mi = load_mitsuba(variant)
         from scenes import build, reach, wall  # Mitsuba's plugins need the variant
 
@@ -91,3 +93,15 @@ class Images:
                 seed=seed,
             )
         return image[..., :3], image[..., 3]
+
+
+def _refuse_slow_light(scene: Scene, variant: str) -> None:
+    """Scalar variants run our emitters ray by ray in Python: a minute a frame for the simplest."""
+    if not variant.startswith("scalar"):
+        return
+    if scene.source.kind != "cone" or scene.phantom.indirect == "traced":
+        raise SceneError(
+            f"the variant {variant} renders source.kind 'cone' without traced light only; got "
+            f"{scene.source.kind!r} with phantom.indirect {scene.phantom.indirect!r}. Take "
+            "llvm_ad_rgb; `eyespot doctor` says what it needs."
+        )

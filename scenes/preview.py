@@ -65,5 +65,13 @@ def _small(scene: Scene) -> Scene:
         max(16, size // _SHRINK // 2 * 2) for size in (large.width_px, large.height_px)
     )
     scale = large.scale_mm_px * max(large.width_px / width, large.height_px / height)
-    small = {"width_px": width, "height_px": height, "scale_mm_px": scale, "samples": 1}
+    x, y = large.window_offset_px
+    fewer = large.scale_mm_px / scale
+    small = {
+        "width_px": width,
+        "height_px": height,
+        "scale_mm_px": scale,
+        "window_offset_px": (fewer * x, fewer * y),
+        "samples": 1,
+    }
     return scene.model_copy(update={"microscope": large.model_copy(update=small)})
