@@ -28,6 +28,7 @@ from scenes.render import LinearFrame as LinearFrame
 from scenes.render import Renderer as Renderer
 from scenes.scene_file import changed as changed
 from scenes.scene_file import load_scene as load_scene
+from scenes.scene_file import parsed_change as parsed_change
 from scenes.scene_file import scene_schema as scene_schema
 from scenes.scene_file import scene_template as scene_template
 from scenes.scene_file import scene_toml as scene_toml

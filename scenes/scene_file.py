@@ -32,7 +32,7 @@ def load_scene(path: Path | None, changes: Sequence[str] = ()) -> Scene:
     """
     content = {} if path is None else _read(Path(path))
     for change in changes:
-        content = _merged(content, _parsed(change))
+        content = _merged(content, parsed_change(change))
     where = " ".join([str(path or "the default scene"), *(f"--set {c}" for c in changes)])
     return _validated(content, where)
 
@@ -47,6 +47,22 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     for key, value in changes.items():
         content = _merged(content, _nested(key.split("."), value))
     return _validated(content, "the changed scene")
+
+
+def parsed_change(change: str) -> dict[str, Any]:
+    """Tables of a change "table.key=value"; the value as in TOML, or else a string.
+
+    Raises:
+        SceneError: it is no "key=value".
+    """
+    key, equals, text = (part.strip() for part in change.partition("="))
+    if not (key and equals):
+        raise SceneError(f"a change is written table.key=value; got {change!r}.")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    return _nested(key.split("."), value)
 
 
 def scene_toml(scene: Scene) -> str:
@@ -87,17 +103,6 @@ def _read(path: Path) -> dict[str, Any]:
         ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: not a TOML file: {error}.") from error
-
-
-def _parsed(change: str) -> dict[str, Any]:
-    key, equals, text = (part.strip() for part in change.partition("="))
-    if not (key and equals):
-        raise SceneError(f"a change is written table.key=value; got {change!r}.")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text
-    return _nested(key.split("."), value)
 
 
 def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:

@@ -31,6 +31,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from benchmarks.sets.distributions import KINDS, Change, Distribution, by_dotted_name
+from scenes import parsed_change
 
 SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 """Scene keys that every stack gets values of its own for."""
@@ -118,7 +119,7 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
 
     Args:
         source: path of a TOML file, or the name of a spec that comes with the software.
-        changes: scene keys that all stacks get one value of, each "table.key = value" as in TOML.
+        changes: scene keys that all stacks get one value of, each "table.key=value".
 
     Raises:
         SpecError: there is none, or it is broken; unknown keys name the nearest known one.
@@ -130,15 +131,14 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
         if isinstance(scene_file := content.get("scene"), str):
             content["scene"] = _scene_keys(Path(source).parent / scene_file)
         for change in changes:
-            _fix(content, _dotted(tomllib.loads(change)))
+            _fix(content, _dotted(parsed_change(change)))
     except OSError as error:
         raise SpecError(
             f"{error.filename}: cannot be read ({error.strerror}). Give the path of a spec, or one "
             f"of {', '.join(named_specs())}."
         ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        said = " ".join([str(source), *(f"--set {change}" for change in changes)])
-        raise SpecError(f"{said}: not TOML: {error}. Strings stand in quotes.") from error
+        raise SpecError(f"{source}: not TOML: {error}.") from error
     try:
         return SetSpec.model_validate(content)
     except ValidationError as error:
