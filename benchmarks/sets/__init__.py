@@ -23,6 +23,11 @@ manifest       its completeness
 card           README.md, metadata.jsonl; pictures: its figures
 estimate       frames, size and time before anything is rendered
 command        `eyespot dataset`
+stacks         what export and score go through: the stacks of a set, or one stack
+export         `eyespot export`; formats/: one module a format
+score_command  `eyespot score`; spots_of_set: spots files, or our own tracker's
+score          images in groups; outcomes: found, missed, false; measures: errors and their sigma;
+               conditions: the groups; score_table, score_figure: what is shown
 """
 
 from benchmarks.sets.read import LabelledSet as LabelledSet
