@@ -54,7 +54,7 @@ def compare(folder: Path, variant: str) -> None:
         assert own.half_max_semi_minor_px == row.half_max_semi_minor_px
         assert own.exposure_s == pytest.approx(row.exposure_s, rel=1e-4)
         image, expected = (
-            cv2.imread(str(stack.folder / label.file_name)).astype(int)
+            np.asarray(cv2.imread(str(stack.folder / label.file_name)), int)
             for stack, label in ((other, own), (reference, row))
         )
         # The same noise on light that differs by float32: a value may be rounded the other way,

@@ -15,6 +15,9 @@ from benchmarks.tracking import Way
 EVEN = -1
 """Number of the even wall among the textures."""
 
+FROM_MM = 0.5
+"""Readings from here on enter the fits: nearer, the fibre hides a good part of the spot."""
+
 Key = tuple[int, int, int]
 """Trial, texture, tilt (-1, 0 or 1)."""
 
@@ -120,9 +123,10 @@ class Bench:
             for shot, semi_minor in zip(asked, measured, strict=True)
         }
         shape = (*self.draws.touch.shape, -1)
+        semi_minor = np.reshape([found[task] for task in tasks], shape)
+        readings = np.reshape([photographer.readings for photographer, _ in tasks], shape)
         return Measured(
-            semi_minor=np.reshape([found[task] for task in tasks], shape),
-            readings=np.reshape([photographer.readings for photographer, _ in tasks], shape),
+            semi_minor=np.where(readings > FROM_MM - 1e-6, semi_minor, np.nan), readings=readings
         )
 
     def _touched(self, measured: Measured) -> Measured:

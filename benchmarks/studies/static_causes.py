@@ -117,7 +117,7 @@ def parts(
         causes = [name for name in CAUSES if name in of]
         alone = {name: of[name] - of[NONE] for name in causes}
         together = of[ALL] - of[NONE] - sum(alone.values())
-        rows.append(_part(scope, NONE, "the light, the shaft's shadow, pixels", of[NONE], of[NONE]))
+        rows.append(_part(scope, NONE, "the light and pixels", of[NONE], of[NONE]))
         for name in causes:
             rows.append(_part(scope, name, CAUSES[name], alone[name], of[name]))
             if name == "texture":

@@ -12,6 +12,7 @@ from benchmarks.conclusions import Conclusion, number
 from benchmarks.paper import TABLE_I, TABLE_II
 from benchmarks.studies import static_figures as pictures
 from benchmarks.studies.static import Findings
+from benchmarks.studies.static_bench import FROM_MM
 from benchmarks.studies.static_causes import ALL, CAUSES, NONE, Part
 from benchmarks.studies.static_photographs import LITERAL, SUBPIXEL
 from benchmarks.studies.static_tables import Entry, Spread
@@ -37,7 +38,9 @@ def report(findings: Findings) -> Report:
         return Report(
             title="How far do the paper's Tables I and II spread, and what adds to their error?",
             lead=f"The paper's static experiment rendered, photographed and fitted {findings.runs} "
-            "times: each run with its own noise, wall, touch, tilt, exposure and threshold.",
+            "times: each run with its own noise, wall, touch, tilt, exposure and threshold. "
+            f"Readings from {FROM_MM:g} mm on count; nearer to contact the fibre hides a good part "
+            "of the spot.",
             found=list(_found(findings)),
             sections=[_tables(findings), _causes(findings)],
             data=[
@@ -193,10 +196,9 @@ def _causes(findings: Findings) -> Section:
             ("line of", "cause", "size", "part, 10⁻³ mm²", "standard error", "RMSE, mm"),
             rows,
             "Parts of the mean square error in literal mode. The first row is the error without "
-            "any cause: a lens's light makes no exact line, and the shaft hides a part of the spot "
-            "at contact. The parts and together lead from it to all. Sizes are assumptions: small "
-            "ones add in proportion to their square. Runs share walls in turn, which the standard "
-            "error of texture allows for.",
+            "any cause: a lens's light makes no exact line. The parts and together lead from it to "
+            "all. Sizes are assumptions: small ones add in proportion to their square. Runs share "
+            "walls in turn, which the standard error of texture allows for.",
             data="static_causes.csv",
         ),
     )

@@ -23,7 +23,7 @@ from benchmarks.studies.table_one_scan import AT_SCALE, Choice, Family, Isophote
 from scenes import Scene, SceneError
 
 WIDE_APERTURE = 0.15
-"""From here on no flat end is expected to fit."""
+"""From here on the first scan, by ray binning, found no flat end that fits."""
 _CURVED_MM = 0.02
 
 
@@ -130,18 +130,22 @@ def to_render(choices: Sequence[Choice], *, quick: bool) -> list[Choice]:
     Args:
         choices: one of each lens.
         quick: the best, and the nearest with a round cap, alone.
+
+    Returns:
+        The two best, the preset `paper-candidate`, whose claim is to be tried, and those that fail.
     """
     ranked = sorted(choices, key=lambda choice: choice.miss)
     kinds: list[Callable[[Choice], bool]] = [
         lambda choice: choice.sag_mm >= _CURVED_MM,
         lambda choice: choice.numerical_aperture >= WIDE_APERTURE and choice.sag_mm == 0,
-        lambda choice: choice.numerical_aperture <= min(c.numerical_aperture for c in ranked),
     ]
     failing = [
         next((choice for choice in ranked if of_kind(choice) and choice.miss > 1), None)
         for of_kind in (kinds[:1] if quick else kinds)
     ]
-    chosen = [*ranked[: 1 if quick else 3], *(choice for choice in failing if choice is not None)]
+    candidate = [choice for choice in ranked if choice.family == scan.candidate()]
+    chosen = ranked[:1] if quick else [*ranked[:2], *candidate]
+    chosen += [choice for choice in failing if choice is not None]
     return list(dict.fromkeys(chosen))
 
 

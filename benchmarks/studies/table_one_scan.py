@@ -2,7 +2,8 @@
 
 On the spot's minor axis a tilted plane is as far from the tip as the axis's own wall point, so that
 its irradiance is cos(incidence) times that of a square plane at d: the isophote of a level on the
-tilted plane is that of level / cos(incidence) on the square one.
+tilted plane is that of level / cos(incidence) on the square one. Wide bells have their widest chord
+nearer to the tip than the axis, so that their ellipses come out larger: rendered stacks tell.
 """
 
 from __future__ import annotations
@@ -206,6 +207,12 @@ def best_choices(isophotes: Isophotes, *, scale: float) -> list[Choice]:
                     miss=float(miss[n]),
                 )
     return [found[way] for way in (AT_SCALE, ANYWHERE)]
+
+
+def candidate() -> Family:
+    """The lens proposed as the paper's, the preset `paper-candidate`."""
+    lens = _preset()
+    return Family(float(lens.numerical_aperture), float(lens.sag))
 
 
 def families(apertures: Iterable[float], sags: Sequence[float]) -> list[Family]:

@@ -1,0 +1,274 @@
+"""The dynamic study: its parts are the error, a late pose costs its way, a tip at rest nothing."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import optics
+import scenes
+from benchmarks.conclusions import Conclusion
+from benchmarks.studies import Request, dynamic, dynamic_measure, dynamic_report
+from benchmarks.studies import dynamic_parts as parts_of
+from benchmarks.studies import dynamic_trials as trials_of
+from benchmarks.studies.dynamic_parts import PARTS, DynamicError
+from benchmarks.studies.dynamic_trials import COMPARED, LATENCIES_S, LITERAL, MOTIONS, SUBPIXEL
+from estimator import MicroscopeFile, Pose, PoseTrack
+from scenes import SceneError, motion
+
+R = 11.5
+SPHERE = optics.Sphere(R)
+SCENE = scenes.load_scene(None, ("source.kind=cone",))
+SPEEDS = (0.5, 1.5, 5.0)
+
+
+def withdrawing(speed: float, *, d: float = 2.0, hz: float = 200.0) -> PoseTrack:
+    """A tip over the pole that withdraws along the axis."""
+    times = np.arange(-0.1, 1.0, 1 / hz)
+    return PoseTrack(
+        Pose.along((0.0, 0.0, -1.0), time_s=t, position_mm=(0.0, 0.0, d + speed * t - R))
+        for t in times.tolist()
+    )
+
+
+def row(**changes: Any) -> DynamicError:
+    numbers: dict[str, Any] = dict.fromkeys(DynamicError._fields, 0.0)
+    named = {"source": "cone", "motion": "withdrawal", "way": SUBPIXEL.name}
+    counts = {"run": 1, "frame": 1, "doubt": "", "rest_doubt": ""}
+    return DynamicError(**{**numbers, **named, **counts, **changes})
+
+
+# Parts.
+
+
+@pytest.mark.parametrize("speed", [0.5, 5.0, -2.0])
+@pytest.mark.parametrize("latency", [0.05, 0.1])
+def test_a_late_pose_costs_a_withdrawing_tip_minus_speed_times_delay(speed, latency):
+    poses, time = withdrawing(speed), 0.3025  # between two poses
+    stamped = parts_of.reading(poses, time, SPHERE)
+    late = parts_of.reading(poses, time + latency, SPHERE)
+    d = 2.0 + speed * time
+    found = parts_of.parts(estimate=d, frozen=d, d=d, stamped=stamped, late=late)
+    # Rounding of numbers near 10 mm.
+    assert found.latency == pytest.approx(-speed * latency, abs=1e-12)
+    # The latest pose of a 200 Hz track is 2.5 ms old there.
+    assert found.stamps == pytest.approx(speed * 0.0025, abs=1e-12)
+    assert found.rest == found.blur == 0.0
+    assert found.error == pytest.approx(found.stamps + found.latency, abs=1e-12)
+
+
+def test_a_tip_at_rest_has_no_error_of_time():
+    poses = withdrawing(0.0)
+    readings = [parts_of.reading(poses, 0.3025 + latency, SPHERE) for latency in LATENCIES_S]
+    assert readings == pytest.approx([2.0] * len(LATENCIES_S), abs=1e-12)
+
+
+def test_the_parts_sum_to_the_error():
+    for estimate, frozen, d, stamped, late in np.random.default_rng(1).uniform(1, 6, (50, 5)):
+        found = parts_of.parts(estimate=estimate, frozen=frozen, d=d, stamped=stamped, late=late)
+        total = found.rest + found.blur + found.stamps + found.latency
+        assert found.error == pytest.approx(total, abs=1e-12)
+        assert found.error == estimate - late
+
+
+def test_the_robot_reads_the_distance_along_its_beam():
+    # A tip at the centre is r from the wall whichever way it points; before its first pose it
+    # says nothing.
+    pose = Pose.along((0.6, 0.0, -0.8), time_s=0.0, position_mm=(0.0, 0.0, 0.0))
+    assert parts_of.reading(PoseTrack([pose]), 0.0, SPHERE) == pytest.approx(R)
+    assert math.isnan(parts_of.reading(PoseTrack([pose]), -1.0, SPHERE))
+
+
+# Sizes.
+
+
+def test_frames_without_an_estimate_are_counted_and_add_no_error():
+    rows = [
+        row(speed_mm_s=1.4, error_mm=0.3, rest_mm=0.3),
+        row(speed_mm_s=1.6, error_mm=-0.4, rest_mm=math.nan, rest_doubt="ambiguous"),
+        row(speed_mm_s=1.5, error_mm=math.nan, doubt="occluded"),
+    ]
+    (found,) = parts_of.spreads(rows, SPEEDS)
+    assert (found.speed_mm_s, found.spots, found.left_out) == (1.5, 2, 1)
+    assert found.rms_error_mm == pytest.approx(math.sqrt((0.09 + 0.16) / 2))
+    assert found.mean_error_mm == pytest.approx(-0.05)
+    assert found.largest_error_mm == pytest.approx(0.4)
+    assert found.rms_rest_mm == pytest.approx(0.3)
+
+
+def test_an_error_that_grows_with_speed_reaches_a_limit_where_the_line_does():
+    rows = [row(speed_mm_s=v, error_mm=0.05 + 0.1 * v, rest_mm=0.05) for v in SPEEDS]
+    spreads = parts_of.spreads(rows, SPEEDS)
+    assert parts_of.speed_at(spreads, 0.5) == pytest.approx(4.5)
+    assert parts_of.speed_at(spreads, 0.075) == pytest.approx(0.25)
+    assert parts_of.speed_at(spreads, 0.04) == 0.0
+    assert math.isnan(parts_of.speed_at(spreads, 0.6))
+    assert math.isnan(parts_of.speed_at([], 0.5))
+
+
+# Scenes.
+
+
+@pytest.mark.parametrize("way", COMPARED, ids=lambda way: way.slug)
+def test_every_trial_moves_at_its_speed_at_the_cameras_rate_about_one_distance(way):
+    found = trials_of.trials(SCENE, way, sensitivity=30.0, speeds=SPEEDS, run=1)
+    assert {trial.motion for trial in found} == set(MOTIONS)
+    for trial in found:
+        path = motion.trajectory(trial.moving)
+        times = motion.frame_times(trial.moving, path)
+        assert np.diff(times) == pytest.approx(1 / SCENE.clocks.camera_hz)
+        inner = times[1:-1]
+        speed = path.speed(inner)
+        if trial.motion == "hand":
+            assert speed.max() <= trial.speed_mm_s * 1.001  # of steps of 1 us
+        else:
+            assert speed == pytest.approx(trial.speed_mm_s, rel=1e-6)
+        # While a late pose is read, the tip still goes on.
+        poses = path.at(inner + max(LATENCIES_S))
+        assert np.isfinite(poses.tip).all()
+        assert inner.max() + max(LATENCIES_S) <= times[-1] + 1e-9
+
+
+def test_a_frozen_twin_differs_in_nothing_but_the_length_of_its_exposures():
+    for trial in trials_of.trials(SCENE, SUBPIXEL, sensitivity=30.0, speeds=(5.0,), run=2):
+        much = trial.frozen.exposures.sensitivity_mm2_sr_mj
+        assert much > 1000 * trial.moving.exposures.sensitivity_mm2_sr_mj
+        same = scenes.changed(trial.frozen, {"exposures.sensitivity_mm2_sr_mj": 30.0})
+        assert same == trial.moving
+
+
+def test_a_plane_is_refused():
+    with pytest.raises(SceneError, match=r"phantom\.kind=eyeball"):
+        dynamic.check(scenes.changed(SCENE, {"phantom.kind": "plane"}))
+
+
+# At rest.
+
+
+def test_the_calibration_at_rest_finds_the_papers_k_and_b():
+    microscope = MicroscopeFile(
+        width_px=640,
+        height_px=480,
+        camera_matrix=None,
+        distortion=np.zeros(5),
+        scale_mm_px=0.0067,
+        principal_point_px=(0.0, 0.0),
+        pinhole_height_mm=math.inf,
+        eye_radius_mm=R,
+    )
+    seen, c = np.linspace(40.0, 80.0, 9), np.linspace(0.0, 3.0, 9)
+    d = optics.small_plane_distance(
+        semi_minor_px=seen, scale=0.0067, k=20.0, b=-5.117, eccentricity=c, eye_radius=R
+    )
+    found = dynamic_measure.small_plane_line(
+        semi_minor_px=seen, phi=np.arcsin(c / R), distance=np.asarray(d), microscope=microscope
+    )
+    # Rounding of numbers near 5 mm, times the leverage of b.
+    assert (found["k"], found["b"]) == pytest.approx((20.0, -5.117), rel=1e-10)
+
+
+# The report.
+
+
+def drawn(*, blur: float, late: float) -> list[DynamicError]:
+    """Rows of tips with a blur and an offset in time in proportion to their speed."""
+    found = []
+    for motion_kind in MOTIONS:
+        for way in COMPARED:
+            for speed in SPEEDS:
+                for latency in LATENCIES_S:
+                    of = {
+                        "rest": 0.01,
+                        "blur": blur * speed,
+                        "stamps": 0.0,
+                        "latency": -late * latency * speed,
+                    }
+                    found.append(
+                        row(
+                            motion=motion_kind,
+                            way=way.name,
+                            speed_mm_s=speed,
+                            latency_s=latency,
+                            exposure_s=0.02,
+                            error_mm=sum(of.values()),
+                            **{f"{name}_mm": value for name, value in of.items()},
+                        )
+                    )
+    return found
+
+
+def told(rows: list[DynamicError]) -> dict[str, Conclusion]:
+    findings = dynamic.Findings(
+        scene=SCENE,
+        exposure_ms=20.0,
+        sources=("cone",),
+        speeds=SPEEDS,
+        rows=rows,
+        spreads=parts_of.spreads(rows, SPEEDS),
+    )
+    return {found.topic: found for found in dynamic_report.report(findings).found}
+
+
+def test_the_report_says_whether_a_tenth_of_a_millimetre_is_kept_and_what_is_larger():
+    # 0.01 + 0.015 * 5 = 0.085 mm; a late pose adds 0.1 s of way, 0.5 mm at 5 mm/s.
+    good = told(drawn(blur=0.015, late=1.0))
+    assert good["cone, 0.1 mm"].holds
+    topic = f"cone, {LITERAL.name}, parts"
+    assert "the late pose" in good[topic].headline
+    # 0.5 mm over 1.5 mm/s; 0.015 mm a mm/s in 20 ms is 0.75 mm a mm of path: 333 / 0.75 ms.
+    papers = good["cone, the paper's speed"].headline
+    assert "333 ms" in papers and "444 ms" in papers
+    bad = told(drawn(blur=0.2, late=0.1))
+    assert bad["cone, 0.1 mm"].holds is False
+    assert "blur" in bad[topic].headline
+    # 0.01 + 0.2 v = 0.5.
+    assert "2.45 mm/s" in bad[f"cone, {LITERAL.name}, 0.5 mm"].headline
+
+
+def test_frames_that_are_lost_are_told():
+    rows = [r._replace(doubt="ambiguous", error_mm=math.nan) for r in drawn(blur=0.0, late=0.0)]
+    found = told(rows)["cone, 0.1 mm"]
+    assert not found.holds
+    assert "9 of 9 frames gave no estimate" in found.text and "9 ambiguous" in found.text
+
+
+# The whole.
+
+
+def key(line: dict[str, str]) -> tuple[str, float]:
+    return line["motion"], float(line["set_speed_mm_s"])
+
+
+@pytest.mark.slow  # renders 78 frames, and compiles
+def test_a_run_splits_every_error_into_its_parts(tmp_path):
+    changes = ("microscope.scale_mm_px=0.0134", "microscope.width_px=320")
+    request = Request(
+        out=tmp_path / "run",
+        changes=(*changes, "microscope.height_px=240"),
+        quick=True,
+        options={"source": "cone", "exposure-ms": 20.0},
+    )
+    dynamic.run(request)
+    with (tmp_path / "run" / "dynamic_error.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    used = [r for r in rows if not r["doubt"] and not r["rest_doubt"]]
+    assert len(used) > 0.9 * len(rows)
+    for r in used:
+        total = sum(float(r[f"{part}_mm"]) for part in PARTS)
+        assert float(r["error_mm"]) == pytest.approx(total, abs=1e-9)
+    # The fixed exposure is as long as asked for, and literal mode takes a blurred spot for a larger
+    # one, in proportion to the path: 1.5 and 5 mm/s in 20 ms, within a half for so few frames.
+    literal = [r for r in used if r["way"] == LITERAL.name]
+    assert [float(r["exposure_s"]) for r in literal] == pytest.approx([0.02] * len(literal))
+    slow, fast = (
+        np.mean([float(r["blur_mm"]) for r in literal if key(r) == ("scan", speed)])
+        for speed in (1.5, 5.0)
+    )
+    assert fast / slow == pytest.approx(5.0 / 1.5, rel=0.5)
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["study"] == "dynamic"
