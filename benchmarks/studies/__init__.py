@@ -12,12 +12,27 @@ static        Tables I and II over many runs, and what adds to their error; its 
     static_bench, static_photographs  many photographs of few rendered frames
     static_causes, static_lines, static_tables  draws, parts, lines, tables
     static_figures, static_report     pictures and words
+pose          tip and axis from one spot and from three; its parts:
+    pose_tool       a tool with one cone or three: spots, bounds, the fit of all at once
+    pose_analytic   exact contours with noise, over the working volume
+    pose_rendered   frames -> spots -> poses
+    pose_errors     rows, drawn priors, root mean squares
+    pose_report     pictures and words
+medium        calibrated in air, used in vitreous; its parts:
+    medium_light    what a medium makes of a lens's radii, from its light
+    medium_rendered  frames -> spots -> distances
+    medium_report   pictures and words
 table_one     which lenses give Table I, and what sets its trials apart; its parts:
     table_one_scan      lenses and thresholds in closed form
     table_one_rendered  some of them on rendered stacks
     table_one_causes    what touch, light, tilt and range do to a line
     table_one_moments   what the printed figures imply
     table_one_figure, table_one_report  picture and words
+dynamic       the error while the tip moves: blur, the age of poses, latency; its parts:
+    dynamic_trials   motions, and their twins without blur
+    dynamic_measure  stacks -> readings -> rows; calibration at rest
+    dynamic_parts    the split, sizes by speed, the speed at which a limit is reached
+    dynamic_figures, dynamic_report   pictures and words
 
 A study is one module with `run(request)`, thin on what it shares with others::
 

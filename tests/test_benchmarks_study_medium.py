@@ -1,0 +1,114 @@
+"""Study of media: what air's cone is worth elsewhere, and where a radius has several distances."""
+
+import math
+
+import numpy as np
+import pytest
+
+import scenes
+from benchmarks.studies import medium, medium_light, medium_rendered
+from benchmarks.studies.medium_light import (
+    AIR,
+    AIR_CONE,
+    LENS,
+    LENS_CONE,
+    VITREOUS,
+    Curve,
+    Regression,
+)
+from benchmarks.studies.study import Request
+from scenes.geometry import Cone
+
+DISTANCE = np.linspace(0.05, 8.0, 1600)
+ASKED = np.linspace(0.5, 6.0, 12)
+
+
+def straight(k: float, b: float, name: str) -> Curve:
+    """A light that is a cone in its medium."""
+    regression = Regression("a", name, k, b, 1.0, math.nan, math.nan)
+    return Curve("a", name, DISTANCE, (DISTANCE - b) / k, regression)
+
+
+def test_no_medium_changes_what_an_ideal_cone_says():
+    cone = Cone(math.atan(1 / 20), -5.117)
+    air, vitreous = (medium_light.cone_curve(cone, name) for name in (AIR, VITREOUS))
+    rows = medium_light.analytic_errors(air, vitreous, distances=ASKED)
+    assert {row.method for row in rows} == {AIR_CONE, LENS_CONE, LENS}
+    # Rounding of numbers near 10, times k.
+    assert max(abs(row.error_mm) for row in rows) < 1e-12
+    assert not any(row.ambiguous for row in rows)
+
+
+def test_airs_cone_is_off_by_the_ratio_of_the_slopes():
+    air, vitreous = straight(12.0, -3.0, AIR), straight(16.0, -4.0, VITREOUS)
+    rows = medium_light.analytic_errors(air, vitreous, distances=ASKED)
+    for row in rows:
+        # R = (d + 4)/16, read as 12 R - 3 = 3/4 d: a quarter of the distance is lost.
+        expected = -0.25 * row.d_mm if row.method == AIR_CONE else 0.0
+        assert row.error_mm == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_radius_on_both_sides_of_a_waist_is_ambiguous_and_the_farther_answer_is_told():
+    air = straight(20.0, -5.0, AIR)
+    waist = 2.0
+    radius = np.hypot(0.2, 0.1 * (DISTANCE - waist))
+    vitreous = air._replace(medium=VITREOUS, radius=radius)
+    rows = medium_light.analytic_errors(air, vitreous, distances=np.array([1.0, 3.0, 5.0]))
+    by_lens = {row.d_mm: row for row in rows if row.method == LENS}
+    # The same on both sides, 2 (waist - d) apart; 5 mm's other side lies behind the tip. Linear
+    # between samples 5 um apart: 1e-6 of the radius, a few um of distance.
+    assert by_lens[1.0].error_mm == pytest.approx(2.0, abs=1e-4)
+    assert by_lens[3.0].error_mm == pytest.approx(-2.0, abs=1e-4)
+    assert by_lens[5.0].error_mm == pytest.approx(0.0, abs=1e-4)
+    assert [by_lens[d].ambiguous for d in (1.0, 3.0, 5.0)] == [True, True, False]
+
+
+def test_trials_differ_in_light_medium_and_wall_alone():
+    trials = medium_rendered.trials(scenes.load_scene(None, ()), lights=["dome", "cone"], frames=5)
+    assert len(trials) == 6
+    for scene in trials.values():
+        same = scenes.changed(
+            scene,
+            {
+                "source.kind": "cone",
+                "source.lens": trials["cone-air-plane"].source.lens,
+                "source.medium": AIR,
+                "phantom.kind": "plane",
+            },
+        )
+        assert same == trials["cone-air-plane"]
+
+
+def test_a_scene_without_a_lens_is_refused_before_a_folder_is_made(tmp_path):
+    with pytest.raises(scenes.SceneError, match=r"Set source\.kind=lens"):
+        medium.run(Request(out=tmp_path / "run", changes=("source.kind=cone",)))
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+def test_a_flat_end_in_vitreous_is_the_same_lens_seen_from_farther_off():
+    air, vitreous = (medium_light.lens_curve("paper-candidate", name) for name in (AIR, VITREOUS))
+    # Snell: sin(angle) = NA/n; the profile depends on d tan(angle)/a but for cosines, which are
+    # 1 within (0.1)^2/2 = 0.5 %.
+    longer = math.tan(math.asin(0.10)) / math.tan(math.asin(0.10 / 1.336))
+    for d in (0.5, 1.5, 3.0, 4.0):
+        near = np.interp(d, air.distance, air.radius)
+        far = np.interp(longer * d, vitreous.distance, vitreous.radius)
+        assert far == pytest.approx(near, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_quick_run_finds_airs_cone_wrong_and_the_lens_model_right(tmp_path):
+    findings = medium.run(Request(out=tmp_path / "run", quick=True))
+    rendered = [row for row in findings.rows if row.source == "rendered"]
+
+    def worst(light: str, method: str) -> float:
+        rows = [r for r in rendered if (r.light, r.medium, r.method) == (light, VITREOUS, method)]
+        return max(abs(row.error_mm) for row in rows if not row.ambiguous)
+
+    assert worst("paper-candidate", AIR_CONE) > 1.0
+    assert worst("paper-candidate", LENS) < 0.1
+    # Spots good to 0.1 px are distances good to k delta 0.1 px = 0.013 mm, twice: fit and use.
+    assert worst("cone", AIR_CONE) < 0.03
+    for name in ("report.html", "medium_error.csv", "medium_cones.csv", "figures/error.png"):
+        assert (tmp_path / "run" / name).stat().st_size > 0
