@@ -119,8 +119,10 @@ def best_and_mirror(solve: Callable[..., Pose], starts: object) -> PoseEstimate:
         starts: tips and axes, the leading axis over the two starts.
     """
     both = jax.vmap(lambda start: solve(*start))(starts)
+    # With its apex on the wall a cone's contour is a point, which fits the mismatch of any ellipse.
+    ahead = jnp.where(both.distance > 0, both.cost, jnp.inf)
     first, second = (jax.tree.map(itemgetter(k), both) for k in (0, 1))
-    swap = second.cost < first.cost
+    swap = ahead[1] < ahead[0]
     best = jax.tree.map(lambda a, b: jnp.where(swap, b, a), first, second)
     mirror = jax.tree.map(lambda a, b: jnp.where(swap, a, b), first, second)
     axis_error = jnp.sqrt(jnp.linalg.norm(best.covariance[3:, 3:], ord=2))

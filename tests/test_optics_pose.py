@@ -196,3 +196,15 @@ def test_pose_on_a_tilted_plane():
     tips = (found.best.tip, found.mirror.tip)
     assert min(float(jnp.linalg.norm(tip - true.tip)) for tip in tips) < 1e-7
     np.testing.assert_allclose(found.best.distance, 3.0, atol=1e-8)
+
+
+def test_a_tightly_held_axis_does_not_collapse_the_cone_onto_the_wall():
+    # A cone whose apex touches the wall has a contour of no size, which agrees with any ellipse.
+    true = beam(incidence_deg=20.0)
+    ellipse = optics.spot_ellipse(true, WALL, eye(11.5))
+    # Measured 1 % too large along its major axis: no cone of this axis has that ellipse.
+    measured = ellipse._replace(semi_major=1.01 * ellipse.semi_major)
+    prior = optics.DirectionPrior(true.axis, 1e-6)
+    found = from_ellipse(measured, 11.5, prior=prior)
+    # Distance follows the size of the spot: between none and 1 % of the 9 mm to the apex.
+    assert 3.95 < float(found.best.distance) < 4.1
