@@ -116,6 +116,13 @@ def render(
         bool, typer.Option("--preview", help="One small frame only: the image DIR.png.")
     ] = False,
     changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
+    variant: Annotated[
+        Literal["llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb"],
+        typer.Option(
+            help="Mitsuba's: for the processor, for an NVIDIA GPU, or without LLVM, for a cone and "
+            "a minute a frame."
+        ),
+    ] = "llvm_ad_rgb",
 ) -> None:
     """Render a scene file to an image stack with labels.
 
@@ -129,12 +136,12 @@ def render(
     if preview:
         # Beside the stack's folder, which does not exist before the stack is whole.
         image = out.with_name(f"{out.name}.png")
-        scenes.write_preview(settings, image)
+        scenes.write_preview(settings, image, variant=variant)
         typer.echo(f"Wrote {image}.")
         return
     with Progress(transient=True) as progress:
         task = progress.add_task("Rendering", total=scenes.frame_count(settings))
-        scenes.render_stack(settings, out, progress=lambda: progress.advance(task))
+        scenes.render_stack(settings, out, variant=variant, progress=lambda: progress.advance(task))
     typer.echo(f"Wrote the stack {out}.")
 
 
@@ -258,10 +265,11 @@ def fit(
         ),
     ],
     model: Annotated[
-        Literal["cone", "plane", "sphere"],
+        Literal["cone", "plane", "sphere", "image", "lens"],
         typer.Option(
-            help="The exact geometry; the paper's line through the planes; or its eccentricity of "
-            "one eyeball beside them."
+            help="To spots: the exact geometry; the paper's line through the planes; or its "
+            "eccentricity of one eyeball beside them. To all pixels of one stack: a cone (image) "
+            "or a glue lens."
         ),
     ] = "cone",
     exposure: Annotated[
@@ -271,8 +279,9 @@ def fit(
         str | None,
         typer.Option(
             metavar="NAME,…",
-            help="What the cone's fit finds: half_angle, b, scale, eye_radius, "
-            "inverse_working_distance, tilt_x, tilt_y.  [default: half_angle,b]",
+            help="What the fit finds. cone: half_angle, b, scale, eye_radius, "
+            "inverse_working_distance, tilt_x, tilt_y; lens: sag, numerical_aperture, glue_index, "
+            "…  [default: half_angle,b; of a lens sag,numerical_aperture]",
         ),
     ] = None,
     prior: Annotated[
@@ -287,6 +296,12 @@ def fit(
         bool,
         typer.Option("--robust", help="Name outliers and leave them out; models plane, sphere."),
     ] = False,
+    lens: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Preset or lens file that the model lens starts from, 30 % off."
+        ),
+    ] = None,
     microscope: Annotated[
         Path | None, typer.Option(metavar="FILE", help="microscope.json; a stack has its own.")
     ] = None,
@@ -330,6 +345,7 @@ def fit(
         free=None if free is None else free.split(","),
         priors=prior or (),
         robust=robust,
+        lens=lens,
         microscope=microscope,
         poses=poses or (),
         phantoms=phantom or (),
@@ -431,6 +447,73 @@ def study_static(
     static.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
 
 
+@study_commands.command("dynamic")
+def study_dynamic(
+    out: OutputFolder,
+    scene: StartingScene = None,
+    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
+    quick: Quick = False,
+    seed: Seed = None,
+    source: Annotated[
+        Literal["both", "lens", "cone"],
+        typer.Option(help="The fibre with its glue lens, the ideal sharp cone, or both."),
+    ] = "both",
+    exposure_ms: Annotated[
+        float, typer.Option(help="Of a frame at the mean distance.", min=0.1, max=100.0)
+    ] = 20.0,
+) -> None:
+    """How wrong a distance is while the tip moves: by speed, blur and a late pose.
+
+    A run that was stopped goes on where it was when it is given the same folder.
+    """
+    from benchmarks.studies import Request, dynamic
+
+    dynamic.run(
+        Request(
+            out=out,
+            scene=scene,
+            changes=tuple(changes),
+            quick=quick,
+            seed=seed,
+            options={"source": source, "exposure-ms": exposure_ms},
+        )
+    )
+
+
+@study_commands.command("pose")
+def study_pose(
+    out: OutputFolder,
+    scene: StartingScene = None,
+    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
+    quick: Quick = False,
+    seed: Seed = None,
+) -> None:
+    """Tip and axis from one spot and from three, beside their bounds and the mirror solution.
+
+    A run that was stopped goes on where it was when it is given the same folder.
+    """
+    from benchmarks.studies import Request, pose
+
+    pose.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
+
+
+@study_commands.command("medium")
+def study_medium(
+    out: OutputFolder,
+    scene: StartingScene = None,
+    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
+    quick: Quick = False,
+    seed: Seed = None,
+) -> None:
+    """What a calibration in air is worth in vitreous, and what the lens model makes of it.
+
+    A run that was stopped goes on where it was when it is given the same folder.
+    """
+    from benchmarks.studies import Request, medium
+
+    medium.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
+
+
 @study_commands.command("table-one")
 def study_table_one(
     out: OutputFolder,
@@ -472,12 +555,7 @@ def dataset_make(
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="The I-th of N parts, for job arrays.")
     ] = None,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="Set a scene key for all stacks, as in TOML."
-        ),
-    ] = None,
+    changes: Changes = [],  # noqa: B006
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only say how many frames, how large, how long.")
     ] = False,
@@ -494,7 +572,7 @@ def dataset_make(
         workers=workers,
         scheduler=scheduler,
         shard=shard,
-        changes=changes or [],
+        changes=changes,
         dry_run=dry_run,
     )
 

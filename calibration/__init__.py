@@ -12,8 +12,10 @@ _identifiability   what data determine, in words
 _paper_fits     the paper's Table I (delta k, b on planes) and Table II (c in spheres)
 _plane_trials   Table I over several trials, each with its touch error, on a tilted plane
 _robust         Huber's loss instead of squares
+_withdrawal     readings and axis from the robot's poses
 recordings      stacks, spots files and bags as trials: the estimator's spots, the robot's readings
 fit_command     `eyespot fit`; _fit_models: what --model can be; _goodness: is the fit good
+_fit_pixels     of these, the fits to pixels; _fitted: what any of them comes to
 fit_report      the fit as an HTML page
 render_bridge   a renderer as a JAX function
 """

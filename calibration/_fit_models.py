@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 import optics
-from calibration._cone_fit import PARAMETERS, Prior, fit_cone, phantom_wall
+from calibration._cone_fit import PARAMETERS, fit_cone, phantom_wall
+from calibration._fit_pixels import fit_image_of_cone, fit_image_of_lens
+from calibration._fitted import Choices, Fitted, Line
 from calibration._goodness import bounds_hit
+from calibration._image_parameters import CONE, FREE, known_names
 from calibration._paper_fits import Loss, SphereFit, fit_eccentricity, fit_plane
 from calibration._plane_trials import PlaneTrial, PlaneTrialsFit, fit_plane_trials
 from calibration.recordings import Recording
@@ -20,76 +23,6 @@ from calibration.recordings import Recording
 _TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
 _MISMATCHES = ("position along", "position across", "size", "elongation", "direction")
 """What `optics.ellipse_mismatch` returns, in words."""
-
-
-class Choices(NamedTuple):
-    """What a person chooses.
-
-    Attributes:
-        free: parameters to fit; None takes the model's own.
-        priors: of free parameters, and of `touch`, which recordings have taken already.
-        loss: of the paper's fits.
-    """
-
-    free: tuple[str, ...] | None
-    priors: Mapping[str, Prior]
-    loss: Loss
-
-
-class Line(NamedTuple):
-    """A model's curve through one recording: for the figure of distance against spot size.
-
-    Attributes:
-        semi_minor_px: e1' of the spots, ascending, px.
-        distance: of the model, mm.
-        band: half-width of its 95 % confidence band, mm.
-    """
-
-    semi_minor_px: Float[np.ndarray, "n"]
-    distance: Float[np.ndarray, "n"]
-    band: Float[np.ndarray, "n"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Fitted:
-    """What any model's fit comes to.
-
-    Attributes:
-        calibration_model: name in the calibration file.
-        values: of the file's parameters.
-        covariance: of these.
-        converged: whether the solvers say so.
-        bounds: that the fit ran into, in words.
-        undetermined: directions that the data do not hold, in words.
-        chi_squared: None where the noise was estimated from the residuals.
-        degrees_of_freedom: data and priors less parameters.
-        residuals: by name; of all recordings' usable spots in order, of variance 1.
-        recordings: that the residuals belong to, in their order.
-        spots: number of spots that had a part in the values.
-        others: rows (name, value, sigma, unit) of what was fitted beside the file's parameters.
-        notes: sentences for the report.
-        lines: curves by recording's name.
-    """
-
-    calibration_model: str
-    values: dict[str, float]
-    covariance: Float[np.ndarray, "p p"]
-    converged: bool
-    residuals: dict[str, Float[np.ndarray, "n"]]
-    recordings: Sequence[Recording]
-    spots: int
-    degrees_of_freedom: int
-    chi_squared: float | None = None
-    bounds: tuple[str, ...] = ()
-    undetermined: tuple[str, ...] = ()
-    others: list[tuple[str, float, float, str]] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    lines: dict[str, Line] = field(default_factory=dict)
-
-    @property
-    def chi_squared_per_degree(self) -> float | None:
-        """1 where noise and geometry are as assumed."""
-        return None if self.chi_squared is None else self.chi_squared / self.degrees_of_freedom
 
 
 def _plane(recordings: Sequence[Recording], choices: Choices) -> Fitted:
@@ -113,7 +46,7 @@ def _plane(recordings: Sequence[Recording], choices: Choices) -> Fitted:
         converged=pooled.converged,
         residuals={"the distance": pooled.residuals / pooled.noise},
         recordings=planes,
-        spots=pooled.residuals.size,
+        used=pooled.residuals.size,
         degrees_of_freedom=pooled.residuals.size - 2,
         others=[
             *((f"touch of {name}", touch, error, "mm") for name, touch, error in touches),
@@ -177,7 +110,7 @@ def _sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
         bounds=("eccentricity = 0: the data ask for none",) if fit.at_bound else (),
         residuals={"the distance": errors / np.sqrt(np.sum(errors**2) / (errors.size - 1))},
         recordings=[sphere],
-        spots=errors.size + pooled.residuals.size,
+        used=errors.size + pooled.residuals.size,
         degrees_of_freedom=errors.size - 1,
         notes=notes,
         lines={sphere.name: Line(axis[order], np.asarray(model)[order], band)},
@@ -236,7 +169,7 @@ def _cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
         degrees_of_freedom=fit.degrees_of_freedom,
         residuals=dict(zip(_MISMATCHES, residuals.T, strict=True)),
         recordings=recordings,
-        spots=len(residuals),
+        used=len(residuals),
         others=[
             *(
                 (name, fit.values[name], float(sigma[i]), "1")
@@ -252,10 +185,28 @@ def _cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     )
 
 
-MODELS: dict[str, Callable[[Sequence[Recording], Choices], Fitted]] = {
-    "plane": _plane,
-    "sphere": _sphere,
-    "cone": _cone,
+class Model(NamedTuple):
+    """A model and what may be chosen about it.
+
+    Attributes:
+        fit: recordings in, result out.
+        parameters: that --free knows.
+        free: of these, by default.
+        of_pixels: whether it is fitted to all pixels of one stack, and not to spots.
+    """
+
+    fit: Callable[[Sequence[Recording], Choices], Fitted]
+    parameters: tuple[str, ...] = PARAMETERS
+    free: tuple[str, ...] = CONE
+    of_pixels: bool = False
+
+
+MODELS = {
+    "plane": Model(_plane),
+    "sphere": Model(_sphere),
+    "cone": Model(_cone),
+    "image": Model(fit_image_of_cone, known_names("cone"), FREE["cone"], of_pixels=True),
+    "lens": Model(fit_image_of_lens, known_names("lens"), FREE["lens"], of_pixels=True),
 }
 """By the name on the command line."""
 

@@ -55,9 +55,9 @@ def doubts(
         wide = chi_squared_per_degree < low
         told = f"chi squared per degree of freedom is {chi_squared_per_degree:.2f}, not within "
         why = (
-            "the estimator reports more noise than there is, so that the errors are too large"
+            "more noise was reckoned with than there is, so that the errors are too large"
             if wide
-            else "the model leaves more than the noise that the estimator reports"
+            else "the model leaves more than the noise that was reckoned with"
         )
         found.append(Doubt(f"{told}{low} and {high}: {why}", harmless=wide))
     level = SIGNIFICANCE / max(len(residuals), 1)

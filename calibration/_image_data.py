@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 import optics
-from estimator import Stack, read_poses
+from calibration._withdrawal import withdrawal
+from estimator import Stack
 from estimator.frames import Response
 from estimator.microscope_file import MicroscopeFile, read_microscope
 from estimator.sources import open_source
@@ -196,19 +196,20 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
 
     Raises:
         ValueError: the exposure has to be chosen, a camera that the noise model does not know, or
-            no poses of the robot for all frames.
+            poses of the robot that are no withdrawal or lack frames.
     """
     scene = stack.description["scene"]
     microscope = read_microscope(stack.folder / "microscope.json")
     noise = CameraNoise.of(scene["camera"], microscope.response)
     frames = list(open_source(stack.folder, exposure=exposure))
-    places, axis = _poses_at(np.array([f.time_s for f in frames]), stack.folder / "kinematics.csv")
+    times = np.array([frame.time_s for frame in frames])
+    readings, axis = withdrawal(times, stack.folder / "kinematics.csv", source=stack.folder)
     tool = scene["instrument"]
     return Footage(
         light=np.stack([noise.light(frame.image) for frame in frames]).astype(np.float32),
         clear=np.stack([_clear(frame.image, noise.full_scale) for frame in frames]),
         exposure_s=np.array([frame.exposure_s for frame in frames]),
-        readings=(places[0] - places) @ axis,
+        readings=readings,
         axis=axis,
         noise=noise,
         microscope=microscope,
@@ -219,27 +220,6 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
         kind=scene["phantom"]["kind"],
         medium_index=optics.MEDIA[scene["source"]["medium"]],
     )
-
-
-def _poses_at(times: Float[np.ndarray, "n"], path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The tip's place at some moments, mm, and the mean axis.
-
-    Between the robot's reports the place is interpolated: at 0.1 mm/s and 200 Hz the latest report
-    lags by up to 0.5 um, which is one standard error of the half-angle in 5 mm.
-    """
-    poses = list(read_poses(path))
-    known = np.array([pose.time_s for pose in poses])
-    if times[0] < known[0] or times[-1] > known[-1]:
-        raise ValueError(
-            f"{path} holds poses from {known[0]:.3f} to {known[-1]:.3f} s, the frames go from "
-            f"{times[0]:.3f} to {times[-1]:.3f} s. Record the robot from before the first frame "
-            "until after the last."
-        )
-    reported = np.array([pose.position_mm for pose in poses])
-    places = np.stack([np.interp(times, known, column) for column in reported.T], axis=1)
-    during = (known >= times[0]) & (known <= times[-1])
-    axis = np.mean([pose.axis for pose, used in zip(poses, during, strict=True) if used], axis=0)
-    return places, axis / np.linalg.norm(axis)
 
 
 def _clear(image: np.ndarray, full_scale: int) -> Bool[np.ndarray, "h w"]:

@@ -10,7 +10,7 @@ import numpy as np
 import optics
 from calibration._cone_fit import Prior
 from calibration._image_data import Footage, read_footage
-from calibration._image_parameters import CONE, check_names
+from calibration._image_parameters import FREE, check_names
 from calibration._image_solver import ImageFit, Solver
 from calibration._image_table import lens_parameters
 from estimator import Stack
@@ -75,7 +75,7 @@ def fit_footage(
 ) -> ImageFit:
     """`fit_image` of frames that have been read."""
     if free is None:
-        free = CONE if source == "cone" else ("sag", "numerical_aperture")
+        free = FREE[source]
     check_names(source, start, free, priors or {})
     solver = Solver(
         footage, source, start, tuple(free), priors or {}, exposures == "fitted", lean_sigma

@@ -34,10 +34,18 @@ beam's axis meets the wall; `touch`: distance along it in the first frame; `lean
 what the robot says, along `optics.perpendicular_frame`."""
 
 CONE = ("half_angle", "b")
+FREE = {"cone": CONE, "lens": ("sag", "numerical_aperture")}
+"""What a fit finds unless told otherwise."""
 NUISANCES = ("sensitivity", "illumination", "touch", "u", "v", "lean", "lean_sideways")
 """Free in every fit: no log book knows them well enough."""
 DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0}
 _MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", "lean", "lean_sideways", "rim_height"}
+
+
+def known_names(source: str) -> tuple[str, ...]:
+    """Parameters of a fit to the light of a "cone" or a "lens"."""
+    others = (*CONE, "blur") if source == "lens" else LENS
+    return tuple(name for name in UNITS if name not in others)
 
 
 def check_names(
@@ -49,9 +57,7 @@ def check_names(
         ValueError: naming them.
     """
     own = CONE if source == "cone" else LENS
-    names = [name for name in UNITS if name not in (*CONE, *LENS, "blur") or name in own]
-    if source == "cone":
-        names.append("blur")
+    names = known_names(source)
     unknown = [name for name in (*start, *free, *priors) if name not in names]
     missing = [name for name in own if name not in start]
     missing += ["blur"] if "blur" in free and "blur" not in start else []

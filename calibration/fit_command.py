@@ -16,10 +16,12 @@ from rich.table import Table
 
 import optics
 from calibration import fit_report
-from calibration._cone_fit import PARAMETERS, Prior
-from calibration._fit_models import MODELS, Choices, Fitted
+from calibration._cone_fit import Prior
+from calibration._fit_models import MODELS, Model
+from calibration._fitted import Choices, Fitted
 from calibration._goodness import doubts
 from calibration._identifiability import correlations
+from calibration._image_parameters import NUISANCES
 from calibration.recordings import LogBook, Recording, read_recording
 from estimator.calibration_file import Calibration, write_calibration
 from estimator.files import written_whole
@@ -39,6 +41,7 @@ def run(
     free: Sequence[str] | None = None,
     priors: Sequence[str] = (),
     robust: bool = False,
+    lens: str | None = None,
     microscope: Path | None = None,
     poses: Sequence[Path] = (),
     phantoms: Sequence[str] = (),
@@ -51,12 +54,14 @@ def run(
     Args:
         sources: stacks, spots files, bags: of one microscope and one medium.
         model: of `MODELS`: "plane", delta k and b of the planes (Zhou et al. 2020, eq. 7);
-            "sphere", c of an eyeball beside them; "cone", the exact geometry on both together.
+            "sphere", c of an eyeball beside them; "cone", the exact geometry on both together;
+            "image" and "lens", a cone or a glue lens behind all pixels of one stack.
         out: the calibration file; must not exist. The report stands beside it, as .html.
         exposure: of stacks with several.
-        free: what the cone's fit finds, of `PARAMETERS`.
+        free: what the fit finds, of the model's parameters.
         priors: "name=mean,sigma" of free parameters, or of `touch`, each trial's first distance.
         robust: Huber's loss for each trial of the paper's fits; outliers are named and left out.
+        lens: that the model lens starts from, see `optics.load_lens`.
         microscope: of what is no stack, see `read_microscope`.
         poses: of each source that is no stack, in order; a bag may hold its own.
         phantoms: "plane" or "eyeball", one for each source that is no stack or one for all.
@@ -80,9 +85,24 @@ def run(
         free=None if free is None else tuple(free),
         priors=given,
         loss="huber" if robust else "squares",
+        exposure=exposure,
+        lens=lens or "",
     )
-    _check_names(choices)
+    chosen = MODELS[model]
+    _check_names(chosen, choices)
+    if (lens is not None) != (model == "lens"):
+        raise ValueError(
+            "--lens and --model lens go together: the fit starts from a lens that is 30 % off or "
+            f"less. Give a preset ({', '.join(optics.lens_names())}) or a lens file; other models "
+            "know no lens."
+        )
     others = [Path(s) for s in sources if not (Path(s) / "stack.toml").is_file()]
+    if chosen.of_pixels and (others or len(sources) != 1):
+        raise ValueError(
+            f"--model {model} fits the pixels of one stack; got {len(sources)} sources, "
+            f"{len(others)} of them no stack. Fit each stack by itself; --model cone takes the "
+            "spots of all together."
+        )
     books = _log_books(
         others, microscope, poses, phantoms, medium, fibre_diameter_mm, _turn(eye_from_robot)
     )
@@ -100,7 +120,7 @@ def run(
     _check_alike(recordings)
     frames = sum(recording.frames for recording in recordings)
     with console.status("Fitting"):
-        fitted = MODELS[model](recordings, choices)
+        fitted = chosen.fit(recordings, choices)
     wrong = doubts(
         converged=fitted.converged,
         bounds=fitted.bounds,
@@ -123,7 +143,7 @@ def run(
             encoding="utf-8",
         )
     goodness = fitted.chi_squared_per_degree
-    title = f"{fitted.spots} of {frames} frames in {len(recordings)} recordings"
+    title = f"{fitted.used} of {frames} frames in {len(recordings)} recordings"
     title += "" if goodness is None else f"; χ²/n {goodness:.2f}"
     Console().print(_table(fitted, title=title))
     reasons = "; ".join(doubt.reason for doubt in wrong)
@@ -140,7 +160,7 @@ def run(
             covariance=fitted.covariance,
             medium=used,
             medium_index=optics.MEDIA[used],
-            fitted_on=f"{fitted.spots} spots of {', '.join(r.name for r in recordings)}",
+            fitted_on=f"{fitted.used} {fitted.unit} of {', '.join(r.name for r in recordings)}",
             data_sha256=fingerprint,
             software=software,
         ),
@@ -166,15 +186,16 @@ def _priors(given: Iterable[str]) -> dict[str, Prior]:
     return found
 
 
-def _check_names(choices: Choices) -> None:
+def _check_names(model: Model, choices: Choices) -> None:
     for name in choices.free or ():
-        if name not in PARAMETERS:
+        if name not in model.parameters:
             raise ValueError(
-                f"--free knows {', '.join(PARAMETERS)}; got {name!r}. Touches, places and leans of "
-                "the axis are always free."
+                f"--free knows {', '.join(model.parameters)}; got {name!r}. Touches, places and "
+                "leans of the axis are always free."
             )
+    always = NUISANCES if model.of_pixels else ("touch",)
     for name in choices.priors:
-        if name != "touch" and name not in (choices.free or ("half_angle", "b")):
+        if name not in always and name not in (choices.free or model.free):
             raise ValueError(f"--prior {name} does nothing while {name} is not in --free. Add it.")
 
 
@@ -274,11 +295,14 @@ def _check_alike(recordings: Sequence[Recording]) -> None:
 
 def _table(fitted: Fitted, *, title: str) -> Table:
     table = Table(title=title)
-    for heading in ("parameter", "value", "± σ", "unit", *(f"ρ {name}" for name in fitted.values)):
-        table.add_column(heading, justify="left" if heading == "parameter" else "right")
     sigma, together = np.sqrt(np.diag(fitted.covariance)), correlations(fitted.covariance)
+    # What was given, and not fitted, is correlated with nothing.
+    found = np.flatnonzero(sigma > 0)
+    names = list(fitted.values)
+    for heading in ("parameter", "value", "± σ", "unit", *(f"ρ {names[i]}" for i in found)):
+        table.add_column(heading, justify="left" if heading == "parameter" else "right")
     for i, (name, value) in enumerate(fitted.values.items()):
-        cells = ["" if math.isnan(rho) else f"{rho:+.2f}" for rho in together[i]]
+        cells = ["" if math.isnan(rho) else f"{rho:+.2f}" for rho in together[i, found]]
         table.add_row(name, f"{value:.6g}", _error(sigma[i]), QUANTITIES[name].unit, *cells)
     for name, value, error, unit in fitted.others:
         table.add_row(name, f"{value:.4g}", _error(error), unit)
@@ -288,4 +312,6 @@ def _table(fitted: Fitted, *, title: str) -> Table:
 def _error(sigma: float) -> str:
     if math.isinf(sigma):
         return "not determined"
+    if sigma == 0:
+        return "given"
     return "" if math.isnan(sigma) else f"{sigma:.2g}"

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calibration._fit_models import Fitted
+from calibration._fitted import Fitted, PixelResiduals
 from calibration._goodness import CHI_SQUARED, SIGNIFICANCE, Doubt, runs_probability
 from calibration._identifiability import correlations
 from calibration.recordings import Recording
@@ -24,6 +24,7 @@ from estimator.model_parameters import QUANTITIES
 # Okabe and Ito's palette, which colour-blind readers can tell apart.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+_STRONG = 4.0  # standard deviations that end the colours of residuals
 _STYLE: dict[Any, Any] = {
     "font.size": 8,
     "axes.titlesize": 8,
@@ -67,7 +68,12 @@ def render(
     )
     sigma = np.sqrt(np.diag(fitted.covariance))
     with matplotlib.rc_context(_STYLE):
-        figures = {"residuals": _svg(_residuals(fitted))}
+        residuals = (
+            _residuals(fitted)
+            if fitted.pixels is None
+            else _pixels(fitted.pixels, *fitted.residuals.values())
+        )
+        figures = {"residuals": _svg(residuals)}
         if fitted.lines:
             figures["lines"] = _svg(_lines(fitted))
     return environment.get_template("fit.html.j2").render(
@@ -136,6 +142,25 @@ def _residuals(fitted: Fitted) -> Figure:
         axes.set_xlabel(label)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    return figure
+
+
+def _pixels(pixels: PixelResiduals, of_frames: np.ndarray) -> Figure:
+    """The mean residual of each pixel over the frames, and of each frame over its pixels."""
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    shown = left.imshow(
+        pixels.image, cmap="RdBu_r", vmin=-_STRONG, vmax=_STRONG, interpolation="nearest"
+    )
+    figure.colorbar(shown, ax=left, extend="both", label="mean over frames / its σ")
+    lit = np.argwhere(np.isfinite(pixels.image))
+    (top, first), (bottom, last) = lit.min(axis=0), lit.max(axis=0)
+    left.set(xlim=(first - 1, last + 1), ylim=(bottom + 1, top - 1), facecolor="#E4E4E4")
+    left.set(xlabel="$u$ (px)", ylabel="$v$ (px)")
+    left.grid(visible=False)
+    _marks(right, pixels.frames, of_frames, 0, "")
+    right.axhline(0.0, color="#999999", lw=0.8)
+    right.set(xlabel="frame", ylabel="mean over pixels / its σ")
     return figure
 
 

@@ -19,10 +19,11 @@ import numpy as np
 
 import optics
 from calibration._cone_fit import Prior, Trial, phantom_wall
-from estimator import Spot, read_poses, read_spots, read_stack, track_source
+from calibration._withdrawal import withdrawal
+from estimator import Spot, read_spots, read_stack, track_source
 from estimator.microscope_file import MicroscopeFile, read_microscope
 from estimator.options import Options
-from estimator.poses import PoseTrack, Quaternion, turned
+from estimator.poses import Quaternion, turned
 from estimator.sources import open_source
 from estimator.spots import SpotRecord
 
@@ -31,8 +32,6 @@ _TOUCH_SIGMA_MM = 0.02
 """How well a hand finds the moment of contact; the paper's own trials scatter by more."""
 _LEAST_COVERAGE = 0.5
 """Of the contour: with less, the ellipse rests on its model (as in the paper's trials here)."""
-_MOST_ASIDE_MM = 0.05
-"""That a withdrawal may leave its line: then the spot has moved by as much, some 7 px."""
 _SPOTS_FILES = (".csv", ".parquet")
 
 
@@ -66,6 +65,7 @@ class Recording(NamedTuple):
 
     Attributes:
         name: of its file or folder.
+        source: the file or folder.
         trial: spots, readings and axis.
         tilt: of the plane, as the log book has it.
         frames: number of frames, with a usable spot or without.
@@ -76,6 +76,7 @@ class Recording(NamedTuple):
     """
 
     name: str
+    source: Path
     trial: Trial
     tilt: tuple[float, float]
     frames: int
@@ -154,7 +155,8 @@ def _joined(
     touch: Prior | None,
     sha256: str,
 ) -> Recording:
-    readings, axis = _withdrawal(source, records, read_poses(log_book.poses), log_book.poses)
+    times = np.array([record.time_s for record in records])
+    readings, axis = withdrawal(times, log_book.poses, source=source)
     axis = np.array(turned(tuple(axis), log_book.eye_from_robot))
     usable = [
         (record.result, reading)
@@ -182,6 +184,7 @@ def _joined(
         touch = Prior(float(contact), _TOUCH_SIGMA_MM)
     return Recording(
         name=source.name,
+        source=source,
         trial=Trial(
             ellipses=ellipses,
             covariances=np.stack([spot.covariance for spot in spots]),
@@ -197,32 +200,6 @@ def _joined(
         medium=log_book.medium,
         sha256=sha256,
     )
-
-
-def _withdrawal(
-    source: Path, records: Sequence[SpotRecord], poses: PoseTrack, poses_file: Path
-) -> tuple[np.ndarray, np.ndarray]:
-    """How far the tip has gone since the first frame, mm, by frame; and the mean axis."""
-    known = [poses.at(record.time_s) for record in records]
-    if None in known:
-        raise ValueError(
-            f"{poses_file} holds no pose for {known.count(None)} of {len(known)} frames of "
-            f"{source}. Record the robot's poses on the frames' clock from before the camera "
-            "starts."
-        )
-    seen = [pose for pose, _ in filter(None, known)]
-    axis = np.mean([pose.axis for pose in seen], axis=0)
-    axis /= np.linalg.norm(axis)
-    gone = np.array([pose.position_mm for pose in seen])
-    gone = gone[0] - gone
-    readings = gone @ axis
-    aside = np.linalg.norm(gone - readings[:, None] * axis, axis=1).max()
-    if aside > _MOST_ASIDE_MM:
-        raise ValueError(
-            f"{source} is no withdrawal: the tip leaves the line of its axis by {aside:.2f} mm; "
-            f"{_MOST_ASIDE_MM} mm are allowed. Withdraw the tip along its axis, one spot a trial."
-        )
-    return readings, axis
 
 
 def _files(path: Path) -> list[Path]:

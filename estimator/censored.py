@@ -47,7 +47,29 @@ def hidden_edge(
     root = np.sqrt(number[first:])
     if x.size < 8:
         return None
-    fitted = np.array([math.log(1.4), float(x[0]), math.log(levels.width)])
+    start = np.array([math.log(1.4), float(x[0]), math.log(levels.width)])
+    try:
+        fitted, covariance = _flank(start, x, y, root)
+    except np.linalg.LinAlgError:  # too little of the flank to tell height, place and width apart
+        return None
+    peak, variance = (
+        levels.background + patch.ceiling * math.exp(fitted[0]),
+        float(covariance[1, 1]),
+    )
+    if not (peak < _BRIGHTEST * patch.ceiling and variance >= 0):
+        return None
+    return replace(levels, peak=peak, width=math.exp(fitted[2])), float(fitted[1]), variance
+
+
+def _flank(
+    start: np.ndarray, x: np.ndarray, y: np.ndarray, root: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fitted (log amplitude, offset, log width) and their covariance.
+
+    Raises:
+        LinAlgError: the flank does not determine them.
+    """
+    fitted = start
     residual, jacobian = _linearised(fitted, x, y, root)
     damping = 1e-3
     for _ in range(_STEPS):
@@ -62,12 +84,8 @@ def hidden_edge(
             damping *= 8
         if np.abs(step).max() < _SMALLEST_STEP:
             break
-    peak = levels.background + patch.ceiling * math.exp(fitted[0])
-    if not peak < _BRIGHTEST * patch.ceiling:
-        return None
     noise = float(residual @ residual) / (x.size - 3)
-    variance = noise * float(np.linalg.inv(jacobian.T @ jacobian)[1, 1])
-    return replace(levels, peak=peak, width=math.exp(fitted[2])), float(fitted[1]), variance
+    return fitted, noise * np.linalg.inv(jacobian.T @ jacobian)
 
 
 def _pixel_profile(

@@ -26,7 +26,7 @@ class View(NamedTuple):
 
     scale: Numbers
     eye_radius: Numbers
-    pinhole_height: float
+    pinhole_height: Numbers
 
 
 def wall_point(view: View, *, right_px: Numbers, down_px: Numbers) -> np.ndarray:

@@ -49,7 +49,8 @@ class Ranger:
         `exact` is compiled once a process, for some 10 s; `lens` traces its lens, for some 20 s.
 
         Args:
-            calibration: its `scale` and `eye_radius`, if it has them, go before the microscope's.
+            calibration: its `scale`, `eye_radius` and `inverse_working_distance`, if it has them,
+                go before the microscope's.
             microscope: in whose undistorted image the spots lie.
             model: one of `MODELS`; by default the calibration's. All models of a cone share k
                 (or half_angle) and b.
@@ -62,10 +63,13 @@ class Ranger:
         """
         own = calibration.values
         self.calibration = calibration
+        self.microscope = microscope
+        view = self._view(own)
         self.microscope = replace(
             microscope,
-            scale_mm_px=own.get("scale", microscope.scale_mm_px),
-            eye_radius_mm=own.get("eye_radius", microscope.eye_radius_mm),
+            scale_mm_px=float(view.scale),
+            eye_radius_mm=float(view.eye_radius),
+            pinhole_height_mm=float(view.pinhole_height),
         )
         self.model = calibration.model if model is None else model
         self.eccentricity_mm = eccentricity_mm
@@ -161,10 +165,16 @@ class Ranger:
         return Range(distance_mm=float(distances[0]), sigma_mm=float(np.sqrt(variance)))
 
     def _view(self, calibrated: Mapping[str, models.Numbers]) -> models.View:
+        microscope = self.microscope
+        eye_radius = calibrated.get("eye_radius", microscope.eye_radius_mm)
+        height: models.Numbers = microscope.pinhole_height_mm
+        if "inverse_working_distance" in calibrated:
+            with np.errstate(divide="ignore"):  # 0 of a telecentric one: infinitely high
+                height = 1.0 / np.asarray(calibrated["inverse_working_distance"]) - eye_radius
         return models.View(
-            scale=calibrated.get("scale", self.microscope.scale_mm_px),
-            eye_radius=calibrated.get("eye_radius", self.microscope.eye_radius_mm),
-            pinhole_height=self.microscope.pinhole_height_mm,
+            scale=calibrated.get("scale", microscope.scale_mm_px),
+            eye_radius=eye_radius,
+            pinhole_height=height,
         )
 
     def _wall_point(self, view: models.View, x: models.Numbers, y: models.Numbers) -> np.ndarray:

@@ -64,9 +64,10 @@ def rig(tmp_path):
         with (tmp_path / f"{name}-poses.csv").open("w", newline="") as file:
             rows = csv.writer(file)
             rows.writerow(["time_s", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z"])
-            for n, reading in enumerate(gone):
-                tip = -axis * reading + (0.0, aside * n / 30, 0.0)
-                rows.writerow([n / 10 - 0.01, *tip, *axis])
+            # The robot's clock is not the camera's: its reports fall between the frames.
+            for n in np.arange(-0.3, 30.7, 0.4):
+                tip = -axis * 0.2 * n + (0.0, aside * n / 30, 0.0)
+                rows.writerow([n / 10, *tip, *axis])
         d = gone + RIM + bend * (gone - 3.0) ** 2
         sizes = (d - B) / (K * SCALE) + rng.normal(0, 0.05, gone.size)
         sizes[list(outliers)] += 3.0
@@ -145,6 +146,10 @@ def test_the_fingerprint_is_that_of_the_data(rig, tmp_path):
         (["--free", "half_angle,b,sag"], "--free knows half_angle, .*got 'sag'"),
         (["--prior", "touch=0.1"], "NAME=MEAN,SIGMA.*got 'touch=0.1'"),
         (["--prior", "touch=0.1,-0.2"], "positive sigma"),
+        (["--model", "image"], "pixels of one stack; got 1 sources, 1 of them no stack"),
+        (["--lens", "dome"], "--lens and --model lens go together"),
+        (["--model", "lens"], "Give a preset .*dome"),
+        (["--model", "image", "--free", "half_angle,b,sag"], "--free knows .*blur.*got 'sag'"),
         (["--robust"], "goes with the models plane and sphere"),
         (["--phantom", "plane", "--phantom", "plane"], "--phantom must be given once, or once for"),
         (["--medium", "honey"], "--medium must be one of air.*'honey'"),
@@ -178,6 +183,21 @@ def log_book(tmp_path, poses):
 def test_a_tip_that_leaves_its_line_is_no_withdrawal(rig, tmp_path):
     spots, poses = rig(aside=0.2)
     with pytest.raises(ValueError, match=r"leaves the line of its axis by 0\.20 mm"):
+        read_recording(spots, log_book=log_book(tmp_path, poses))
+
+
+def test_readings_are_those_of_the_moment_between_two_reports(rig, tmp_path):
+    spots, poses = rig()
+    readings = read_recording(spots, log_book=log_book(tmp_path, poses)).trial.readings
+    # The latest report lags by up to 0.4 of a frame, 0.08 mm.
+    np.testing.assert_allclose(readings, np.linspace(0.0, 6.0, 31), atol=1e-9)
+
+
+def test_frames_beyond_the_robots_reports_are_refused(rig, tmp_path):
+    spots, poses = rig()
+    lines = Path(poses).read_text().splitlines()
+    Path(poses).write_text("\n".join(lines[:40]) + "\n")
+    with pytest.raises(ValueError, match="until after the last"):
         read_recording(spots, log_book=log_book(tmp_path, poses))
 
 

@@ -50,7 +50,7 @@ def good(**changes):
         ({"converged": False}, "did not converge"),
         ({"bounds": ("k = 0",)}, "hit a bound: k = 0"),
         ({"undetermined": ("scale is not seen",)}, "do not determine scale is not seen"),
-        ({"chi_squared_per_degree": 0.79}, "0.79.*reports more noise than there is"),
+        ({"chi_squared_per_degree": 0.79}, "0.79.*more noise was reckoned with"),
         ({"chi_squared_per_degree": 1.26}, "1.26.*leaves more than the noise"),
         ({"residuals": {"size": np.linspace(-1, 1, 40)}}, "residuals of size have structure"),
     ],
@@ -58,7 +58,7 @@ def good(**changes):
 def test_each_reason_against_a_fit_is_named(change, told):
     (doubt,) = good(**change)
     assert re.search(told, doubt.reason)
-    assert doubt.harmless == ("more noise than there is" in told)
+    assert doubt.harmless == ("more noise was reckoned with" in told)
 
 
 def test_nothing_speaks_against_a_good_fit():

@@ -177,6 +177,47 @@ def test_a_fitted_scale_and_radius_go_before_the_microscopes():
 
 
 @pytest.mark.parametrize("height", HEIGHTS)
+@pytest.mark.parametrize("model", ["small_plane", "corrected"])
+def test_a_fitted_working_distance_goes_before_the_microscopes(model, height):
+    kappa = 1 / (height + R_EYE)
+    own = calibration(k=K, b=B, inverse_working_distance=kappa)
+    # The spot's place, whose c is read through the pinhole, tells one from another.
+    seen = spot(*image_of(wall_point(4.0, 0.7), height), 60, 55)
+    fitted, there = (
+        Ranger(values, microscope(at), model=model).distance(seen)
+        for values, at in ((own, 50.0), (calibration(), height))
+    )
+    # z_F = 1/kappa - r, rounded.
+    assert fitted.distance_mm == pytest.approx(there.distance_mm, abs=1e-10)
+    assert fitted.sigma_mm == pytest.approx(there.sigma_mm, rel=1e-6)
+
+
+@pytest.mark.parametrize("height", [50.0, math.inf])
+def test_sigma_of_a_working_distance_shows_in_the_distance(height):
+    kappa, sigma = 1 / (height + R_EYE), 1e-4
+    covariance = np.zeros((3, 3))
+    covariance[2, 2] = sigma**2
+    own = calibration(k=K, b=B, inverse_working_distance=kappa, covariance=covariance)
+    seen = spot(*image_of(wall_point(4.0, 0.7), height), 60, 55, covariance=np.zeros((5, 5)))
+    result = Ranger(own, microscope()).distance(seen)
+    # As far as the distance moves under another microscope, whose kappa is one sigma more: the
+    # curvature over a sigma of 0.2 to 1 % of kappa is left.
+    other = Ranger(calibration(), microscope(1 / (kappa + sigma) - R_EYE)).distance(seen)
+    assert result.sigma_mm == pytest.approx(abs(other.distance_mm - result.distance_mm), rel=0.01)
+    assert result.sigma_mm > 1e-3
+
+
+def test_exact_sees_through_the_fitted_working_distance():
+    seen, _, axis, _ = exact_spot(200.0, d=3.0, c=4.0, incidence=0.5)
+    own = calibration(model="exact", k=K, b=B, inverse_working_distance=1 / 211.5)
+    result = Ranger(own, microscope()).distance(seen, axis=axis)
+    # As of a microscope's file that says the same.
+    there = Ranger(calibration(model="exact"), microscope(200.0)).distance(seen, axis=axis)
+    assert result.distance_mm == pytest.approx(there.distance_mm, abs=1e-9)
+    assert result.distance_mm == pytest.approx(3.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("height", HEIGHTS)
 @pytest.mark.parametrize("c", [0.0, 1.0, 5.0])
 def test_eccentricity_is_read_off_the_image(height, c):
     seen = spot(*image_of(wall_point(c, 2.0), height), 60, 60)

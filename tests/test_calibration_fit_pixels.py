@@ -1,0 +1,148 @@
+"""`eyespot fit --model image` and `--model lens`: one stack in, a calibration out."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import eyespot
+import optics
+import scenes
+from calibration._fit_pixels import _means, _propagated
+from estimator import Spot
+from estimator.calibration_file import read_calibration
+from estimator.microscope_file import read_microscope
+from estimator.ranger import Ranger
+
+ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
+HALF_ANGLE, B = math.atan(1 / 20), -5.117
+
+
+def run(*arguments):
+    return CliRunner().invoke(eyespot.app, list(map(str, arguments)))
+
+
+def test_two_stacks_are_not_fitted_as_one(tmp_path):
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "stack.toml").touch()
+    out = tmp_path / "c.json"
+    result = run("fit", tmp_path / "first", tmp_path / "second", "--model", "image", "--out", out)
+    assert re.search("pixels of one stack; got 2 sources", str(result.exception))
+    assert not list(tmp_path.glob("c.*"))
+
+
+def test_mean_residuals_of_noise_alone_have_variance_one():
+    rng = np.random.default_rng(5)
+    residuals = rng.normal(size=(60, 40, 50))
+    residuals[:, :, :20] = np.nan
+    residuals[30:, :10] = np.nan
+    residuals[7] = np.nan
+    frames, of_frames, image = _means(residuals)
+    assert frames.tolist() == [n for n in range(60) if n != 7]
+    assert np.isnan(image[:, :20]).all()
+    # Variances of 59 and of 1200 normal numbers, to four of their standard errors.
+    assert np.mean(of_frames**2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / 59))
+    assert np.mean(image[:, 20:] ** 2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / 1200))
+
+
+def test_what_follows_an_undetermined_parameter_is_undetermined():
+    follows = np.array([[1.0, 0.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    covariance = np.diag([0.04, 0.01, np.inf])
+    covariance[2, :] = covariance[:, 2] = np.inf
+    found = _propagated(follows, covariance)
+    # var(x + 2y) = 0.04 + 4 * 0.01, cov(x, x + 2y) = 0.04
+    np.testing.assert_allclose(found[:2, :2], [[0.04, 0.04], [0.04, 0.08]], rtol=1e-12)
+    assert np.isinf(found[2]).all()
+    assert np.isinf(found[:, 2]).all()
+
+
+def render(folder, *, source, scale, samples):
+    scene = scenes.Scene.model_validate(
+        {
+            "schema": 1,
+            "seed": 3,
+            "phantom": {"wall": "uniform"},
+            "source": source,
+            "spot": {"eccentricity_mm": 2.0},
+            "motion": {"travel_mm": 5.0, "frames": 10},
+            "microscope": {
+                "width_px": 128,
+                "height_px": 128,
+                "scale_mm_px": scale,
+                "samples": samples,
+            },
+            "exposures": {"kinds": ["metered"]},
+        }
+    )
+    return scenes.render_stack(scene, folder)
+
+
+@pytest.fixture(scope="module")
+def cone(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pixels") / "cone"
+    return render(folder, source={"kind": "cone"}, scale=0.02, samples=64)
+
+
+@pytest.mark.slow
+def test_the_cone_is_found_in_pixels(cone, tmp_path):
+    out = tmp_path / "cone.json"
+    result = run("fit", cone.folder, "--model", "image", "--out", out)
+    assert result.exit_code == 0, result.output
+    found = read_calibration(out)
+    assert found.model == "exact"
+    assert found.fitted_on == "10 frames of cone"
+    for name, true in (("half_angle", HALF_ANGLE), ("b", B)):
+        assert abs(found.values[name] - true) < 3 * found.sigma(name)
+    # Asked of rendered frames with camera noise.
+    assert found.values["half_angle"] == pytest.approx(HALF_ANGLE, rel=0.003)
+    page = out.with_suffix(".html").read_text()
+    assert "<b>A good fit.</b>" in page
+    assert "Mean residual of each pixel and of each frame" in page
+
+
+@pytest.mark.slow
+def test_what_pixels_show_in_products_alone_is_not_a_good_fit(cone, tmp_path):
+    out = tmp_path / "cone.json"
+    free = "half_angle,b,power"
+    result = run("fit", cone.folder, "--model", "image", "--free", free, "--out", out)
+    told = str(result.exception)
+    assert re.search("not a good fit: the data do not determine .*power", told), result.output
+    assert not out.exists()
+    assert "Not a good fit" in out.with_suffix(".html").read_text()
+
+
+@pytest.mark.slow  # most of it for the lens's light, to render, to fit and to range with
+def test_a_lens_found_in_pixels_ranges_the_spots_that_it_makes(tmp_path):
+    dome = optics.load_lens("dome")
+    source = {"kind": "lens", "lens": "dome", "medium": "air"}
+    stack = render(tmp_path / "lens", source=source, scale=0.03, samples=16)
+    start = tmp_path / "start.toml"
+    start.write_text(
+        "schema = 1\n[lens]\ncore_radius = 0.25\naperture_radius = 0.25\nglue_index = 1.49\n"
+        "sag = 0.10\nglue_length = 0.10\nnumerical_aperture = 0.23\n"
+    )
+    out = tmp_path / "lens.json"
+    result = run("fit", stack.folder, "--model", "lens", "--lens", start, "--out", out)
+    assert result.exit_code == 0, result.output
+    found = read_calibration(out)
+    for name in ("sag", "glue_length", "numerical_aperture"):
+        assert 0 < abs(found.values[name] - float(getattr(dome, name))) < 3 * found.sigma(name)
+    assert found.sigma("core_radius") == 0
+    ranger = Ranger(found, read_microscope(stack.folder / "microscope.json"))
+    for label in stack.labels[2:]:
+        # The label's contour: small frames hold no dark wall round the bell's tails to measure by.
+        result = ranger.distance(
+            Spot(
+                **{name: getattr(label, f"half_max_{name}") for name in ELLIPSE},
+                covariance=np.diag([0.01, 0.01, 0.01, 0.01, 0.001]) ** 2,
+                edge_width_px=1.0,
+                coverage=1.0,
+                inlier_fraction=1.0,
+                saturated=0.0,
+            )
+        )
+        assert abs(result.distance_mm - label.d_mm) < 4 * result.sigma_mm
+        assert result.sigma_mm < 0.05

@@ -1,0 +1,29 @@
+"""A saturated spot's edge, where what is left of its flank tells too little."""
+
+import numpy as np
+import pytest
+
+from estimator.censored import hidden_edge
+from estimator.ellipse import Ellipse
+from estimator.levels import Levels
+from estimator.unwrap import RAYS, Patch
+
+
+@pytest.mark.parametrize(("radius", "grey"), [(9.5, 0.3), (11.75, 0.85), (13.5, 0.85)])
+def test_a_flank_of_a_single_grey_pixel_hides_its_edge(radius, grey):
+    v, u = np.mgrid[:41, :41]
+    off = np.hypot(u - 20.0, v - 20.0) - radius
+    part = np.select([off < -0.25, off < 0.25], [1.0, grey])
+    levels = Levels(
+        peak=255.0,
+        dome=(1.0, 0.0, 0.0),
+        variance=0.0,
+        background=0.0,
+        background_radius=1.5,
+        width=0.011,
+        half_radius=1.0,
+    )
+    patch = Patch((255.0 * part).astype(np.float32), 0.0, 0.0, ceiling=255.0)
+    ellipse = Ellipse.from_axes(20.0, 20.0, radius, radius, 0.0)
+    # One number cannot tell height, place and width apart.
+    assert hidden_edge(patch, ellipse, np.ones(RAYS, bool), levels, 0.2) is None
