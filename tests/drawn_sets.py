@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.estimator_frames import Scene, Truth, frame_of
 from estimator import FrameLabels, StackWriter
+from scenes import load_scene
 
 SHAPE = (120, 160)
 STACKS = {"train": ("a", "b"), "adverse": ("shadow-0000",)}
@@ -74,7 +75,9 @@ def write_stack(folder: Path, labels: Sequence[FrameLabels], *, seed: int = 0) -
     with StackWriter(folder) as writer:
         kinematics = np.array([[n / 20 - 0.1, 1, 2, n / 20, 0, 0, -1] for n in range(20)])
         writer.describe(
-            stack={"scene": {"seed": seed}}, microscope=MICROSCOPE, kinematics=kinematics
+            stack={"scene": load_scene(None, [f"seed={seed}"]).model_dump(mode="json")},
+            microscope=MICROSCOPE,
+            kinematics=kinematics,
         )
         for row in labels:
             truth = Truth(

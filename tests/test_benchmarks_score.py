@@ -40,7 +40,13 @@ def in_memory(count: int, stacks: int = 1, **known: Any) -> dict[str, Circumstan
     """Images of a set that lies on no disk."""
     return {
         f"test/{n % stacks:04d}/frames/{n:06d}.png": Circumstances(
-            replace(labels_of(0), frame=n, **known), f"test/{n % stacks:04d}", "test", "", 0.01
+            labels=replace(labels_of(0), frame=n, **known),
+            stack=f"test/{n % stacks:04d}",
+            split="test",
+            adverse="",
+            scale_mm_px=0.01,
+            source="cone",
+            wall="uniform",
         )
         for n in range(count)
     }
@@ -318,5 +324,6 @@ def test_a_file_of_no_stack_is_named(drawn: Path, images: Images, tmp_path: Path
 def test_blur_is_counted_at_the_pole() -> None:
     scale = MICROSCOPE["scale_mm_px"]
     assert isinstance(scale, float)
-    about = Circumstances(labels_of(0, speed_mm_s=2.0, exposure_s=0.05), "s", "", "", scale)
+    (image,) = in_memory(1, speed_mm_s=2.0, exposure_s=0.05).values()
+    about = image._replace(scale_mm_px=scale)
     assert about.blur_px == pytest.approx(0.1 * 858.2 / 23.0)

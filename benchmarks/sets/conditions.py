@@ -24,6 +24,8 @@ class Circumstances(NamedTuple):
         split: of the set; empty for a stack by itself.
         adverse: condition of the split of that name; empty elsewhere.
         scale_mm_px: delta of its microscope.
+        source: of the light: cone, lens or photons.
+        wall: the picture on it.
     """
 
     labels: FrameLabels
@@ -31,6 +33,8 @@ class Circumstances(NamedTuple):
     split: str
     adverse: str
     scale_mm_px: float
+    source: str
+    wall: str
 
     @property
     def blur_px(self) -> float:
@@ -43,9 +47,17 @@ def circumstances_of(stacks: Iterable[SetStack]) -> dict[str, Circumstances]:
     images = {}
     for entry in stacks:
         scale = read_microscope(entry.folder / "microscope.json").scale_mm_px
-        for labels in entry.open().labels:
+        stack = entry.open()
+        scene = stack.description["scene"]
+        for labels in stack.labels:
             images[image_name(entry, labels.file_name)] = Circumstances(
-                labels, qualified_name(entry), entry.split, entry.condition or "", scale
+                labels=labels,
+                stack=qualified_name(entry),
+                split=entry.split,
+                adverse=entry.condition or "",
+                scale_mm_px=scale,
+                source=scene["source"]["kind"],
+                wall=scene["phantom"]["wall"],
             )
     return images
 
@@ -95,6 +107,8 @@ def _binned(
 CONDITIONS = (
     Condition("split", "split", lambda image: image.split, _SPLITS),
     Condition("adverse", "adverse condition", lambda image: image.adverse),
+    Condition("source", "light source", lambda image: image.source),
+    Condition("wall", "wall", lambda image: image.wall),
     Condition("exposure", "exposure", lambda image: image.labels.exposure),
     Condition("medium", "medium", lambda image: image.labels.medium),
     _binned("c_mm", "eccentricity $c$ (mm)", lambda image: image.labels.c_mm, (0, 2, 4, 6)),
