@@ -23,7 +23,9 @@ SMEARED = 0.08
 """Edge width, radii, from which a smear may bend the contour; less is symmetric."""
 
 _UNEVEN = 0.2  # amplitude of the width's logarithm over the direction, beyond a wall's texture
+_SHARP = 0.3  # radii that an edge takes at most beside the path; a bell's takes 0.6 and more
 _ALONG = 0.85  # cosine to the path of normals whose edges are smeared by nearly all of it
+_BESIDE = 0.25  # cosine to the path of normals whose edges it hardly smears
 _SIDE = 100  # pixels along a side that are fitted: larger patches are averaged down
 _WALL = 2.0  # pixels of that size: the wall's texture is taken to be longer than what this passes
 _SURE = 3.0  # standard deviations by which a path must differ from none
@@ -173,7 +175,13 @@ def _path(patch: Patch, fit: EdgeFit) -> np.ndarray | None:
         return None
     heading = math.atan2(across, along) / 2
     towards = np.array([math.cos(heading), math.sin(heading)])
-    longest = float(np.median(lengths[np.abs(towards @ normals[:, seen]) > _ALONG]))
+    along_path = np.abs(towards @ normals[:, seen])
+    beside = lengths[along_path < _BESIDE]
+    # Beside its path the edge of a sharp spot stays sharp; a bell, which texture or a slanted beam
+    # makes uneven too, is broad all round.
+    if not beside.size or np.median(beside) > _SHARP * fit.ellipse.axes()[1]:
+        return None
+    longest = float(np.median(lengths[along_path > _ALONG]))
     return min(longest, fit.ellipse.axes()[1]) * towards
 
 
