@@ -176,13 +176,12 @@ def _path(patch: Patch, fit: EdgeFit) -> np.ndarray | None:
     heading = math.atan2(across, along) / 2
     towards = np.array([math.cos(heading), math.sin(heading)])
     along_path = np.abs(towards @ normals[:, seen])
-    beside = lengths[along_path < _BESIDE]
+    beside, ahead = lengths[along_path < _BESIDE], lengths[along_path > _ALONG]
     # Beside its path the edge of a sharp spot stays sharp; a bell, which texture or a slanted beam
     # makes uneven too, is broad all round.
-    if not beside.size or np.median(beside) > _SHARP * fit.ellipse.axes()[1]:
+    if not (beside.size and ahead.size) or np.median(beside) > _SHARP * fit.ellipse.axes()[1]:
         return None
-    longest = float(np.median(lengths[along_path > _ALONG]))
-    return min(longest, fit.ellipse.axes()[1]) * towards
+    return min(float(np.median(ahead)), fit.ellipse.axes()[1]) * towards
 
 
 def _passed(values: np.ndarray) -> np.ndarray:

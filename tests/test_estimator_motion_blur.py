@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.estimator_frames import SHAPE, Scene, Truth, bell, frame_of
-from estimator import Spot, SubpixelSettings, TrackState, measure
+from estimator import NoSpot, Spot, SubpixelSettings, TrackState, measure
 
 _TRUTH = Truth(x=321.3, y=238.8, semi_major=66, semi_minor=60, angle=0.7)
 _MIDDLE = TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2))
@@ -47,3 +47,13 @@ def test_a_still_bell_is_not_taken_for_a_moving_disc() -> None:
     assert still.edge_width_px > 0.4 * _TRUTH.semi_minor
     longer = _measured(replace(scene, truth=elongated), seed=3)
     assert np.abs(elongated.errors(longer)).max() < 0.01 * elongated.semi_major
+
+
+@pytest.mark.parametrize("reach", [20, 35, 50])
+def test_a_moving_spot_whose_ends_are_hidden_is_a_spot_or_a_failure(reach: int) -> None:
+    # Two tools leave no ray along the path to tell its length by.
+    u = np.arange(SHAPE[1])[None, :] * np.ones((SHAPE[0], 1))
+    seen = (np.abs(u - _TRUTH.x) < reach).astype(float)
+    frame = frame_of(Scene(truth=_TRUTH, path_px=(60.0, 0.0), seen=seen), np.random.default_rng(4))
+    result, _ = measure(frame, _MIDDLE, SubpixelSettings())
+    assert isinstance(result, Spot | NoSpot)
