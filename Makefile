@@ -15,8 +15,9 @@ setup: $(LIBRARIES) ## set up .venv and the system libraries; nothing is done tw
 validate: $(LIBRARIES) ## the main job: render, track, fit, report, into out/validate
 	.venv/bin/eyespot validate --out out/validate
 
+# Two processes, a file's tests in one of them: they share what the file compiles.
 test: $(LIBRARIES) ## run the tests
-	.venv/bin/pytest
+	.venv/bin/pytest -n 2 --dist loadfile
 
 test-slow: $(LIBRARIES) ## run the tests that the default run leaves out
 	.venv/bin/pytest -m 'slow and not gpu'

@@ -10,7 +10,6 @@ BENCHES = (
     "estimator_accuracy",
     "fit_speed",
     "image_fit",
-    "photon_fit",
     "study_speed",
     "dataset_speed",
 )
