@@ -12,6 +12,7 @@ Exit codes:
 from __future__ import annotations
 
 import errno
+import importlib
 import importlib.metadata
 import importlib.util
 import os
@@ -400,6 +401,39 @@ def score(
     score_command.run(folder, spots or [], mode=mode, against=against, out=out)
 
 
+PLAIN_STUDIES = {
+    "static": "The paper's Tables I and II over many runs, and what adds to their error.",
+    "table-one": "Which lenses give the paper's Table I, and what sets its trials apart.",
+    "medium": "What a calibration in air is worth in vitreous, and what the lens model makes of "
+    "it.",
+    "pose": "Tip and axis from one spot and from three, beside their bounds and the mirror "
+    "solution.",
+}
+"""Studies without options of their own."""
+
+
+def add_study(name: str, question: str) -> None:
+    """Make `eyespot study NAME` of the module of that name."""
+    goes_on = "A run that was stopped goes on where it was when it is given the same folder."
+
+    @study_commands.command(name, help=f"{question}\n\n{goes_on}")
+    def study(
+        out: OutputFolder,
+        scene: StartingScene = None,
+        changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
+        quick: Quick = False,
+        seed: Seed = None,
+    ) -> None:
+        from benchmarks.studies import Request
+
+        module = importlib.import_module(f"benchmarks.studies.{name.replace('-', '_')}")
+        module.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
+
+
+for study_name, study_question in PLAIN_STUDIES.items():
+    add_study(study_name, study_question)
+
+
 @study_commands.command("eccentricity")
 def study_eccentricity(
     out: OutputFolder,
@@ -428,23 +462,6 @@ def study_eccentricity(
             options={"geometries": geometries or (1 << 14 if quick else 1 << 17)},
         )
     )
-
-
-@study_commands.command("static")
-def study_static(
-    out: OutputFolder,
-    scene: StartingScene = None,
-    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
-    quick: Quick = False,
-    seed: Seed = None,
-) -> None:
-    """The paper's Tables I and II over many runs, and what adds to their error.
-
-    A run that was stopped goes on where it was when it is given the same folder.
-    """
-    from benchmarks.studies import Request, static
-
-    static.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
 
 
 @study_commands.command("dynamic")
@@ -478,57 +495,6 @@ def study_dynamic(
             options={"source": source, "exposure-ms": exposure_ms},
         )
     )
-
-
-@study_commands.command("pose")
-def study_pose(
-    out: OutputFolder,
-    scene: StartingScene = None,
-    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
-    quick: Quick = False,
-    seed: Seed = None,
-) -> None:
-    """Tip and axis from one spot and from three, beside their bounds and the mirror solution.
-
-    A run that was stopped goes on where it was when it is given the same folder.
-    """
-    from benchmarks.studies import Request, pose
-
-    pose.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
-
-
-@study_commands.command("medium")
-def study_medium(
-    out: OutputFolder,
-    scene: StartingScene = None,
-    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
-    quick: Quick = False,
-    seed: Seed = None,
-) -> None:
-    """What a calibration in air is worth in vitreous, and what the lens model makes of it.
-
-    A run that was stopped goes on where it was when it is given the same folder.
-    """
-    from benchmarks.studies import Request, medium
-
-    medium.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
-
-
-@study_commands.command("table-one")
-def study_table_one(
-    out: OutputFolder,
-    scene: StartingScene = None,
-    changes: Changes = [],  # noqa: B006 - typer reads it, nobody writes
-    quick: Quick = False,
-    seed: Seed = None,
-) -> None:
-    """Which lenses give the paper's Table I, and what sets its trials apart.
-
-    A run that was stopped goes on where it was when it is given the same folder.
-    """
-    from benchmarks.studies import Request, table_one
-
-    table_one.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
 
 
 @dataset_commands.command("make")

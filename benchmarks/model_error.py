@@ -169,20 +169,27 @@ def _rows(
             source=source,
             refit=refit,
             medium=medium,
-            c_mm=float(c[i]),
-            d_mm=float(d[i]),
-            r_mm=geometry.eye_radius,
-            z_f_mm=geometry.pinhole_height,
-            incidence_deg=degrees(geometry.incidence),
-            azimuth_deg=degrees(geometry.incidence_azimuth),
-            half_angle_deg=degrees(geometry.half_angle),
-            apex_offset_mm=geometry.apex_offset,
+            **place(geometry, c=c[i], d=d[i]),
             estimate_mm=float(estimate),
             error_mm=float(estimate - d[i]),
         )
         for model, values in found.items()
         for i, estimate in enumerate(values)
     ]
+
+
+def place(geometry: Geometry, *, c: float, d: float) -> dict[str, Any]:
+    """The columns of a CSV file that say where a spot is and through what it is seen."""
+    return {
+        "c_mm": float(c),
+        "d_mm": float(d),
+        "r_mm": geometry.eye_radius,
+        "z_f_mm": geometry.pinhole_height,
+        "incidence_deg": degrees(geometry.incidence),
+        "azimuth_deg": degrees(geometry.incidence_azimuth),
+        "half_angle_deg": degrees(geometry.half_angle),
+        "apex_offset_mm": geometry.apex_offset,
+    }
 
 
 def degrees(radians: float) -> float:

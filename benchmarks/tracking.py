@@ -20,7 +20,8 @@ from estimator import (
     write_spots,
 )
 
-_VISIBLE_ENOUGH = 0.5
+VISIBLE_ENOUGH = 0.5
+"""Part of the half-maximum contour that must be seen for a spot to be asked for."""
 
 USED = "used"
 """Outcome of a frame that enters the fits."""
@@ -72,7 +73,7 @@ class Tracked:
         """Frames that enter the fits: a spot was found, and half of its contour can be seen."""
         return np.array(
             [
-                bool(result) and row.visible_fraction >= _VISIBLE_ENOUGH
+                bool(result) and row.visible_fraction >= VISIBLE_ENOUGH
                 for row, result in zip(self.labels, self.results, strict=True)
             ]
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -161,14 +161,28 @@ def _sentence(problem: Any) -> str:
     path = list(problem["loc"])
     if path[:1] == ["motion"] and path[1:2] and path[1] in MOTIONS:
         del path[1]  # pydantic names the kind of motion; a scene file does not
-    where = ".".join(str(part) for part in path)
-    if problem["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(str(path[-1]), _siblings(problem["loc"]), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        return f"unknown key {where!r}{hint}"
     if problem["type"] == "union_tag_invalid":
         kinds = ", ".join(repr(kind) for kind in MOTIONS)
+        where = ".".join(map(str, path))
         return f"{where}.kind: must be one of {kinds}; got {problem['ctx']['tag']!r}"
+    return problem_sentence(problem, path, siblings=lambda: _siblings(problem["loc"]))
+
+
+def problem_sentence(
+    problem: Any, path: Sequence[int | str], *, siblings: Callable[[], list[str]]
+) -> str:
+    """What pydantic found wrong with a file's key, for people.
+
+    Args:
+        problem: of `ValidationError.errors()`.
+        path: of the key, as the file has it.
+        siblings: names of the keys of its table, for one that is unknown.
+    """
+    where = ".".join(str(part) for part in path)
+    if problem["type"] == "extra_forbidden":
+        near = difflib.get_close_matches(str(path[-1]), siblings(), n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        return f"unknown key {where!r}{hint}"
     message = problem["msg"].removeprefix("Value error, ")
     return f"{where}: {message}; got {problem['input']!r}" if where else message
 

@@ -8,12 +8,10 @@ from enum import Enum
 from typing import Literal, NamedTuple
 
 from benchmarks.sets.conditions import Circumstances
+from benchmarks.tracking import VISIBLE_ENOUGH
 from estimator import FrameLabels, Spot, SpotRecord
 
 Against = Literal["half_max", "cone"]
-
-VISIBLE_ENOUGH = 0.5
-"""Part of the half-maximum contour that must be seen for a spot to be asked for."""
 
 
 class Outcome(Enum):

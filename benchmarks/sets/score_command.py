@@ -18,12 +18,13 @@ from benchmarks.figures import STYLE
 from benchmarks.run_folder import save_figure, versions, write_json
 from benchmarks.sets.conditions import circumstances_of
 from benchmarks.sets.measures import Counts, Errors
-from benchmarks.sets.outcomes import VISIBLE_ENOUGH, Against, Outcome
+from benchmarks.sets.outcomes import Against, Outcome
 from benchmarks.sets.score import Score, score
 from benchmarks.sets.score_figure import score_figure
 from benchmarks.sets.score_table import tables
 from benchmarks.sets.spots_of_set import Mode, read_set_spots, track_set
 from benchmarks.sets.stacks import stacks_of
+from benchmarks.tracking import VISIBLE_ENOUGH
 from estimator import SpotRecord, write_spots
 from estimator.files import written_whole
 from estimator.stack import fingerprint

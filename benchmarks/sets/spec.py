@@ -21,7 +21,6 @@ exposures.kinds = ["paper"]
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -32,6 +31,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from benchmarks.sets.distributions import KINDS, Change, Distribution, by_dotted_name
 from scenes import parsed_change
+from scenes.scene_file import problem_sentence
 
 SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 """Scene keys that every stack gets values of its own for."""
@@ -160,12 +160,7 @@ def _scene_keys(path: Path) -> dict[str, Any]:
 
 def _sentence(problem: Any) -> str:
     path = [str(part) for part in problem["loc"]]
-    where = ".".join(path)
-    if problem["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(path[-1], _siblings(path[:-1]), n=1)
-        return f"unknown key {where!r}" + (f"; did you mean {near[0]!r}?" if near else "")
-    message = problem["msg"].removeprefix("Value error, ")
-    return f"{where}: {message}; got {problem['input']!r}" if where else message
+    return problem_sentence(problem, path, siblings=lambda: _siblings(path[:-1]))
 
 
 def _siblings(path: list[str]) -> list[str]:

@@ -1,6 +1,7 @@
 """Studies: each one command, `eyespot study NAME [SCENE] --out DIR`, each with a report.
 
 study         the frame that all share: folder, scene, stacks, CSV, figures, page
+calibrations  what a scene truly is, or a study found, for `estimator.Ranger`
 eccentricity  model error against where the spot is; its parts:
     geometries  the points of its space, and the errors of all models there
     thresholds  at which c a model leaves a limit, with and without c fitted

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import optics
-from benchmarks.model_error import Geometry, degrees
+from benchmarks.model_error import Geometry, place
 from benchmarks.studies import chain
 from benchmarks.studies.chain import LINKS, Eye, Links
 from benchmarks.studies.shapley import coalitions, shapley_values
@@ -90,14 +90,7 @@ def parts(
             model=model,
             cause=cause,
             medium=medium,
-            c_mm=float(c[i]),
-            d_mm=float(d[i]),
-            r_mm=geometry.eye_radius,
-            z_f_mm=geometry.pinhole_height,
-            incidence_deg=degrees(geometry.incidence),
-            azimuth_deg=degrees(geometry.incidence_azimuth),
-            half_angle_deg=degrees(geometry.half_angle),
-            apex_offset_mm=geometry.apex_offset,
+            **place(geometry, c=c[i], d=d[i]),
             part_mm=float(shares[i, m, p]),
             whole_mm=float(worth[i, m, -1]),
         )

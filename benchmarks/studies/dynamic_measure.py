@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-import optics
-import scenes
 from benchmarks.studies import dynamic_parts
+from benchmarks.studies.calibrations import calibration, true_calibration
 from benchmarks.studies.dynamic_parts import DynamicError
 from benchmarks.studies.dynamic_trials import LATENCIES_S, LITERAL, Trial
-from benchmarks.tracking import Way, track_stack
+from benchmarks.tracking import VISIBLE_ENOUGH, Way, track_stack
 from calibration import fit_plane
 from estimator import (
-    Calibration,
     MicroscopeFile,
     PoseTrack,
     Ranger,
@@ -28,11 +24,9 @@ from estimator import (
     read_microscope,
     read_poses,
 )
-from estimator.model_parameters import LENS_PARAMETERS
 from scenes import Scene, geometry
 
 _SAME_FRAME = (0.0, 0.0, 0.0, 1.0)  # the rendered robot reports in the eye's frame
-_VISIBLE_ENOUGH = 0.5
 
 
 def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
@@ -51,35 +45,19 @@ def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
         ValueError: too few spots at rest.
     """
     microscope = read_microscope(rest.folder / "microscope.json")
-    if way is LITERAL:
-        tracked = track_stack(rest, way, spots_file=spots_file)
-        model = "small_plane"
-        values = small_plane_line(
-            semi_minor_px=tracked.semi_minor_px,
-            phi=np.array([row.phi_rad for row in tracked.used_labels]),
-            distance=np.array([row.d_mm for row in tracked.used_labels]),
-            microscope=microscope,
-        )
-    elif scene.source.kind == "lens":
-        lens = optics.load_lens(scene.source.lens)
-        given = {name: getattr(lens, name) for name in LENS_PARAMETERS}
-        values = {name: float(value) for name, value in given.items() if value is not None}
-        model = "lens"
-    else:
-        model, values = "exact", geometry.cone(scene, None)._asdict()
-        values["b"] = values.pop("apex_offset")
-    medium = scene.source.medium
-    calibration = Calibration(
-        model=model,
-        values=values,
-        covariance=np.zeros((len(values), len(values))),
-        medium=medium,
-        medium_index=optics.MEDIA[medium],
-        fitted_on=rest.folder.name if way is LITERAL else "the scene as it is",
-        data_sha256=hashlib.sha256(scenes.scene_toml(scene).encode()).hexdigest(),
-        software=f"eyespot {version('eyespot')}",
+    if way is not LITERAL:
+        return Ranger(true_calibration(scene), microscope)
+    tracked = track_stack(rest, way, spots_file=spots_file)
+    values = small_plane_line(
+        semi_minor_px=tracked.semi_minor_px,
+        phi=np.array([row.phi_rad for row in tracked.used_labels]),
+        distance=np.array([row.d_mm for row in tracked.used_labels]),
+        microscope=microscope,
     )
-    return Ranger(calibration, microscope)
+    found = calibration(
+        "small_plane", values, medium=scene.source.medium, fitted_on=rest.folder.name
+    )
+    return Ranger(found, microscope)
 
 
 def small_plane_line(
@@ -120,7 +98,7 @@ def errors(trial: Trial, *, moving: Stack, frozen: Stack, ranger: Ranger) -> Ite
     labels = moving.exposed(trial.way.exposure)
     for n in range(1, len(labels) - 1):
         row, doubt, rest_doubt = labels[n], _doubt(seen[n]), _doubt(still[n])
-        if row.visible_fraction < _VISIBLE_ENOUGH:
+        if row.visible_fraction < VISIBLE_ENOUGH:
             doubt = doubt or "less than half of the contour in view"
         estimate = math.nan if doubt else seen[n].distance_mm
         stamped = dynamic_parts.reading(poses, row.time_s, wall)

@@ -24,16 +24,11 @@ from benchmarks.studies import eccentricity_space as space
 from benchmarks.studies.eccentricity_limits import Limit, Refit, Withdrawals
 from benchmarks.studies.eccentricity_rendered import Rendered
 from benchmarks.studies.eccentricity_space import Space
-from benchmarks.studies.study import Request, Study
-from scenes import Scene, SceneError
-
-MICROSCOPE_MM = 200.0
-"""z_F of a real microscope."""
+from benchmarks.studies.study import MICROSCOPE_MM, Request, Study, require_roomy_eyeball
+from scenes import Scene
 
 LARGEST_C_MM = 8.0
 """End of the axis c of every part."""
-
-_SMALLEST_RADIUS_MM = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,12 +108,7 @@ def check(scene: Scene) -> None:
     Raises:
         SceneError: saying what to change.
     """
-    if scene.phantom.kind != "eyeball" or scene.phantom.radius_mm < _SMALLEST_RADIUS_MM:
-        raise SceneError(
-            f"the study's c reaches {LARGEST_C_MM:g} mm in an eyeball of {_SMALLEST_RADIUS_MM:g} "
-            f"mm radius or more; got phantom.kind '{scene.phantom.kind}' with radius_mm = "
-            f"{scene.phantom.radius_mm:g}. Set phantom.kind=eyeball and raise phantom.radius_mm."
-        )
+    require_roomy_eyeball(scene, f"c reaches {LARGEST_C_MM:g} mm")
 
 
 def pinhole_heights(scene: Scene) -> tuple[float, float]:

@@ -14,10 +14,10 @@ from benchmarks.conclusions import Conclusion, number, pinhole
 from benchmarks.studies import causes
 from benchmarks.studies import eccentricity_figures as pictures
 from benchmarks.studies.causes import CAUSES, Part
-from benchmarks.studies.eccentricity import LARGEST_C_MM, MICROSCOPE_MM, Findings, pinhole_heights
+from benchmarks.studies.eccentricity import LARGEST_C_MM, Findings, pinhole_heights
 from benchmarks.studies.eccentricity_limits import LIMITS_MM, Limit, Refit
 from benchmarks.studies.eccentricity_space import AXES, PINHOLES, Sensitivity, Spread
-from benchmarks.studies.study import Data, Picture, Report, Row, Section, Table
+from benchmarks.studies.study import MICROSCOPE_MM, Data, Picture, Report, Row, Section, Table
 
 _SHOWN_C_MM = 4.0
 """Where sentences say how the error splits."""

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-import optics
 import scenes
+from benchmarks.studies.calibrations import calibration, true_calibration
 from benchmarks.studies.medium_light import (
     AIR,
     AIR_CONE,
@@ -25,12 +25,9 @@ from benchmarks.studies.study import Study
 from benchmarks.tracking import WAYS, Tracked, track_stack
 from calibration import PlaneFit, fit_plane
 from estimator import Calibration, Ranger, Spot, Stack, read_microscope
-from estimator.model_parameters import LENS_PARAMETERS
 from scenes import Scene
 
 _HEIGHT_PX = 600  # the dome's spot in air outgrows the default window
-
-_NO_DATA = "0" * 64  # no file stands behind these calibrations
 
 
 def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Scene]:
@@ -95,8 +92,8 @@ def measure(
             if light != CONE and medium == VITREOUS:
                 regression = curves[light, medium].regression
                 values = {"k": regression.k, "b": regression.b_mm}
-                calibrations[LENS_CONE] = _calibration("planar", values, np.zeros((2, 2)), medium)
-                calibrations[LENS] = _of_lens(light, medium)
+                calibrations[LENS_CONE] = calibration("planar", values, medium=medium)
+                calibrations[LENS] = true_calibration(every[name])
             rows += _errors(every[name], stacks[name], tracked[name], calibrations)
     return fits, rows
 
@@ -112,10 +109,10 @@ def _errors(
     light = CONE if scene.source.kind == CONE else scene.source.lens
     microscope = read_microscope(stack.folder / "microscope.json")
     rows = []
-    for method, calibration in calibrations.items():
+    for method, known in calibrations.items():
         # `corrected` is the cone of a plane, taken to the sphere.
-        model = None if calibration.model == "lens" else "corrected"
-        ranger = Ranger(calibration, microscope, model=model)
+        model = None if known.model == "lens" else "corrected"
+        ranger = Ranger(known, microscope, model=model)
         for label, result, used in zip(tracked.labels, tracked.results, tracked.used, strict=True):
             if not (used and isinstance(result, Spot)):
                 continue
@@ -140,27 +137,4 @@ def _of_fit(fit: PlaneFit, scene: Scene) -> Calibration:
     """What the plane in air gave: k and b, with their covariance."""
     to_k = np.diag([1.0 / scene.microscope.scale_mm_px, 1.0])
     values = {"k": fit.delta_k / scene.microscope.scale_mm_px, "b": fit.b}
-    return _calibration("planar", values, to_k @ fit.covariance @ to_k, AIR)
-
-
-def _of_lens(lens: str, medium: str) -> Calibration:
-    """The lens's own numbers: what a fit of it in air would give at best."""
-    glass = optics.load_lens(lens)
-    values = {name: getattr(glass, name) for name in LENS_PARAMETERS}
-    known = {name: float(value) for name, value in values.items() if value is not None}
-    return _calibration("lens", known, np.zeros((len(known), len(known))), medium)
-
-
-def _calibration(
-    model: str, values: Mapping[str, float], covariance: np.ndarray, medium: str
-) -> Calibration:
-    return Calibration(
-        model=model,
-        values=values,
-        covariance=covariance,
-        medium=medium,
-        medium_index=optics.MEDIA[medium],
-        fitted_on="this study",
-        data_sha256=_NO_DATA,
-        software="eyespot",
-    )
+    return calibration("planar", values, medium=AIR, covariance=to_k @ fit.covariance @ to_k)

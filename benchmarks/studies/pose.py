@@ -16,17 +16,12 @@ from benchmarks.studies import pose_analytic as analytic
 from benchmarks.studies import pose_rendered as rendered
 from benchmarks.studies.pose_errors import PoseError
 from benchmarks.studies.pose_tool import one_spot, three_spots
-from benchmarks.studies.study import Request, Study
+from benchmarks.studies.study import MICROSCOPE_MM, Request, Study, require_roomy_eyeball
 from scenes import Scene, SceneError
 from scenes.geometry import cone, wall
 
-MICROSCOPE_MM = 200.0
-"""z_F of a real microscope."""
-
 LARGEST_C_MM = 5.0
 """Of the rendered spots."""
-
-_SMALLEST_RADIUS_MM = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,13 +71,8 @@ def check(scene: Scene) -> None:
     Raises:
         SceneError: saying what to change.
     """
-    if scene.phantom.kind != "eyeball" or scene.phantom.radius_mm < _SMALLEST_RADIUS_MM:
-        raise SceneError(
-            f"the study's spots reach {np.sqrt(2) * analytic.HALF_WIDTH_MM:.1f} mm from the axis "
-            f"in an eyeball of {_SMALLEST_RADIUS_MM:g} mm radius or more; got phantom.kind "
-            f"'{scene.phantom.kind}' with radius_mm = {scene.phantom.radius_mm:g}. Set "
-            "phantom.kind=eyeball and raise phantom.radius_mm."
-        )
+    reach = np.sqrt(2) * analytic.HALF_WIDTH_MM
+    require_roomy_eyeball(scene, f"spots reach {reach:.1f} mm from the axis")
     if scene.source.kind != "cone":
         raise SceneError(
             "the study needs a sharp edge, whose geometry tells the pose; got source.kind "

@@ -13,6 +13,7 @@ import numpy as np
 
 import optics
 import scenes
+from benchmarks.studies.calibrations import true_calibration
 from benchmarks.studies.pose_analytic import (
     HELD_RAD,
     NO_WEIGHT_RAD,
@@ -34,7 +35,6 @@ from benchmarks.studies.pose_errors import (
 from benchmarks.studies.pose_tool import Tool, ToolPose, beams, bound, fit, one_spot, three_spots
 from benchmarks.studies.study import Study
 from estimator import (
-    Calibration,
     NoSpot,
     Ranger,
     Spot,
@@ -64,7 +64,6 @@ _INCIDENCES_DEG = (10.0, 20.0, 30.0)
 _FAR_MM = 4.0  # farther, splayed spots leave the window
 _GOLDEN_DEG = 180.0 * (3.0 - math.sqrt(5.0))  # turns that repeat nothing
 _POINTS = 128
-_NO_DATA = "0" * 64  # behind the cone: it is the scene's own
 
 
 def places_at(scene: Scene, *, c: float, poses: int) -> list[Place]:
@@ -113,7 +112,7 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[Po
     for name, stack in stacks.items():
         results = iter(_spots(stack, spots / f"{name}.csv"))
         microscope = read_microscope(stack.folder / "microscope.json")
-        ranger = Ranger(_calibration(trials[name]), microscope)
+        ranger = Ranger(true_calibration(trials[name]), microscope)
         for place in every[name]:
             of_tool = {tool: [next(results) for _ in range(tool.cones)] for tool in tools}
             prior = drawn_prior(np.asarray(place.pose.axis), rng)
@@ -161,21 +160,6 @@ def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None
             # The first frame is due at the first row, the last at the last.
             for time in (i - _REST_S * (i > 0), i + _REST_S * (i < len(lit) - 1)):
                 writer.writerow([time, *pose])
-
-
-def _calibration(scene: Scene) -> Calibration:
-    """The scene's own cone, known without error."""
-    half_angle, b = cone(scene, None)
-    return Calibration(
-        model="exact",
-        values={"half_angle": half_angle, "b": b},
-        covariance=np.zeros((2, 2)),
-        medium=scene.source.medium,
-        medium_index=optics.MEDIA[scene.source.medium],
-        fitted_on="the scene's own cone",
-        data_sha256=_NO_DATA,
-        software="eyespot",
-    )
 
 
 def _errors(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.tracking import WAYS, Way
+from benchmarks.tracking import VISIBLE_ENOUGH, WAYS, Way
 from estimator import LiteralSettings, Spot, Stack, track
 from scenes import Scene
 from scenes.camera_output import after_jpeg
@@ -17,8 +17,6 @@ from scenes.exposure import expose, fixed_patterns
 
 LITERAL = next(way for way in WAYS if way.exposure == "paper")
 SUBPIXEL = WAYS[-1]
-VISIBLE_ENOUGH = 0.5
-"""Part of the contour that must be in view for a spot to count."""
 
 
 class Shot(NamedTuple):

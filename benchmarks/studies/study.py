@@ -19,10 +19,15 @@ from benchmarks.conclusions import Conclusion
 from benchmarks.page import template
 from benchmarks.tables import write_csv
 from estimator import Stack
-from scenes import Scene
+from scenes import Scene, SceneError
 
 _RUN_SCHEMA = 1
 _SUMMARY_SCHEMA = 1
+
+MICROSCOPE_MM = 200.0
+"""z_F of a real microscope."""
+
+_SMALLEST_RADIUS_MM = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,3 +252,21 @@ class Study:
 
 def _kind_of(part: str | Table | Picture) -> str:
     return "text" if isinstance(part, str) else type(part).__name__.lower()
+
+
+def require_roomy_eyeball(scene: Scene, reach: str) -> None:
+    """Refuse a scene whose wall does not go as far out as a study's spots.
+
+    Args:
+        scene: the study's.
+        reach: what reaches how far, for the message.
+
+    Raises:
+        SceneError: saying what to change.
+    """
+    if scene.phantom.kind != "eyeball" or scene.phantom.radius_mm < _SMALLEST_RADIUS_MM:
+        raise SceneError(
+            f"the study's {reach} in an eyeball of {_SMALLEST_RADIUS_MM:g} mm radius or more; got "
+            f"phantom.kind '{scene.phantom.kind}' with radius_mm = {scene.phantom.radius_mm:g}. "
+            "Set phantom.kind=eyeball and raise phantom.radius_mm."
+        )
