@@ -26,7 +26,8 @@ from benchmarks.sets.plan import plan
 from benchmarks.sets.spec import SetSpec, load_spec
 from scenes import Scene, frame_count, load_mitsuba, render_stack
 
-_STACKS = 4  # measured, after as many as make every worker warm
+_STACKS = 8  # measured: the same ones by everybody
+_WARM = 4  # stacks of another seed that each process makes first: kinds and walls of all sorts
 _WANTED_FRAMES = 2000
 _BOUNDS = {"overhead": 1.15, "speed-up": 1.7, "seconds": 180.0}
 
@@ -36,7 +37,7 @@ class Made(NamedTuple):
 
     name: str
     frames: int
-    start_s: float  # until every process had made its first stack
+    start_s: float  # until every process had made its first stacks
     wall_s: float
     processor_s: float
     memory_mb: list[list[float]]
@@ -58,7 +59,7 @@ def main() -> None:
     load_mitsuba()  # a machine that cannot render says so first
     spec = load_spec("static-v1")
     with tempfile.TemporaryDirectory() as folder:
-        alone = _alone(_with_stacks(spec, _STACKS + 1), Path(folder) / "alone")
+        alone = _alone(spec, Path(folder) / "alone")
         one, two = (_with_workers(spec, n, Path(folder) / f"set-{n}") for n in (1, 2))
     console = Console()
     console.print(_table([alone, one, two]))
@@ -75,41 +76,56 @@ def main() -> None:
     )
 
 
-def _with_stacks(spec: SetSpec, count: int) -> SetSpec:
+def _warm(spec: SetSpec) -> SetSpec:
+    return _stacks(spec, _WARM, spec.seed + 1)
+
+
+def _measured(spec: SetSpec) -> SetSpec:
+    return _stacks(spec, _STACKS, spec.seed)
+
+
+def _stacks(spec: SetSpec, count: int, seed: int) -> SetSpec:
     splits = spec.splits.model_copy(update={"train": count, "validation": 0, "test": 0})
-    return spec.model_copy(update={"splits": splits})
+    return spec.model_copy(update={"splits": splits, "seed": seed})
 
 
 def _alone(spec: SetSpec, folder: Path) -> Made:
     """The same stacks, one after the other in one process on one core."""
     with ProcessPoolExecutor(1, get_context("spawn"), _stay_on_one_core) as process:
-        scenes = [stack.scene for stack in plan(spec)]
-        return process.submit(_rendered, scenes, folder).result()
+        warm, measured = (
+            [stack.scene for stack in plan(part)] for part in (_warm(spec), _measured(spec))
+        )
+        return process.submit(_rendered, warm, measured, folder).result()
 
 
 def _stay_on_one_core() -> None:
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
-def _rendered(scenes: Sequence[Scene], folder: Path) -> Made:
+def _rendered(first: Sequence[Scene], scenes: Sequence[Scene], folder: Path) -> Made:
     begin = time.perf_counter()
-    render_stack(scenes[0], folder / "warm")
+    _render_all(first, folder)
     warm, processor = time.perf_counter(), time.process_time()
     memory = []
-    for number, scene in enumerate(scenes[1:]):
+    for number, scene in enumerate(scenes):
         render_stack(scene, folder / f"{number}")
         memory.append([_memory_mb()])
     wall, used = time.perf_counter() - warm, time.process_time() - processor
-    frames = sum(frame_count(scene) for scene in scenes[1:])
+    frames = sum(frame_count(scene) for scene in scenes)
     return Made("one process", frames, warm - begin, wall, used, memory)
+
+
+def _render_all(scenes: Sequence[Scene], folder: Path) -> None:
+    for number, scene in enumerate(scenes):
+        render_stack(scene, folder / f"warm-{os.getpid()}-{number}")
 
 
 def _with_workers(spec: SetSpec, count: int, folder: Path) -> Made:
     begin = time.perf_counter()
     with local_workers(count) as client:
         client.wait_for_workers(count)
-        # As many first stacks as workers: each gets one.
-        make_set(_with_stacks(spec, count), folder / "warm", workers=nullcontext(client))
+        first = [stack.scene for stack in plan(_warm(spec))]
+        client.run(_render_all, first, folder)
         warm, processor = time.perf_counter(), _processor_s(client)
         memory, moments = [], []
 
@@ -117,7 +133,7 @@ def _with_workers(spec: SetSpec, count: int, folder: Path) -> Made:
             moments.append(time.perf_counter())
             memory.append(list(client.run(_memory_mb).values()))
 
-        measured = _with_stacks(spec, _STACKS)
+        measured = _measured(spec)
         make_set(measured, folder / "set", workers=nullcontext(client), progress=stack_done)
         wall, used = moments[-1] - warm, _processor_s(client) - processor
     frames = sum(frame_count(stack.scene) for stack in plan(measured))

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import dask
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
 
@@ -49,6 +50,8 @@ def local_workers(count: int, *, first_core: int = 0) -> Iterator[Client]:
         first_core: of the first worker, counted among those that this process may use.
     """
     with (
+        # Dask has malloc return freed memory at once: every image's pages would be made anew.
+        dask.config.set({"distributed.nanny.pre-spawn-environ": {}}),
         LocalCluster(
             n_workers=0,
             threads_per_worker=1,
