@@ -35,7 +35,8 @@ class Findings:
         scene: the study's.
         isophotes: of all lenses of the scan.
         choices: of each lens, by both ways of asking.
-        confirmed: lenses on rendered stacks, the best of the scan first.
+        confirmed: lenses on rendered stacks: those that give the table, those that give its line,
+            the others; of a kind the best of the scan first.
         marks: of the same lenses.
         causes: what makes trials of the best lens differ.
     """
@@ -76,7 +77,11 @@ def run(request: Request) -> Findings:
         ]
     chosen = to_render([c for c in choices if c.asked == AT_SCALE], quick=request.quick)
     with study.timed("render and measure"):
-        confirmed = rendered.confirm(study, chosen, frames=7 if request.quick else 31)
+        confirmed = sorted(
+            rendered.confirm(study, chosen, frames=7 if request.quick else 31),
+            key=lambda one: (one.reproduces, one.straight),
+            reverse=True,
+        )
     best = confirmed[0].choice
     findings = Findings(
         scene=scene,

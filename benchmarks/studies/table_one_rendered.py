@@ -135,6 +135,7 @@ def _scenes(study: Study, choice: Choice, *, frames: int) -> Mapping[str, Scene]
 
 
 def _lens_file(folder: Path, family: Family) -> Path:
+    folder = folder.absolute()  # the stacks name the file, from wherever they are gone on with
     folder.mkdir(exist_ok=True)
     path = folder / f"{family.name}.toml"
     partial = path.with_suffix(".partial")

@@ -69,8 +69,6 @@ def _found(findings: Findings) -> Iterable[Conclusion]:
 
 
 def _reproduced(findings: Findings) -> Conclusion:
-    meeting = [one for one in findings.confirmed if one.reproduces]
-    straight = [one for one in findings.confirmed if one.straight]
     best = findings.confirmed[0]
     told = "; ".join(
         f"{criterion.quantity} "
@@ -78,11 +76,11 @@ def _reproduced(findings: Findings) -> Conclusion:
         + f"{criterion.unit} ({'met' if criterion.met else 'not met'})"
         for criterion in best.criteria(LITERAL.name)
     )
-    if meeting:
-        headline = f"Rendered and tracked literally, {_lens(meeting[0])} reproduces Table I."
-    elif straight:
+    if best.reproduces:
+        headline = f"Rendered and tracked literally, {_lens(best)} reproduces Table I."
+    elif best.straight:
         headline = (
-            f"Rendered and tracked literally, {_lens(straight[0])} gives the line of Table I, with "
+            f"Rendered and tracked literally, {_lens(best)} gives the line of Table I, with "
             "less scatter than the paper's."
         )
     else:
@@ -92,7 +90,7 @@ def _reproduced(findings: Findings) -> Conclusion:
         headline,
         f"{_upper(_lens(best))}, threshold at {number(best.choice.level)} of the "
         f"peak at 5 mm, readings from {best.choice.from_mm:g} to {best.choice.to_mm:g} mm: {told}.",
-        holds=bool(meeting),
+        holds=best.reproduces,
     )
 
 
