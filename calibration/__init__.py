@@ -2,6 +2,7 @@
 
 _least_squares  Levenberg-Marquardt with covariance
 _cone_fit       the exact geometry: half-angle, b, scale, eye, with each trial's nuisances
+_cone_trials    the trials it is fitted to, and how far they are from its contours
 _image_fit      every pixel of a stack: cone or lens, brightness, pose
 _image_solver   how it goes; _image_parameters: names, units, what they may be
 _image_model    what a pixel sees; _image_table: the light of a lens near some parameters
@@ -21,9 +22,9 @@ render_bridge   a renderer as a JAX function
 """
 
 from calibration._cone_fit import ConeFit as ConeFit
-from calibration._cone_fit import Prior as Prior
-from calibration._cone_fit import Trial as Trial
 from calibration._cone_fit import fit_cone as fit_cone
+from calibration._cone_trials import Prior as Prior
+from calibration._cone_trials import Trial as Trial
 from calibration._image_fit import fit_image as fit_image
 from calibration._image_fit import lens_start as lens_start
 from calibration._image_solver import ImageFit as ImageFit

@@ -1,25 +1,21 @@
 r"""The exact geometry fitted to measured ellipses: cone, scale, eye, and each trial's nuisances.
 
-A trial is a withdrawal along one beam. The robot tells how far the tip has gone and, to a degree or
-so, where the beam points; it does not know where the wall is. So each trial brings four nuisances:
-where its first reading is (`touch`: the rim meets the wall before the centre does), the spot's
-place in the image (two), and how the axis leans from what the robot says (two). They are fitted
-along with the parameters asked for.
+Each trial brings nuisances of its own (`_cone_trials`), which are fitted along with the parameters
+asked for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, Float
 
 import optics
+from calibration._cone_trials import NUISANCES, Group, Prior, Trial, misfit
 from calibration._identifiability import correlations, covariance_and_lost, marginal_information
 from calibration._least_squares import Solution, least_squares
 
@@ -40,40 +36,6 @@ The focal length is 1/(scale inverse_working_distance) px, the pinhole's height
 
 _SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1}
 """Of parameters that may be zero; the others are as large as they are."""
-_NUISANCES = ("touch", "u", "v", "lean", "lean_sideways")
-_POINTS = 32
-
-
-class Prior(NamedTuple):
-    """What is known of a parameter beforehand, in its unit."""
-
-    mean: float
-    sigma: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Trial:
-    """Spots along one beam, and what the robot says of it.
-
-    Attributes:
-        ellipses: measured, one a frame, px; leading axis n.
-        covariances: of each ellipse's (centre u, centre v, semi-major, semi-minor, angle), n x 5 x
-            5.
-        readings: distance along the beam since the touch, mm.
-        axis: unit vector from the tip towards the wall, eye frame.
-        principal_point: (u0, v0) of this trial's window, px.
-        touch: distance at reading 0, mm.
-        kind: "eyeball", a sphere about the origin, or "plane", through its pole and square to z but
-            for its tilt.
-    """
-
-    ellipses: optics.Ellipse
-    covariances: Float[np.ndarray, "n 5 5"]
-    readings: Float[np.ndarray, "n"]
-    axis: Float[np.ndarray, "3"]
-    principal_point: Float[np.ndarray, "2"]
-    touch: Prior
-    kind: str
 
 
 class ConeFit(NamedTuple):
@@ -154,10 +116,10 @@ def fit_cone(
     sizes = np.array([_SIZES.get(name) or abs(fixed[name]) for name in free])
     held = [(priors or {}).get(name) if name in free else None for name in PARAMETERS]
     groups = [
-        _Group.of(trials, kind, lean_sigma) for kind in sorted({trial.kind for trial in trials})
+        Group.of(trials, kind, lean_sigma) for kind in sorted({trial.kind for trial in trials})
     ]
     # Every nuisance counts from what is expected of it, in units of its standard deviation.
-    begin = jnp.zeros(len(free) + len(_NUISANCES) * len(trials))
+    begin = jnp.zeros(len(free) + len(NUISANCES) * len(trials))
     priors_held = sum(prior is not None for prior in held)
     count = sum(group.data for group in groups) + priors_held + 3 * len(trials)
     # Names become numbers here, so that one compilation serves all choices of as many parameters.
@@ -190,7 +152,7 @@ def fit_cone(
         mean, sigma = trials[number].touch
         touch[number], touch_error[number] = mean + sigma * found[at], sigma * errors[at]
         lean[number] = lean_sigma * found[at + 3 : at + 5]
-        at += len(_NUISANCES)
+        at += len(NUISANCES)
     own = slice(len(free))
     return ConeFit(
         values=values,
@@ -208,90 +170,17 @@ def fit_cone(
     )
 
 
-def phantom_wall(
-    kind: str, *, eye_radius: ScalarLike, tilt: tuple[ScalarLike, ScalarLike] = (0.0, 0.0)
-) -> optics.Surface:
-    """The wall of a `Trial.kind`.
-
-    Args:
-        kind: "eyeball" or "plane".
-        eye_radius: mm.
-        tilt: of the plane about the pole: tangents towards +X and +Y of its normal's lean.
-    """
-    if kind == "eyeball":
-        return optics.Sphere(eye_radius)
-    pole = jnp.array([0.0, 0.0, -1.0]) * eye_radius
-    inward = jnp.stack([*map(jnp.asarray, tilt), jnp.ones(())])
-    return optics.Plane(point=pole, inward=inward / jnp.linalg.norm(inward))
-
-
-class _Group(eqx.Module):
-    """Trials on walls of one kind, padded to one number of frames."""
-
-    ellipses: optics.Ellipse
-    whitening: Float[Array, "trials n 5 5"]
-    readings: Float[Array, "trials n"]
-    axes: Float[Array, "trials 3"]
-    principal_points: Float[Array, "trials 2"]
-    touch_means: Float[Array, "trials"]
-    touch_sigmas: Float[Array, "trials"]
-    lean_sigma: Float[Array, ""]
-    kind: str = eqx.field(static=True)
-    data: int = eqx.field(static=True)
-    numbers: tuple[int, ...] = eqx.field(static=True)
-
-    @property
-    def size(self) -> int:
-        return self.readings.shape[0]
-
-    @classmethod
-    def of(cls, of_all_kinds: Sequence[Trial], kind: str, lean_sigma: float) -> _Group:
-        numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
-        trials = [of_all_kinds[n] for n in numbers]
-        longest = max(trial.readings.size for trial in trials)
-
-        def stacked(arrays: list[np.ndarray]) -> Array:
-            # A frame that pads a trial repeats its last, and weighs nothing.
-            rows = [
-                np.pad(a, [(0, longest - len(a)), *[(0, 0)] * (a.ndim - 1)], mode="edge")
-                for a in map(np.asarray, arrays)
-            ]
-            return jnp.asarray(np.stack(rows))
-
-        ellipses = optics.Ellipse(
-            *(stacked(list(leaves)) for leaves in zip(*(t.ellipses for t in trials), strict=True))
-        )
-        covariances = stacked([t.covariances for t in trials])
-        shape = jax.vmap(jax.vmap(optics.mismatch_covariance))(ellipses, covariances)
-        whitening = jnp.linalg.inv(jnp.linalg.cholesky(shape))
-        frames = np.array([t.readings.size for t in trials])
-        real = np.arange(longest) < frames[:, None]
-        return cls(
-            ellipses=ellipses,
-            whitening=whitening * real[..., None, None],
-            readings=stacked([t.readings for t in trials]),
-            axes=jnp.asarray(np.stack([t.axis for t in trials])),
-            principal_points=jnp.asarray(np.stack([t.principal_point for t in trials])),
-            touch_means=jnp.array([t.touch.mean for t in trials]),
-            touch_sigmas=jnp.array([t.touch.sigma for t in trials]),
-            lean_sigma=jnp.asarray(lean_sigma),
-            kind=kind,
-            data=5 * int(frames.sum()),
-            numbers=numbers,
-        )
-
-
-def _names(groups: list[_Group]) -> list[str]:
+def _names(groups: list[Group]) -> list[str]:
     return [
         f"{name} of trial {number + 1}"
         for group in groups
         for number in group.numbers
-        for name in _NUISANCES
+        for name in NUISANCES
     ]
 
 
 def _by_trial(
-    residuals: Float[np.ndarray, "n"], groups: list[_Group], trials: Sequence[Trial]
+    residuals: Float[np.ndarray, "n"], groups: list[Group], trials: Sequence[Trial]
 ) -> tuple[Float[np.ndarray, "n 5"], ...]:
     """The frames' residuals of each trial, from the order of `_solve`."""
     found = {}
@@ -308,7 +197,7 @@ def _by_trial(
 @eqx.filter_jit
 def _solve(
     begin: Float[Array, "p"],
-    groups: list[_Group],
+    groups: list[Group],
     microscope: optics.Microscope,
     fixed: Float[Array, "q"],
     steps: Float[Array, "q f"],
@@ -329,50 +218,9 @@ def _solve(
         parts = [prior_weights * (parameters - prior_means)]
         at = steps.shape[1]
         for group in groups:
-            nuisances = x[at : at + group.size * len(_NUISANCES)].reshape(group.size, -1)
+            nuisances = x[at : at + group.size * len(NUISANCES)].reshape(group.size, -1)
             at += nuisances.size
-            parts.append(_misfit(group, camera, values, nuisances))
+            parts.append(misfit(group, camera, values, nuisances))
         return jnp.concatenate(parts)
 
     return least_squares(residual, begin, count=count)
-
-
-def _misfit(group: _Group, camera: optics.Microscope, values, nuisances) -> Array:
-    """Whitened mismatch of every frame, and the priors of the nuisances."""
-    wall = phantom_wall(
-        group.kind, eye_radius=values["eye_radius"], tilt=(values["tilt_x"], values["tilt_y"])
-    )
-
-    def of_trial(ellipses, whitening, readings, axis, principal_point, touch, nuisance):
-        view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
-        # The spot's place moves with the first frame's ellipse, in px.
-        spot = wall.intersect(*view.ray(ellipses.centre[0] + nuisance[1:3])).point
-        first, second = optics.perpendicular_frame(axis)
-        aim = axis + group.lean_sigma * (nuisance[3] * first + nuisance[4] * second)
-        aim /= jnp.linalg.norm(aim)
-
-        def of_frame(ellipse, whiten, reading):
-            beam = optics.Beam(
-                tip=spot - (reading + touch) * aim,
-                axis=aim,
-                half_angle=values["half_angle"],
-                apex_offset=values["b"],
-            )
-            contour = optics.spot_contour(beam, wall, view, points=_POINTS)
-            return whiten @ optics.ellipse_mismatch(contour, ellipse)
-
-        frames = jax.vmap(of_frame)(ellipses, whitening, readings)
-        # The spot's place in the image has no prior.
-        return jnp.concatenate([jnp.ravel(frames), nuisance[:1], nuisance[3:]])
-
-    return jnp.ravel(
-        jax.vmap(of_trial)(
-            group.ellipses,
-            group.whitening,
-            group.readings,
-            group.axes,
-            group.principal_points,
-            group.touch_means + group.touch_sigmas * nuisances[:, 0],
-            nuisances,
-        )
-    )

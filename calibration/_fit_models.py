@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 import optics
-from calibration._cone_fit import PARAMETERS, fit_cone, phantom_wall
+from calibration._cone_fit import PARAMETERS, fit_cone
+from calibration._cone_trials import phantom_wall
 from calibration._fit_pixels import fit_image_of_cone, fit_image_of_lens
 from calibration._fitted import Choices, Fitted, Line
 from calibration._goodness import bounds_hit

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from calibration._cone_fit import Prior
+from calibration._cone_trials import Prior
 from calibration._paper_fits import Loss
 from calibration.recordings import Recording
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 import optics
 from calibration import _image_table
-from calibration._cone_fit import phantom_wall
+from calibration._cone_trials import phantom_wall
 from calibration._image_model import Cone, Lens, Source, WallPixels, radiance, wall_pixels
 from calibration._image_table import LensTable
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 import optics
-from calibration._cone_fit import Prior
+from calibration._cone_trials import Prior
 from calibration._image_data import Footage, read_footage
 from calibration._image_parameters import FREE, check_names
 from calibration._image_solver import ImageFit, Solver

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from calibration._cone_fit import Prior
+from calibration._cone_trials import Prior
 from calibration._image_table import PARAMETERS as LENS
 
 UNITS = {

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 import optics
-from calibration._cone_fit import Prior, phantom_wall
+from calibration._cone_trials import Prior, phantom_wall
 from calibration._identifiability import covariance_and_lost
 from calibration._image_chunks import Chunk, Problem, Sums, look, sums, values_at
 from calibration._image_data import Footage

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from calibration._cone_fit import Prior
+from calibration._cone_trials import Prior
 from calibration._least_squares import GAUSS_NEWTON, Solution, least_squares, padded
 from calibration._paper_fits import fit_plane
 

@@ -16,7 +16,7 @@ from rich.table import Table
 
 import optics
 from calibration import fit_report
-from calibration._cone_fit import Prior
+from calibration._cone_trials import Prior
 from calibration._fit_models import MODELS, Model
 from calibration._fitted import Choices, Fitted
 from calibration._goodness import doubts

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import optics
-from calibration._cone_fit import Prior, Trial, phantom_wall
+from calibration._cone_trials import Prior, Trial, phantom_wall
 from calibration._withdrawal import withdrawal
 from estimator import Spot, read_spots, read_stack, track_source
 from estimator.microscope_file import MicroscopeFile, read_microscope

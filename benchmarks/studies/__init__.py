@@ -8,7 +8,7 @@ eccentricity  model error against where the spot is; its parts:
     rendered    frames -> spots -> errors
     causes      the error split by cause: the measurement chain, link by link
     shapley     what each player adds to a whole
-    eccentricity_figures, eccentricity_report  pictures and words
+    eccentricity_figures, eccentricity_conclusions, eccentricity_report  pictures, words, tables
 static        Tables I and II over many runs, and what adds to their error; its parts:
     static_bench, static_photographs  many photographs of few rendered frames
     static_causes, static_lines, static_tables  draws, parts, lines, tables
@@ -18,7 +18,7 @@ pose          tip and axis from one spot and from three; its parts:
     pose_analytic   exact contours with noise, over the working volume
     pose_rendered   frames -> spots -> poses
     pose_errors     rows, drawn priors, root mean squares
-    pose_report     pictures and words
+    pose_figures, pose_report  pictures and words
 medium        calibrated in air, used in vitreous; its parts:
     medium_light    what a medium makes of a lens's radii, from its light
     medium_rendered  frames -> spots -> distances
@@ -28,7 +28,7 @@ table_one     which lenses give Table I, and what sets its trials apart; its par
     table_one_rendered  some of them on rendered stacks
     table_one_causes    what touch, light, tilt and range do to a line
     table_one_moments   what the printed figures imply
-    table_one_figure, table_one_report  picture and words
+    table_one_figure, table_one_conclusions, table_one_report  picture, words, tables
 dynamic       the error while the tip moves: blur, the age of poses, latency; its parts:
     dynamic_trials   motions, and their twins without blur
     dynamic_measure  stacks -> readings -> rows; calibration at rest

@@ -1,44 +1,36 @@
-"""The report of the study of poses: sentences, tables and figures, all from this run's numbers."""
+"""The report of the study of poses: sentences and tables, all from this run's numbers."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Sequence
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from benchmarks import figures
 from benchmarks.conclusions import Conclusion, number
-from benchmarks.figures import BLACK, BLUE, GREY, VERMILION
 from benchmarks.studies import pose_analytic as analytic
+from benchmarks.studies import pose_figures as pictures
 from benchmarks.studies.pose import LARGEST_C_MM, Findings
 from benchmarks.studies.pose_errors import (
+    ASKED_AXIS_DEG,
+    ASKED_DISTANCE_MM,
+    ASKED_TIP_MM,
     FREE,
     KNOWN,
+    NAMES,
     PRIOR,
     PRIOR_DEG,
+    REPORTED,
     PoseError,
     rms,
     scatter,
+    some_of,
 )
 from benchmarks.studies.study import Data, Picture, Report, Row, Section, Table
 
-REPORTED = {1: (0.029, 0.124), 3: (0.025, 0.101)}
-"""Mean errors of tip (mm) and axis (degrees) by number of spots: Zhou et al., "Theoretical error
-analysis of spotlight-based instrument localization for retinal surgery", Robotica 2023; rendered
-in Blender, with a light and an eye of their own."""
-
-ASKED_TIP_MM, ASKED_AXIS_DEG, ASKED_DISTANCE_MM = 0.010, 0.1, 0.005
-"""Root mean square errors that rendered spots shall not exceed."""
-
-_COLOURS = {1: BLUE, 3: VERMILION}
-_NAMES = {1: "one spot", 3: "three spots"}
 _SOURCES = ("analytic", "rendered")
-_ASIDE = 0.1
-"""Spots of one eccentricity are drawn side by side, by their distance."""
 
 
 def report(findings: Findings) -> Report:
@@ -56,7 +48,7 @@ def report(findings: Findings) -> Report:
                     _table(rows),
                     Picture(
                         "incidence",
-                        _incidence(rows),
+                        pictures.by_incidence(rows),
                         "Errors of tip and axis against the incidence, direction prior "
                         f"{PRIOR_DEG:g}°, mirrored solutions left out: dots are contours with "
                         f"noise of {analytic.NOISE_PX:g} px, crosses rendered frames, lines the "
@@ -72,7 +64,7 @@ def report(findings: Findings) -> Report:
                     _known_table(rows),
                     Picture(
                         "known",
-                        _known(rows),
+                        pictures.known_axis(rows),
                         "Error of the distance with the axis known, one spot in rendered frames, "
                         "against the eccentricity (farther ones to the right of nearer ones); bars "
                         "are the estimator's own standard deviation, dashed is what was asked for.",
@@ -87,8 +79,8 @@ def report(findings: Findings) -> Report:
 def _found(rows: Sequence[PoseError]) -> Iterable[Conclusion]:
     for source in _SOURCES:
         for spots in REPORTED:
-            yield _errors_found(source, spots, _some(rows, source, spots, PRIOR))
-    single = _some(rows, "rendered", 1, PRIOR)
+            yield _errors_found(source, spots, some_of(rows, source, spots, PRIOR))
+    single = some_of(rows, "rendered", 1, PRIOR)
     rendered = scatter(single)
     by_incidence = {
         deg: scatter([row for row in single if row.incidence_deg == deg])
@@ -111,7 +103,7 @@ def _found(rows: Sequence[PoseError]) -> Iterable[Conclusion]:
         f"{number(rendered.tip_all_mm, 3)} mm.",
         met,
     )
-    known = _some(rows, "rendered", 1, KNOWN)
+    known = some_of(rows, "rendered", 1, KNOWN)
     worst = max(_by_c(known).values())
     yield Conclusion(
         "asked, distance",
@@ -129,8 +121,8 @@ def _errors_found(source: str, spots: int, rows: Sequence[PoseError]) -> Conclus
     better = found.tip_mean_mm < tip and found.axis_mean_deg < axis
     where = "On exact contours with noise" if source == "analytic" else "In rendered frames"
     return Conclusion(
-        f"{source}, {_NAMES[spots]}",
-        f"{where} {_NAMES[spots]} give{'s' * (spots == 1)} the tip to "
+        f"{source}, {NAMES[spots]}",
+        f"{where} {NAMES[spots]} give{'s' * (spots == 1)} the tip to "
         f"{number(found.tip_mm, 4)} mm and the axis to {number(found.axis_deg, 3)}°.",
         f"Root mean squares of {found.poses} poses without the mirrored ones; the bound is "
         f"{number(found.tip_bound_mm, 4)} mm and {number(found.axis_bound_deg, 3)}°. On average "
@@ -142,7 +134,7 @@ def _errors_found(source: str, spots: int, rows: Sequence[PoseError]) -> Conclus
 
 def _mirror_found(rows: Sequence[PoseError]) -> Conclusion:
     by_spots = {
-        spots: {p: scatter(_some(rows, "analytic", spots, p)) for p in (PRIOR, FREE)}
+        spots: {p: scatter(some_of(rows, "analytic", spots, p)) for p in (PRIOR, FREE)}
         for spots in REPORTED
     }
     one, three = by_spots[1], by_spots[3]
@@ -260,71 +252,6 @@ def _method(findings: Findings) -> str:
     )
 
 
-def _incidence(rows: Sequence[PoseError]) -> Figure:
-    page = Figure(figsize=(10.0, 4.2), layout="constrained")
-    height = rows[0].z_f_mm
-    for axes, (name, error, limit, unit) in zip(
-        page.subplots(1, 2),
-        (
-            ("tip", "tip_error_mm", "tip_bound_mm", "mm"),
-            ("axis", "axis_error_deg", "axis_bound_deg", "°"),
-        ),
-        strict=True,
-    ):
-        for spots, colour in _COLOURS.items():
-            for source, marker in (("analytic", "."), ("rendered", "x")):
-                some = [r for r in _some(rows, source, spots, PRIOR) if not r.mirrored]
-                some = [row for row in some if row.z_f_mm == height]
-                x = [row.incidence_deg for row in some]
-                y = [getattr(row, error) for row in some]
-                axes.plot(
-                    x,
-                    y,
-                    ls="",
-                    marker=marker,
-                    ms=4 if marker == "." else 6,
-                    color=colour,
-                    alpha=0.45 if marker == "." else 1.0,
-                    label=f"{_NAMES[spots]}, {source}",
-                )
-            axes.plot(*_binned(rows, spots, limit), color=colour, lw=1.6)
-            axes.axhline(REPORTED[spots][unit == "°"], color=colour, ls=":", lw=1.0)
-        axes.set(yscale="log", xlabel="incidence (°)", ylabel=f"error of the {name} ({unit})")
-    page.legend(*page.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    return page
-
-
-def _binned(rows: Sequence[PoseError], spots: int, limit: str) -> tuple[np.ndarray, list[float]]:
-    """Root mean square of the analytic bounds over parts of the incidence's range."""
-    edges = np.linspace(*analytic.INCIDENCE_DEG, 6)
-    some = _some(rows, "analytic", spots, PRIOR)
-    parts = [
-        [getattr(row, limit) for row in some if low <= row.incidence_deg < high]
-        for low, high in itertools.pairwise(edges)
-    ]
-    return 0.5 * (edges[:-1] + edges[1:]), [rms(part) for part in parts]
-
-
-def _known(rows: Sequence[PoseError]) -> Figure:
-    page = Figure(figsize=(10.0, 3.2), layout="constrained")
-    axes = page.subplots()
-    some = _some(rows, "rendered", 1, KNOWN)
-    middle = float(np.mean([row.d_mm for row in some]))
-    axes.axhline(0, color=GREY, lw=0.8)
-    for limit in (-ASKED_DISTANCE_MM, ASKED_DISTANCE_MM):
-        axes.axhline(1e3 * limit, color=BLACK, lw=0.8, ls="--")
-    axes.errorbar(
-        [row.c_mm + _ASIDE * (row.d_mm - middle) for row in some],
-        [1e3 * row.distance_error_mm for row in some],
-        yerr=[1e3 * row.sigma_distance_mm for row in some],
-        fmt="x",
-        capsize=2,
-        color=BLUE,
-    )
-    axes.set(xlabel=figures.ECCENTRICITY, ylabel="error of $d$ (µm)")
-    return page
-
-
 def _by_c(rows: Sequence[PoseError]) -> dict[float, float]:
     """Root mean square error of the distance at each eccentricity, mm."""
     return {
@@ -333,15 +260,11 @@ def _by_c(rows: Sequence[PoseError]) -> dict[float, float]:
     } or {0.0: math.nan}
 
 
-def _some(rows: Sequence[PoseError], source: str, spots: int, prior: str) -> list[PoseError]:
-    return [r for r in rows if (r.source, r.spots, r.prior) == (source, spots, prior)]
-
-
 def _groups(
     rows: Sequence[PoseError], prior: str
 ) -> Iterable[tuple[str, int, float, list[PoseError]]]:
     for source in _SOURCES:
         for spots in REPORTED:
-            some = _some(rows, source, spots, prior)
+            some = some_of(rows, source, spots, prior)
             for height in dict.fromkeys(row.z_f_mm for row in some):
                 yield source, spots, height, [row for row in some if row.z_f_mm == height]

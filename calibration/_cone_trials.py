@@ -1,0 +1,173 @@
+"""Trials whose ellipses the exact geometry is fitted to, and how far they are from its contours.
+
+A trial is a withdrawal along one beam. The robot tells how far the tip has gone and, to a degree or
+so, where the beam points; it does not know where the wall is. So each trial brings five nuisances:
+where its first reading is (`touch`: the rim meets the wall before the centre does), the spot's
+place in the image (two), and how the axis leans from what the robot says (two).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, ScalarLike
+
+import optics
+
+NUISANCES = ("touch", "u", "v", "lean", "lean_sideways")
+"""Of each trial: touch and lean in units of their priors' sigma, the place in px."""
+_POINTS = 32
+
+
+class Prior(NamedTuple):
+    """What is known of a parameter beforehand, in its unit."""
+
+    mean: float
+    sigma: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trial:
+    """Spots along one beam, and what the robot says of it.
+
+    Attributes:
+        ellipses: measured, one a frame, px; leading axis n.
+        covariances: of each ellipse's (centre u, centre v, semi-major, semi-minor, angle), n x 5 x
+            5.
+        readings: distance along the beam since the touch, mm.
+        axis: unit vector from the tip towards the wall, eye frame.
+        principal_point: (u0, v0) of this trial's window, px.
+        touch: distance at reading 0, mm.
+        kind: "eyeball", a sphere about the origin, or "plane", through its pole and square to z but
+            for its tilt.
+    """
+
+    ellipses: optics.Ellipse
+    covariances: Float[np.ndarray, "n 5 5"]
+    readings: Float[np.ndarray, "n"]
+    axis: Float[np.ndarray, "3"]
+    principal_point: Float[np.ndarray, "2"]
+    touch: Prior
+    kind: str
+
+
+def phantom_wall(
+    kind: str, *, eye_radius: ScalarLike, tilt: tuple[ScalarLike, ScalarLike] = (0.0, 0.0)
+) -> optics.Surface:
+    """The wall of a `Trial.kind`.
+
+    Args:
+        kind: "eyeball" or "plane".
+        eye_radius: mm.
+        tilt: of the plane about the pole: tangents towards +X and +Y of its normal's lean.
+    """
+    if kind == "eyeball":
+        return optics.Sphere(eye_radius)
+    pole = jnp.array([0.0, 0.0, -1.0]) * eye_radius
+    inward = jnp.stack([*map(jnp.asarray, tilt), jnp.ones(())])
+    return optics.Plane(point=pole, inward=inward / jnp.linalg.norm(inward))
+
+
+class Group(eqx.Module):
+    """Trials on walls of one kind, padded to one number of frames."""
+
+    ellipses: optics.Ellipse
+    whitening: Float[Array, "trials n 5 5"]
+    readings: Float[Array, "trials n"]
+    axes: Float[Array, "trials 3"]
+    principal_points: Float[Array, "trials 2"]
+    touch_means: Float[Array, "trials"]
+    touch_sigmas: Float[Array, "trials"]
+    lean_sigma: Float[Array, ""]
+    kind: str = eqx.field(static=True)
+    data: int = eqx.field(static=True)
+    numbers: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        """Number of trials."""
+        return self.readings.shape[0]
+
+    @classmethod
+    def of(cls, of_all_kinds: Sequence[Trial], kind: str, lean_sigma: float) -> Group:
+        """The trials on one kind of wall."""
+        numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
+        trials = [of_all_kinds[n] for n in numbers]
+        longest = max(trial.readings.size for trial in trials)
+
+        def stacked(arrays: list[np.ndarray]) -> Array:
+            # A frame that pads a trial repeats its last, and weighs nothing.
+            rows = [
+                np.pad(a, [(0, longest - len(a)), *[(0, 0)] * (a.ndim - 1)], mode="edge")
+                for a in map(np.asarray, arrays)
+            ]
+            return jnp.asarray(np.stack(rows))
+
+        ellipses = optics.Ellipse(
+            *(stacked(list(leaves)) for leaves in zip(*(t.ellipses for t in trials), strict=True))
+        )
+        covariances = stacked([t.covariances for t in trials])
+        shape = jax.vmap(jax.vmap(optics.mismatch_covariance))(ellipses, covariances)
+        whitening = jnp.linalg.inv(jnp.linalg.cholesky(shape))
+        frames = np.array([t.readings.size for t in trials])
+        real = np.arange(longest) < frames[:, None]
+        return cls(
+            ellipses=ellipses,
+            whitening=whitening * real[..., None, None],
+            readings=stacked([t.readings for t in trials]),
+            axes=jnp.asarray(np.stack([t.axis for t in trials])),
+            principal_points=jnp.asarray(np.stack([t.principal_point for t in trials])),
+            touch_means=jnp.array([t.touch.mean for t in trials]),
+            touch_sigmas=jnp.array([t.touch.sigma for t in trials]),
+            lean_sigma=jnp.asarray(lean_sigma),
+            kind=kind,
+            data=5 * int(frames.sum()),
+            numbers=numbers,
+        )
+
+
+def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
+    """Whitened mismatch of every frame, and the priors of the nuisances."""
+    wall = phantom_wall(
+        group.kind, eye_radius=values["eye_radius"], tilt=(values["tilt_x"], values["tilt_y"])
+    )
+
+    def of_trial(ellipses, whitening, readings, axis, principal_point, touch, nuisance):
+        view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
+        # The spot's place moves with the first frame's ellipse, in px.
+        spot = wall.intersect(*view.ray(ellipses.centre[0] + nuisance[1:3])).point
+        first, second = optics.perpendicular_frame(axis)
+        aim = axis + group.lean_sigma * (nuisance[3] * first + nuisance[4] * second)
+        aim /= jnp.linalg.norm(aim)
+
+        def of_frame(ellipse, whiten, reading):
+            beam = optics.Beam(
+                tip=spot - (reading + touch) * aim,
+                axis=aim,
+                half_angle=values["half_angle"],
+                apex_offset=values["b"],
+            )
+            contour = optics.spot_contour(beam, wall, view, points=_POINTS)
+            return whiten @ optics.ellipse_mismatch(contour, ellipse)
+
+        frames = jax.vmap(of_frame)(ellipses, whitening, readings)
+        # The spot's place in the image has no prior.
+        return jnp.concatenate([jnp.ravel(frames), nuisance[:1], nuisance[3:]])
+
+    return jnp.ravel(
+        jax.vmap(of_trial)(
+            group.ellipses,
+            group.whitening,
+            group.readings,
+            group.axes,
+            group.principal_points,
+            group.touch_means + group.touch_sigmas * nuisances[:, 0],
+            nuisances,
+        )
+    )
