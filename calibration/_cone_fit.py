@@ -10,12 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 import optics
-from calibration._cone_trials import NUISANCES, Group, Prior, Trial, misfit
+from calibration._cone_trials import NUISANCES, Group, Prior, Trial, misfit, spots
 from calibration._identifiability import correlations, covariance_and_lost, marginal_information
 from calibration._least_squares import Solution, least_squares
 
@@ -50,6 +51,8 @@ class ConeFit(NamedTuple):
         touch_error: its standard error, mm; infinite where the data do not determine it.
         lean: per trial, rad: of the axis off the robot's, along the two vectors of
             `optics.perpendicular_frame`.
+        spot: per trial, (x, y) of the wall's point in the first frame, mm.
+        spot_covariance: of each spot; infinite where the data do not determine it.
         residuals: per trial, n x 5: of `optics.ellipse_mismatch`, each of variance 1.
         chi_squared: sum of squared whitened residuals, priors included.
         degrees_of_freedom: data and priors minus parameters.
@@ -64,6 +67,8 @@ class ConeFit(NamedTuple):
     touch: Float[np.ndarray, "trials"]
     touch_error: Float[np.ndarray, "trials"]
     lean: Float[np.ndarray, "trials 2"]
+    spot: Float[np.ndarray, "trials 2"]
+    spot_covariance: Float[np.ndarray, "trials 2 2"]
     residuals: tuple[Float[np.ndarray, "n 5"], ...]
     chi_squared: float
     degrees_of_freedom: int
@@ -74,6 +79,21 @@ class ConeFit(NamedTuple):
     def correlations(self) -> Float[np.ndarray, "p p"]:
         """Of the fitted ones."""
         return correlations(self.covariance)
+
+    @property
+    def eccentricity(self) -> Float[np.ndarray, "trials"]:
+        """Of each trial's spot: c, mm."""
+        return np.hypot(*self.spot.T)
+
+    @property
+    def eccentricity_error(self) -> Float[np.ndarray, "trials"]:
+        """Standard error of c, mm."""
+        outward = self.spot / np.maximum(self.eccentricity, 1e-12)[:, None]
+        known = np.isfinite(self.spot_covariance)
+        variance = np.einsum(
+            "ti,tij,tj->t", outward, np.where(known, self.spot_covariance, 0.0), outward
+        )
+        return np.sqrt(np.where(known.all(axis=(1, 2)), variance, np.inf))
 
 
 def fit_cone(
@@ -123,7 +143,7 @@ def fit_cone(
     priors_held = sum(prior is not None for prior in held)
     count = sum(group.data for group in groups) + priors_held + 3 * len(trials)
     # Names become numbers here, so that one compilation serves all choices of as many parameters.
-    solution = _solve(
+    solution, spot, spot_slopes = _solve(
         begin,
         groups,
         microscope,
@@ -154,6 +174,8 @@ def fit_cone(
         lean[number] = lean_sigma * found[at + 3 : at + 5]
         at += len(NUISANCES)
     own = slice(len(free))
+    in_order = np.argsort([number for group in groups for number in group.numbers])
+    slopes = np.asarray(spot_slopes)[in_order]
     return ConeFit(
         values=values,
         free=tuple(free),
@@ -162,12 +184,25 @@ def fit_cone(
         touch=touch,
         touch_error=touch_error,
         lean=lean,
+        spot=np.asarray(spot)[in_order],
+        spot_covariance=_carried_on(covariance, slopes),
         residuals=_by_trial(np.asarray(solution.residuals)[len(PARAMETERS) :], groups, trials),
         chi_squared=float(np.sum(np.square(solution.residuals))),
         degrees_of_freedom=count - found.size,
         undetermined=undetermined,
         converged=bool(solution.converged),
     )
+
+
+def _carried_on(
+    covariance: Float[np.ndarray, "x x"], slopes: Float[np.ndarray, "trials 2 x"]
+) -> Float[np.ndarray, "trials 2 2"]:
+    """Covariance of what has these slopes; all infinite where it hangs on what is unknown."""
+    unknown = np.isinf(covariance).any(axis=0)
+    known = np.where(unknown | unknown[:, None], 0.0, covariance)
+    carried = slopes @ known @ slopes.swapaxes(1, 2)
+    carried[np.any(slopes[..., unknown], axis=(1, 2))] = np.inf
+    return carried
 
 
 def _names(groups: list[Group]) -> list[str]:
@@ -204,10 +239,13 @@ def _solve(
     prior_means: Float[Array, "q"],
     prior_weights: Float[Array, "q"],
     count: Array,
-) -> Solution:
-    """Free parameters first, then the nuisances group by group; residuals likewise."""
+) -> tuple[Solution, Float[Array, "trials 2"], Float[Array, "trials 2 x"]]:
+    """Free parameters first, then the nuisances group by group; residuals likewise.
 
-    def residual(x: Array) -> Array:
+    Also returns the spots of all trials, in the groups' order, and their derivatives.
+    """
+
+    def unpacked(x: Array) -> tuple[Array, dict[str, Array], optics.Microscope, list[Array]]:
         parameters = fixed + steps @ x[: steps.shape[1]]
         values = dict(zip(PARAMETERS, parameters, strict=True))
         camera = eqx.tree_at(
@@ -215,12 +253,24 @@ def _solve(
             microscope,
             (values["scale"], -values["eye_radius"], values["inverse_working_distance"]),
         )
-        parts = [prior_weights * (parameters - prior_means)]
-        at = steps.shape[1]
+        nuisances, at = [], steps.shape[1]
         for group in groups:
-            nuisances = x[at : at + group.size * len(NUISANCES)].reshape(group.size, -1)
-            at += nuisances.size
-            parts.append(misfit(group, camera, values, nuisances))
+            nuisances.append(x[at : at + group.size * len(NUISANCES)].reshape(group.size, -1))
+            at += nuisances[-1].size
+        return parameters, values, camera, nuisances
+
+    def residual(x: Array) -> Array:
+        parameters, values, camera, nuisances = unpacked(x)
+        parts = [prior_weights * (parameters - prior_means)]
+        for group, own in zip(groups, nuisances, strict=True):
+            parts.append(misfit(group, camera, values, own))
         return jnp.concatenate(parts)
 
-    return least_squares(residual, begin, count=count)
+    def spot_of_each(x: Array) -> Array:
+        _, values, camera, nuisances = unpacked(x)
+        of_groups = zip(groups, nuisances, strict=True)
+        return jnp.concatenate([spots(g, camera, values, own)[:, :2] for g, own in of_groups])
+
+    solution = least_squares(residual, begin, count=count)
+    found = solution.parameters
+    return solution, spot_of_each(found), jax.jacfwd(spot_of_each)(found)

@@ -8,7 +8,7 @@ place in the image (two), and how the axis leans from what the robot says (two).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -132,16 +132,35 @@ class Group(eqx.Module):
         )
 
 
-def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
-    """Whitened mismatch of every frame, and the priors of the nuisances."""
-    wall = phantom_wall(
+def spots(
+    group: Group,
+    camera: optics.Microscope,
+    values: Mapping[str, ScalarLike],
+    nuisances: Float[Array, "trials 5"],
+) -> Float[Array, "trials 3"]:
+    """The wall's point in each trial's first frame, mm."""
+    wall = _wall(group, values)
+
+    def of_trial(ellipses: optics.Ellipse, principal_point: Array, nuisance: Array) -> Array:
+        view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
+        # The spot's place moves with the first frame's ellipse, in px.
+        return wall.intersect(*view.ray(ellipses.centre[0] + nuisance[1:3])).point
+
+    return jax.vmap(of_trial)(group.ellipses, group.principal_points, nuisances)
+
+
+def _wall(group: Group, values: Mapping[str, ScalarLike]) -> optics.Surface:
+    return phantom_wall(
         group.kind, eye_radius=values["eye_radius"], tilt=(values["tilt_x"], values["tilt_y"])
     )
 
-    def of_trial(ellipses, whitening, readings, axis, principal_point, touch, nuisance):
+
+def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
+    """Whitened mismatch of every frame, and the priors of the nuisances."""
+    wall = _wall(group, values)
+
+    def of_trial(ellipses, whitening, readings, axis, principal_point, spot, touch, nuisance):
         view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
-        # The spot's place moves with the first frame's ellipse, in px.
-        spot = wall.intersect(*view.ray(ellipses.centre[0] + nuisance[1:3])).point
         first, second = optics.perpendicular_frame(axis)
         aim = axis + group.lean_sigma * (nuisance[3] * first + nuisance[4] * second)
         aim /= jnp.linalg.norm(aim)
@@ -167,6 +186,7 @@ def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
             group.readings,
             group.axes,
             group.principal_points,
+            spots(group, camera, values, nuisances),
             group.touch_means + group.touch_sigmas * nuisances[:, 0],
             nuisances,
         )

@@ -158,6 +158,13 @@ def _cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     sigma = np.sqrt(np.diag(fit.covariance))
     names = [recording.name for recording in recordings]
     touches = zip(names, fit.touch, fit.touch_error, strict=True)
+    eccentricities = [
+        (f"c of {recording.name}", c, error, "mm")
+        for recording, c, error in zip(
+            recordings, fit.eccentricity, fit.eccentricity_error, strict=True
+        )
+        if recording.trial.kind == "eyeball"
+    ]
     residuals = np.concatenate(fit.residuals)
     return Fitted(
         calibration_model="exact",
@@ -178,6 +185,7 @@ def _cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
                 if i not in kept
             ),
             *((f"touch of {name}", touch, error, "mm") for name, touch, error in touches),
+            *eccentricities,
         ],
         notes=[
             f"{name}: the axis leans {math.degrees(np.hypot(*lean)):.2f}° from the robot's."

@@ -108,6 +108,7 @@ def test_exact_contours_give_every_parameter_back():
         assert fit.values[name] == pytest.approx(true, rel=1e-6), name
     np.testing.assert_allclose(fit.touch, 0.12, atol=1e-6)
     np.testing.assert_allclose(fit.lean, 0.0, atol=1e-6)
+    np.testing.assert_allclose(fit.eccentricity, [1.5, 3.0, 3.0, 5.0, 4.5], rtol=1e-6)
     # What is known of the parameters alone is what is known with the nuisances not known.
     # Correlations of 0.99 and more take four of the sixteen digits, the solver's end the rest.
     sigma = np.sqrt(np.diag(fit.covariance))
@@ -118,7 +119,9 @@ def test_exact_contours_give_every_parameter_back():
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
     runs = 200
-    hits = {name: 0 for name in (*CONE, *(f"touch {n}" for n in range(4)))}
+    hits = {
+        name: 0 for name in (*CONE, *(f"{name} {n}" for name in ("touch", "c") for n in range(4)))
+    }
     squares = []
     for seed in range(runs):
         noise = np.random.default_rng(seed)
@@ -133,8 +136,12 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         ]
         fit = calibration.fit_cone(trials, EYE, start=START)
         assert fit.converged
-        errors = [*(fit.values[name] - TRUE[name] for name in CONE), *(fit.touch - touched)]
-        sigmas = [*np.sqrt(np.diag(fit.covariance)), *fit.touch_error]
+        errors = [
+            *(fit.values[name] - TRUE[name] for name in CONE),
+            *(fit.touch - touched),
+            *(fit.eccentricity - [1.5, 3.0, 3.0, 5.0]),
+        ]
+        sigmas = [*np.sqrt(np.diag(fit.covariance)), *fit.touch_error, *fit.eccentricity_error]
         for name, error, sigma in zip(hits, errors, sigmas, strict=True):
             hits[name] += abs(error) < 1.959964 * sigma
         squares.append(fit.chi_squared)
@@ -161,6 +168,8 @@ def test_scale_and_cone_are_only_seen_together_on_planes_from_a_telecentric_micr
     assert fit.undetermined[0].startswith("half_angle and scale only as their ratio")
     assert "add a trial in the eyeball" in fit.undetermined[0]
     assert np.isinf(fit.covariance[0, 0])
+    # Where the spot is in mm hangs on the scale.
+    assert np.isinf(fit.eccentricity_error).all()
     # b is seen all the same, as well as the touch is known.
     assert np.sqrt(fit.covariance[1, 1]) == pytest.approx(TOUCH.sigma, rel=0.01)
 

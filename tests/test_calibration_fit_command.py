@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import eyespot
 import scenes
-from calibration import Prior
+from calibration import Prior, fit_cone
 from calibration.recordings import LogBook, read_recording
 from estimator import Spot, SpotRecord, open_source, read_poses, write_spots
 from estimator.bags import write_bag
@@ -273,6 +273,19 @@ def test_the_cone_that_was_rendered_is_found(stacks, tmp_path):
     assert found.values["b"] == pytest.approx(B, abs=0.02)
     for name, true in (("half_angle", np.arctan(1 / K)), ("b", B)):
         assert abs(found.values[name] - true) < 4 * found.sigma(name)
+
+
+@pytest.mark.slow
+def test_the_eccentricity_that_was_rendered_is_found(stacks):
+    recordings = [read_recording(stack) for stack in stacks]
+    fit = fit_cone(
+        [recording.trial for recording in recordings],
+        recordings[0].microscope.ideal_microscope(),
+        start={"half_angle": 1.3 / K, "b": 0.7 * B},
+    )
+    # Asked of rendered cones with camera noise: within 0.01 mm.
+    np.testing.assert_allclose(fit.eccentricity, [1.5, 3.0, 4.0, 5.0], atol=0.01)
+    assert np.all(np.abs(fit.eccentricity - [1.5, 3.0, 4.0, 5.0]) < 4 * fit.eccentricity_error)
 
 
 @pytest.mark.slow
