@@ -9,6 +9,7 @@ BENCHES = (
     "render_speed",
     "estimator_accuracy",
     "fit_speed",
+    "cone_fit",
     "image_fit",
     "study_speed",
     "dataset_speed",

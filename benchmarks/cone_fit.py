@@ -1,0 +1,132 @@
+"""Figures of the fit of the exact geometry to ellipses: noise-free contours, and rendered stacks.
+
+The stacks' labels are read to compare with, not to fit.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import calibration
+import optics
+from calibration.recordings import read_recording
+from scenes import Scene, load_mitsuba, render_stack
+
+_TRUE = {"half_angle": math.atan(1 / 20), "b": -5.117}
+_START = {"half_angle": 1.3 * _TRUE["half_angle"], "b": 0.7 * _TRUE["b"]}
+_PLACES = (("plane", 1.5, 0.0), ("plane", 3.0, 120.0), ("eyeball", 4.0, 0.0), ("eyeball", 5.0, 240))
+"""Phantom, c in mm, azimuth in degrees."""
+_FRAMES = 13
+_ASKED = {"half_angle": 0.003 * _TRUE["half_angle"], "b": 0.02, "c": 0.01}
+_ASKED_WITHOUT_NOISE = 1e-6  # relative
+
+
+def main() -> None:
+    """Fit, and print what was found beside the truth."""
+    load_mitsuba()
+    console = Console()
+    eye = optics.microscope(scale=0.0067, pinhole_height=200.0, eye_radius=11.5)
+    trials = [_exact_trial(kind, c, math.radians(azimuth), eye) for kind, c, azimuth in _PLACES]
+    fit = calibration.fit_cone(trials, eye, start=_START)
+    asked = {"half_angle": _TRUE["half_angle"], "b": -_TRUE["b"], "c": 1.0}
+    limits = {name: _ASKED_WITHOUT_NOISE * size for name, size in asked.items()}
+    console.print(_table("exact contours without noise", fit, limits))
+    with tempfile.TemporaryDirectory() as folder:
+        stacks = [
+            render_stack(_scene(*place), Path(folder) / f"{number}")
+            for number, place in enumerate(_PLACES)
+        ]
+        recordings = [read_recording(stack.folder) for stack in stacks]
+    fit = calibration.fit_cone(
+        [recording.trial for recording in recordings],
+        recordings[0].microscope.ideal_microscope(),
+        start=_START,
+    )
+    console.print(_table("rendered cones with camera noise, sub-pixel spots", fit, _ASKED))
+    console.print(
+        f"chi squared per degree of freedom {fit.chi_squared / fit.degrees_of_freedom:.3f} over "
+        f"{fit.degrees_of_freedom}; converged: {fit.converged}"
+    )
+
+
+def _exact_trial(kind: str, c: float, azimuth: float, eye: optics.Microscope) -> calibration.Trial:
+    wall = optics.Sphere(11.5) if kind == "eyeball" else optics.pole_plane(eye_radius=11.5)
+    distances = jnp.linspace(0.5, 6.0, _FRAMES)
+
+    def at(distance: jax.Array) -> tuple[optics.Ellipse, jax.Array]:
+        beam = optics.beam_at_spot(
+            wall,
+            eccentricity=c,
+            azimuth=azimuth,
+            incidence=math.radians(30.0),
+            distance=distance,
+            half_angle=_TRUE["half_angle"],
+            apex_offset=_TRUE["b"],
+        )
+        return optics.spot_ellipse(beam, wall, eye), beam.axis
+
+    ellipses, axes = jax.jit(jax.vmap(at))(distances)
+    return calibration.Trial(
+        ellipses=ellipses,
+        covariances=np.tile(np.diag([0.01, 0.01, 0.01, 0.01, 0.005]) ** 2, (_FRAMES, 1, 1)),
+        readings=np.asarray(distances),
+        axis=np.asarray(axes[0]),
+        principal_point=np.zeros(2),
+        touch=calibration.Prior(0.0, 0.02),
+        kind=kind,
+    )
+
+
+def _scene(kind: str, c: float, azimuth: float) -> Scene:
+    return Scene.model_validate(
+        {
+            "schema": 1,
+            "phantom": {"kind": kind, "wall": "uniform"},
+            "source": {"kind": "cone", "cone_k": 20.0, "cone_apex_offset_mm": _TRUE["b"]},
+            "spot": {"eccentricity_mm": c, "azimuth_deg": azimuth},
+            "motion": {"frames": _FRAMES},
+            "exposures": {"kinds": ["metered"]},
+        }
+    )
+
+
+def _table(title: str, fit: calibration.ConeFit, asked: dict[str, float]) -> Table:
+    table = Table(title=title)
+    for heading in ("parameter", "true", "found", "± σ", "off", "asked"):
+        table.add_column(heading, justify="left" if heading == "parameter" else "right")
+    sigma = np.sqrt(np.diag(fit.covariance))
+    rows: Sequence[tuple[str, float, float, float, float]] = [
+        *(
+            (n, _TRUE[n], fit.values[n], float(s), asked[n])
+            for n, s in zip(fit.free, sigma, strict=True)
+        ),
+        *(
+            (f"c, {kind}", c, float(found), float(error), asked["c"])
+            for (kind, c, _), found, error in zip(
+                _PLACES, fit.eccentricity, fit.eccentricity_error, strict=True
+            )
+        ),
+    ]
+    for name, true, found, error, limit in rows:
+        cells = (
+            f"{true:.6g}",
+            f"{found:.6g}",
+            f"{error:.2g}",
+            f"{found - true:+.2g}",
+            f"{limit:.2g}",
+        )
+        table.add_row(name, *cells)
+    return table
+
+
+if __name__ == "__main__":
+    main()
