@@ -3,12 +3,10 @@
 Import after `load_mitsuba`.
 
 What makes its derivatives right: a photon's place on the film and its power are smooth in every
-parameter, and nothing is decided by comparing a parameter with a random number. Photons are drawn
-where they pass the aperture, so that none is lost at the rim; the cap splits their power by
-Fresnel's equations instead of reflecting some of them, and the part that leaves falls to zero
-before total reflection sets in; the film takes a photon by a tent over its four nearest pixels. An
-occluder would break the rule, because which photons it hides is a comparison; scenes with one are
-refused.
+parameter, and nothing is decided by comparing a parameter with a random number. `smooth_lens` sees
+to that in the glass; the film shares a photon out to the nine pixels about it by a quadratic
+spline. An occluder would break the rule, because which photons it hides is a comparison; scenes
+with one are refused.
 """
 
 # Mitsuba's stubs describe no variant's types; the tracer is left to its tests.
@@ -24,11 +22,13 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from scipy.stats import qmc
 
 import optics
 from scenes import build
 from scenes.motion import frame_times, trajectory
 from scenes.settings import Scene, SceneError
+from scenes.smooth_lens import check_lens, leave_cap
 
 LENS = (
     "core_radius",
@@ -45,11 +45,10 @@ POSE = ("tip_x", "tip_y", "tip_z", "axis_x", "axis_y", "axis_z")
 
 _BORDER_PX = 1  # pixels of the film's edge lack the light of photons just beyond it
 _PASS = 1 << 18  # photons at a time; their graph takes about 1 kB each
-_GRAZING = 1e-8  # squared cosine at which a ray leaves along the cap; its power is zero there
 
 
 class _OnFilm(NamedTuple):
-    """Photons shared out to the four pixels about each: numbers of pixels, light for them."""
+    """Photons shared out to the nine pixels about each: numbers of pixels, light for them."""
 
     pixels: list[Any]
     light: list[Any]
@@ -58,10 +57,11 @@ class _OnFilm(NamedTuple):
 class PhotonImage:
     """Direct light of the lens on the wall, seen by the microscope, with derivatives.
 
-    The image is that of `scenes.photons.photon_image` but for two things: the pixel is a tent two
-    pixels wide instead of a box, and light that the cap throws back is lost (under 0.5 % of it
-    comes out later). One seed's photons are the same for all parameters, so that the image is a
-    smooth function of them; its noise is that of `photons`.
+    The image is that of `scenes.photons.photon_image` but for two things: the pixel is a quadratic
+    spline three pixels wide instead of a box, and light that the cap throws back is lost (under
+    0.5 % of it comes out later). One seed's photons are the same for all parameters, so that the
+    image is a smooth function of them. They are spread evenly (a scrambled Sobol sequence), so that
+    its noise is less than theirs by chance.
 
     Args:
         scene: whose source is a lens and whose view nothing obstructs.
@@ -92,7 +92,7 @@ class PhotonImage:
             )
         self._values, self._launch = _parameters(scene, frame)
         self._medium_index = optics.MEDIA[scene.source.medium]
-        self._photons, self._seed = photons, seed
+        self._numbers = _evenly_spread(photons, seed=seed)
         self.free = tuple(free)
         self.start = np.array([self._values[name] for name in self.free])
         self.shape = (scene.microscope.height_px, scene.microscope.width_px, 3)
@@ -163,37 +163,34 @@ class PhotonImage:
     def _passes(self, parameters: np.ndarray, *, derivatives: bool = False):
         """The free parameters and the photons that follow them, so many photons at a time."""
         values = self._values | dict(zip(self.free, parameters.tolist(), strict=True))
-        _check_lens(values)
-        count = math.ceil(self._photons / _PASS)
-        for number in range(count):
-            size = self._photons * (number + 1) // count - self._photons * number // count
+        check_lens(values)
+        for numbers in np.array_split(self._numbers, math.ceil(len(self._numbers) / _PASS)):
+            size = len(numbers)
             # In memory, or every new value would be a new kernel; for each photon, or reverse mode
             # would sum over the photons wherever a parameter is used.
             copies = {name: dr.opaque(mi.Float, value, size) for name, value in values.items()}
             leaves = [copies[name] for name in self.free]
             if derivatives:
                 dr.enable_grad(leaves)
-            yield leaves, self._photons_on_film(copies, size, seed=self._seed * count + number)
+            yield leaves, self._photons_on_film(copies, numbers)
 
-    def _photons_on_film(self, values: dict[str, Any], size: int, *, seed: int) -> _OnFilm:
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed, size)
-        place, heading, power = _leave_cap(
+    def _photons_on_film(self, values: dict[str, Any], numbers: np.ndarray) -> _OnFilm:
+        place, heading, power = leave_cap(
             values,
             launch=self._launch,
             medium_index=self._medium_index,
-            numbers=(sampler.next_2d(), sampler.next_2d()),
+            numbers=(mi.Point2f(numbers.T[:2]), mi.Point2f(numbers.T[2:])),
         )
         frame = mi.Frame3f(dr.normalize(_vector(values, "axis")))
         tip = _vector(values, "tip")
         si = self._wall.ray_intersect(
             mi.Ray3f(mi.Point3f(tip + frame.to_world(place)), frame.to_world(heading)), power > 0
         )
-        to_film, importance = self._sensor.sample_direction(si, sampler.next_2d(), si.is_valid())
+        to_film, importance = self._sensor.sample_direction(si, mi.Point2f(0.5), si.is_valid())
         context = mi.BSDFContext(mi.TransportMode.Importance)
         reflected = si.bsdf().eval(context, si, si.to_local(to_film.d), si.is_valid())
         film = mi.ScalarVector2u(self._sensor.film().size())
-        light = reflected * importance * power * (math.prod(film) / self._photons)
+        light = reflected * importance * power * (math.prod(film) / len(self._numbers))
         light = dr.select(to_film.pdf > 0, light, 0)
         nearest = dr.floor(to_film.uv)
         columns, rows = (_spline(to_film.uv[i] - nearest[i] - 0.5) for i in (0, 1))
@@ -214,6 +211,12 @@ class PhotonImage:
             dr.scatter_add(film, part, pixel)
         inner = slice(_BORDER_PX, -_BORDER_PX)
         return np.array(film, dtype=float).reshape(height, width, channels)[inner, inner]
+
+
+def _evenly_spread(count: int, *, seed: int) -> np.ndarray:
+    """Scrambled Sobol points, count x 4, in [0, 1) after rounding to float32."""
+    points = qmc.Sobol(4, rng=seed).random_base2(math.ceil(math.log2(count)))[:count]
+    return np.minimum(points, 1 - 2**-24).astype(np.float32)
 
 
 def _spline(offset):
@@ -272,86 +275,5 @@ def _wall_and_sensor(scene: Scene) -> tuple[Any, Any]:
     return mi.load_dict({"type": "scene", "wall": content["wall"]}), mi.load_dict(content["sensor"])
 
 
-def _check_lens(values: dict[str, float]) -> None:
-    """Refuse what is no lens, in plain numbers: `optics` would call JAX, perhaps inside of it."""
-    for name, low, high in (
-        ("sag", 0.0, min(values["aperture_radius"], values["glue_length"])),
-        ("numerical_aperture", 1e-6, values["glue_index"]),
-        ("core_radius", 1e-6, math.inf),
-        ("glue_index", 1.0, 4.0),
-        ("power", 0.0, math.inf),
-    ):
-        if not low <= values[name] <= high:
-            raise ValueError(
-                f"PhotonImage: {name} must lie in [{low:g}, {high:g}]; got {values[name]:g}. "
-                "Start a fit nearer, or fit a function of the parameter that keeps it there."
-            )
-
-
 def _vector(values: dict[str, Any], name: str):
     return mi.Vector3f(*(values[f"{name}_{axis}"] for axis in "xyz"))
-
-
-def _leave_cap(values: dict[str, Any], *, launch: optics.GlueLens, medium_index: float, numbers):
-    """Light behind the cap in the lens's frame: place, direction and power of each photon.
-
-    Args:
-        values: parameters by name.
-        launch: the lens whose Gaussian launch, if any, the core has.
-        medium_index: of the medium in front.
-        numbers: uniform ones, two for the direction and two for the place.
-    """
-    index, sag, aperture = values["glue_index"], values["sag"], values["aperture_radius"]
-    face, face_light = _filled(values["core_radius"], launch.launch_radius, 1)
-    sine, sine_light = _filled(values["numerical_aperture"] / index, launch.launch_aperture, index)
-    lateral = sine * mi.warp.square_to_uniform_disk_concentric(numbers[0])
-    forward = dr.sqrt(1 - dr.squared_norm(lateral))
-    # Where light of this direction passes the rim's plane: in the core's disc, moved, and in the
-    # aperture's. Along the line of their centres, then across it.
-    across = dr.norm(lateral)
-    moved = (values["glue_length"] - sag) * across / forward
-    first, last = dr.maximum(moved - face, -aperture), dr.minimum(moved + face, aperture)
-    width = dr.maximum(last - first, 0)
-    along = first + width * numbers[1].x
-    half = dr.minimum(face**2 - dr.square(along - moved), aperture**2 - dr.square(along))
-    half = dr.sqrt(dr.maximum(half, 1e-12))
-    aside = half * (2 * numbers[1].y - 1)
-    unit = lateral / dr.maximum(across, 1e-12)
-    power = values["power"] * width * 2 * half / (dr.pi * face**2)
-    power *= face_light(dr.square(along - moved) + dr.square(aside))
-    power *= sine_light(dr.square(across))
-
-    # The cap is k|P|^2/2 + P_z = 0 with the curvature k, which also holds for a flat end.
-    curvature = 2 * sag / (aperture**2 + sag**2)
-    heading = mi.Vector3f(lateral.x, lateral.y, forward)
-    rim = mi.Vector3f(
-        along * unit.x - aside * unit.y, along * unit.y + aside * unit.x, -sag + 0 * along
-    )
-    depth = 0.5 * curvature * (aperture**2 - dr.square(along) - dr.square(aside))
-    steepness = 0.5 * (curvature * dr.dot(rim, heading) + forward)
-    path = depth / (steepness + dr.sqrt(dr.square(steepness) + 0.5 * curvature * depth))
-    place = rim + path * heading
-    normal = curvature * place + mi.Vector3f(0, 0, 1)
-
-    # Snell and Fresnel for unpolarised light, as Born and Wolf have them (1.5.2).
-    ratio = index / medium_index
-    cos_in = dr.dot(heading, normal)
-    cos_squared = 1 - dr.square(ratio) * (1 - dr.square(cos_in))
-    cos_out = dr.sqrt(dr.maximum(cos_squared, _GRAZING))
-    out = dr.normalize(ratio * heading + (cos_out - ratio * cos_in) * normal)
-    passed = 2 * ratio * cos_in * cos_out / dr.square(ratio * cos_in + cos_out)
-    passed += 2 * ratio * cos_in * cos_out / dr.square(cos_in + ratio * cos_out)
-    return place, out, power * passed & (cos_squared > _GRAZING)
-
-
-def _filled(limit: Any, waist: Any, index: Any):
-    """Radius of a disc that light fills, and its radiance there over the mean.
-
-    Uniform, or after a Gaussian launch of that 1/e^2 waist, as `optics.GlueLens` says.
-    """
-    if waist is None:
-        return limit, lambda squared: 1
-    waist = float(waist) / index
-    extent = dr.minimum(limit, 2.6 * waist)
-    edge = 2 * dr.square(extent / waist)
-    return extent, lambda squared: dr.exp(-2 * squared / waist**2) * edge / (1 - dr.exp(-edge))

@@ -112,7 +112,10 @@ ALL_FREE: dict[str, tuple[dict[str, float], dict[str, Any], tuple[str, ...]]] = 
 )
 def test_derivatives_are_central_differences(case, tmp_path):
     lens, parts, free = {**CASES, **ALL_FREE}[case]
-    image = photon_image(scene(lens, tmp_path, **parts), free=free)
+    # Few photons are where one edge takes over from another, and they tell the two apart most. Of
+    # parameters that hardly matter otherwise it takes more photons, and 4 x 4 pixels together.
+    photons, side = (1 << 17, 1) if case in CASES else (1 << 19, 4)
+    image = photon_image(scene(lens, tmp_path, **parts), free=free, photons=photons)
     value, jacobian = image.value_and_jacobian(image.start)
     # Other kernels, the same photons: rounding.
     np.testing.assert_allclose(value, image.value(image.start), atol=2e-6 * value.max())
@@ -122,8 +125,15 @@ def test_derivatives_are_central_differences(case, tmp_path):
         step = STEP[name] * direction
         difference = image.value(image.start + step) - image.value(image.start - step)
         difference /= 2 * STEP[name]
-        error = np.linalg.norm(column - difference) / np.linalg.norm(difference)
-        assert error < 0.01, f"{name}: {error:.3%}"
+        rounding = 2**-24 * np.linalg.norm(blocks(value, side)) / STEP[name]
+        error = np.linalg.norm(blocks(column - difference, side))
+        size = np.linalg.norm(blocks(difference, side))
+        assert error < 0.01 * size + rounding, f"{name}: {error:.3g} of {size:.3g}"
+
+
+def blocks(image, side):
+    height, width, channels = image.shape
+    return image.reshape(height // side, side, width // side, side, channels).sum(axis=(1, 3))
 
 
 def test_reverse_mode_is_forward_mode_transposed(tmp_path):
@@ -166,11 +176,14 @@ def test_the_light_in_the_image_is_what_leaves_the_cap(tmp_path):
         lens = optics.glue_lens(**{**DEEP_DOME, name: DEEP_DOME[name] + step})
         return float(optics.transmitted_power(lens, medium_index=1.336))
 
-    # The quadrature is smooth; its slope bends by less than 1e-3 of itself over such steps.
-    expected = [power("sag", 0), *((power(n, 1e-3) - power(n, -1e-3)) / 2e-3 for n in free)]
+    expected = np.array(
+        [power("sag", 0), *((power(n, 1e-4) - power(n, -1e-4)) / 2e-4 for n in free)]
+    )
     error = np.std(found, axis=0, ddof=1) / np.sqrt(seeds)
-    t = (np.mean(found, axis=0) - expected) / error
-    assert np.all(np.abs(t) < scipy.stats.t(seeds - 1).isf(ALPHA / t.size / 2)), t
+    off = np.mean(found, axis=0) - expected
+    chance = error * scipy.stats.t(seeds - 1).isf(ALPHA / off.size / 2)
+    # Four times the quadrature's nodes move its slopes by up to 7e-4; float32 loses some 1e-6.
+    assert np.all(np.abs(off) < chance + [1e-5, *3 * [1e-3]] * np.abs(expected)), off / expected
 
 
 @pytest.mark.slow
@@ -211,7 +224,7 @@ def test_images_and_derivatives_are_those_of_the_closed_form_lens(medium, tmp_pa
     lit = expected[..., 0] > 200 * expected[..., 0].sum() / (1 << 20)
     assert lit.sum() > 100
     student = scipy.stats.t(seeds - 1)
-    for name, t in zip(("value", *free), ((mean - expected) / error)[lit].T, strict=True):
+    for name, t in zip(("value", *free), ((mean - expected)[lit] / error[lit]).T, strict=True):
         assert np.abs(t).max() < student.isf(ALPHA / t.size / 2), name
         assert scipy.stats.kstest(t, student.cdf).pvalue > ALPHA, name
 
@@ -310,7 +323,9 @@ def test_a_lens_is_found_in_another_seed_s_image(tmp_path):
         ]
     )
     mean = data.mean(axis=0)
-    sigma = np.sqrt(np.maximum(mean, 0.01 * mean.max()))
+    noise = data - mean
+    per_light = np.sum(noise**2) / (seeds - 1) / mean.sum()
+    sigma = np.sqrt(per_light * np.maximum(mean, 0.01 * mean.max()))
     function = bridged(model)
 
     def residual(parameters):
@@ -321,8 +336,7 @@ def test_a_lens_is_found_in_another_seed_s_image(tmp_path):
     assert bool(solution.converged)
     # What the other seeds' noise would do to the parameters; twice, as the model has as much.
     jacobian = np.asarray(jax.jacfwd(residual)(solution.parameters))
-    noise = ((data - mean) / sigma).reshape(seeds, -1)
-    shifts = np.linalg.lstsq(jacobian, noise.T, rcond=None)[0]
+    shifts = np.linalg.lstsq(jacobian, (noise / sigma).reshape(seeds, -1).T, rcond=None)[0]
     spread = np.sqrt(2 * np.sum(shifts**2, axis=1) / (seeds - 1))
     # Three sigma of a normal error, whose sigma is known from 7 degrees of freedom.
     leeway = scipy.stats.t(seeds - 1).isf(scipy.stats.norm.sf(3))
