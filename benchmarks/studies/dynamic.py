@@ -19,7 +19,7 @@ from scenes import Scene, SceneError
 
 SPEEDS_MM_S = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
 _QUICK_SPEEDS_MM_S = (0.5, 1.5, 5.0)
-_RUNS = 4
+_RUNS = 2
 
 # A robot's stamps jitter; without, they would fall on the frames' own moments.
 _DEFAULTS = ("clocks.kinematics_jitter_s=0.001",)
