@@ -136,7 +136,7 @@ def sums(problem: Problem, table: LensTable | None, x: Array, over: Array, chunk
 
     Args:
         problem: the fit.
-        table: of a lens, made at `x`; None of a cone.
+        table: of a lens, made near `x`; None of a cone.
         x: of the parameters.
         over: by which part the frame's exposure exceeds the reported one.
         chunk: the pixels.
@@ -204,5 +204,4 @@ def _source(problem: Problem, values: Mapping[str, Array], table: LensTable | No
         return Cone(values["half_angle"], values["b"], blur)
     names = [name for name in problem.names if name in _image_table.PARAMETERS]
     now = jnp.array([values[name] for name in names])
-    moved = now - jax.lax.stop_gradient(now)
-    return Lens(eqx.tree_at(lambda t: t.moved, table, moved))
+    return Lens(eqx.tree_at(lambda t: t.moved, table, now - table.at))

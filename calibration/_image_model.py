@@ -6,7 +6,8 @@ $$ L = \frac{\rho}{\pi}\bigl(P\,E(X) + E_\mathrm{indirect} + E_0\,c(X)\bigr) $$
 
 towards the microscope: P the power, E the source's irradiance of the wall point X per unit power,
 the uniform light that a closed eyeball scatters back, and the microscope's own light, E_0 at the
-pole. The mean over a pixel is that of its centre, but for the cone's edge, which cuts pixels.
+pole. The mean over a pixel is that of its centre, but for the cone's edge, which cuts pixels, and
+for the lens's light, whose edges may be as narrow as one.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import NamedTuple, Protocol
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.stats import norm
 from jaxtyping import Array, Float, ScalarLike
 
@@ -24,6 +26,7 @@ import optics
 from calibration._image_table import LensTable
 
 _ACROSS = 1e-3  # px; a pixel's width along an edge that runs along its side, instead of 0
+_GAUSS = 12**-0.5 * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])  # px from a pixel's centre
 _FAR_PX, _FAR_SIGMAS = 2.0, 9.0  # from an edge, beyond which a pixel is wholly lit or dark
 
 
@@ -207,14 +210,16 @@ class Lens(eqx.Module):
     def irradiance(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        """E = -n · V (see `optics.vector_irradiance`)."""
-        offset = wall.point - tip
+        """E = -n · V (see `optics.vector_irradiance`), as Gauss' rule has a pixel's mean."""
+        u, v = (node[:, None, None] for node in _GAUSS.T)
+        offset = wall.point + u * wall.right + v * wall.down - tip
+        normal = wall.normal + u * wall.bend_right + v * wall.bend_down
         along = _dot(offset, axis)
-        lateral = offset - along[:, None] * axis
+        lateral = offset - along[..., None] * axis
         off_axis = jnp.sqrt(_dot(lateral, lateral) + 1e-24)
         v_lateral, v_axial = self.table(radius=off_axis, distance=along)
-        across = _dot(lateral, wall.normal) / off_axis
-        return -(v_lateral * across + v_axial * _dot(wall.normal, axis))
+        across = _dot(lateral, normal) / off_axis
+        return -jnp.mean(v_lateral * across + v_axial * _dot(normal, axis), axis=0)
 
     def lit(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]

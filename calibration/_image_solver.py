@@ -30,7 +30,7 @@ from calibration._image_chunks import Chunk, Problem, Sums, look, sums, values_a
 from calibration._image_data import Footage
 from calibration._image_parameters import DEFAULTS, LENS, NUISANCES, possible
 from calibration._image_pixels import bright_spot, chosen_chunks
-from calibration._image_table import LensTable, lens_grid, lens_table
+from calibration._image_table import LensTable, lens_sampling, lens_table
 from calibration._normal_equations import Minimum, NormalEquations, minimise
 
 _TOUCH_SIGMA_MM = 0.02
@@ -43,6 +43,10 @@ _NEAREST_MM = {"cone": 0.03, "lens": 0.3}
 """From the tip's plane: a touching rim, or light too near the lens for its table."""
 _REACH = {True: 1.6, False: 1.05}
 """Of a lens's table over the light's envelope: how far the lens may move, at first and later."""
+_TABLES = 10
+"""Of a lens at most in a round, each where the fit with the former one ended."""
+_HALVINGS = {True: 1, False: 3}
+"""Of a lens's table where it needs them, at first and later."""
 _EXACT = 1e-6
 """Sigma of what is so by definition: that fitted exposures are those reported, on average."""
 _SETTLED, _COARSELY = 1e-3, 0.1
@@ -154,25 +158,40 @@ class Solver:
         x = self._bright_enough(x)
         for blur, stride in zip(coarse, strides, strict=True):
             self._choose(x, blur=blur, stride=stride)
-            x = minimise(self._sums, x, tolerance=_COARSELY).x
+            x = minimise(self._tabulated_sums, x, tolerance=_COARSELY).x
         for _ in range(_ROUNDS):
             self._choose(x)
-            found = minimise(self._sums, x, tolerance=_SETTLED)
+            found = self._settled(x)
             x = found.x
         return self._result(found)
+
+    def _settled(self, x: np.ndarray) -> Minimum:
+        """The minimum, where a lens's table is exact.
+
+        With a table made anew at every step chi squared would jump by 0.02 as the quadrature
+        finds arcs or loses them, and no step would be known to lower it.
+        """
+        for _ in range(_TABLES):
+            found = minimise(self._sums, x, tolerance=_SETTLED)
+            if self.source == "cone" or np.array_equal(found.x, x):
+                return found
+            x = found.x
+            self.table = self._table(x)
+        return found._replace(converged=False)
 
     def _choose(self, x: np.ndarray, *, blur: float | None = None, stride: int = 1) -> None:
         """Take pixels as the fit stands; without a blur, all of them."""
         if self.source == "lens":
             values = self._values(x)
             gone = self.footage.readings + values["touch"]
-            self.grid = lens_grid(
+            self.sampling = lens_sampling(
                 values,
                 medium_index=self.footage.medium_index,
                 # The wall leans: parts of it are nearer and farther than where the axis meets it.
                 nearest=max(_NEAREST_MM["lens"], gone.min() - 1.0),
                 farthest=gone.max() + 1.0,
                 reach=_REACH[blur is not None],
+                halvings=_HALVINGS[blur is not None],
             )
         self.problem = eqx.tree_at(
             lambda problem: problem.blur,
@@ -180,10 +199,11 @@ class Solver:
             jnp.asarray(blur) if blur else None,
             is_leaf=lambda leaf: leaf is None,
         )
+        self.table = self._table(x)
         self.chunks = chosen_chunks(
             self.footage,
             self.problem,
-            self._table(x),
+            self.table,
             jnp.asarray(x[: len(self.names)]),
             coarse=blur is not None,
             stride=stride,
@@ -198,8 +218,7 @@ class Solver:
         for illumination in (0.0, 1.0):
             at = x[: len(self.names)].copy()
             at[own] = (np.array([1.0, illumination]) - first[own]) / size[own]
-            table = self._table(x)
-            views = [look(self.problem, table, jnp.asarray(at), chunk) for chunk in self.chunks]
+            views = [look(self.problem, self.table, jnp.asarray(at), c) for c in self.chunks]
             columns.append(np.concatenate([np.asarray(view.light) for view in views]))
         source, both = columns
         weight = np.concatenate([chunk.weight for chunk in self.chunks])
@@ -229,8 +248,14 @@ class Solver:
             {name: values[name] for name in LENS},
             tuple(name for name in self.names if name in LENS),
             medium_index=self.footage.medium_index,
-            grid=self.grid,
+            sampling=self.sampling,
         )
+
+    def _tabulated_sums(self, x: np.ndarray) -> NormalEquations:
+        """With a table made at x: far from the solution a lens's light is not linear for long."""
+        if possible(self._values(x)):
+            self.table = self._table(x)
+        return self._sums(x)
 
     def _sums(self, x: np.ndarray) -> NormalEquations:
         """Normal equations of all chunks and priors."""
@@ -265,12 +290,12 @@ class Solver:
 
     def _parts(self, x: np.ndarray) -> list[Sums]:
         """Every chunk's sums, on all cores."""
-        p, table = len(self.names), self._table(x)
+        p = len(self.names)
         at, over = jnp.asarray(x[:p]), x[p:] if self.exposures else np.zeros(self.frames)
 
         def part(chunk: Chunk) -> Sums:
             return jax.block_until_ready(
-                sums(self.problem, table, at, over[int(chunk.frame)], chunk)
+                sums(self.problem, self.table, at, over[int(chunk.frame)], chunk)
             )
 
         with ThreadPoolExecutor() as pool:

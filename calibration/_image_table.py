@@ -2,7 +2,8 @@
 
 Quadrature at every pixel would take minutes a frame. A grid over the distances and radii that the
 frames show takes seconds, slopes in the lens's parameters with it, and is made anew wherever the
-fit has moved to.
+fit has moved to. Its samples are close where the light has edges, as `optics.irradiance_table`
+has them: in its focal plane a lens shows the cone of its core, sharply.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, Bool, Float, ScalarLike
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import binary_dilation
 
 import optics
 
@@ -30,9 +33,8 @@ PARAMETERS = (
 """A lens's shape and light; `rim_height` is that of the cap's rim over the core, mm, so that a
 drop stays possible when its sag alone moves."""
 
-_ROWS, _COLUMNS = 48, 192
-"""Behind the dome in vitreous, whose caustics move through the columns, off by up to 1.8 % of the
-peak at 1.6 to 2 mm; with 24 rows by 3.9 %, with 96 by 0.9. In air it needs none of them."""
+_ROWS, _COLUMNS = 24, 48  # cells of the first grid, all of whose samples are computed
+_TOLERANCE = 1e-3  # of a row's peak; where the spline is off by more, halving goes on
 _BATCH = 64  # as in optics._irradiance: what so many points need stays in the cache
 
 
@@ -50,6 +52,19 @@ class Grid(NamedTuple):
     farthest: ScalarLike
 
 
+class Sampling(NamedTuple):
+    """Which samples of a grid are computed.
+
+    Attributes:
+        grid: where the table has its samples.
+        computed: of the first grid, all; of each one with cells of half the size, those that a
+            cubic spline through the former ones misses. The others are the spline's.
+    """
+
+    grid: Grid
+    computed: tuple[Bool[np.ndarray, "rows columns"], ...]
+
+
 class LensTable(eqx.Module):
     """Vector irradiance, to first order in the lens's parameters, cubic between its samples.
 
@@ -61,7 +76,8 @@ class LensTable(eqx.Module):
         slopes: per parameter.
         transmitted_value: part of the power that leaves the cap.
         transmitted_slopes: per parameter.
-        moved: of the parameters since; 0 where the values are exact.
+        at: those parameters.
+        moved: away from them.
         grid: where the samples are.
     """
 
@@ -69,28 +85,30 @@ class LensTable(eqx.Module):
     slopes: Float[Array, "p rows columns 2"]
     transmitted_value: Float[Array, ""]
     transmitted_slopes: Float[Array, "p"]
+    at: Float[Array, "p"]
     moved: Float[Array, "p"]
     grid: Grid
 
     def __call__(
-        self, *, radius: Float[Array, "n"], distance: Float[Array, "n"]
-    ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+        self, *, radius: Float[Array, "*n"], distance: Float[Array, "*n"]
+    ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
         """V_rho and V_s, 1/mm² per unit power; 0 outside the envelope and behind the tip."""
         rows, columns, _ = self.values.shape
-        field = self.values + jnp.tensordot(self.moved, self.slopes, axes=1)
         envelope = self.grid.contact_radius + self.grid.slope * distance
         x = radius / envelope
         reached = jnp.clip(distance, self.grid.nearest, self.grid.farthest)
         y = jnp.log(reached / self.grid.nearest) / jnp.log(self.grid.farthest / self.grid.nearest)
         i, down = _taps(y * (rows - 1), rows)
         j, across = _taps(jnp.clip(x, 0.0, 1.0) * (columns - 1), columns)
-        # One gather per tap: XLA on a CPU handles an axis of two badly.
-        flat = field.reshape(-1, 2)
+        # One gather per tap: XLA on a CPU handles an axis of two badly. And none of what moves with
+        # the parameters, or every direction of a derivative would gather again.
+        fields = [(1.0, self.values), *((self.moved[k], x) for k, x in enumerate(self.slopes))]
         lateral, axial = (
             sum(
-                row * column * flat[:, part][(i + r) * columns + j + c]
+                row * column * sum(w * f[..., part].ravel()[at] for w, f in fields)
                 for r, row in enumerate(down)
                 for c, column in enumerate(across)
+                for at in [(i + r) * columns + j + c]
             )
             for part in range(2)
         )
@@ -103,15 +121,16 @@ class LensTable(eqx.Module):
         return self.transmitted_value + jnp.dot(self.moved, self.transmitted_slopes)
 
 
-def lens_grid(
+def lens_sampling(
     values: Mapping[str, float],
     *,
     medium_index: float,
     nearest: float,
     farthest: float,
     reach: float,
-) -> Grid:
-    """A grid for lenses near the given one.
+    halvings: int,
+) -> Sampling:
+    """Where to compute the light of lenses near the given one.
 
     Args:
         values: all `PARAMETERS`.
@@ -119,11 +138,24 @@ def lens_grid(
         nearest: distance that the frames show, mm.
         farthest: likewise.
         reach: of the envelope, over that of the given lens.
+        halvings: of the first grid's cells, where the light needs them; the first all over.
     """
-    field = optics.LensField(lens_of(values), medium_index)
-    contact_radius = float(field.envelope(0.0))
-    slope = float(field.envelope(1.0)) - contact_radius
-    return Grid(reach * contact_radius, reach * slope, nearest, farthest)
+    envelope = optics.LensField(lens_of(values), medium_index).envelope
+    contact_radius = float(envelope(0.0))
+    slope = float(envelope(1.0)) - contact_radius
+    grid = Grid(reach * contact_radius, reach * slope, nearest, farthest)
+    field = _Field(values, (), medium_index, grid)
+    computed = [np.ones((_ROWS + 1, _COLUMNS + 1), bool)]
+    missed, samples = computed[0], field(computed[0])
+    while missed.any() and len(computed) <= halvings:
+        guess = _halved(samples)
+        wanted = np.kron(binary_dilation(missed, np.ones((3, 3))), np.ones((2, 2), bool))[:-1, :-1]
+        wanted[::2, ::2] = False
+        samples = field(wanted, guess)
+        error = np.abs(samples - guess).max(axis=(0, 1))
+        missed = error > _TOLERANCE * samples[0, 1].max(axis=1, keepdims=True)
+        computed.append(wanted)
+    return Sampling(grid, tuple(computed))
 
 
 def lens_of(values: Mapping[str, ScalarLike]) -> optics.GlueLens:
@@ -150,7 +182,7 @@ def lens_parameters(lens: optics.GlueLens) -> dict[str, float]:
 
 
 def lens_table(
-    values: Mapping[str, float], free: Sequence[str], *, medium_index: float, grid: Grid
+    values: Mapping[str, float], free: Sequence[str], *, medium_index: float, sampling: Sampling
 ) -> LensTable:
     """Tabulate a lens and its slopes in the free parameters.
 
@@ -158,34 +190,70 @@ def lens_table(
         values: all `PARAMETERS`.
         free: those to take slopes in.
         medium_index: n0.
-        grid: where. A fit keeps it while it moves, so that what interpolation gets wrong stays.
+        sampling: where. A fit keeps it while it moves, so that what interpolation gets wrong stays.
     """
-    names = tuple(free)
-    at = jnp.array([values[name] for name in names])
-    s = np.geomspace(grid.nearest, grid.farthest, _ROWS)[:, None]
-    envelope = grid.contact_radius + grid.slope * s
-    rho, s = np.broadcast_arrays(envelope * np.linspace(0.0, 1.0, _COLUMNS), s)
-    batches = np.stack([rho, s]).reshape(2, -1, _BATCH).transpose(1, 0, 2)
-    fixed = {name: jnp.asarray(value, float) for name, value in values.items()}
-    index = jnp.asarray(medium_index, float)
-
-    def evaluate(batch: np.ndarray) -> np.ndarray:
-        return np.asarray(_with_slopes(names, at, fixed, index, *batch))
-
-    # A batch is too small to be shared among cores; the first alone compiles.
-    with ThreadPoolExecutor() as pool:
-        parts = [evaluate(batches[0]), *pool.map(evaluate, batches[1:])]
-    stacked = np.stack(parts, axis=2).reshape(1 + len(names), 2, _ROWS, _COLUMNS)
-    samples = jnp.asarray(np.moveaxis(stacked, 1, -1) * envelope[None, :, :, None] ** 2)
-    leaves = _transmitted(names, at, fixed, index)
+    field = _Field(values, tuple(free), medium_index, sampling.grid)
+    first, *rest = sampling.computed
+    samples = field(first)
+    for computed in rest:
+        samples = field(computed, _halved(samples))
+    samples = np.moveaxis(samples, 1, -1)
+    leaves = _transmitted(field.names, field.at, field.fixed, field.medium_index)
     return LensTable(
-        values=samples[0],
-        slopes=samples[1:],
+        values=jnp.asarray(samples[0]),
+        slopes=jnp.asarray(samples[1:]),
         transmitted_value=leaves[0],
         transmitted_slopes=leaves[1:],
-        moved=jnp.zeros(len(names)),
-        grid=jax.tree.map(jnp.asarray, grid),
+        at=field.at,
+        moved=jnp.zeros(len(field.names)),
+        grid=jax.tree.map(jnp.asarray, sampling.grid),
     )
+
+
+class _Field:
+    """V e² of a lens on a grid, and its slopes in some parameters."""
+
+    def __init__(
+        self, values: Mapping[str, float], names: tuple[str, ...], medium_index: float, grid: Grid
+    ) -> None:
+        self.names, self.grid = names, grid
+        self.at = jnp.array([values[name] for name in names])
+        self.fixed = {name: jnp.asarray(value, float) for name, value in values.items()}
+        self.medium_index = jnp.asarray(medium_index, float)
+
+    def __call__(
+        self, wanted: Bool[np.ndarray, "rows columns"], known: np.ndarray | None = None
+    ) -> Float[np.ndarray, "p+1 2 rows columns"]:
+        """Known samples, and in their place those that are wanted."""
+        samples = (
+            np.empty((1 + len(self.names), 2, *wanted.shape)) if known is None else known.copy()
+        )
+        row, column = np.nonzero(wanted)
+        rows, columns = wanted.shape
+        grid = self.grid
+        s = grid.nearest * (grid.farthest / grid.nearest) ** (row / (rows - 1))
+        envelope = grid.contact_radius + grid.slope * s
+        points = np.stack([envelope * column / (columns - 1), s])
+        points = np.pad(points, ((0, 0), (0, -row.size % _BATCH)), mode="edge")
+        batches = points.reshape(2, -1, _BATCH).transpose(1, 0, 2)
+
+        def evaluate(batch: np.ndarray) -> np.ndarray:
+            own = (self.names, self.at, self.fixed, self.medium_index)
+            return np.asarray(_with_slopes(*own, *batch))
+
+        # A batch is too small to be shared among cores; the first alone compiles.
+        with ThreadPoolExecutor() as pool:
+            parts = [evaluate(batches[0]), *pool.map(evaluate, batches[1:])]
+        samples[..., row, column] = np.concatenate(parts, axis=-1)[..., : row.size] * envelope**2
+        return samples
+
+
+def _halved(samples: Float[np.ndarray, "p 2 n m"]) -> Float[np.ndarray, "p 2 2n-1 2m-1"]:
+    """Samples of a cubic spline through the given ones, at half their distance."""
+    for axis in (2, 3):
+        count = samples.shape[axis]
+        samples = CubicSpline(np.arange(count), samples, axis=axis)(np.arange(2 * count - 1) / 2)
+    return samples
 
 
 @eqx.filter_jit

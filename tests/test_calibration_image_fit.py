@@ -30,7 +30,13 @@ from calibration._image_model import (
     wall_pixels,
 )
 from calibration._image_parameters import check_names
-from calibration._image_table import Grid, LensTable, lens_grid, lens_parameters, lens_table
+from calibration._image_table import (
+    Grid,
+    LensTable,
+    lens_parameters,
+    lens_sampling,
+    lens_table,
+)
 from estimator import Stack, read_stack
 from estimator.frames import Response
 from scenes import Renderer, Scene, geometry, render_stack
@@ -109,20 +115,22 @@ def test_model_image_of_a_cone_is_the_renderers(pinhole):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("medium", ["air", "vitreous"])
-def test_model_image_of_a_lens_is_the_renderers(medium):
+@pytest.mark.parametrize(("medium", "scale"), [("air", 0.03), ("vitreous", 0.02)])
+def test_model_image_of_a_lens_is_the_renderers(medium, scale):
     settings = scene(
         source={"kind": "lens", "lens": "dome", "medium": medium},
         motion={"start_mm": 2.0, "travel_mm": 3.0, "frames": 2},
         instrument={"visible": False},
-        microscope={"width_px": 160, "samples": 16},
+        microscope={"width_px": 160, "scale_mm_px": scale, "samples": 16},
     )
     renderer = Renderer(settings)
     wall = seen(settings)
     values = lens_parameters(optics.load_lens("dome"))
     index = optics.MEDIA[medium]
-    grid = lens_grid(values, medium_index=index, nearest=1.0, farthest=6.0, reach=1.05)
-    lens = Lens(lens_table(values, ("sag",), medium_index=index, grid=grid))
+    sampling = lens_sampling(
+        values, medium_index=index, nearest=1.0, farthest=6.0, reach=1.05, halvings=3
+    )
+    lens = Lens(lens_table(values, ("sag",), medium_index=index, sampling=sampling))
     for frame in range(2):
         beam = renderer.truth.beam
         image = radiance(
@@ -130,9 +138,10 @@ def test_model_image_of_a_lens_is_the_renderers(medium):
         )
         rendered = renderer.render(frame).radiance[..., 0]
         off = (np.asarray(image).reshape(rendered.shape) - rendered) / rendered.max()
-        # The renderer's own table is good to 3e-4 of the peak; ours cuts corners at caustics.
+        # The renderer's own table is good to 3e-4 of the peak; where an edge runs through a pixel,
+        # its 4 x 4 samples and our four nodes differ by more.
         assert np.sqrt(np.mean(off**2)) < 3e-4
-        assert np.abs(off).max() < 1e-2
+        assert np.abs(off).max() < 7e-3
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3, 0.8, math.pi / 2])
@@ -173,7 +182,7 @@ def test_table_is_exact_for_cubic_fields():
 
     values = jnp.asarray(np.stack([field(x, y), 2 * field(x, y)], axis=-1))
     none = jnp.zeros((0, *values.shape))
-    table = LensTable(values, none, jnp.ones(()), jnp.zeros(0), jnp.zeros(0), grid)
+    table = LensTable(values, none, jnp.ones(()), *3 * [jnp.zeros(0)], grid)
     rng = np.random.default_rng(0)
     s = jnp.asarray(rng.uniform(0.5, 8.0, 50))
     envelope = 1.0 + 0.5 * s
@@ -182,6 +191,36 @@ def test_table_is_exact_for_cubic_fields():
     expected = field(share, jnp.log(s / 0.5) / jnp.log(16.0)) / envelope**2
     np.testing.assert_allclose(lateral, expected, rtol=1e-10)
     np.testing.assert_allclose(axial, 2 * expected, rtol=1e-10)
+
+
+def test_light_of_a_lens_is_the_mean_over_a_pixel():
+    # An edge as wide as a pixel, as a lens has it in its focal plane.
+    grid = Grid(1.0, 0.5, 1.0, 4.0)
+    x = np.linspace(0.0, 1.0, 1601)
+    edge = np.broadcast_to(stats.norm.sf(x, 0.3, 0.01)[:, None], (9, x.size, 2))
+    table = LensTable(jnp.asarray(edge), jnp.zeros((0, *edge.shape)), *4 * [jnp.zeros(0)], grid)
+    eye = optics.microscope(scale=0.02, pinhole_height=11.5, eye_radius=11.5)
+    surface = optics.Sphere(jnp.asarray(11.5))
+    tip, axis = jnp.array([0.0, 0.0, -9.5]), jnp.array([0.0, 0.0, -1.0])
+    v, u = np.mgrid[0:40:2, 0:40:2]
+    pixels = np.stack([u.ravel(), v.ravel()], axis=-1).astype(float)
+
+    n = 8
+    shifts = np.stack(np.meshgrid(*2 * [(np.arange(n) + 0.5) / n - 0.5]), axis=-1).reshape(-1, 1, 2)
+    wall, parts = (
+        wall_pixels(jnp.asarray(at), microscope=eye, surface=surface)
+        for at in (pixels, (pixels + shifts).reshape(-1, 2))
+    )
+    found = Lens(table).irradiance(wall, tip=tip, axis=axis)
+    offset = parts.point - tip
+    off_axis = jnp.hypot(offset[:, 0], offset[:, 1])
+    lateral, axial = table(radius=off_axis, distance=-offset[:, 2])
+    across = (offset[:, :2] * parts.normal[:, :2]).sum(axis=-1) / off_axis
+    light = axial * parts.normal[:, 2] - lateral * across
+    expected = np.asarray(light).reshape(n * n, -1).mean(axis=0)
+    assert expected.min() < 0.01 * expected.max()
+    # Gauss' error h^4 f/4320 each way, f of an edge of sigma h up to 1.4/h^4.
+    np.testing.assert_allclose(found, expected, atol=1e-3 * expected.max())
 
 
 def test_slopes_are_those_of_central_differences():
