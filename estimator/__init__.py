@@ -40,6 +40,7 @@
     sharp.py           refinement at a sharp edge
     censored.py        ... of a plateau at full scale
     broad.py           refinement on a broad flank
+    reflex.py        whether a bell is a spot, or a reflex that bears one
     motion_blur.py   the ellipse in the middle of the exposure, of a spot that moved
     band.py            profiles in a band along the contour
     unwrap.py        profiles along the rays of an ellipse

@@ -15,6 +15,7 @@ READABLE = 0.95
 """Part of full scale up to which noise does not reach it and a mean value can be believed."""
 
 _BRIGHTEST = 1.85  # times full scale: peak above which half of it is hardly seen
+_VAGUEST = 0.02  # standard error, radii, of an edge that is seen at all
 _BIN_PX = 0.25
 _STEPS = 25
 _SMALLEST_STEP = 1e-5
@@ -56,7 +57,7 @@ def hidden_edge(
         levels.background + patch.ceiling * math.exp(fitted[0]),
         float(covariance[1, 1]),
     )
-    if not (peak < _BRIGHTEST * patch.ceiling and variance >= 0):
+    if not (peak < _BRIGHTEST * patch.ceiling and 0 <= variance < _VAGUEST**2):
         return None
     return replace(levels, peak=peak, width=math.exp(fitted[2])), float(fitted[1]), variance
 

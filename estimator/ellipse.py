@@ -175,7 +175,7 @@ def covariance_of_axes(ellipse: Ellipse, step_covariance: np.ndarray) -> np.ndar
     a, b, _ = ellipse.axes()
     canonical = ellipse.canonical().shape
     # n' = V' n labels the same point of the contour with respect to the axes.
-    (c, d), (e, f) = np.linalg.solve(ellipse.shape, canonical)
+    (c, d), (e, f) = (cv2.invert(ellipse.shape)[1] @ canonical).tolist()
     to_axes = np.zeros((5, 5))
     to_axes[:2, :2] = canonical @ np.array([[c, e], [d, f]])
     to_axes[2, 2:] = a * np.array([c * c, e * e, 2 * c * e])

@@ -154,7 +154,7 @@ def _top(
     wall's texture looks like a dome too, so the dome counts only as far as it exceeds what the
     rays' scatter explains (the garrote of Breiman 1995).
     """
-    outermost = min(max(1 - 2.5 * width, 0.5), 0.9)
+    outermost = min(max(1 - 3 * width, 0.5), 0.9)
     rings = slice(0, max(int((outermost - RADII[0]) / RADIUS_STEP) + 1, 8), 2)
     radii = RADII[rings]
     inner = profiles[:, rings]
@@ -173,8 +173,11 @@ def _top(
     whole = inner[seen.all(axis=1)]
     if len(whole) < 8 or not height > 0:
         return plateau, (1.0, 0.0, 0.0), 0.0
-    variance = float(np.var(whole.sum(axis=1))) / (plateau * len(radii)) ** 2
+    sums = whole.sum(axis=1)
+    sums -= sums.sum() / len(sums)
+    variance = float(sums @ sums) / len(sums) / (plateau * len(radii)) ** 2
     kept = max(0.0, 1 - (_DOUBT * variance / height**2) ** 2)
     c0, c1, c2 = (coefficients[:, 0] / top).tolist()
     dome = (1 - kept + kept * c0, kept * c1, kept * c2)
-    return plateau / (1 - kept + kept * plateau / top), dome, variance
+    doubt = kept * variance + kept * (1 - kept) * height**2  # the dome is there or not
+    return plateau / (1 - kept + kept * plateau / top), dome, doubt

@@ -15,6 +15,7 @@ from .edges import REACH, EdgeFit, fit_edge
 from .ellipse import Ellipse, covariance_of_axes, refitted
 from .frames import GREY, GREY_WEIGHTS, Window
 from .motion_blur import SMEARED, at_mid_exposure
+from .reflex import bears_spot
 from .spot import NoSpot, Reason, Spot
 from .subpixel import SubpixelSettings
 from .unwrap import Patch, contour_points, share_of_contour
@@ -24,6 +25,8 @@ _BRIGHTER = 1.2  # than grey: from there a channel's weaker texture is worth its
 _FAINTEST_CHANNEL = 0.1  # of full scale: least level of a channel that may stand in for grey
 _SAME_EDGE = 0.5  # edge widths from the ellipse within which an edge is the spot's
 _ROUGHEST = 0.05  # scatter of sharp edges, in units of the radius, of what is an ellipse
+_VAGUEST = 0.006  # standard error of a sharp edge's size, of what is an ellipse seen in part ...
+_WHOLE = 0.96  # ... rather than whole, to this fraction of its contour
 _SHORTEST_ARC = 0.3  # fraction of a contour that makes an ellipse recognisable
 _FILLED = 0.75  # of its ellipse's area: what takes less is cut by something
 _SMALLEST_AREA = 0.7  # of the smallest spot's: a region may be only the bright part of its spot
@@ -61,7 +64,10 @@ class Region:
             return fit
         if fit.levels.width > SMEARED:
             fit = at_mid_exposure(self._patch(fit.ellipse), fit)
-        return _verdict(fit, self.settings, self.saturated)
+        result = _verdict(fit, self.settings, self.saturated)
+        if result and fit.levels.width > BROAD and bears_spot(self._patch(fit.ellipse), fit):
+            return NoSpot(Reason.AMBIGUOUS)
+        return result
 
     def contour(self) -> EdgeFit | NoSpot:
         """The region's contour, through the reading of which the most of it is seen."""
@@ -206,6 +212,10 @@ def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
         edges = contour_points(ellipse, fit.offsets)[fit.inliers]
         ellipse = refitted(ellipse, settings.camera.undistorted(edges))
         semi_major, semi_minor, angle = ellipse.axes()
+    covariance = covariance_of_axes(ellipse, fit.step_covariance)
+    vague = covariance[3, 3] > (_VAGUEST * semi_minor) ** 2
+    if vague and coverage < _WHOLE and levels.width < BROAD:
+        return NoSpot(Reason.OCCLUDED)
     x, y = ellipse.centre.tolist()
     return Spot(
         x_px=x,
@@ -213,7 +223,7 @@ def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
         semi_major_px=semi_major,
         semi_minor_px=semi_minor,
         angle_rad=angle,
-        covariance=covariance_of_axes(ellipse, fit.step_covariance),
+        covariance=covariance,
         edge_width_px=levels.width * math.sqrt(semi_major * semi_minor),
         coverage=coverage,
         inlier_fraction=float(fit.inliers.sum() / max(int(fit.found.sum()), 1)),

@@ -7,6 +7,7 @@ its own light is half.
 from __future__ import annotations
 
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from .ellipse import Ellipse, robust_step
 from .levels import Levels
 from .spot import NoSpot, Reason
 from .unwrap import DESIGN, Patch
+
+_NORMAL = NormalDist()
 
 _REACH = 3.0  # edge widths on either side that hold all of an edge ...
 _REACH_PX = 2.5  # ... and at least so many px
@@ -43,12 +46,16 @@ def refine_sharp(
     band = Band.along(patch, ellipse, inliers, reach)
     if band is None:
         return NoSpot(Reason.NONE_FOUND)
-    stretch, gradient = band.from_edge * band.slope, band.from_edge * band.mean
+    saturated = bool(band.mean[0] > READABLE * patch.ceiling)
+    # About the edge itself, or a ray with a narrower edge would seem shifted.
+    middle = 0.0 if saturated else band.middle
+    stretch, gradient = (band.from_edge - middle) * band.slope, band.from_edge * band.mean
     shifts, rough = band.shifts([stretch, band.mean, gradient])
     gain = band.gain
     offsets = shifts / np.maximum(gain, 0.5)  # a brighter ray's shift shows as much more strongly
     found = band.whole & (gain > 0.5) & (gain < 2) & (np.abs(offsets) < reach)
-    typical = float(np.median(rough[band.inliers]))
+    plain = rough[band.inliers]
+    typical = float(np.partition(plain, plain.size // 2)[plain.size // 2])
     smooth = rough < _ROUGH * max(typical, 1e-5 * levels.amplitude**2)
     fitted = robust_step(
         DESIGN,
@@ -60,7 +67,7 @@ def refine_sharp(
     )
     if fitted is None or np.abs(fitted[0]).max() > 0.5:
         return NoSpot(Reason.NONE_FOUND)
-    if band.mean[0] > READABLE * patch.ceiling:
+    if saturated:
         hidden = hidden_edge(patch, ellipse, fitted[1], levels, reach)
         if hidden is None:
             return NoSpot(Reason.SATURATED)
@@ -83,8 +90,18 @@ def _sharpened(levels: Levels, band: Band) -> Levels:
     """The levels with what the mean profile shows better: the edge's width and its plateau."""
     width = band.width(levels)
     inner = int(np.count_nonzero(band.from_edge < -_PLATEAU * width))
-    if inner == 0:
+    if inner == 0 or not width > 0:
         return replace(levels, width=width)
-    share = float(levels.share_of_peak(1 + band.from_edge[:inner]).mean())
-    peak = float(band.mean[:inner].mean()) / share
+    radii = 1 + band.from_edge[:inner]
+    left = _left_by_blur(levels, width, radii)
+    light = float(band.mean[:inner].mean()) - levels.background * float((1 - left).mean())
+    peak = light / float((levels.share_of_peak(radii) * left).mean())
     return replace(levels, width=width, peak=peak) if peak > levels.background else levels
+
+
+def _left_by_blur(levels: Levels, width: float, radii: np.ndarray) -> np.ndarray:
+    """What a Gaussian blur leaves of a plateau, at radii inside 1, where half of the peak is."""
+    rim = float(levels.share_of_peak(np.ones(1))[0]) * levels.peak - levels.background
+    height = min(max(rim / levels.amplitude, 0.51), 1.0)
+    middle = _NORMAL.inv_cdf(0.5 / height)
+    return np.array([_NORMAL.cdf(middle + (1 - r) / (width * height)) for r in radii.tolist()])

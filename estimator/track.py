@@ -155,6 +155,7 @@ _TOLD = (
     Reason.CLIPPED,
     Reason.OCCLUDED,
     Reason.SATURATED,
+    Reason.AMBIGUOUS,
 )
 
 

@@ -93,5 +93,11 @@ def ring_variance(values: np.ndarray, harmonics: slice) -> float:
     Neighbouring rays share pixels and texture, so that their plain scatter understates what is left
     in a mean over the ring; the spectrum at long wavelengths does not.
     """
-    spectrum = np.fft.rfft(values)[harmonics]
-    return float((spectrum.real**2 + spectrum.imag**2).mean()) / values.size
+    return ring_variances(values, harmonics)[0]
+
+
+def ring_variances(values: np.ndarray, *harmonics: slice) -> list[float]:
+    """`ring_variance` of several ranges of harmonics."""
+    spectrum = np.fft.rfft(values)
+    parts = [spectrum[some] for some in harmonics]
+    return [float(np.vdot(part, part).real) / (part.size * values.size) for part in parts]

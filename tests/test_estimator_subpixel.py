@@ -8,6 +8,7 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from skimage.measure import EllipseModel, find_contours
 
 from benchmarks.estimator_frames import (
@@ -85,10 +86,11 @@ def test_exposure_does_not_move_the_contour(amplitude: float) -> None:
     assert np.abs(errors.mean(axis=0)).max() < 0.05
 
 
-def test_a_dome_is_measured_at_half_of_its_peak() -> None:
-    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), profile=domed_edge(2, 0.2)), 6)
-    # Half of the dome's rim would lie 0.6 px further out.
-    assert np.abs(errors[:, 2:].mean(axis=0)).max() < 0.15
+@pytest.mark.parametrize("drop", [0.2, 0.4])
+def test_a_dome_is_measured_at_half_of_its_peak(drop: float) -> None:
+    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), profile=domed_edge(2, drop)), 6)
+    # The requirement. Half of the rim would lie 0.6 px further out already at a drop of 0.2.
+    assert np.abs(errors[:, 2:].mean(axis=0)).max() < 0.1
 
 
 def test_a_bell_is_measured_at_half_of_its_peak() -> None:
@@ -149,13 +151,13 @@ def test_angle_is_from_right_towards_down() -> None:
 
 
 def test_edge_width_is_the_blur() -> None:
-    for sigma in (1.5, 4.0):
+    for sigma in (0.8, 1.5, 4.0):
         scene = Scene(truth=_TRUTH, profile=erf_edge(sigma))
         spot = _measured(frame_of(scene, np.random.default_rng(0)))
-        # Bilinear sampling (a triangle of variance 1/6) and the slope over two samples of 0.7 px
-        # (a box of 1.4 px) add to the blur in quadrature.
-        blur = math.sqrt(sigma**2 + 1 / 6 + 1.4**2 / 12)
-        assert spot.edge_width_px == pytest.approx(blur, rel=0.06)
+        # Bilinear sampling (a triangle of variance 1/6) adds to the blur in quadrature. The width
+        # is a mean over the contour's local scale, which differs by 10 %; noise: 1 %.
+        blur = math.sqrt(sigma**2 + 1 / 6)
+        assert spot.edge_width_px == pytest.approx(blur, rel=0.03)
 
 
 @pytest.mark.parametrize("curve", ["srgb", "gamma"])
@@ -249,6 +251,33 @@ def test_a_quarter_in_shadow_and_glints_are_left_out() -> None:
         assert math.sqrt((errors[:, 3] ** 2).mean()) < 0.15
 
 
+def test_a_reflex_that_outshines_the_spot_is_not_taken_for_it() -> None:
+    rng = np.random.default_rng(4)
+    wide = replace(_TRUTH, x=360.0, y=250.0, semi_major=150, semi_minor=140)
+    reflex = light_of(Scene(truth=wide, profile=bell, amplitude=150, noise=0.0))
+    spot = light_of(Scene(truth=_TRUTH, amplitude=40, ambient=0, noise=0.0))
+    frame = np.clip(np.rint(reflex + spot + rng.normal(0, 3, reflex.shape)), 0, 255)
+    result, _ = measure(frame.astype(np.uint8), TrackState(), SubpixelSettings())
+    assert result == NoSpot(Reason.AMBIGUOUS)
+
+
+def test_vessels_under_a_bell_are_no_reflex() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(8):
+        _measured(frame_of(Scene(truth=any_truth(rng, 60), profile=bell, wall=any_wall(rng)), rng))
+
+
+@pytest.mark.parametrize("cut", [0, 4, 8, 12])
+def test_half_a_disc_is_no_spot_of_half_its_size(cut: int) -> None:
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    disc = (np.hypot(u - 320, v - 240) < 50) & (u > 320 + cut)
+    light = gaussian_filter(180.0 * disc, 1.0) + 15
+    frame = np.rint(light + np.random.default_rng(0).normal(0, 2, light.shape)).astype(np.uint8)
+    result, _ = measure(frame, TrackState(), SubpixelSettings())
+    # It has half of its contour at most: an ellipse through its corners would be 25 px wide.
+    assert result == NoSpot(Reason.OCCLUDED)
+
+
 def test_less_than_half_of_the_contour_is_no_spot() -> None:
     rng = np.random.default_rng(3)
     scene = Scene(truth=replace(_TRUTH, semi_minor=60, semi_major=60))
@@ -268,17 +297,33 @@ def test_size_limits_are_reasons() -> None:
     assert large == NoSpot(Reason.TOO_LARGE)
 
 
-def test_stated_covariance_covers_the_errors() -> None:
+@pytest.mark.parametrize(
+    ("semi_minor", "textured"), [(20, False), (60, False), (150, False), (60, True), (150, True)]
+)
+def test_stated_covariance_is_that_of_the_errors(semi_minor: float, textured: bool) -> None:
     rng = np.random.default_rng(8)
-    scaled = []
-    for _ in range(60):
-        scene = Scene(truth=any_truth(rng, 60, axis_ratio=1.3))
-        spot = _measured(frame_of(scene, rng))
-        errors = np.array([*scene.truth.errors(spot), spot.angle_rad - scene.truth.angle])
-        scaled.append(errors / np.sqrt(spot.covariance.diagonal()))
-    spread = np.std(scaled, axis=0)
-    # 60 samples: 9 % of a standard deviation; the profiles' own bias is some tenths of sigma.
-    assert (spread > 0.6).all() and (spread < 1.4).all()
+    chi_square = []
+    for _ in range(_SEEDS):
+        truth = any_truth(rng, semi_minor, axis_ratio=1.15)
+        spot = _measured(
+            frame_of(Scene(truth=truth, wall=any_wall(rng) if textured else None), rng)
+        )
+        error = np.array([*truth.errors(spot), _turn(spot.angle_rad - truth.angle)])
+        chi_square.append(error @ np.linalg.solve(spot.covariance, error))
+    # Of 5 parameters a frame the mean of chi^2 has a standard deviation of sqrt(2 / n), and that of
+    # the variances' own noise (18 degrees of freedom a frame) comes on top: 1.2 times as much. How
+    # texture grows towards long waves is known to a factor of two.
+    spread = 3 * 1.2 * math.sqrt(2 / (5 * _SEEDS))
+    least, most = (0.5, 2.0) if textured else (1 - spread, 1 + spread)
+    assert least < np.mean(chi_square) / 5 < most
+
+
+_SEEDS = 24
+
+
+def _turn(angle: float) -> float:
+    """An ellipse's turn by at most a quarter of a circle either way."""
+    return (angle + math.pi / 2) % math.pi - math.pi / 2
 
 
 def test_lens_distortion_is_taken_out() -> None:
