@@ -202,10 +202,10 @@ class Band:
         """The ellipse moved by a fitted step (see `robust_step`) and to the half level's offset.
 
         All of the contour moves with the half level, by sqrt(pi / 2) widths for a relative unit, so
-        that the level's variance is the size's.
+        that the variance of peak and background is the size's.
         """
         step, inliers = fitted
-        level_variance = math.pi / 2 * levels.width**2 * levels.variance
+        level_variance = math.pi / 2 * levels.width**2 * (levels.variance + levels.tail**2 / 4)
         growth = (1 + half) * (1 + float(step[2] + step[3]) / 2)
         return Refined(
             ellipse=self.ellipse.stepped(step).scaled(1 + half),

@@ -139,7 +139,7 @@ def _with_background_in_view(refined: Refined, coarse: Coarse) -> Levels:
         levels.background,
         levels.background_radius,
     )
-    return replace(levels, background=background, background_radius=radius)
+    return levels.before(background, radius)
 
 
 def _capture(

@@ -20,7 +20,8 @@ _NEAR_EDGE = np.abs(RADII[1:-1] - 1) < 0.35
 _DOUBT = 13.0  # variances that a dome must exceed to count
 _FAR_ENOUGH = 0.9  # part of the radius where the background begins that must be in view
 _TAILED = 0.3  # width, in radii, from which an edge is a bell's, with tails ...
-_TAIL = 4.4  # ... below half a percent of its peak from here, in radii
+_LEFT = 0.005  # ... of which so much of its peak is left ...
+_TAIL = 4.4  # ... from here, in radii
 _BACKGROUND_RADII = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 
 
@@ -60,6 +61,18 @@ class Levels:
     def sees_background(self) -> bool:
         """Whether the background was taken where the spot's light no longer reaches the wall."""
         return self.background_radius > _FAR_ENOUGH * dark_radius(self.width)
+
+    @property
+    def tail(self) -> float:
+        """Light that a bell may have left where the background was taken, over its amplitude."""
+        if self.width < _TAILED or self.sees_background:
+            return 0.0
+        return 0.5 * (2 * _LEFT) ** ((self.background_radius - 1) / (_TAIL - 1))
+
+    def before(self, background: float, radius: float) -> Levels:
+        """The levels with a background taken there, less half of what a bell may have left."""
+        taken = replace(self, background=background, background_radius=radius)
+        return replace(taken, background=background - taken.tail / 2 * taken.amplitude)
 
     def in_units_of(self, radius: float) -> Levels:
         """The same levels about an ellipse that is so many times as large."""
@@ -108,7 +121,8 @@ def levels_of(
     if not peak > background:
         return None
     half_radius = _falling_through(mean, (peak + background) / 2)
-    return Levels(peak, dome, variance, background, radius, width, half_radius)
+    levels = Levels(peak, dome, variance, background, radius, width, half_radius)
+    return levels.before(background, radius)
 
 
 def _falling_through(mean: np.ndarray, level: float) -> float:

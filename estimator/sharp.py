@@ -6,9 +6,11 @@ its own light is half.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from statistics import NormalDist
 
+import cv2
 import numpy as np
 
 from .band import FURTHEST, Band, Refined
@@ -16,13 +18,19 @@ from .censored import READABLE, hidden_edge
 from .ellipse import Ellipse, robust_step
 from .levels import Levels
 from .spot import NoSpot, Reason
-from .unwrap import DESIGN, Patch
+from .unwrap import DESIGN, RAYS, Patch, ring_variance
 
 _NORMAL = NormalDist()
 
 _REACH = 3.0  # edge widths on either side that hold all of an edge ...
 _REACH_PX = 2.5  # ... and at least so many px
 _MIDDLE = 0.8  # edge widths on either side of the half level that a cubic fits
+_BRIGHTEST_INSIDE = 1.5  # edge widths from the edge to where a plateau that slopes is brightest
+_LONGEST_WAVE = (
+    12.0  # texture's longest wave over its next ones, in variance, as on printed retinas
+)
+_SLOPE_SHOWS = 0.02  # edge width, radii, from which a slope of the light begins to count
+_SLOPES = np.column_stack([np.ones(RAYS), DESIGN[:, :2]])
 _PLATEAU = 2.6  # edge widths from the edge to where its blur no longer shows
 _FORGIVEN = 0.1  # edge widths that texture may move an edge
 _ROUGH = 5.0  # times the typical variance left in a profile: it holds something else
@@ -73,11 +81,18 @@ def refine_sharp(
             return NoSpot(Reason.SATURATED)
         levels, half, variance = hidden
         return band.refined(levels, offsets, found, fitted, half=half, half_variance=variance)
-    levels = _sharpened(levels, band)
+    slope, doubt = _slope(band, found, levels.width)
+    levels = _sharpened(levels, band, slope, doubt)
     crossing = band.half_crossing(levels.half, _MIDDLE * levels.width)
     if crossing is None:
         return NoSpot(Reason.NONE_FOUND)
-    return band.refined(levels, offsets, found, fitted, half=crossing, half_variance=0.0)
+    # A ray's shift tells where half of its own light is. Of all light's half, brighter rays see it
+    # further out.
+    step, rays = fitted
+    aside = math.sqrt(math.pi / 2) * levels.width * slope
+    step[:2] += aside
+    offsets = offsets + DESIGN[:, :2] @ aside
+    return band.refined(levels, offsets, found, (step, rays), half=crossing, half_variance=0.0)
 
 
 def _eroded(mask: np.ndarray) -> np.ndarray:
@@ -86,8 +101,8 @@ def _eroded(mask: np.ndarray) -> np.ndarray:
     return wide[:-2] & mask & wide[2:]
 
 
-def _sharpened(levels: Levels, band: Band) -> Levels:
-    """The levels with what the mean profile shows better: the edge's width and its plateau."""
+def _sharpened(levels: Levels, band: Band, slope: np.ndarray, doubt: float) -> Levels:
+    """The levels with what the band shows better: the edge's width, the plateau and its slope."""
     width = band.width(levels)
     inner = int(np.count_nonzero(band.from_edge < -_PLATEAU * width))
     if inner == 0 or not width > 0:
@@ -96,7 +111,30 @@ def _sharpened(levels: Levels, band: Band) -> Levels:
     left = _left_by_blur(levels, width, radii)
     light = float(band.mean[:inner].mean()) - levels.background * float((1 - left).mean())
     peak = light / float((levels.share_of_peak(radii) * left).mean())
-    return replace(levels, width=width, peak=peak) if peak > levels.background else levels
+    if not peak > levels.background:
+        return levels
+    rise = math.hypot(*slope) * max(1 - _BRIGHTEST_INSIDE * width, 0.0)
+    peak += rise * (peak - levels.background)
+    return replace(levels, width=width, peak=peak, variance=levels.variance + doubt)
+
+
+def _slope(band: Band, found: np.ndarray, width: float) -> tuple[np.ndarray, float]:
+    """Slope of the light across the plateau, over its mean per radius, (2,), and its variance.
+
+    A beam that meets the wall obliquely is brighter on the near side. Texture is uneven, too, so
+    the slope counts only as far as it exceeds what shorter waves explain (the garrote of Breiman
+    1995).
+    """
+    waves = np.where(found[:, None], _SLOPES, 0.0)
+    _, fitted = cv2.solve(waves.T @ waves, waves.T @ band.gain[:, None].astype(float))
+    slope = fitted[1:, 0] / fitted[0, 0]
+    square = float(slope @ slope)
+    rest = np.where(found, band.gain, 0.0) - waves @ fitted[:, 0]
+    variance = _LONGEST_WAVE * 2 * ring_variance(rest, slice(2, 7)) / RAYS
+    kept = max(0.0, 1 - variance / square) if square > 0 else 0.0
+    # The sharper the edge, the less a slope of the light moves it, and a wrong guess must not.
+    kept *= min(max(width / _SLOPE_SHOWS - 1, 0.0), 1.0)
+    return kept * slope, kept * variance + kept * (1 - kept) * square
 
 
 def _left_by_blur(levels: Levels, width: float, radii: np.ndarray) -> np.ndarray:
