@@ -26,9 +26,7 @@ _REACH = 3.0  # edge widths on either side that hold all of an edge ...
 _REACH_PX = 2.5  # ... and at least so many px
 _MIDDLE = 0.8  # edge widths on either side of the half level that a cubic fits
 _BRIGHTEST_INSIDE = 1.5  # edge widths from the edge to where a plateau that slopes is brightest
-_LONGEST_WAVE = (
-    12.0  # texture's longest wave over its next ones, in variance, as on printed retinas
-)
+_DOUBTED = 100.0  # texture's longest wave over its next ones, in variance, that still is texture
 _SLOPE_SHOWS = 0.02  # edge width, radii, from which a slope of the light begins to count
 _SLOPES = np.column_stack([np.ones(RAYS), DESIGN[:, :2]])
 _PLATEAU = 2.6  # edge widths from the edge to where its blur no longer shows
@@ -130,7 +128,7 @@ def _slope(band: Band, found: np.ndarray, width: float) -> tuple[np.ndarray, flo
     slope = fitted[1:, 0] / fitted[0, 0]
     square = float(slope @ slope)
     rest = np.where(found, band.gain, 0.0) - waves @ fitted[:, 0]
-    variance = _LONGEST_WAVE * 2 * ring_variance(rest, slice(2, 7)) / RAYS
+    variance = _DOUBTED * 2 * ring_variance(rest, slice(2, 7)) / RAYS
     kept = max(0.0, 1 - variance / square) if square > 0 else 0.0
     # The sharper the edge, the less a slope of the light moves it, and a wrong guess must not.
     kept *= min(max(width / _SLOPE_SHOWS - 1, 0.0), 1.0)
