@@ -12,7 +12,7 @@ fundus       the wall's picture, made from a seed; wall_image: from a file
 build        the scene as a Mitsuba dictionary; wall: its largest part
 plugins      emitters and integrator; sensor: the microscope (import after a variant is set)
 images       one pose without noise; pixels: some of it; reach: which of them a pose changes
-differentiable  photons with derivatives; smooth_lens: through the lens (import after a variant is set)
+differentiable  photons with derivatives; smooth_lens: through the lens (likewise)
 render       linear frames, sharp or gathered over an exposure
 stacks       stacks on disk, rendered or exposed again
 preview      one small frame
