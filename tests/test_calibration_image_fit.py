@@ -173,6 +173,20 @@ def test_blurred_edge_keeps_its_light():
         np.testing.assert_allclose(lit + back, 1.0, atol=1e-9)
 
 
+def _table_of(values, grid):
+    """A table without parameters."""
+    none = jnp.zeros(0)
+    return LensTable(
+        values=values,
+        slopes=jnp.zeros((0, *values.shape)),
+        transmitted_value=jnp.ones(()),
+        transmitted_slopes=none,
+        at=none,
+        moved=none,
+        grid=grid,
+    )
+
+
 def test_table_is_exact_for_cubic_fields():
     grid = Grid(1.0, 0.5, 0.5, 8.0)
     y, x = np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 7), indexing="ij")
@@ -181,8 +195,7 @@ def test_table_is_exact_for_cubic_fields():
         return 1 + x - 2 * x**3 + y * x**2 + 3 * y**3
 
     values = jnp.asarray(np.stack([field(x, y), 2 * field(x, y)], axis=-1))
-    none = jnp.zeros((0, *values.shape))
-    table = LensTable(values, none, jnp.ones(()), *3 * [jnp.zeros(0)], grid)
+    table = _table_of(values, grid)
     rng = np.random.default_rng(0)
     s = jnp.asarray(rng.uniform(0.5, 8.0, 50))
     envelope = 1.0 + 0.5 * s
@@ -198,7 +211,7 @@ def test_light_of_a_lens_is_the_mean_over_a_pixel():
     grid = Grid(1.0, 0.5, 1.0, 4.0)
     x = np.linspace(0.0, 1.0, 1601)
     edge = np.broadcast_to(stats.norm.sf(x, 0.3, 0.01)[:, None], (9, x.size, 2))
-    table = LensTable(jnp.asarray(edge), jnp.zeros((0, *edge.shape)), *4 * [jnp.zeros(0)], grid)
+    table = _table_of(jnp.asarray(edge), grid)
     eye = optics.microscope(scale=0.02, pinhole_height=11.5, eye_radius=11.5)
     surface = optics.Sphere(jnp.asarray(11.5))
     tip, axis = jnp.array([0.0, 0.0, -9.5]), jnp.array([0.0, 0.0, -1.0])
