@@ -17,6 +17,6 @@ page         the HTML page
 run_folder   a folder that holds one run, and goes on where it stopped
 optics_figures  the figures of docs/optics.md
 geometry_speed, render_speed, fit_speed, study_speed, dataset_speed, estimator_accuracy (with the
-other estimator_ files), cone_fit, image_fit  what `make bench` prints
+other estimator_ files), cone_fit, image_fit, frame_pose  what `make bench` prints
 photon_fit   a lens found through the renderer
 """

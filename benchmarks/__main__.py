@@ -11,6 +11,7 @@ BENCHES = (
     "fit_speed",
     "cone_fit",
     "image_fit",
+    "frame_pose",
     "study_speed",
     "dataset_speed",
 )

@@ -172,6 +172,16 @@ def _radiance(
     )
 
 
+def poses(
+    problem: Problem, values: Mapping[str, ArrayLike], readings: Float[np.ndarray, "frames"]
+) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "3"]]:
+    """Tips and axis of frames, by their readings."""
+    known = {name: jnp.asarray(value) for name, value in values.items()}
+    camera, surface = _eye(problem, known)
+    tips, axes = zip(*(_pose(problem, known, camera, surface, r) for r in readings), strict=True)
+    return np.stack(tips), np.asarray(axes[0])
+
+
 def _eye(problem: Problem, values: Mapping[str, Array]) -> tuple[optics.Microscope, optics.Surface]:
     camera = eqx.tree_at(
         lambda m: (m.scale, m.pole_height),

@@ -26,7 +26,7 @@ from jaxtyping import Float
 import optics
 from calibration._cone_trials import Prior, phantom_wall
 from calibration._identifiability import covariance_and_lost
-from calibration._image_chunks import Chunk, Problem, Sums, look, sums, values_at
+from calibration._image_chunks import Chunk, Problem, Sums, look, poses, sums, values_at
 from calibration._image_data import Footage
 from calibration._image_parameters import DEFAULTS, LENS, NUISANCES, possible
 from calibration._image_pixels import bright_spot, chosen_chunks
@@ -63,6 +63,8 @@ class ImageFit:
         covariance: of `parameters` in their order, from the camera's noise and the priors.
         chi_squared: sum of squared residuals over their sigma, priors included.
         degrees_of_freedom: pixels and priors minus parameters.
+        tips: of the frames, mm, eye frame.
+        axis: of the beam, unit vector from the tip towards the wall, eye frame.
         undetermined: directions that neither data nor priors hold, in words; empty if none.
         converged: whether less than 0.001 of chi squared was still to be had.
         residuals: frames x h x w, light minus model over sigma; NaN where not fitted.
@@ -73,6 +75,8 @@ class ImageFit:
     covariance: Float[np.ndarray, "p p"]
     chi_squared: float
     degrees_of_freedom: int
+    tips: Float[np.ndarray, "frames 3"]
+    axis: Float[np.ndarray, "3"]
     undetermined: tuple[str, ...]
     converged: bool
     residuals: Float[np.ndarray, "frames h w"]
@@ -320,6 +324,7 @@ class Solver:
             u, v = chunk.pixels[real].astype(int).T
             residuals[int(chunk.frame), v, u] = -np.asarray(part.residuals)[real]
             pixels += int(np.count_nonzero(real))
+        tips, axis = poses(self.problem, every, self.footage.readings)
         held = sum(name in self.names for name in self.priors) + self.exposures
         return ImageFit(
             parameters={n: (every[n], error) for n, error in zip(names, errors, strict=True)},
@@ -327,6 +332,8 @@ class Solver:
             covariance=covariance,
             chi_squared=found.at.cost,
             degrees_of_freedom=pixels + held - len(names),
+            tips=tips,
+            axis=axis,
             undetermined=lost,
             converged=found.converged,
             residuals=residuals,

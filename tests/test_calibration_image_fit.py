@@ -368,6 +368,19 @@ def test_cone_is_found_from_thirty_percent_off(stack):
 
 
 @pytest.mark.slow
+def test_tips_and_axis_are_those_of_the_labels(stack):
+    fit = calibration.fit_image(stack, source="cone", start=START)
+    tips = np.array([labels.tip_mm for labels in stack.labels])
+    axis = np.array(stack.labels[0].axis)
+    # Errors along the axis are the touch's, and those across it the lean's times the distance.
+    touch, lean = fit.parameters["touch"][1], fit.parameters["lean"][1]
+    off = fit.tips - tips
+    assert np.abs(off @ axis).max() < 4 * touch
+    np.testing.assert_allclose(off, 0, atol=4 * (touch + 6.0 * lean))
+    assert np.linalg.norm(np.cross(fit.axis, axis)) < 6 * lean
+
+
+@pytest.mark.slow
 def test_labels_are_not_read(stack, tmp_path):
     other = tmp_path / "stack"
     shutil.copytree(stack.folder, other)
