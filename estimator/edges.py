@@ -188,8 +188,9 @@ def _finished(refined: Refined) -> EdgeFit:
     broad = levels.width > BROAD
     harmonics = slice(3, 7) if broad else LONG_WAVES
     freedom = 2 * (harmonics.stop - harmonics.start)
-    # The mean of the squared errors over so uncertain a variance is one.
-    variance = ring_variance(errors, harmonics) / share * freedom / (freedom - 2)
+    # The mean of the squared errors over so uncertain a variance is one. Of a part of a contour the
+    # ellipse takes up longer waves than of the whole, and less of them is left to tell.
+    variance = ring_variance(errors, harmonics) / share**2 * freedom / (freedom - 2)
     step_covariance = variance * cv2.invert(rows.T @ rows)[1]
     if broad:
         longer = _longer_waves(size=1, centre=1 + 6 * refined.texture, shape=1 + refined.texture)

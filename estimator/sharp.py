@@ -31,6 +31,7 @@ _SLOPE_SHOWS = 0.02  # edge width, radii, from which a slope of the light begins
 _SLOPES = np.column_stack([np.ones(RAYS), DESIGN[:, :2]])
 _PLATEAU = 2.6  # edge widths from the edge to where its blur no longer shows
 _FORGIVEN = 0.1  # edge widths that texture may move an edge
+_SPOILED = 3  # rays beside one that shows no edge
 _ROUGH = 5.0  # times the typical variance left in a profile: it holds something else
 
 
@@ -94,9 +95,10 @@ def refine_sharp(
 
 
 def _eroded(mask: np.ndarray) -> np.ndarray:
-    """Rays with both neighbours in the mask: a shaft's rim spoils the rays beside it."""
-    wide = np.concatenate([mask[-1:], mask, mask[:1]])
-    return wide[:-2] & mask & wide[2:]
+    """Rays with all neighbours in the mask: a shaft's rim spoils the rays beside it."""
+    wide = np.concatenate([mask[-_SPOILED:], mask, mask[:_SPOILED]]).view(np.uint8)
+    kernel = np.ones((1, 2 * _SPOILED + 1), np.uint8)
+    return cv2.erode(wide[None], kernel)[0, _SPOILED:-_SPOILED].view(bool)
 
 
 def _sharpened(levels: Levels, band: Band, slope: np.ndarray, doubt: float) -> Levels:
