@@ -13,14 +13,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 import calibration
 import optics
-from benchmarks.studies.pose_errors import PRIOR_DEG, REPORTED, angle_deg, rms
+from benchmarks.studies.pose_errors import PRIOR_DEG, REPORTED, angle_deg, drawn_prior, rms
 from calibration import Prior
 from calibration._image_data import Footage, read_footage
 from calibration._image_fit import fit_footage
@@ -75,8 +74,7 @@ def _poses(
                 stack = render_stack(scene, Path(folder) / "stack")
                 footage = read_footage(stack)
             for frame, labels in enumerate(stack.labels[1:], 1):
-                lean = np.radians(PRIOR_DEG) * rng.standard_normal(2)
-                told = _leaning(np.array(labels.axis), lean)
+                told = drawn_prior(np.array(labels.axis), rng)
                 distance = labels.d_mm + _DISTANCE_SIGMA_MM * rng.uniform(-1, 1)
                 fit = fit_footage(
                     _single(footage, frame, told),
@@ -109,12 +107,6 @@ def _single(footage: Footage, frame: int, axis: np.ndarray) -> Footage:
         readings=np.zeros(1),
         axis=axis,
     )
-
-
-def _leaning(axis: np.ndarray, lean: np.ndarray) -> np.ndarray:
-    first, second = map(np.asarray, optics.perpendicular_frame(jnp.asarray(axis)))
-    leaning = axis + lean[0] * first + lean[1] * second
-    return np.asarray(leaning / np.linalg.norm(leaning))
 
 
 def _scene(

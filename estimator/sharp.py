@@ -125,15 +125,17 @@ def _slope(band: Band, found: np.ndarray, width: float) -> tuple[np.ndarray, flo
     the slope counts only as far as it exceeds what shorter waves explain (the garrote of Breiman
     1995).
     """
+    # The sharper the edge, the less a slope of the light moves it, and a wrong guess must not.
+    counts = min(max(width / _SLOPE_SHOWS - 1, 0.0), 1.0)
+    if counts == 0:
+        return np.zeros(2), 0.0
     waves = np.where(found[:, None], _SLOPES, 0.0)
     _, fitted = cv2.solve(waves.T @ waves, waves.T @ band.gain[:, None].astype(float))
     slope = fitted[1:, 0] / fitted[0, 0]
     square = float(slope @ slope)
     rest = np.where(found, band.gain, 0.0) - waves @ fitted[:, 0]
     variance = _DOUBTED * 2 * ring_variance(rest, slice(2, 7)) / RAYS
-    kept = max(0.0, 1 - variance / square) if square > 0 else 0.0
-    # The sharper the edge, the less a slope of the light moves it, and a wrong guess must not.
-    kept *= min(max(width / _SLOPE_SHOWS - 1, 0.0), 1.0)
+    kept = counts * max(0.0, 1 - variance / square) if square > 0 else 0.0
     return kept * slope, kept * variance + kept * (1 - kept) * square
 
 
