@@ -38,23 +38,21 @@ class Refined:
         ellipse: px.
         move: how far the contour moved at most, units of the radius.
         size_variance: of the contour's common offset, beyond what the offsets' scatter shows.
-        texture: part of the rays' uneven brightness that is the wall's, not noise.
         levels: sharpened by what the refinement saw.
         offsets: (RAYS,) radial distance of each ray's edge from the ellipse, units of the radius.
         found: (RAYS,) rays with an edge.
         inliers: (RAYS,) rays whose edge belongs to the ellipse.
-        inside: (RAYS,) rays whose contour point lies in the frame.
+        band: that showed them.
     """
 
     ellipse: Ellipse
     move: float
     size_variance: float
-    texture: float
     levels: Levels
     offsets: np.ndarray
     found: np.ndarray
     inliers: np.ndarray
-    inside: np.ndarray
+    band: Band
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,14 +130,14 @@ class Band:
             disturbances: (n,) each.
         """
         residual = self.profiles - self.mean
-        basis = np.stack([*disturbances, -self.slope], axis=1).astype(float)
+        basis = np.array([*disturbances, -self.slope], float).T
         gram = basis.T @ basis
         gram.flat[:: len(gram) + 1] += 1e-12 * gram.trace() + 1e-30
         triangle = np.linalg.cholesky(gram)
         orthonormal = basis @ cv2.invert(triangle)[1].T
         parts = residual @ orthonormal.astype(np.float32)
         squares = parts * parts
-        rough = np.einsum("ij,ij->i", residual, residual) - squares.sum(axis=1)
+        rough = _row_sums(residual * residual) - _row_sums(squares)
         rough = np.maximum(rough, 0) / max(residual.shape[1] - len(gram), 1)
         weight = self.inliers / np.count_nonzero(self.inliers)
         noise = float(weight @ rough)
@@ -211,13 +209,17 @@ class Band:
             ellipse=self.ellipse.stepped(step).scaled(1 + half),
             move=max(float(np.abs(step).max()), abs(half)),
             size_variance=half_variance + level_variance,
-            texture=self.texture,
             levels=levels.in_units_of(growth),
             offsets=offsets - DESIGN @ step,
             found=found,
             inliers=inliers,
-            inside=self.inside,
+            band=self,
         )
+
+
+def _row_sums(values: np.ndarray) -> np.ndarray:
+    """Three times as fast as `sum(axis=1)` at this size."""
+    return values @ np.ones(values.shape[1], values.dtype)
 
 
 def _derivative(values: np.ndarray, spacing: float) -> np.ndarray:

@@ -40,7 +40,8 @@ class Coarse:
         unit = float(signal.max()) / 255
         if not unit > 0:
             return cls(np.zeros(signal.shape, np.uint8), 1.0, stride, x0, y0)
-        levels = (np.maximum(signal, 0) * (1 / unit) + 0.5).astype(np.uint8)
+        _, positive = cv2.threshold(signal, 0, 0, cv2.THRESH_TOZERO)
+        levels = cv2.convertScaleAbs(positive, alpha=1 / unit)
         return cls(levels, unit, stride, x0, y0)
 
 
@@ -90,13 +91,14 @@ def bright_regions(
     """
     smooth = cv2.medianBlur(coarse.levels, 3)
     for _ in range(_PEELS):
-        count = np.bincount(smooth.ravel(), minlength=256)
-        split = _otsu_level(count)
-        background = _median_level(count[: split + 1])
-        peak = split + 1 + _median_level(count[split + 1 :])
+        count = cv2.calcHist([smooth], [0], None, [256], [0, 256]).ravel().astype(int)
+        below = np.cumsum(count)
+        split = _otsu_level(count, below)
+        dark, pixels = int(below[split]), int(below[-1])
+        background, peak = np.searchsorted(below, [dark / 2, (dark + pixels) / 2]).tolist()
         if peak - background < max(min_contrast * background, _FAINTEST_STEP):
             return
-        if 2 * count[split + 1 :].sum() > smooth.size:
+        if 2 * dark < pixels:
             # What is dark is a shaft before a bright wall: the wall is the background.
             smooth = np.maximum(smooth, np.uint8(peak))
             continue
@@ -129,22 +131,15 @@ def bright_regions(
         cv2.drawContours(smooth, painted, -1, background, 3)
 
 
-def _otsu_level(count: np.ndarray) -> int:
+def _otsu_level(count: np.ndarray, cumulative: np.ndarray) -> int:
     """Level that splits a histogram best in two, by Otsu 1979; small glints hardly move it."""
-    below = np.cumsum(count)[:-1]
-    above = below[-1] + count[-1] - below
-    weighted = count * np.arange(len(count))
-    sum_below = np.cumsum(weighted)[:-1]
-    sum_above = sum_below[-1] + weighted[-1] - sum_below
+    below, sums = cumulative[:-1], np.cumsum(count * np.arange(len(count)))
+    above = cumulative[-1] - below
+    sum_below = sums[:-1]
+    sum_above = sums[-1] - sum_below
     both = np.maximum(below * above, 1)
     difference = (sum_above * below - sum_below * above) / both
     return int(np.argmax(difference * difference * both))
-
-
-def _median_level(count: np.ndarray) -> int:
-    """Median of the pixels that a histogram counts."""
-    below = np.cumsum(count)
-    return int(np.searchsorted(below, below[-1] / 2))
 
 
 def _hull_ellipse(points: np.ndarray, coarse: Coarse) -> Ellipse | None:

@@ -173,10 +173,9 @@ def _crossings(profiles: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarr
     nearest = np.argmax(falling * _NEARNESS, axis=1)
     ray = np.arange(len(profiles))
     before, after = profiles[ray, nearest], profiles[ray, nearest + 1]
-    found = falling[ray, nearest] & (before > after)  # a profile that leaves the patch has no edge
-    fall = np.where(found, before - after, 1)
-    offsets = RADII[nearest] - 1 + RADIUS_STEP * np.where(found, before - level, 0) / fall
-    return offsets, found
+    found = (before >= level) & (after < level)  # a profile that leaves the patch has no edge
+    share = np.divide(before - level, before - after, out=np.zeros(len(ray)), where=found)
+    return RADII[0] - 1 + RADIUS_STEP * (nearest + share), found
 
 
 def _finished(refined: Refined) -> EdgeFit:
@@ -192,10 +191,11 @@ def _finished(refined: Refined) -> EdgeFit:
     # ellipse takes up longer waves than of the whole, and less of them is left to tell.
     variance = ring_variance(errors, harmonics) / share**2 * freedom / (freedom - 2)
     step_covariance = variance * cv2.invert(rows.T @ rows)[1]
+    texture = refined.band.texture
     if broad:
-        longer = _longer_waves(size=1, centre=1 + 6 * refined.texture, shape=1 + refined.texture)
+        longer = _longer_waves(size=1, centre=1 + 6 * texture, shape=1 + texture)
     else:
-        rise = 25 * refined.texture * levels.width
+        rise = 25 * texture * levels.width
         longer = _longer_waves(size=_MIDDLE_ALONE + 4 * rise, centre=1 + 2 * rise, shape=1 + rise)
     step_covariance = longer @ step_covariance @ longer
     step_covariance[2:4, 2:4] += refined.size_variance
@@ -206,7 +206,7 @@ def _finished(refined: Refined) -> EdgeFit:
         offsets=refined.offsets,
         found=refined.found,
         inliers=refined.inliers,
-        inside=refined.inside,
+        inside=refined.band.inside,
         scatter=math.sqrt(float(errors @ errors) / len(rows)),
     )
 

@@ -103,7 +103,7 @@ def robust_step(
         The step and the mask of the offsets that belong; None with fewer than 8 of them.
     """
     plain = _trimmed(design, offsets, seen, start & seen, tolerance, limit)
-    if plain is not None and plain[1].sum() > _FEW * seen.sum():
+    if plain is not None and np.count_nonzero(plain[1]) > _FEW * np.count_nonzero(seen):
         return plain
     candidates = np.flatnonzero(seen)
     if candidates.size < _SAMPLE_BASE:
@@ -149,7 +149,7 @@ def _trimmed(
         errors = np.abs(offsets - design @ step[:, 0])
         spread = np.partition(errors[inliers], number // 3)[number // 3] / _THIRD
         kept = seen & (errors < min(max(3.5 * spread, tolerance), limit))
-        if np.array_equal(kept, inliers):
+        if (kept == inliers).all():
             break
         inliers = kept
     return step[:, 0], inliers

@@ -14,7 +14,7 @@ GREY = -1
 GREY_WEIGHTS = (0.299, 0.587, 0.114)
 """Of red, green and blue in cv2's RGB2GRAY."""
 
-_FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0, "float64": 1.0}
+_FULL_SCALE = {np.uint8: 255.0, np.uint16: 65535.0, np.float32: 1.0, np.float64: 1.0}
 _REFERENCE_BLUR_PX = 3.0  # of the reference frame: its noise, not the wall's texture, goes
 _DARKEST_REFERENCE = 0.2  # of its median: a shaft in the reference frame is no wall
 
@@ -47,7 +47,7 @@ class Response:
 
     def full_scale_of(self, frame: np.ndarray) -> float:
         """Value at which the frame's pixels saturate."""
-        return self.full_scale or _FULL_SCALE[frame.dtype.name]
+        return self.full_scale or _FULL_SCALE[frame.dtype.type]
 
     def light(self, values: np.ndarray, full_scale: float) -> np.ndarray:
         """Invert the curve: float32 light in units in which full scale is `full_scale`."""
@@ -76,7 +76,7 @@ def checked_frame(frame: np.ndarray) -> np.ndarray:
     """
     if not isinstance(frame, np.ndarray):
         raise ValueError(f"A frame must be a NumPy array; got {type(frame).__name__}.")
-    if frame.dtype.name not in _FULL_SCALE:
+    if frame.dtype.type not in _FULL_SCALE:
         raise ValueError(
             f"A frame must be uint8, uint16, float32 or float64; got {frame.dtype.name}."
             " Convert it with astype, and give Response(full_scale=...) if its range differs."
@@ -184,8 +184,7 @@ class LightMeter:
         if values.ndim == 2:
             return self.response.light(values, full_scale)
         if channel != GREY:
-            one = np.ascontiguousarray(values[:, :, channel])
-            return self.response.light(one, full_scale)
+            return self.response.light(cv2.extractChannel(values, channel), full_scale)
         if self.response.curve == "linear":
             return _grey(values).astype(np.float32)
         return _grey(self.response.light(values, full_scale))
@@ -204,4 +203,4 @@ class LightMeter:
 def _grey(values: np.ndarray) -> np.ndarray:
     if values.dtype == np.float64:
         values = values.astype(np.float32)
-    return cv2.cvtColor(np.ascontiguousarray(values), cv2.COLOR_RGB2GRAY)
+    return cv2.cvtColor(values, cv2.COLOR_RGB2GRAY)

@@ -16,6 +16,7 @@ RADII = np.linspace(0.05, 1.6, 48)
 """Radii of the wide view, in units of the ellipse."""
 RADIUS_STEP = float(RADII[1] - RADII[0])
 
+_EVEN_POWERS = RADII[:, None] ** np.array([0, 2, 4])
 _NEAR_EDGE = np.abs(RADII[1:-1] - 1) < 0.35
 _DOUBT = 13.0  # variances that a dome must exceed to count
 _FAR_ENOUGH = 0.9  # part of the radius where the background begins that must be in view
@@ -60,19 +61,17 @@ class Levels:
     @property
     def sees_background(self) -> bool:
         """Whether the background was taken where the spot's light no longer reaches the wall."""
-        return self.background_radius > _FAR_ENOUGH * dark_radius(self.width)
+        return _dark_at(self.background_radius, self.width)
 
     @property
     def tail(self) -> float:
         """Light that a bell may have left where the background was taken, over its amplitude."""
-        if self.width < _TAILED or self.sees_background:
-            return 0.0
-        return 0.5 * (2 * _LEFT) ** ((self.background_radius - 1) / (_TAIL - 1))
+        return _tail(self.width, self.background_radius)
 
     def before(self, background: float, radius: float) -> Levels:
         """The levels with a background taken there, less half of what a bell may have left."""
-        taken = replace(self, background=background, background_radius=radius)
-        return replace(taken, background=background - taken.tail / 2 * taken.amplitude)
+        left = _tail(self.width, radius) / 2 * (self.peak - background)
+        return replace(self, background=background - left, background_radius=radius)
 
     def in_units_of(self, radius: float) -> Levels:
         """The same levels about an ellipse that is so many times as large."""
@@ -121,8 +120,8 @@ def levels_of(
     if not peak > background:
         return None
     half_radius = _falling_through(mean, (peak + background) / 2)
-    levels = Levels(peak, dome, variance, background, radius, width, half_radius)
-    return levels.before(background, radius)
+    background -= _tail(width, radius) / 2 * (peak - background)
+    return Levels(peak, dome, variance, background, radius, width, half_radius)
 
 
 def _falling_through(mean: np.ndarray, level: float) -> float:
@@ -159,6 +158,17 @@ def dark_radius(width: float) -> float:
     return near if width < _TAILED else max(near, _TAIL)
 
 
+def _dark_at(radius: float, width: float) -> bool:
+    return radius > _FAR_ENOUGH * dark_radius(width)
+
+
+def _tail(width: float, radius: float) -> float:
+    """Light that a bell of that edge width may have left at a radius, over its amplitude."""
+    if width < _TAILED or _dark_at(radius, width):
+        return 0.0
+    return 0.5 * (2 * _LEFT) ** ((radius - 1) / (_TAIL - 1))
+
+
 def _top(
     profiles: np.ndarray, width: float, dark: float, glaring: float
 ) -> tuple[float, tuple[float, float, float], float]:
@@ -170,13 +180,11 @@ def _top(
     """
     outermost = min(max(1 - 3 * width, 0.5), 0.9)
     rings = slice(0, max(int((outermost - RADII[0]) / RADIUS_STEP) + 1, 8), 2)
-    radii = RADII[rings]
+    radii, basis = RADII[rings], _EVEN_POWERS[rings]
     inner = profiles[:, rings]
     seen = (inner > dark) & (inner < glaring)
-    number = np.count_nonzero(seen, axis=0)
+    number = seen.sum(axis=0)
     means = (inner * seen).sum(axis=0) / np.maximum(number, 1)
-    square = radii * radii
-    basis = np.stack([np.ones_like(square), square, square * square], axis=1)
     weighted = basis * (radii * number)[:, None]
     gram = weighted.T @ basis
     gram.flat[::4] += 1e-6

@@ -18,7 +18,7 @@ from .motion_blur import SMEARED, at_mid_exposure
 from .reflex import bears_spot
 from .spot import NoSpot, Reason, Spot
 from .subpixel import SubpixelSettings
-from .unwrap import Patch, contour_points, share_of_contour
+from .unwrap import RAYS, Patch, contour_points, shares_of_contour
 
 _SATURATED = 0.02  # fraction of a spot's pixels at full scale that its half level notices
 _BRIGHTER = 1.2  # than grey: from there a channel's weaker texture is worth its noise
@@ -78,9 +78,9 @@ class Region:
             if isinstance(fit, NoSpot):
                 failure = fit
                 continue
-            if best is None or fit.inliers.sum() > best.inliers.sum():
+            if best is None or np.count_nonzero(fit.inliers) > np.count_nonzero(best.inliers):
                 best = fit
-            if best.inliers.mean() > self.settings.min_coverage:
+            if np.count_nonzero(best.inliers) > self.settings.min_coverage * RAYS:
                 break
         if best is not None:
             return best
@@ -140,8 +140,7 @@ def regions_in(
             yield NoSpot(Reason.TOO_SMALL)
         elif readings:
             mask = readings[0].mask.view(np.uint8)
-            channel = _channel(values, mask, full_scale)
-            saturated = _saturated_fractions(values, mask, full_scale)[channel]
+            channel, saturated = _channel(values, mask, full_scale)
             coarse = grey
             if channel != GREY:
                 coarse = _coarse(values, window, channel, settings, full_scale)
@@ -161,12 +160,16 @@ def _coarse(
     return Coarse.of_signal(light, stride=stride, x0=window.x0, y0=window.y0)
 
 
-def _channel(values: np.ndarray, mask: np.ndarray, full_scale: float) -> int:
-    """The channel to measure the masked region in."""
+def _channel(values: np.ndarray, mask: np.ndarray, full_scale: float) -> tuple[int, float]:
+    """The channel to measure the masked region in, and the fraction of it at full scale there.
+
+    Of the grey mean it is the worst channel's.
+    """
+    _, full = cv2.threshold(values, full_scale * (1 - 1e-6), 1, cv2.THRESH_BINARY)
+    saturated = cv2.mean(full, mask)[:3]
     if values.ndim == 2:
-        return GREY
+        return GREY, saturated[0]
     peaks = cv2.mean(values, mask)[:3]
-    saturated = _saturated_fractions(values, mask, full_scale)
     usable = [k for k in range(3) if peaks[k] > _FAINTEST_CHANNEL * full_scale] or [0, 1, 2]
     # What saturates every channel is a glint, and no channel is better off.
     least = min(saturated[k] for k in usable)
@@ -174,17 +177,8 @@ def _channel(values: np.ndarray, mask: np.ndarray, full_scale: float) -> int:
     brightest = max(unspoilt, key=lambda k: peaks[k])
     grey = sum(weight * peak for weight, peak in zip(GREY_WEIGHTS, peaks, strict=True))
     if len(unspoilt) < len(usable) or peaks[brightest] > _BRIGHTER * grey:
-        return brightest
-    return GREY
-
-
-def _saturated_fractions(
-    values: np.ndarray, mask: np.ndarray, full_scale: float
-) -> tuple[float, ...]:
-    """Fraction of the mask's pixels at full scale: of red, green, blue and, last, the worst."""
-    _, full = cv2.threshold(values, full_scale * (1 - 1e-6), 1, cv2.THRESH_BINARY)
-    fractions = cv2.mean(full, mask)
-    return fractions[:1] if values.ndim == 2 else (*fractions[:3], max(fractions))
+        return brightest, saturated[brightest]
+    return GREY, max(saturated)
 
 
 def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:
@@ -192,9 +186,9 @@ def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
     levels = fit.levels
     # What texture roughens is seen all the same, if it is not where nothing of the edge can be.
     seen = fit.inliers | (fit.found & (np.abs(fit.offsets) < _SAME_EDGE * levels.width))
-    coverage = share_of_contour(fit.ellipse, seen)
+    coverage, belonging, in_frame = shares_of_contour(fit.ellipse, seen, fit.inliers, fit.inside)
     coherent = fit.scatter < _ROUGHEST * (1 + levels.width / BROAD)
-    if not coherent or share_of_contour(fit.ellipse, fit.inliers) < _SHORTEST_ARC:
+    if not coherent or belonging < _SHORTEST_ARC:
         return NoSpot(Reason.NONE_FOUND)
     if semi_major > settings.max_axis_ratio * semi_minor:
         return NoSpot(Reason.NONE_FOUND)
@@ -205,7 +199,6 @@ def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
     if semi_major > settings.max_semi_major_px:
         return NoSpot(Reason.TOO_LARGE)
     if coverage < settings.min_coverage:
-        in_frame = share_of_contour(fit.ellipse, fit.inside)
         return NoSpot(Reason.CLIPPED if in_frame < settings.min_coverage else Reason.OCCLUDED)
     ellipse = fit.ellipse
     if settings.camera is not None:
@@ -226,6 +219,6 @@ def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
         covariance=covariance,
         edge_width_px=levels.width * math.sqrt(semi_major * semi_minor),
         coverage=coverage,
-        inlier_fraction=float(fit.inliers.sum() / max(int(fit.found.sum()), 1)),
+        inlier_fraction=float(np.count_nonzero(fit.inliers) / max(fit.found.sum(), 1)),
         saturated=saturated,
     )

@@ -32,6 +32,7 @@ _SLOPES = np.column_stack([np.ones(RAYS), DESIGN[:, :2]])
 _PLATEAU = 2.6  # edge widths from the edge to where its blur no longer shows
 _FORGIVEN = 0.1  # edge widths that texture may move an edge
 _SPOILED = 3  # rays beside one that shows no edge
+_NEIGHBOURS = np.ones((1, 2 * _SPOILED + 1), np.uint8)
 _ROUGH = 5.0  # times the typical variance left in a profile: it holds something else
 
 
@@ -97,8 +98,7 @@ def refine_sharp(
 def _eroded(mask: np.ndarray) -> np.ndarray:
     """Rays with all neighbours in the mask: a shaft's rim spoils the rays beside it."""
     wide = np.concatenate([mask[-_SPOILED:], mask, mask[:_SPOILED]]).view(np.uint8)
-    kernel = np.ones((1, 2 * _SPOILED + 1), np.uint8)
-    return cv2.erode(wide[None], kernel)[0, _SPOILED:-_SPOILED].view(bool)
+    return cv2.erode(wide[None], _NEIGHBOURS)[0, _SPOILED:-_SPOILED].view(bool)
 
 
 def _sharpened(levels: Levels, band: Band, slope: np.ndarray, doubt: float) -> Levels:
@@ -109,8 +109,8 @@ def _sharpened(levels: Levels, band: Band, slope: np.ndarray, doubt: float) -> L
         return replace(levels, width=width)
     radii = 1 + band.from_edge[:inner]
     left = _left_by_blur(levels, width, radii)
-    light = float(band.mean[:inner].mean()) - levels.background * float((1 - left).mean())
-    peak = light / float((levels.share_of_peak(radii) * left).mean())
+    light = float(band.mean[:inner].sum()) - levels.background * float((1 - left).sum())
+    peak = light / float(levels.share_of_peak(radii) @ left)
     if not peak > levels.background:
         return levels
     rise = math.hypot(*slope) * max(1 - _BRIGHTEST_INSIDE * width, 0.0)

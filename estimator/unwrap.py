@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -46,15 +47,15 @@ class Patch:
             radii: in units of the ellipse, 1 on its contour.
             every: takes every n-th ray only.
         """
-        scale = 1 / self.stride
-        direction = (ellipse.shape * scale) @ _ACROSS[:, ::every]
-        points = np.multiply.outer(direction.astype(np.float32), radii.astype(np.float32))
-        points[0] += (ellipse.centre[0] - self.x0) * scale
-        points[1] += (ellipse.centre[1] - self.y0) * scale
+        centre = (ellipse.centre - (self.x0, self.y0)) / self.stride
+        rays = (ellipse.shape / self.stride) @ _ACROSS[:, ::every]
+        x, y = centre.astype(np.float32)[:, None, None] + np.multiply.outer(
+            rays.astype(np.float32), radii.astype(np.float32)
+        )
         return cv2.remap(
             self.signal,
-            points[0],
-            points[1],
+            x,
+            y,
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=math.nan,
@@ -81,10 +82,11 @@ def normals_of(ellipse: Ellipse) -> tuple[np.ndarray, np.ndarray]:
     return gradients / per_px, per_px
 
 
-def share_of_contour(ellipse: Ellipse, rays: np.ndarray) -> float:
-    """Fraction of the contour's length that the rays in the mask stand for."""
+def shares_of_contour(ellipse: Ellipse, *masks: np.ndarray) -> list[float]:
+    """Fraction of the contour's length that the rays in each mask stand for."""
     steps = np.hypot(*(ellipse.shape @ _ALONG))
-    return float(steps[rays].sum() / steps.sum())
+    length = float(steps.sum())
+    return [float(steps @ mask) / length for mask in masks]
 
 
 def ring_variance(values: np.ndarray, harmonics: slice) -> float:
@@ -98,6 +100,12 @@ def ring_variance(values: np.ndarray, harmonics: slice) -> float:
 
 def ring_variances(values: np.ndarray, *harmonics: slice) -> list[float]:
     """`ring_variance` of several ranges of harmonics."""
-    spectrum = np.fft.rfft(values)
-    parts = [spectrum[some] for some in harmonics]
-    return [float(np.vdot(part, part).real) / (part.size * values.size) for part in parts]
+    parts = [values @ _waves(some.start, some.stop) for some in harmonics]
+    return [float(part @ part) * 2 / part.size for part in parts]
+
+
+@cache
+def _waves(first: int, end: int) -> np.ndarray:
+    """Cosines and sines of harmonics round the ring, (RAYS, 2 (end - first))."""
+    phases = np.multiply.outer(_ANGLES, np.arange(first, end))
+    return np.concatenate([np.cos(phases), np.sin(phases)], axis=1) / math.sqrt(RAYS)
