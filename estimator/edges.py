@@ -146,7 +146,7 @@ def _capture(
     patch: Patch, candidate: Candidate
 ) -> tuple[Ellipse, np.ndarray, np.ndarray, np.ndarray] | None:
     """Ellipse, its step to the contour (a few tenths of a px), inlying rays, and their profiles."""
-    ellipse, step = candidate.ellipse, np.zeros(5)
+    ellipse, step = candidate.ellipse.upright(), np.zeros(5)
     level = (candidate.peak + candidate.background) / 2
     tolerance = max(1.5 / ellipse.axes()[1], 0.02)
     for _ in range(3):

@@ -51,6 +51,18 @@ class Ellipse:
         x, y = self.centre.tolist()
         return Ellipse.from_axes(x, y, *self.axes())
 
+    def upright(self) -> Ellipse:
+        """The same ellipse with a symmetric shape: n points in the same direction in the image.
+
+        So its rays meet the same pixels, whatever the shape's history was.
+        """
+        (p, q), (r, s) = self.shape.tolist()
+        area = abs(p * s - q * r)
+        square = np.array(
+            [[p * p + q * q + area, p * r + q * s], [p * r + q * s, r * r + s * s + area]]
+        )
+        return Ellipse(self.centre, square / math.sqrt(square[0, 0] + square[1, 1]))
+
     def scaled(self, factor: float) -> Ellipse:
         """The concentric ellipse with all lengths times `factor`."""
         return Ellipse(self.centre, self.shape * factor)

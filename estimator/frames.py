@@ -126,6 +126,10 @@ class Window:
         """All of the frame."""
         return cls(0, 0, frame.shape[1], frame.shape[0])
 
+    def on_grid(self, stride: int) -> Window:
+        """The window from multiples of a stride on: all such windows subsample the same pixels."""
+        return Window(self.x0 - self.x0 % stride, self.y0 - self.y0 % stride, self.x1, self.y1)
+
     def of(self, frame: np.ndarray, stride: int = 1) -> np.ndarray:
         """The window's pixels, or every n-th of them in either direction."""
         values = frame[self.y0 : self.y1, self.x0 : self.x1]

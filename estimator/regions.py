@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from .coarse import Candidate, Coarse, TooSmall, bright_regions
 from .edges import REACH, EdgeFit, fit_edge
 from .ellipse import Ellipse, covariance_of_axes, refitted
 from .frames import GREY, GREY_WEIGHTS, Window
+from .levels import dark_radius
 from .motion_blur import SMEARED, at_mid_exposure
 from .reflex import bears_spot
 from .spot import NoSpot, Reason, Spot
@@ -30,6 +32,23 @@ _WHOLE = 0.96  # ... rather than whole, to this fraction of its contour
 _SHORTEST_ARC = 0.3  # fraction of a contour that makes an ellipse recognisable
 _FILLED = 0.75  # of its ellipse's area: what takes less is cut by something
 _SMALLEST_AREA = 0.7  # of the smallest spot's: a region may be only the bright part of its spot
+_AROUND = 0.6  # radii of the last contour beyond where its background begins that are looked at
+_LIKE_LAST = 0.5  # relative difference of areas up to which a region may be the last spot's ...
+_UNHIDDEN = 0.1  # ... and up to which its centroid is the spot's centre
+
+
+class Sighting(NamedTuple):
+    """A spot and the contour that it was told from.
+
+    Attributes:
+        spot: what was measured.
+        fit: half-maximum contour.
+        channel: that it is seen in: 0, 1, 2 or `frames.GREY`.
+    """
+
+    spot: Spot
+    fit: EdgeFit
+    channel: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +76,20 @@ class Region:
         """Number of the frame's pixels in the region."""
         return float(np.count_nonzero(self.readings[0].mask)) * self.coarse.stride**2
 
-    def measured(self) -> Spot | NoSpot:
+    def measured(self) -> Sighting | NoSpot:
         """The region's spot, if its contour is one."""
-        fit = self.contour()
-        if isinstance(fit, NoSpot):
-            return fit
+        contour = self.contour()
+        if isinstance(contour, NoSpot):
+            return contour
+        fit = contour
         if fit.levels.width > SMEARED:
             fit = at_mid_exposure(self._patch(fit.ellipse), fit)
-        result = _verdict(fit, self.settings, self.saturated)
-        if result and fit.levels.width > BROAD and bears_spot(self._patch(fit.ellipse), fit):
+        spot = _verdict(fit, self.settings, self.saturated)
+        if isinstance(spot, NoSpot):
+            return spot
+        if fit.levels.width > BROAD and bears_spot(self._patch(fit.ellipse), fit):
             return NoSpot(Reason.AMBIGUOUS)
-        return result
+        return Sighting(spot, contour, self.channel)
 
     def contour(self) -> EdgeFit | NoSpot:
         """The region's contour, through the reading of which the most of it is seen."""
@@ -128,6 +150,7 @@ def regions_in(
         window: where to look for a spot's body; its edge is followed beyond.
         settings: of the mode.
     """
+    window = window.on_grid(settings.stride)
     values = window.of(frame, settings.stride)
     if min(values.shape[:2]) < 5:
         return
@@ -146,6 +169,46 @@ def regions_in(
                 coarse = _coarse(values, window, channel, settings, full_scale)
                 readings = [candidate.relevelled(coarse) for candidate in readings]
             yield Region(frame, settings, coarse, channel, saturated, readings)
+
+
+def region_of(last: Sighting, frame: np.ndarray, settings: SubpixelSettings) -> Region | None:
+    """The region that the spot of the frame before takes in this one.
+
+    It is what exceeds the half level near the last contour.
+
+    Args:
+        last: in the frame before.
+        frame: checked (`frames.checked_frame`).
+        settings: of the mode.
+
+    Returns:
+        None where nothing like it is there, where another channel shows it better now, and for a
+        broad edge, whose background is too far away to be looked for nearby.
+    """
+    ellipse, levels, stride = last.fit.ellipse, last.fit.levels, settings.stride
+    if levels.width > BROAD:
+        return None
+    settings.meter.check(frame)
+    half_width, half_height = ellipse.scaled(dark_radius(levels.width) + _AROUND).half_extent()
+    x, y = ellipse.centre.tolist()
+    window = Window.around(x, y, half_width, half_height, frame).on_grid(stride)
+    values = window.of(frame, stride)
+    full_scale = settings.response.full_scale_of(frame)
+    coarse = _coarse(values, window, last.channel, settings, full_scale)
+    mask = (coarse.levels > levels.half / coarse.unit).view(np.uint8)
+    moments = cv2.moments(mask, binaryImage=True)
+    semi_major, semi_minor, _ = ellipse.axes()
+    filled = moments["m00"] * stride**2 / (math.pi * semi_major * semi_minor)
+    if abs(filled - 1) > _LIKE_LAST:
+        return None
+    channel, saturated = _channel(values, mask, full_scale)
+    if channel != last.channel:
+        return None
+    if abs(filled - 1) < _UNHIDDEN:
+        centroid = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
+        ellipse = Ellipse((window.x0, window.y0) + stride * centroid, ellipse.shape)
+    candidate = Candidate(ellipse, 0.0, 0.0, mask.view(bool))
+    return Region(frame, settings, coarse, channel, saturated, [candidate.relevelled(coarse)])
 
 
 def _coarse(

@@ -11,11 +11,12 @@ import numpy as np
 from .frames import Window, checked_frame
 from .levels import dark_radius
 from .literal import LiteralSettings, measure_literal
-from .regions import Region, regions_in
+from .regions import Region, Sighting, region_of, regions_in
 from .spot import NoSpot, Reason, Spot
 from .subpixel import SubpixelSettings
 
 _RIVAL = 0.5  # area of a second spot, relative to the first's, that makes the choice ambiguous
+_LESS_SEEN = 0.1  # of its contour, from which a search may see more of the spot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,10 +26,13 @@ class TrackState:
     Attributes:
         at_px: (x, y) where to look; None searches the whole frame.
         spot: last spot, None before the first and after a loss.
+        sighting: what is looked for first: the last spot's contour, or after a leap that of what is
+            to be seen again. Without it the same is found, but later.
     """
 
     at_px: tuple[float, float] | None = None
     spot: Spot | None = None
+    sighting: Sighting | None = None
 
 
 def measure(
@@ -37,9 +41,9 @@ def measure(
     """Measure the spot of one frame.
 
     Literal mode looks in the patch round the last ellipse (or the click) and nowhere else. The
-    sub-pixel mode looks round the last position, then in the whole frame. A spot that it finds
-    further off or of another size than the settings allow is `ambiguous` in that frame and
-    accepted in the next one if it is still there.
+    sub-pixel mode looks for the last contour, then round the last position, then in the whole
+    frame. A spot that it finds further off or of another size than the settings allow is
+    `ambiguous` in that frame and accepted in the next one if it is still there.
 
     Args:
         frame: grey (H, W) or RGB (H, W, 3); uint8, uint16, float32 or float64.
@@ -82,43 +86,58 @@ def track(
 def _measure_subpixel(
     frame: np.ndarray, state: TrackState, settings: SubpixelSettings
 ) -> tuple[Spot | NoSpot, TrackState]:
-    if state.at_px is not None:
-        near = _near(frame, state.at_px, state.spot, settings)
-        if near:
-            return near, _following(near, settings)
+    near = _again(frame, state.sighting, settings) or _near(frame, state, settings)
+    if near:
+        return near.spot, _following(near, settings)
     result = _searched(frame, settings)
     if isinstance(result, NoSpot):
         return result, TrackState()
     found = _following(result, settings)
-    if state.spot is not None and not _continues(result, state.spot, settings):
+    if state.spot is not None and not _continues(result.spot, state.spot, settings):
         return NoSpot(Reason.AMBIGUOUS), replace(found, spot=None)
-    return result, found
+    return result.spot, found
 
 
-def _following(spot: Spot, settings: SubpixelSettings) -> TrackState:
+def _following(sighting: Sighting, settings: SubpixelSettings) -> TrackState:
+    spot = sighting.spot
     at = spot.x_px, spot.y_px
-    return TrackState(at_px=settings.camera.distorted(*at) if settings.camera else at, spot=spot)
+    at = settings.camera.distorted(*at) if settings.camera else at
+    return TrackState(at_px=at, spot=spot, sighting=sighting)
 
 
-def _near(
-    frame: np.ndarray,
-    at: tuple[float, float],
-    last: Spot | None,
-    settings: SubpixelSettings,
-) -> Spot | None:
+def _again(frame: np.ndarray, last: Sighting | None, settings: SubpixelSettings) -> Sighting | None:
+    """What was seen last, if it hardly changed; the rest is left to a search."""
+    region = region_of(last, frame, settings) if last else None
+    now = region.measured() if region else None
+    if not (last and now and _continues(now.spot, last.spot, settings)):
+        return None
+    return now if now.spot.coverage > last.spot.coverage - _LESS_SEEN else None
+
+
+def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> Sighting | None:
     """The spot that continues the last one, or the brightest near the start point."""
-    half = float(settings.search_half_width_px)
+    if state.at_px is None:
+        return None
+    half, last = float(settings.search_half_width_px), state.spot
     if last is not None:
         # The background is where a bell's tails end, round wherever it moved to.
         reach = last.semi_major_px * dark_radius(last.edge_width_px / last.semi_minor_px)
         reach += settings.max_jump_px
         half = max(half, reach)
-    for region in regions_in(frame, Window.around(*at, half, half, frame), settings):
-        if isinstance(region, Region):
-            spot = region.measured()
-            if spot and (last is None or _continues(spot, last, settings)):
-                return spot
+    for region in regions_in(frame, Window.around(*state.at_px, half, half, frame), settings):
+        if isinstance(region, Region) and (
+            last is None or _in_reach(region, state.at_px, settings)
+        ):
+            result = region.measured()
+            if result and (last is None or _continues(result.spot, last, settings)):
+                return result
     return None
+
+
+def _in_reach(region: Region, at: tuple[float, float], settings: SubpixelSettings) -> bool:
+    """Whether a region's spot may lie within a jump: its centre is good to a radius."""
+    ellipse = region.readings[0].ellipse
+    return math.dist(ellipse.centre.tolist(), at) < settings.max_jump_px + ellipse.axes()[0]
 
 
 def _continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
@@ -127,25 +146,25 @@ def _continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
     return jump <= settings.max_jump_px and 1 / settings.max_growth <= growth <= settings.max_growth
 
 
-def _searched(frame: np.ndarray, settings: SubpixelSettings) -> Spot | NoSpot:
+def _searched(frame: np.ndarray, settings: SubpixelSettings) -> Sighting | NoSpot:
     """The one spot of the whole frame, unless there is another much like it."""
-    spots: list[Spot] = []
+    seen: list[Sighting] = []
     failures = [NoSpot(Reason.NONE_FOUND)]
     for region in regions_in(frame, Window.whole(frame), settings):
         if isinstance(region, NoSpot):
             failures.append(region)
-        elif not any(_is_rest_of(region, spot) for spot in spots):
+        elif not any(_is_rest_of(region, sighting.spot) for sighting in seen):
             result = region.measured()
             if isinstance(result, NoSpot):
                 failures.append(result)
             else:
-                spots.append(result)
-    if not spots:
+                seen.append(result)
+    if not seen:
         return max(failures, key=_told)
-    spots.sort(key=_area, reverse=True)
-    if len(spots) > 1 and _area(spots[1]) > _RIVAL * _area(spots[0]):
+    seen.sort(key=lambda sighting: _area(sighting.spot), reverse=True)
+    if len(seen) > 1 and _area(seen[1].spot) > _RIVAL * _area(seen[0].spot):
         return NoSpot(Reason.AMBIGUOUS)
-    return spots[0]
+    return seen[0]
 
 
 _TOLD = (

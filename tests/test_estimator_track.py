@@ -3,13 +3,15 @@ from __future__ import annotations
 import math
 import multiprocessing
 import os
+import sys
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from benchmarks.estimator_frames import Scene, Truth, any_wall, frame_of
+from benchmarks.estimator_frames import SHAPE, Scene, Truth, any_wall, frame_of, with_shaft
 from benchmarks.estimator_spotless import false_spots
 from estimator import (
     LiteralSettings,
@@ -122,6 +124,93 @@ def test_a_tracked_spot_is_not_exchanged_for_a_brighter_one() -> None:
     second = np.maximum(first, frame_of(replace(_SCENE, truth=right), rng))
     results = list(track([first, second], SubpixelSettings()))
     assert all(_near(result, left) for result in results)
+
+
+def _shafted(scene: Scene, rng: np.random.Generator) -> Scene:
+    return with_shaft(scene, rng, 0.3, 75)
+
+
+def _textured(scene: Scene, rng: np.random.Generator) -> Scene:
+    return replace(scene, wall=any_wall(rng))
+
+
+def _red(scene: Scene, rng: np.random.Generator) -> Scene:
+    """Red is saturated, blue is not."""
+    wall = np.broadcast_to(np.array([1.0, 0.6, 0.5]), (*SHAPE, 3))
+    return replace(scene, wall=wall, amplitude=1.7 * 255 - 15)
+
+
+_KINDS: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
+    "even": lambda scene, rng: scene,
+    "retina": _textured,
+    "saturated": lambda scene, rng: replace(scene, amplitude=430.0),
+    "saturated in red": _red,
+    "clipped": lambda scene, rng: replace(scene, truth=replace(scene.truth, x=40)),
+    "behind a shaft": _shafted,
+}
+
+
+@pytest.mark.parametrize("kind", _KINDS)
+def test_a_spot_that_is_followed_is_the_one_that_is_found(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(12)
+    scene = _KINDS[kind](_SCENE, rng)
+    places = [scene.truth.moved(dx, dy) for dx, dy in ((0, 0), (2, 1), (1, 7), (9, 3), (8, 4))]
+    frames = [frame_of(replace(scene, truth=place), rng) for place in places]
+    settings = SubpixelSettings()
+    found, state = measure(frames[0], TrackState(), settings)
+    differences = []
+    for frame, place in zip(frames[1:], places[1:], strict=True):
+        found, _ = measure(frame, TrackState(at_px=(place.x, place.y)), settings)
+        with monkeypatch.context() as patch:
+            patch.setattr(sys.modules[measure.__module__], "regions_in", None)  # no search
+            followed, state = measure(frame, state, settings)
+        assert isinstance(found, Spot) and isinstance(followed, Spot)
+        sigmas = np.sqrt(np.diag(found.covariance))
+        differences.append(np.abs(_values(followed) - _values(found)) / sigmas)
+        # Half of a saturated spot's own peak is higher than half of full scale: less rim counts,
+        # one pixel of the search's grid (4 px) at most round 60 px: 4 px / 30 px of the area.
+        assert abs(followed.saturated - found.saturated) < 0.13
+        assert abs(followed.coverage - found.coverage) < 0.02
+    # Both end where the rays settle, from starts that differ by less than a tenth of the edge's
+    # width; a ray that one keeps and the other leaves out may make the largest difference.
+    assert np.median(differences) < 0.15
+    assert np.max(differences) < 1.5
+
+
+def _values(spot: Spot) -> np.ndarray:
+    return np.array([spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad])
+
+
+def test_what_takes_the_place_of_a_spot_is_not_followed() -> None:
+    rng = np.random.default_rng(13)
+    v, u = np.ogrid[: SHAPE[0], : SHAPE[1]]
+    distance = np.hypot(u - _TRUTH.x, v - _TRUTH.y)
+    halo = replace(_NOTHING, glints=250 * np.exp(-distance / 60))
+    glint = replace(_NOTHING, glints=np.where(distance < 12, 250.0, 0.0))
+    half = replace(_SCENE, lit=(u < _TRUTH.x - 30).astype(float))
+    for wall in (None, any_wall(rng)):
+        settings = SubpixelSettings()
+        for scene in (_NOTHING, halo, glint, half):
+            _, state = measure(frame_of(replace(_SCENE, wall=wall), rng), TrackState(), settings)
+            result, state = measure(frame_of(replace(scene, wall=wall), rng), state, settings)
+            assert not result
+            assert state.spot is None
+
+
+def test_saturation_and_channel_follow_the_light() -> None:
+    rng = np.random.default_rng(14)
+    wall = np.broadcast_to(np.array([1.0, 0.6, 0.5]), (*SHAPE, 3))
+    state = TrackState()
+    for amplitude, saturated in ((180, 0), (600, 1), (200, 0), (430, 0)):
+        frame = frame_of(replace(_SCENE, wall=wall, amplitude=amplitude), rng)
+        spot, state = measure(frame, state, SubpixelSettings())
+        anew, _ = measure(frame, TrackState(), SubpixelSettings())
+        assert isinstance(spot, Spot) and isinstance(anew, Spot)
+        assert abs(spot.saturated - anew.saturated) < 0.02
+        assert spot.saturated == pytest.approx(saturated, abs=0.1)
+        assert _near(spot, _TRUTH, within=0.3)
 
 
 def test_measure_keeps_nothing_but_its_state() -> None:
