@@ -20,6 +20,7 @@ from .motion_blur import SMEARED, at_mid_exposure
 from .reflex import bears_spot
 from .spot import NoSpot, Reason, Spot
 from .subpixel import SubpixelSettings
+from .texture import without_texture
 from .unwrap import RAYS, Patch, contour_points, shares_of_contour
 
 _SATURATED = 0.02  # fraction of a spot's pixels at full scale that its half level notices
@@ -83,7 +84,7 @@ class Region:
             return contour
         fit = contour
         if fit.levels.width > SMEARED:
-            fit = at_mid_exposure(self._patch(fit.ellipse), fit)
+            fit = at_mid_exposure(self._patch(fit.ellipse, fit.levels.width), fit)
         spot = _verdict(fit, self.settings, self.saturated)
         if isinstance(spot, NoSpot):
             return spot
@@ -118,6 +119,9 @@ class Region:
     def _fit(self, candidate: Candidate) -> EdgeFit | NoSpot:
         patch = self._patch(candidate.ellipse)
         fit = fit_edge(patch, self.coarse, candidate)
+        if fit and fit.levels.width > BROAD and self._tells_texture:
+            patch = self._patch(candidate.ellipse, fit.levels.width)
+            fit = fit_edge(patch, self.coarse, candidate) or fit
         if isinstance(fit, NoSpot) or fit.levels.sees_background:
             return fit
         # The window does not show the background of a bell; the frame may.
@@ -127,13 +131,25 @@ class Region:
         coarse = _coarse(values, whole, self.channel, self.settings, full_scale)
         return fit_edge(patch, coarse, candidate)
 
-    def _patch(self, ellipse: Ellipse) -> Patch:
+    @property
+    def _tells_texture(self) -> bool:
+        """Whether the wall's texture is still in the frame and its colours are all there."""
+        return self.frame.ndim == 3 and self.saturated == 0 and self.settings.reference is None
+
+    def _patch(self, ellipse: Ellipse, width: float = 0.0) -> Patch:
+        """Light round an ellipse, of a broad edge (`width` in radii) without the wall's texture."""
         half_width, half_height = ellipse.half_extent()
         x, y = ellipse.centre.tolist()
         window = Window.around(x, y, REACH * half_width, REACH * half_height, self.frame)
         meter = self.settings.meter
         full_scale = meter.response.full_scale_of(self.frame)
-        light = meter.light(window.of(self.frame), window, self.channel, full_scale)
+        values = window.of(self.frame)
+        light = meter.light(values, window, self.channel, full_scale)
+        if width > BROAD and self._tells_texture:
+            colours = meter.response.light(values, full_scale)
+            light = without_texture(
+                light, colours, semi_minor_px=ellipse.axes()[1], full_scale=full_scale
+            )
         ceiling = math.inf
         if self.saturated > 0:
             ceiling = meter.ceiling(window, self.channel, full_scale)

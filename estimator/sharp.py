@@ -84,7 +84,7 @@ def refine_sharp(
     slope, doubt = _slope(band, found, levels.width)
     levels = _sharpened(levels, band, slope, doubt)
     crossing = band.half_crossing(levels.half, _MIDDLE * levels.width)
-    if crossing is None:
+    if crossing is None or not levels.width > 0:
         return NoSpot(Reason.NONE_FOUND)
     # A ray's shift tells where half of its own light is. Of all light's half, brighter rays see it
     # further out.

@@ -8,7 +8,8 @@ by a reference frame without the spot.
 
 Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), which has the least
 noise, unless one channel is clearly brighter in the spot, where texture is weaker (on a retina red,
-in which vessels hardly show), or a channel is saturated: then on the least saturated one.
+in which vessels hardly show), or a channel is saturated: then on the least saturated one. Of broad
+edges the texture that differs from colour to colour is taken out first (`texture.py`).
 """
 
 from __future__ import annotations
