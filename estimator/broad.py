@@ -30,7 +30,7 @@ _SHOULDER = 1.25  # edge widths from the edge to where a plateau begins to fall
 _SMALLEST_TOP = 0.35  # radii of a spot's top that are looked at at least
 _DOUBT = 4.0  # variances that a top's shape must exceed to count
 _POWERS = 5  # of the polynomial in the radius through a top
-_TOP_AND_CONTOUR = 12.0  # longest-wave texture over that, in variance, as on printed retinas
+_TOP_AND_CONTOUR = 18.0  # longest-wave texture over that, in variance, as on printed retinas
 
 
 def refine_broad(

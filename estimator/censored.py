@@ -14,7 +14,7 @@ from .unwrap import RAYS, Patch
 READABLE = 0.95
 """Part of full scale up to which noise does not reach it and a mean value can be believed."""
 
-_BRIGHTEST = 1.85  # times full scale: peak above which half of it is hardly seen
+_BRIGHTEST = 2 * READABLE  # times full scale: peak of which half can be read
 _VAGUEST = 0.02  # standard error, radii, of an edge that is seen at all
 _BIN_PX = 0.25
 _STEPS = 25

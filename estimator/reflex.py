@@ -21,12 +21,13 @@ _SMOOTHEST = 0.008  # ... and that its contour scatters by: more is the wall's t
 _SEEN = 0.6  # of its contour
 
 
-def bears_spot(patch: Patch, bell: EdgeFit) -> bool:
+def bears_spot(patch: Patch, bell: EdgeFit, smallest_px: float) -> bool:
     """Whether an ellipse with a sharp rim stands out of a bell.
 
     Args:
         patch: signal round the bell.
         bell: its fit.
+        smallest_px: semi-minor axis that a spot has at least: noise has sharp blobs, too.
     """
     half_width, half_height = bell.ellipse.half_extent()
     x, y = (bell.ellipse.centre - (patch.x0, patch.y0)).tolist()
@@ -48,14 +49,14 @@ def bears_spot(patch: Patch, bell: EdgeFit) -> bool:
         if isinstance(readings, TooSmall):
             continue
         fits = (fit_edge(standing_out, coarse, candidate) for candidate in readings)
-        if any(isinstance(fit, EdgeFit) and _is_sharp(fit) for fit in fits):
+        if any(isinstance(fit, EdgeFit) and _is_rim(fit, smallest_px) for fit in fits):
             return True
     return False
 
 
-def _is_sharp(fit: EdgeFit) -> bool:
-    smooth = fit.levels.width < _SHARPEST and fit.scatter < _SMOOTHEST
-    return smooth and bool(fit.inliers.mean() > _SEEN)
+def _is_rim(fit: EdgeFit, smallest_px: float) -> bool:
+    sharp = fit.levels.width < _SHARPEST and fit.scatter < _SMOOTHEST
+    return sharp and bool(fit.inliers.mean() > _SEEN) and fit.ellipse.axes()[1] > smallest_px
 
 
 def _polynomials(number: int) -> np.ndarray:

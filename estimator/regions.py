@@ -88,7 +88,8 @@ class Region:
         spot = _verdict(fit, self.settings, self.saturated)
         if isinstance(spot, NoSpot):
             return spot
-        if fit.levels.width > BROAD and bears_spot(self._patch(fit.ellipse), fit):
+        smallest = self.settings.min_semi_minor_px
+        if fit.levels.width > BROAD and bears_spot(self._patch(fit.ellipse), fit, smallest):
             return NoSpot(Reason.AMBIGUOUS)
         return Sighting(spot, contour, self.channel)
 
@@ -145,15 +146,13 @@ class Region:
         full_scale = meter.response.full_scale_of(self.frame)
         values = window.of(self.frame)
         light = meter.light(values, window, self.channel, full_scale)
-        if width > BROAD and self._tells_texture:
-            colours = meter.response.light(values, full_scale)
-            light = without_texture(
-                light, colours, semi_minor_px=ellipse.axes()[1], full_scale=full_scale
-            )
         ceiling = math.inf
         if self.saturated > 0:
             ceiling = meter.ceiling(window, self.channel, full_scale)
-        return Patch(light, window.x0, window.y0, ceiling=ceiling)
+        patch = Patch(light, window.x0, window.y0, ceiling=ceiling)
+        if width > BROAD and self._tells_texture:
+            return without_texture(patch, meter.response.light(values, full_scale), ellipse)
+        return patch
 
 
 def regions_in(

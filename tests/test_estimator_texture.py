@@ -9,10 +9,13 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from estimator import SubpixelSettings, TrackState, measure
+from estimator.ellipse import Ellipse
 from estimator.texture import without_texture
+from estimator.unwrap import Patch
 
 SHAPE = (200, 240)
 SEMI_MINOR_PX = 40.0
+ELLIPSE = Ellipse.from_axes(SHAPE[1] / 2, SHAPE[0] / 2, SEMI_MINOR_PX, SEMI_MINOR_PX, 0.0)
 DENSITY = (0.25, 0.65, 0.55)  # of a pigment in red, green and blue
 
 
@@ -44,7 +47,8 @@ def test_a_pigment_is_taken_out_and_the_light_left() -> None:
     # Samples are means of 2.5 px, over which a pigment of waves of 12 px bends by some 3 %: a
     # fifth of the 10 to 20 % that it takes is the most that may be left.
     image = tinted(bell(), veins(np.random.default_rng(0), 6.0))
-    even = without_texture(image[..., 0], image, semi_minor_px=SEMI_MINOR_PX, full_scale=255)
+    red = np.ascontiguousarray(image[..., 0])
+    even = without_texture(Patch(red, 0, 0), image, ELLIPSE).signal
     assert unevenness(image[..., 0]) > 0.05
     assert unevenness(even) < unevenness(image[..., 0]) / 5
 
@@ -52,7 +56,7 @@ def test_a_pigment_is_taken_out_and_the_light_left() -> None:
 def test_what_is_as_dark_in_every_colour_stays() -> None:
     grey = bell() * np.exp(-0.3 * veins(np.random.default_rng(1), 6.0))
     light = grey.astype(np.float32)
-    even = without_texture(light, np.dstack([light] * 3), semi_minor_px=40.0, full_scale=255)
+    even = without_texture(Patch(light, 0, 0), np.dstack([light] * 3), ELLIPSE).signal
     # The channels are one, up to the rounding of 32 bits in a logarithm of 5.
     np.testing.assert_allclose(even / light, 1, atol=1e-5)
 
