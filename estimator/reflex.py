@@ -18,7 +18,7 @@ _POWERS = 5  # of either coordinate in the surface that a bell is within its hal
 _SMALLEST = 0.02  # area of what stands out, over the window's
 _SHARPEST = 0.05  # radii that its edge takes at most ...
 _SMOOTHEST = 0.008  # ... and that its contour scatters by: more is the wall's texture
-_SEEN = 0.6  # of its contour
+_SEEN = 0.5  # of its contour
 
 
 def bears_spot(patch: Patch, bell: EdgeFit, smallest_px: float) -> bool:
