@@ -70,8 +70,8 @@ class Levels:
 
     def before(self, background: float, radius: float) -> Levels:
         """The levels with a background taken there, less half of what a bell may have left."""
-        left = _tail(self.width, radius) / 2 * (self.peak - background)
-        return replace(self, background=background - left, background_radius=radius)
+        background = _without_tail(background, self.peak, self.width, radius)
+        return replace(self, background=background, background_radius=radius)
 
     def in_units_of(self, radius: float) -> Levels:
         """The same levels about an ellipse that is so many times as large."""
@@ -120,7 +120,7 @@ def levels_of(
     if not peak > background:
         return None
     half_radius = _falling_through(mean, (peak + background) / 2)
-    background -= _tail(width, radius) / 2 * (peak - background)
+    background = _without_tail(background, peak, width, radius)
     return Levels(peak, dome, variance, background, radius, width, half_radius)
 
 
@@ -167,6 +167,11 @@ def _tail(width: float, radius: float) -> float:
     if width < _TAILED or _dark_at(radius, width):
         return 0.0
     return 0.5 * (2 * _LEFT) ** ((radius - 1) / (_TAIL - 1))
+
+
+def _without_tail(background: float, peak: float, width: float, radius: float) -> float:
+    """A background taken at a radius, less half of what a bell may have left there."""
+    return background - _tail(width, radius) / 2 * (peak - background)
 
 
 def _top(

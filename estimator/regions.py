@@ -61,7 +61,7 @@ class Region:
         settings: that it was found with.
         coarse: the window that it was found in, in the channel that it is to be measured in.
         channel: 0, 1, 2 or `frames.GREY`.
-        saturated: fraction of its pixels at full scale in that channel.
+        saturated: fraction of its pixels at full scale, by channel; in grey the worst channel's.
         readings: ellipses that it may be a part of, one at least.
     """
 
@@ -69,7 +69,7 @@ class Region:
     settings: SubpixelSettings
     coarse: Coarse
     channel: int
-    saturated: float
+    saturated: tuple[float, ...]
     readings: list[Candidate]
 
     @property
@@ -85,7 +85,7 @@ class Region:
         fit = contour
         if fit.levels.width > SMEARED:
             fit = at_mid_exposure(self._patch(fit.ellipse, fit.levels.width), fit)
-        spot = _verdict(fit, self.settings, self.saturated)
+        spot = _verdict(fit, self.settings, self.saturated[self.channel])
         if isinstance(spot, NoSpot):
             return spot
         smallest = self.settings.min_semi_minor_px
@@ -121,8 +121,9 @@ class Region:
         patch = self._patch(candidate.ellipse)
         fit = fit_edge(patch, self.coarse, candidate)
         if fit and fit.levels.width > BROAD and self._tells_texture:
-            patch = self._patch(candidate.ellipse, fit.levels.width)
-            fit = fit_edge(patch, self.coarse, candidate) or fit
+            even = self._patch(candidate.ellipse, fit.levels.width)
+            if again := fit_edge(even, self.coarse, candidate):
+                patch, fit = even, again
         if isinstance(fit, NoSpot) or fit.levels.sees_background:
             return fit
         # The window does not show the background of a bell; the frame may.
@@ -135,7 +136,8 @@ class Region:
     @property
     def _tells_texture(self) -> bool:
         """Whether the wall's texture is still in the frame and its colours are all there."""
-        return self.frame.ndim == 3 and self.saturated == 0 and self.settings.reference is None
+        colours = self.frame.ndim == 3 and max(self.saturated) == 0
+        return colours and self.settings.reference is None
 
     def _patch(self, ellipse: Ellipse, width: float = 0.0) -> Patch:
         """Light round an ellipse, of a broad edge (`width` in radii) without the wall's texture."""
@@ -147,7 +149,7 @@ class Region:
         values = window.of(self.frame)
         light = meter.light(values, window, self.channel, full_scale)
         ceiling = math.inf
-        if self.saturated > 0:
+        if self.saturated[self.channel] > 0:
             ceiling = meter.ceiling(window, self.channel, full_scale)
         patch = Patch(light, window.x0, window.y0, ceiling=ceiling)
         if width > BROAD and self._tells_texture:
@@ -238,16 +240,16 @@ def _coarse(
     return Coarse.of_signal(light, stride=stride, x0=window.x0, y0=window.y0)
 
 
-def _channel(values: np.ndarray, mask: np.ndarray, full_scale: float) -> tuple[int, float]:
-    """The channel to measure the masked region in, and the fraction of it at full scale there.
-
-    Of the grey mean it is the worst channel's.
-    """
+def _channel(
+    values: np.ndarray, mask: np.ndarray, full_scale: float
+) -> tuple[int, tuple[float, ...]]:
+    """The channel to measure the masked region in, and `Region.saturated`."""
     _, full = cv2.threshold(values, full_scale * (1 - 1e-6), 1, cv2.THRESH_BINARY)
     saturated = cv2.mean(full, mask)[:3]
     if values.ndim == 2:
-        return GREY, saturated[0]
+        return GREY, saturated[:1]
     peaks = cv2.mean(values, mask)[:3]
+    fractions = (*saturated, max(saturated))
     usable = [k for k in range(3) if peaks[k] > _FAINTEST_CHANNEL * full_scale] or [0, 1, 2]
     # What saturates every channel is a glint, and no channel is better off.
     least = min(saturated[k] for k in usable)
@@ -255,8 +257,8 @@ def _channel(values: np.ndarray, mask: np.ndarray, full_scale: float) -> tuple[i
     brightest = max(unspoilt, key=lambda k: peaks[k])
     grey = sum(weight * peak for weight, peak in zip(GREY_WEIGHTS, peaks, strict=True))
     if len(unspoilt) < len(usable) or peaks[brightest] > _BRIGHTER * grey:
-        return brightest, saturated[brightest]
-    return GREY, max(saturated)
+        return brightest, fractions
+    return GREY, fractions
 
 
 def _verdict(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:

@@ -96,3 +96,18 @@ def test_light_of_another_colour_than_the_rest_leaves_its_size() -> None:
         sizes.append(spot.semi_minor_px)
     # Logarithms of mixtures do not quite add up: 1 % of the radius, as for bells on a retina.
     assert abs(sizes[0] - sizes[1]) < 0.01 * SEMI_MINOR_PX
+
+
+def test_a_saturated_colour_tells_no_texture() -> None:
+    # Red is at full scale over the middle of the bell; green, in which it is measured, is not.
+    image = bell()[..., None] * (2.2, 1.3, 1.1) + np.random.default_rng(4).normal(0, 3, (*SHAPE, 3))
+    frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    green = np.ascontiguousarray(frame[..., 1])
+    sizes = []
+    for seen in (frame, green):
+        spot, _ = measure(seen, TrackState(), SubpixelSettings())
+        assert spot
+        sizes.append(spot.semi_minor_px)
+    # The background is a median of 8-bit levels: half of one moves the half level by 0.0012 of the
+    # amplitude of 208, and a bell that falls by 0.7 of it a radius by 0.07 px in 40.
+    assert abs(sizes[0] - sizes[1]) < 0.07
