@@ -28,7 +28,7 @@ check: $(PACKAGES) ## lint, format, types
 	.venv/bin/mypy
 
 bench: $(LIBRARIES) ## measure the speeds that the README states
-	.venv/bin/python -m benchmarks
+	.venv/bin/python -m benchmarks.bench
 
 constraints: ## resolve all versions anew and write constraints.txt
 	tools/pin-versions
@@ -37,6 +37,6 @@ $(PACKAGES): pyproject.toml constraints.txt tools/install-packages
 	@tools/install-packages
 	@touch $@
 
-$(LIBRARIES): $(PACKAGES) scenes/llvm.py scenes/variant.py tools/install-libraries
+$(LIBRARIES): $(PACKAGES) scenes/machine/llvm.py scenes/machine/variant.py tools/install-libraries
 	@tools/install-libraries
 	@touch $@

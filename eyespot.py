@@ -104,7 +104,7 @@ def validate(
 
     A run that was stopped goes on where it was when it is given the same folder.
     """
-    from benchmarks import validate as experiment
+    from benchmarks.studies.validate import run as experiment
 
     experiment.run(out=out, quick=quick, seed=seed, source=source)
 
@@ -226,7 +226,7 @@ def track(
     # OpenCV and FFmpeg tell in their own words what comes back as one error.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    from estimator import track_command
+    from estimator.run import command as track_command
 
     track_command.run(
         source,
@@ -336,7 +336,7 @@ def fit(
     A fit that is not good writes its report alone, says why, and ends with exit code 2; one whose
     only fault is that its errors are too large is written and not called good.
     """
-    from calibration import fit_command
+    from calibration.command import command as fit_command
 
     fit_command.run(
         sources,
@@ -368,7 +368,7 @@ def export(
     ],
 ) -> None:
     """Write a labelled set, or one stack, in another format."""
-    from benchmarks.sets import export as exporting
+    from benchmarks.sets.formats import export as exporting
 
     exporting.run(folder, to=to, out=out)
 
@@ -396,7 +396,7 @@ def score(
     ] = None,
 ) -> None:
     """Say how good an estimator's spots of a labelled set are."""
-    from benchmarks.sets import score_command
+    from benchmarks.sets.score import command as score_command
 
     score_command.run(folder, spots or [], mode=mode, against=against, out=out)
 
@@ -424,9 +424,9 @@ def add_study(name: str, question: str) -> None:
         quick: Quick = False,
         seed: Seed = None,
     ) -> None:
-        from benchmarks.studies import Request
+        from benchmarks.reporting import Request
 
-        module = importlib.import_module(f"benchmarks.studies.{name.replace('-', '_')}")
+        module = importlib.import_module(f"benchmarks.studies.{name.replace('-', '_')}.run")
         module.run(Request(out=out, scene=scene, changes=tuple(changes), quick=quick, seed=seed))
 
 
@@ -450,7 +450,8 @@ def study_eccentricity(
 
     A run that was stopped goes on where it was when it is given the same folder.
     """
-    from benchmarks.studies import Request, eccentricity
+    from benchmarks.reporting import Request
+    from benchmarks.studies.eccentricity import run as eccentricity
 
     eccentricity.run(
         Request(
@@ -483,7 +484,8 @@ def study_dynamic(
 
     A run that was stopped goes on where it was when it is given the same folder.
     """
-    from benchmarks.studies import Request, dynamic
+    from benchmarks.reporting import Request
+    from benchmarks.studies.dynamic import run as dynamic
 
     dynamic.run(
         Request(
@@ -530,7 +532,7 @@ def dataset_make(
 
     A run that was stopped goes on where it was when it is given the same folder.
     """
-    from benchmarks.sets import command
+    from benchmarks.sets.make import command
 
     command.make(
         spec,
@@ -548,7 +550,7 @@ def dataset_verify(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The set's folder.")],
 ) -> None:
     """Prove by its manifest that a set is whole, or name what is missing or changed."""
-    from benchmarks.sets import command
+    from benchmarks.sets.make import command
 
     command.verify(folder)
 
@@ -595,7 +597,7 @@ def scene_check(scene: SceneFile, changes: Changes = []) -> None:  # noqa: B006
 @app.command()
 def doctor() -> None:
     """Say what this machine can do, and what to do about each thing that is missing."""
-    from scenes import doctor as examination
+    from scenes.machine import doctor as examination
 
     raise typer.Exit(examination.report())
 
@@ -633,7 +635,7 @@ def main() -> None:
 def _message_for_a_person(error: Exception) -> str | None:
     """What to tell about an expected error; None for a bug."""
     # Classes of modules that were never loaded cannot have been raised.
-    pydantic, variant = sys.modules.get("pydantic"), sys.modules.get("scenes.variant")
+    pydantic, variant = sys.modules.get("pydantic"), sys.modules.get("scenes.machine.variant")
     if pydantic and isinstance(error, pydantic.ValidationError):
         return "\n".join(
             f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}; got {problem['input']!r}"

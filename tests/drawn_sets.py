@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.estimator_frames import Scene, Truth, frame_of
+from benchmarks.bench.estimator_frames import Scene, Truth, frame_of
 from estimator import FrameLabels, StackWriter
 from scenes import load_scene
 

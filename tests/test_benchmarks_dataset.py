@@ -17,14 +17,13 @@ from pathlib import Path
 import pytest
 from distributed import Client
 
-from benchmarks.sets import read_set
-from benchmarks.sets.cluster import local_workers, running_scheduler
-from benchmarks.sets.estimate import estimate
-from benchmarks.sets.generate import Shard, make_set
-from benchmarks.sets.manifest import verify_set
-from benchmarks.sets.plan import plan
-from benchmarks.sets.read import SetError
-from benchmarks.sets.spec import SetSpec, load_spec
+from benchmarks.sets.make.cluster import local_workers, running_scheduler
+from benchmarks.sets.make.estimate import estimate
+from benchmarks.sets.make.generate import Shard, make_set
+from benchmarks.sets.make.manifest import verify_set
+from benchmarks.sets.read.labelled_set import SetError, read_set
+from benchmarks.sets.spec.planning import plan
+from benchmarks.sets.spec.spec import SetSpec, load_spec
 
 SPEC = """\
 name = "tiny"

@@ -24,12 +24,12 @@ from rosbags.highlevel import AnyReader
 from typer.testing import CliRunner
 
 import eyespot
-from benchmarks.sets.export import Format, export
 from benchmarks.sets.formats import webdataset as webdataset_format
 from benchmarks.sets.formats.bags import START_S
-from benchmarks.sets.stacks import stacks_of
+from benchmarks.sets.formats.export import Format, export
+from benchmarks.sets.read.stacks import stacks_of
 from estimator import FrameLabels, Reader, SubpixelSettings, open_source, read_poses, read_stack
-from estimator.offline import track_source
+from estimator.run.offline import track_source
 from tests.drawn_sets import MICROSCOPE, SHAPE, STACKS, labels_of, write_set, write_stack
 
 NAMES = [f"{split}/{name}" for split, names in STACKS.items() for name in names]

@@ -16,17 +16,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import analysis, report
-from benchmarks.conclusions import Conclusion, conclusions, number
-from benchmarks.model_error import COMPARED, ModelError
-from benchmarks.paper import TABLE_II
-from benchmarks.tables import CHOSEN_DISTANCES_MM
-from benchmarks.tracking import WAYS, Tracked
-from benchmarks.trials import Trial, grid_trials, paper_trials
-from benchmarks.validate import SUBPIXEL, Findings
+from benchmarks.evaluation.model_error import COMPARED, ModelError
+from benchmarks.evaluation.paper import TABLE_II
+from benchmarks.evaluation.tracking import WAYS, Tracked
+from benchmarks.evaluation.trials import Trial, grid_trials, paper_trials
+from benchmarks.studies.validate import analysis, report
+from benchmarks.studies.validate.conclusions import Conclusion, conclusions, number
+from benchmarks.studies.validate.run import SUBPIXEL, Findings
+from benchmarks.studies.validate.tables import CHOSEN_DISTANCES_MM
 from calibration import PlaneFit, SphereFit
 from estimator import FrameLabels, NoSpot, Reason, Spot, StackError, StackWriter
-from scenes.motion_settings import Withdrawal
+from scenes.description.motion_settings import Withdrawal
 
 LITERAL, BLIND = WAYS[0].name, WAYS[1].name
 K, B, SCALE = 19.7, -5.1, 0.0067

@@ -15,11 +15,11 @@ import pytest
 from typer.testing import CliRunner
 
 import eyespot
-from benchmarks.sets.conditions import Circumstances, circumstances_of
-from benchmarks.sets.measures import Errors
-from benchmarks.sets.score import Score, score
-from benchmarks.sets.spots_of_set import read_set_spots
-from benchmarks.sets.stacks import stacks_of
+from benchmarks.sets.read.stacks import stacks_of
+from benchmarks.sets.score.conditions import Circumstances, circumstances_of
+from benchmarks.sets.score.groups import Score, score
+from benchmarks.sets.score.measures import Errors
+from benchmarks.sets.score.spots_of_set import read_set_spots
 from estimator import FrameLabels, NoSpot, Reason, Spot, SpotRecord, write_spots
 from tests.drawn_sets import MICROSCOPE, STACKS, labels_of, write_set
 

@@ -12,14 +12,18 @@ import pytest
 
 import optics
 import scenes
-from benchmarks.conclusions import Conclusion
-from benchmarks.studies import Request, dynamic, dynamic_measure, dynamic_report
-from benchmarks.studies import dynamic_parts as parts_of
-from benchmarks.studies import dynamic_trials as trials_of
-from benchmarks.studies.dynamic_parts import PARTS, DynamicError
-from benchmarks.studies.dynamic_trials import COMPARED, LATENCIES_S, LITERAL, MOTIONS, SUBPIXEL
+from benchmarks.reporting.study import Request
+from benchmarks.studies.dynamic import measure as dynamic_measure
+from benchmarks.studies.dynamic import parts as parts_of
+from benchmarks.studies.dynamic import report as dynamic_report
+from benchmarks.studies.dynamic import run as dynamic
+from benchmarks.studies.dynamic import trials as trials_of
+from benchmarks.studies.dynamic.parts import PARTS, DynamicError
+from benchmarks.studies.dynamic.trials import COMPARED, LATENCIES_S, LITERAL, MOTIONS, SUBPIXEL
+from benchmarks.studies.validate.conclusions import Conclusion
 from estimator import MicroscopeFile, Pose, PoseTrack
-from scenes import SceneError, motion
+from scenes import SceneError
+from scenes.world import motion
 
 R = 11.5
 SPHERE = optics.Sphere(R)

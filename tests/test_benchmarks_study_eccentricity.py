@@ -17,27 +17,16 @@ from matplotlib.figure import Figure
 
 import optics
 import scenes
-from benchmarks import model_error
-from benchmarks.conclusions import Conclusion
-from benchmarks.model_error import Geometry, ModelError
-from benchmarks.studies import (
-    Data,
-    Picture,
-    Report,
-    Request,
-    Section,
-    Study,
-    Table,
-    causes,
-    chain,
-    eccentricity,
-)
-from benchmarks.studies import eccentricity_limits as limits
-from benchmarks.studies import eccentricity_space as space
-from benchmarks.studies.causes import CAUSES, WRONG_C_MM, WRONG_R_MM, Shift
-from benchmarks.studies.chain import Eye, Links
-from benchmarks.studies.eccentricity_limits import DISTANCES_MM, Limit
-from benchmarks.studies.shapley import coalitions, shapley_values
+from benchmarks.evaluation import model_error
+from benchmarks.evaluation.model_error import Geometry, ModelError
+from benchmarks.reporting.study import Data, Picture, Report, Request, Section, Study, Table
+from benchmarks.studies.eccentricity import causes, chain, limits, space
+from benchmarks.studies.eccentricity import run as eccentricity
+from benchmarks.studies.eccentricity.causes import CAUSES, WRONG_C_MM, WRONG_R_MM, Shift
+from benchmarks.studies.eccentricity.chain import Eye, Links
+from benchmarks.studies.eccentricity.limits import DISTANCES_MM, Limit
+from benchmarks.studies.eccentricity.shapley import coalitions, shapley_values
+from benchmarks.studies.validate.conclusions import Conclusion
 
 SCALE, K, B, R = 0.0067, 20.0, -5.117, 11.5
 EDGE_PX, PIXELS_PX = 0.03, -0.02

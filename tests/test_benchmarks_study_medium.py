@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 import scenes
-from benchmarks.studies import medium, medium_light, medium_rendered
-from benchmarks.studies.medium_light import (
+from benchmarks.reporting.study import Request
+from benchmarks.studies.medium import light as medium_light
+from benchmarks.studies.medium import rendered as medium_rendered
+from benchmarks.studies.medium import run as medium
+from benchmarks.studies.medium.light import (
     AIR,
     AIR_CONE,
     LENS,
@@ -16,8 +19,7 @@ from benchmarks.studies.medium_light import (
     Curve,
     Regression,
 )
-from benchmarks.studies.study import Request
-from scenes.geometry import Cone
+from scenes.world.geometry import Cone
 
 DISTANCE = np.linspace(0.05, 8.0, 1600)
 ASKED = np.linspace(0.5, 6.0, 12)

@@ -10,9 +10,13 @@ import pytest
 
 import optics
 import scenes
-from benchmarks.studies import pose, pose_analytic, pose_errors, pose_rendered
-from benchmarks.studies.pose_errors import FREE, KNOWN, PRIOR, PoseError
-from benchmarks.studies.pose_tool import (
+from benchmarks.reporting.study import Request
+from benchmarks.studies.pose import analytic as pose_analytic
+from benchmarks.studies.pose import errors as pose_errors
+from benchmarks.studies.pose import rendered as pose_rendered
+from benchmarks.studies.pose import run as pose
+from benchmarks.studies.pose.errors import FREE, KNOWN, PRIOR, PoseError
+from benchmarks.studies.pose.tool import (
     Tool,
     ToolPose,
     bound,
@@ -22,9 +26,8 @@ from benchmarks.studies.pose_tool import (
     one_spot,
     three_spots,
 )
-from benchmarks.studies.study import Request
-from scenes.geometry import Cone
-from scenes.motion import trajectory
+from scenes.world.geometry import Cone
+from scenes.world.motion import trajectory
 
 CONE = Cone(math.atan(1 / 20), -5.117)
 ONE, THREE = one_spot(CONE), three_spots(CONE)

@@ -9,17 +9,18 @@ import pytest
 
 import optics
 import scenes
-from benchmarks.paper import TABLE_I, PlaneRow
-from benchmarks.studies import Request, static, static_causes, table_one
-from benchmarks.studies import table_one_causes as causes
-from benchmarks.studies import table_one_moments as moments
-from benchmarks.studies import table_one_scan as scan
-from benchmarks.studies.static_bench import EVEN
-from benchmarks.studies.static_causes import ALL, CAUSES, NONE
-from benchmarks.studies.static_lines import fit_lines
-from benchmarks.studies.table_one_scan import AT_SCALE, Choice, Family, Isophotes
-from benchmarks.trials import paper_trials
-from scenes import labels
+from benchmarks.evaluation.lines import fit_lines
+from benchmarks.evaluation.paper import TABLE_I, PlaneRow
+from benchmarks.evaluation.trials import paper_trials
+from benchmarks.reporting.study import Request
+from benchmarks.studies.static import causes as static_causes
+from benchmarks.studies.static import run as static
+from benchmarks.studies.static.bench import EVEN
+from benchmarks.studies.static.causes import ALL, CAUSES, NONE
+from benchmarks.studies.table_one import causes, moments, scan
+from benchmarks.studies.table_one import run as table_one
+from benchmarks.studies.table_one.scan import AT_SCALE, Choice, Family, Isophotes
+from scenes.world import labels
 
 K, B = 20.0, -5.117
 PLANE = scenes.changed(scenes.load_scene(None, ()), {"phantom.kind": "plane"})

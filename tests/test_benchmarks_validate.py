@@ -6,8 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks import model_error, trials, validate
-from benchmarks.validate import SUBPIXEL
+from benchmarks.evaluation import model_error, trials
+from benchmarks.studies.validate import run as validate
+from benchmarks.studies.validate.run import SUBPIXEL
 
 FILES = ("report.html", "summary.json", "model_error.csv", "run.json")
 

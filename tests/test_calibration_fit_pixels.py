@@ -10,11 +10,11 @@ from typer.testing import CliRunner
 import eyespot
 import optics
 import scenes
-from calibration._fit_pixels import _means, _propagated
+from calibration.command.pixel_models import _means, _propagated
 from estimator import Spot
-from estimator.calibration_file import read_calibration
-from estimator.microscope_file import read_microscope
-from estimator.ranger import Ranger
+from estimator.distance.ranger import Ranger
+from estimator.files.calibration import read_calibration
+from estimator.files.microscope import read_microscope
 
 ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
 HALF_ANGLE, B = math.atan(1 / 20), -5.117

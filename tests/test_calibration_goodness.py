@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration._goodness import bounds_hit, doubts, runs_probability
+from calibration.command.goodness import bounds_hit, doubts, runs_probability
 
 
 @pytest.mark.parametrize(("positive", "negative"), [(4, 4), (3, 6), (1, 5), (5, 4)])

@@ -16,10 +16,10 @@ from scipy import ndimage, stats
 
 import calibration
 import optics
-from calibration._image_chunks import Chunk, Problem, sums
-from calibration._image_data import CameraNoise, Footage, Instrument, read_footage
-from calibration._image_fit import fit_footage
-from calibration._image_model import (
+from calibration.pixels.chunks import Chunk, Problem, sums
+from calibration.pixels.data import CameraNoise, Footage, Instrument, read_footage
+from calibration.pixels.fit import fit_footage
+from calibration.pixels.model import (
     Cone,
     Edge,
     Lens,
@@ -29,19 +29,14 @@ from calibration._image_model import (
     radiance,
     wall_pixels,
 )
-from calibration._image_parameters import check_names
-from calibration._image_table import (
-    Grid,
-    LensTable,
-    lens_parameters,
-    lens_sampling,
-    lens_table,
-)
+from calibration.pixels.parameters import check_names
+from calibration.pixels.table import Grid, LensTable, lens_parameters, lens_sampling, lens_table
 from estimator import Stack, read_stack
-from estimator.frames import Response
-from scenes import Renderer, Scene, geometry, render_stack
-from scenes.camera_settings import CameraSettings
-from scenes.exposure import expose
+from estimator.image.frames import Response
+from scenes import Renderer, Scene, render_stack
+from scenes.camera.exposure import expose
+from scenes.description.camera_settings import CameraSettings
+from scenes.world import geometry
 
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
 START = {"half_angle": 1.3 * HALF_ANGLE, "b": 0.7 * B}

@@ -15,14 +15,14 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from benchmarks.estimator_frames import Scene, Truth, frame_of
+from benchmarks.bench.estimator_frames import Scene, Truth, frame_of
 from estimator import Reader, Spot, SubpixelSettings, track
-from estimator.bags import IMAGE_TOPIC, POSE_TOPIC, read_frames, write_bag
-from estimator.offline import Ended, track_source
-from estimator.poses import Pose, PoseTrack, read_poses, turned
-from estimator.ros_images import frame_of_message
-from estimator.source import Frame
-from estimator.sources import open_source
+from estimator.files.poses import Pose, PoseTrack, read_poses, turned
+from estimator.run.offline import Ended, track_source
+from estimator.sources.bags import IMAGE_TOPIC, POSE_TOPIC, read_frames, write_bag
+from estimator.sources.opening import open_source
+from estimator.sources.ros_images import frame_of_message
+from estimator.sources.source import Frame
 
 EPOCH_S = 1.6e9
 CLOCK_S = 2.4e-7  # what float64 resolves of a time in s since 1970

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from estimator.calibration_file import (
+from estimator.files.calibration import (
     Calibration,
     CalibrationError,
     read_calibration,

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from estimator.censored import hidden_edge
-from estimator.ellipse import Ellipse
-from estimator.levels import Levels
-from estimator.unwrap import RAYS, Patch
+from estimator.detector.censored import hidden_edge
+from estimator.detector.ellipse import Ellipse
+from estimator.detector.levels import Levels
+from estimator.detector.unwrap import RAYS, Patch
 
 
 @pytest.mark.parametrize(("radius", "grey"), [(9.5, 0.3), (11.75, 0.85), (13.5, 0.85)])

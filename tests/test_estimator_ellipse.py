@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.ellipse import (
+from estimator.detector.ellipse import (
     Ellipse,
     covariance_of_axes,
     offset_design,

@@ -6,15 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from estimator import (
-    LiteralSettings,
-    NoSpot,
-    Response,
-    Spot,
-    SubpixelSettings,
-    TrackState,
-    measure,
-)
+from estimator import LiteralSettings, NoSpot, Response, Spot, SubpixelSettings, TrackState, measure
 
 _MODES = (
     SubpixelSettings(),

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from estimator.microscope_file import MicroscopeFileError, read_microscope
+from estimator.files.microscope import MicroscopeFileError, read_microscope
 
 FOCAL, CX, CY = 3432.8, 330.5, 224.25
 MATRIX = np.array([[FOCAL, 0, CX], [0, FOCAL, CY], [0, 0, 1.0]])

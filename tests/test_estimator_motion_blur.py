@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.estimator_frames import SHAPE, Scene, Truth, bell, frame_of
+from benchmarks.bench.estimator_frames import SHAPE, Scene, Truth, bell, frame_of
 from estimator import NoSpot, Spot, SubpixelSettings, TrackState, measure
 
 _TRUTH = Truth(x=321.3, y=238.8, semi_major=66, semi_minor=60, angle=0.7)

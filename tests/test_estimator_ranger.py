@@ -12,13 +12,13 @@ import pytest
 
 import optics
 from estimator import Response, Spot, SubpixelSettings, TrackState, measure
-from estimator.calibration_file import Calibration
-from estimator.lens_range import LensCurve, distance_from_lens
-from estimator.microscope_file import MicroscopeFile
-from estimator.model_parameters import LENS_PARAMETERS
-from estimator.range import RangeFlag
-from estimator.ranger import Ranger
-from estimator.shape import Shape, spot_shape
+from estimator.detector.shape import Shape, spot_shape
+from estimator.distance.lens_range import LensCurve, distance_from_lens
+from estimator.distance.range import RangeFlag
+from estimator.distance.ranger import Ranger
+from estimator.files.calibration import Calibration
+from estimator.files.microscope import MicroscopeFile
+from estimator.files.model_parameters import LENS_PARAMETERS
 
 HOME = Path(__file__).resolve().parents[1]
 R_EYE, SCALE, K, B = 11.5, 0.0067, 20.0, -5.117

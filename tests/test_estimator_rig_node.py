@@ -25,16 +25,17 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from estimator import LiteralSettings, Spot, SubpixelSettings, rig_node, track
-from estimator.bags import write_bag
-from estimator.calibration_file import Calibration, read_calibration, write_calibration
-from estimator.microscope_file import read_microscope
-from estimator.poses import Pose, PoseTrack, read_poses
-from estimator.range import RangeFlag
-from estimator.ranger import Ranger
-from estimator.rig import Parameters, Rig
-from estimator.sources import Frame, open_source
-from estimator.stack import read_stack
+from estimator import LiteralSettings, Spot, SubpixelSettings, track
+from estimator.distance.range import RangeFlag
+from estimator.distance.ranger import Ranger
+from estimator.files.calibration import Calibration, read_calibration, write_calibration
+from estimator.files.microscope import read_microscope
+from estimator.files.poses import Pose, PoseTrack, read_poses
+from estimator.files.stack import read_stack
+from estimator.rig import node as rig_node
+from estimator.rig.messages import Parameters, Rig
+from estimator.sources.bags import write_bag
+from estimator.sources.opening import Frame, open_source
 
 HOME = Path(__file__).resolve().parents[1]
 MESSAGES = get_typestore(Stores.ROS1_NOETIC).types
@@ -355,7 +356,7 @@ def node_output(bag: Path, folder: Path, count: int, *parameters: str) -> dict[s
         session.wait_until(lambda: session.ask(session.uri, "getPid") is not None, "roscore")
         # Poses carry no time: the node takes that of their arrival, on the bag's clock.
         session.start("rosparam", "set", "use_sim_time", "true").wait()
-        session.start(sys.executable, "-m", "estimator.rig_node", *parameters)
+        session.start(sys.executable, "-m", "estimator.rig.node", *parameters)
         limit = f"--limit={count}"  # messages a topic, after which it ends by itself
         recorder = session.start("rosbag", "record", limit, "-O", recorded, *TOPICS.values())
         session.wait_until(

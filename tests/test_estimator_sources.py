@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from benchmarks.estimator_frames import Scene, Truth, frame_of
+from benchmarks.bench.estimator_frames import Scene, Truth, frame_of
 from estimator import (
     FrameLabels,
     NoSpot,
@@ -22,9 +22,9 @@ from estimator import (
     SubpixelSettings,
     track,
 )
-from estimator.offline import Ended, track_source
-from estimator.source import Frame, Source
-from estimator.sources import open_source
+from estimator.run.offline import Ended, track_source
+from estimator.sources.opening import open_source
+from estimator.sources.source import Frame, Source
 
 SHAPE = (160, 200)
 GONE = 4  # the frame without a spot

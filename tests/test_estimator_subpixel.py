@@ -11,7 +11,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from skimage.measure import EllipseModel, find_contours
 
-from benchmarks.estimator_frames import (
+from benchmarks.bench.estimator_frames import (
     SHAPE,
     Profile,
     Scene,

@@ -9,9 +9,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from estimator import SubpixelSettings, TrackState, measure
-from estimator.ellipse import Ellipse
-from estimator.texture import without_texture
-from estimator.unwrap import Patch
+from estimator.detector.ellipse import Ellipse
+from estimator.detector.texture import without_texture
+from estimator.detector.unwrap import Patch
 
 SHAPE = (200, 240)
 SEMI_MINOR_PX = 40.0

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.estimator_frames import SHAPE, Scene, Truth, any_wall, frame_of, with_shaft
-from benchmarks.estimator_spotless import false_spots
+from benchmarks.bench.estimator_frames import SHAPE, Scene, Truth, any_wall, frame_of, with_shaft
+from benchmarks.bench.estimator_spotless import false_spots
 from estimator import (
     LiteralSettings,
     NoSpot,

@@ -18,7 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import eyespot
-from benchmarks.estimator_frames import Scene, Truth, frame_of
+from benchmarks.bench.estimator_frames import Scene, Truth, frame_of
 from estimator import (
     FrameLabels,
     LiteralSettings,
@@ -33,14 +33,14 @@ from estimator import (
     track,
     write_spots,
 )
-from estimator.bags import write_bag
-from estimator.calibration_file import Calibration, read_calibration, write_calibration
-from estimator.camera import Camera
-from estimator.microscope_file import read_microscope
-from estimator.overlay import annotated
-from estimator.poses import Pose
-from estimator.ranger import Ranger
-from estimator.source import Frame
+from estimator.distance.ranger import Ranger
+from estimator.files.calibration import Calibration, read_calibration, write_calibration
+from estimator.files.microscope import read_microscope
+from estimator.files.poses import Pose
+from estimator.image.camera import Camera
+from estimator.run.overlay import annotated
+from estimator.sources.bags import write_bag
+from estimator.sources.source import Frame
 
 EYESPOT = Path(sys.executable).with_name("eyespot")
 SHAPE = (160, 200)

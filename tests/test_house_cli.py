@@ -14,9 +14,9 @@ import pydantic
 import pytest
 
 import eyespot
-from scenes import doctor
-from scenes.llvm import ENVIRONMENT_VARIABLE
-from scenes.variant import RendererUnavailable
+from scenes.machine import doctor
+from scenes.machine.llvm import ENVIRONMENT_VARIABLE
+from scenes.machine.variant import RendererUnavailable
 
 # The installed command; `python -m eyespot` would search the current folder for packages first.
 EYESPOT = Path(sys.executable).with_name("eyespot")

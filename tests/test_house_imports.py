@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 import pytest
 
-import estimator
-
 HOME = Path(__file__).resolve().parents[1]
 PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
 
@@ -37,20 +35,9 @@ MAY_BE_IMPORTED_BY = {
 
 # Where a spot becomes a distance; the microscope is what the two others see the eye through.
 FROM_SPOT_TO_DISTANCE = {
-    "estimator/cone_pose.py",
-    "estimator/lens_range.py",
-    "estimator/microscope_file.py",
-}
-
-# What `scenes` may take from `estimator`: the schemas, readers and writers of files.
-FILE_FORMATS = {
-    "estimator.calibration_file",
-    "estimator.files",
-    "estimator.microscope_file",
-    "estimator.poses",
-    "estimator.spots",
-    "estimator.stack",
-    "estimator.stack_writer",
+    "estimator/distance/cone_pose.py",
+    "estimator/distance/lens_range.py",
+    "estimator/files/microscope.py",
 }
 
 
@@ -145,12 +132,11 @@ def test_the_estimator_reaches_for_optics_only_where_a_spot_becomes_a_distance()
 
 def test_scenes_take_file_formats_from_the_estimator_and_nothing_else():
     taken = {
-        getattr(estimator, name).__module__ if module == "estimator" else module
-        for _, (module, _, _, names) in imports_of_package("scenes")
+        module
+        for _, (module, _, _, _) in imports_of_package("scenes")
         if module.partition(".")[0] == "estimator"
-        for name in names or [""]
     }
-    assert taken <= FILE_FORMATS
+    assert taken == {"estimator.files"}
 
 
 @pytest.mark.parametrize(

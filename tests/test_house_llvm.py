@@ -9,7 +9,7 @@ import sys
 import pytest
 from pydantic_core import _pydantic_core
 
-from scenes.llvm import ENVIRONMENT_VARIABLE, Llvm, NoLlvm, find_llvm
+from scenes.machine.llvm import ENVIRONMENT_VARIABLE, Llvm, NoLlvm, find_llvm
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def run_python(code, **environment):
 
 def test_drjit_runs_on_the_library_that_was_found():
     child = run_python(
-        "from scenes.variant import load_mitsuba\n"
+        "from scenes.machine.variant import load_mitsuba\n"
         "load_mitsuba()\n"
         "import drjit\n"
         "print(*drjit.detail.llvm_version())\n"
@@ -128,7 +128,7 @@ def test_drjit_runs_on_the_library_that_was_found():
 
 def test_a_second_variant_in_one_process_is_refused():
     child = run_python(
-        "from scenes.variant import load_mitsuba\nload_mitsuba()\nload_mitsuba('scalar_rgb')\n"
+        "from scenes import load_mitsuba\nload_mitsuba()\nload_mitsuba('scalar_rgb')\n"
     )
     assert "RendererUnavailable" in child.stderr
     assert "Start a new process" in child.stderr
@@ -137,7 +137,7 @@ def test_a_second_variant_in_one_process_is_refused():
 def test_without_a_usable_llvm_scalar_variants_still_run(tmp_path):
     old = tmp_path / "libLLVM-15.so.1"
     old.touch()
-    code = "from scenes.variant import load_mitsuba\nprint(load_mitsuba('{}').variant())"
+    code = "from scenes.machine.variant import load_mitsuba\nprint(load_mitsuba('{}').variant())"
     environment = {ENVIRONMENT_VARIABLE: str(old)}
     assert run_python(code.format("scalar_rgb"), **environment).stdout.split() == ["scalar_rgb"]
     refused = run_python(code.format("llvm_ad_rgb"), **environment)

@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import quad
 
 import optics
-from optics._emission import transmitted_power
-from optics._irradiance_table import LensField
+from optics.emission import transmitted_power
+from optics.irradiance_lookup import LensField
 
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49
 DOME, FLAT = optics.load_lens("dome"), optics.load_lens("paper-candidate")

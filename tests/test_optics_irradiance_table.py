@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 import optics
-from optics._irradiance_table import IrradianceTable, LensField
+from optics.irradiance_lookup import IrradianceTable, LensField
 
 AIR, VITREOUS = 1.0, 1.336
 CONTACT, SLOPE = 0.25, 0.1

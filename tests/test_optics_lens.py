@@ -7,15 +7,15 @@ import pytest
 from scipy.integrate import quad
 
 import optics
-from optics._emission import (
+from optics.emission import (
     MISSED_APERTURE,
     TOTAL_INTERNAL_REFLECTION,
     TRANSMITTED,
     emitted_rays,
     transmitted_power,
 )
-from optics._lens_trace import trace_backwards
-from optics._refraction import fresnel_transmittance, refracted_cosine
+from optics.lens_trace import trace_backwards
+from optics.refraction import fresnel_transmittance, refracted_cosine
 
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import optics
-from optics._emission import emitted_rays
-from optics._lens_misaligned import MisalignedLens, misaligned_vector_irradiance
+from optics.emission import emitted_rays
+from optics.lens_misaligned import MisalignedLens, misaligned_vector_irradiance
 
 AIR, VITREOUS = 1.0, 1.336
 

@@ -17,9 +17,9 @@ import scipy.interpolate
 import scipy.stats
 
 import optics
-from benchmarks.photon_fit import glass_images, in_spline_pixels
-from calibration._least_squares import least_squares
-from calibration.render_bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
+from benchmarks.bench.photon_fit import glass_images, in_spline_pixels
+from calibration.bridge.render_bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
+from calibration.solvers.levenberg_marquardt import least_squares
 from scenes import Scene, SceneError, load_mitsuba
 
 ALPHA = 1e-3
@@ -79,7 +79,7 @@ SQUARE = {"incidence_deg": 0.0}
 
 def photon_image(scene: Scene, **settings: Any):
     load_mitsuba()
-    from scenes.differentiable import PhotonImage
+    from scenes.rendering.differentiable import PhotonImage
 
     return PhotonImage(scene, **{"photons": 1 << 17, **settings})
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from scenes.camera_output import after_jpeg, demosaiced, mosaic
-from scenes.camera_settings import CameraSettings
-from scenes.exposure import expose, fixed_patterns, linearise, metered_exposure
+from scenes.camera.exposure import expose, fixed_patterns, linearise, metered_exposure
+from scenes.camera.output import after_jpeg, demosaiced, mosaic
+from scenes.description.camera_settings import CameraSettings
 
 SIDE = 512
 

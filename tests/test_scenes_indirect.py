@@ -34,7 +34,7 @@ def scene(**parts) -> Scene:
 def indirect_radiance(renderer: Renderer, frame: int) -> np.ndarray:
     """What the integrator adds to the direct light, H x W x 3."""
     mi = load_mitsuba()
-    from scenes import build
+    from scenes.rendering import build
 
     renderer.render(frame)
     content = build.mitsuba_dict(renderer.scene, table=renderer.table, uniform=np.zeros(3))

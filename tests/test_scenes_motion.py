@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 import optics
 from estimator import Spot, SubpixelSettings, TrackState, measure
-from estimator.poses import read_poses
+from estimator.files.poses import read_poses
 from scenes import (
     Renderer,
     Scene,
@@ -20,9 +20,9 @@ from scenes import (
     render_stack,
     scene_template,
 )
-from scenes import labels as scene_labels
-from scenes.geometry import wall
-from scenes.motion import frame_times, kinematics, trajectory
+from scenes.world import labels as scene_labels
+from scenes.world.geometry import wall
+from scenes.world.motion import frame_times, kinematics, trajectory
 
 SMALL = {"width_px": 160, "height_px": 120, "scale_mm_px": 0.0268}
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from scenes import Renderer, Scene, SceneError, geometry
+from scenes import Renderer, Scene, SceneError
+from scenes.world import geometry
 
 
 def scene(**parts) -> Scene:

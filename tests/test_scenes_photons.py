@@ -32,7 +32,7 @@ class Photons(NamedTuple):
 
 def photons_behind(lens: optics.GlueLens, medium_index: float) -> Photons:
     mi = load_mitsuba()
-    from scenes.photons import Glass
+    from scenes.rendering.photons import Glass
 
     numbers = mi.PCG32(PHOTONS)
     u = [numbers.next_float32() for _ in range(5)]
@@ -182,7 +182,7 @@ CASES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("case", CASES)
 def test_lens_and_photons_agree_pixel_by_pixel(case):
     load_mitsuba()
-    from scenes.photons import photon_image
+    from scenes.rendering.photons import photon_image
 
     expected = Renderer(scene("lens", **CASES[case])).render(0)
     photons = Renderer(scene("photons", **CASES[case]))

@@ -13,13 +13,13 @@ from scenes import (
     Scene,
     SceneError,
     expose_again,
-    geometry,
     load_mitsuba,
     render_stack,
     write_preview,
 )
-from scenes.camera_output import after_jpeg
-from scenes.labels import moments
+from scenes.camera.output import after_jpeg
+from scenes.world import geometry
+from scenes.world.labels import moments
 
 
 def scene(**parts) -> Scene:
@@ -49,7 +49,8 @@ LENS = (-0.2, 0.3, 0.02, -0.03, 0.5)
 @pytest.mark.parametrize("kind", ["eyeball", "plane"])
 def test_mitsubas_camera_is_the_microscope_of_the_labels(kind, height, distortion):
     mi = load_mitsuba()
-    from scenes import build, geometry
+    from scenes.rendering import build
+    from scenes.world import geometry
 
     settings = scene(
         phantom={"kind": kind},

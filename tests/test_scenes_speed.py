@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from scenes import Scene, load_mitsuba
-from scenes.images import Images
-from scenes.labels import timeline
-from scenes.lens_light import _kept
+from scenes.rendering.images import Images
+from scenes.world.labels import timeline
+from scenes.world.light_cache import _kept
 
 
 def scene(**parts: Any) -> Scene:

@@ -11,7 +11,7 @@ import pytest
 
 from estimator import Stack, read_stack
 from scenes import SceneError, load_scene, render_stack
-from scenes.llvm import ENVIRONMENT_VARIABLE
+from scenes.machine.llvm import ENVIRONMENT_VARIABLE
 
 SCENE = """\
 schema = 1

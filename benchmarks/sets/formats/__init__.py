@@ -1,8 +1,14 @@
-"""Formats that a set is exported to: one module each, with one function `write`.
+"""Sets in other formats: `eyespot export`.
 
-hdf5        one file, a group a stack
-ome_tiff    one file a recording: a stack and one of its exposures
-coco        images, and annotations a split
-webdataset  tar shards a split
-bags        one ROS 1 or ROS 2 bag a recording, with the rig's topics
+bags        ROS bags: SPLIT/STACK/EXPOSURE.bag (ROS 1) or SPLIT/STACK/EXPOSURE/ (ROS 2), labels
+            beside it
+coco        COCO: the frames as SPLIT/STACK/000000.png, annotations/SPLIT.json for each split
+export      The command `eyespot export`: a set, or a stack by itself, in another format
+hdf5        HDF5: one file, a group SPLIT/STACK for each stack
+ome_tiff    OME-TIFF: SPLIT/STACK/EXPOSURE.ome.tif, one file a recording, labels beside it
+webdataset  WebDataset: tar shards SPLIT-000000.tar; a sample is an image, its mask and its labels
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,10 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.sets.read import SetStack
-from benchmarks.sets.stacks import copy_description, exposures_of, qualified_name
+from benchmarks.sets.read import SetStack, copy_description, exposures_of, qualified_name
 from estimator import Frame, Pose, open_source, read_poses
-from estimator.bags import write_bag
+from estimator.sources import write_bag
 
 START_S = 1000.0
 """When a bag's clock shows the stack's time 0: ROS reads 0 as no time, and reports come before."""

@@ -23,8 +23,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from benchmarks.sets.read import SetStack
-from benchmarks.sets.stacks import qualified_name, set_files
+from benchmarks.sets.read import SetStack, qualified_name, set_files
 from estimator import FrameLabels, Stack
 
 _SCHEMA = 1

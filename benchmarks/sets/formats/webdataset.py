@@ -14,8 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks.sets.read import SetStack
-from benchmarks.sets.stacks import copy_description, qualified_name, split_name
+from benchmarks.sets.read import SetStack, copy_description, qualified_name, split_name
 
 _SHARD_BYTES = 2**28  # large enough to read at a disk's speed, small enough to shuffle
 

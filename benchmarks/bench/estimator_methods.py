@@ -1,0 +1,136 @@
+"""What is compared: both modes of the estimator, and peers on the same crops."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.bench.estimator_pupil import PupilDetector, why_unavailable
+from estimator import LiteralSettings, Spot, SubpixelSettings, TrackState, measure
+from estimator.detector import EdgeFit, Region, contour_points, regions_in
+from estimator.image import Window
+
+CROP_PX = 200
+"""Half side of the square that every method sees round the start point."""
+
+_SATURATED = 0.02  # fraction of full-scale pixels from which a spot counts as flagged
+_DOUBTFUL_PX = 0.5  # three stated standard deviations from which it does, too
+
+
+class View(NamedTuple):
+    """What a method is given.
+
+    Attributes:
+        image: 8-bit RGB frame.
+        at: (x, y) start point, px.
+        half_level: grey value in the middle between the spot and its surroundings.
+        reference: the view without the spot, or None.
+    """
+
+    image: np.ndarray
+    at: tuple[float, float]
+    half_level: float
+    reference: np.ndarray | None
+
+    def crop(self) -> np.ndarray:
+        """The square round the start point."""
+        x, y = (round(v) for v in self.at)
+        return self.image[max(y - CROP_PX, 0) : y + CROP_PX, max(x - CROP_PX, 0) : x + CROP_PX]
+
+
+class Measured(NamedTuple):
+    """Semi-minor axis (px, NaN for a miss), and whether the method warns of it."""
+
+    semi_minor: float
+    flagged: bool = False
+
+
+_MISSED = Measured(math.nan, flagged=True)
+
+
+def subpixel(view: View) -> Measured:
+    """Our default mode. A spot is flagged if it is saturated or says that it is uncertain."""
+    spot, _ = measure(view.image, TrackState(at_px=view.at), _settings(view))
+    if not isinstance(spot, Spot):
+        return _MISSED
+    doubtful = not 3 * spot.sigma_semi_minor_px < _DOUBTFUL_PX
+    return Measured(spot.semi_minor_px, spot.saturated > _SATURATED or doubtful)
+
+
+def literal(view: View) -> Measured:
+    """The paper's algorithm with its threshold."""
+    return _literal(view, LiteralSettings())
+
+
+def literal_at_half(view: View) -> Measured:
+    """The paper's algorithm with its threshold set to the true half level."""
+    return _literal(view, LiteralSettings(threshold=min(round(view.half_level), 254)))
+
+
+def ellipse_on_edges(view: View) -> Measured:
+    """scikit-image's EllipseModel through our edge points, those that we trim included."""
+    window = Window.around(*view.at, CROP_PX, CROP_PX, view.image)
+    for region in regions_in(view.image, window, _settings(view)):
+        fit = region.contour() if isinstance(region, Region) else None
+        if isinstance(fit, EdgeFit):
+            return _ellipse_model(contour_points(fit.ellipse, fit.offsets)[fit.found])
+    return _MISSED
+
+
+def ellipse_on_contour(view: View) -> Measured:
+    """scikit-image alone: EllipseModel through the longest contour at the crop's Otsu level."""
+    from skimage.color import rgb2gray
+    from skimage.filters import threshold_otsu
+    from skimage.measure import find_contours
+
+    grey = rgb2gray(view.crop())
+    contours = find_contours(grey, threshold_otsu(grey))
+    return _ellipse_model(max(contours, key=len)[:, ::-1]) if contours else _MISSED
+
+
+def pupil(view: View) -> Measured:
+    """pupil-detectors' 2D detector on the crop's negative."""
+    from skimage.color import rgb2gray
+    from skimage.util import img_as_ubyte
+
+    return Measured(_pupil_detector().semi_minor(img_as_ubyte(rgb2gray(view.crop()))))
+
+
+METHODS: dict[str, Callable[[View], Measured]] = {
+    "sub-pixel": subpixel,
+    "literal": literal,
+    "literal, half level": literal_at_half,
+    "EllipseModel, our edges": ellipse_on_edges,
+    "EllipseModel, contour": ellipse_on_contour,
+    "pupil-detectors": pupil,
+}
+
+
+def available() -> dict[str, Callable[[View], Measured]]:
+    """The methods that this machine has."""
+    return {k: v for k, v in METHODS.items() if v is not pupil or why_unavailable() is None}
+
+
+@functools.cache
+def _pupil_detector() -> PupilDetector:
+    return PupilDetector()
+
+
+def _settings(view: View) -> SubpixelSettings:
+    return SubpixelSettings(reference=view.reference)
+
+
+def _literal(view: View, settings: LiteralSettings) -> Measured:
+    spot, _ = measure(view.image, TrackState(at_px=view.at), settings)
+    return Measured(spot.semi_minor_px) if isinstance(spot, Spot) else _MISSED
+
+
+def _ellipse_model(points: np.ndarray) -> Measured:
+    from skimage.measure import EllipseModel
+
+    model = EllipseModel.from_estimate(points)
+    return Measured(min(model.axis_lengths)) if model else _MISSED

@@ -1,0 +1,65 @@
+"""Time of a frame, both modes on the same frames in the same run."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.bench.estimator_frames import SHAPE, Scene, Truth, any_wall, frame_of
+from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
+
+_WARM = 20
+_JUMP_EVERY = 50  # frames; a jump is a loss, and what follows a recovery
+_JUMP_PX = 150.0
+_STEPS_PX = [(1.6 * k, 1.2 * k) for k in range(6)]  # 2 px a frame, there and back
+_THRESHOLD = 90  # of the literal mode: these frames are not as bright as the paper's
+
+
+class Times(NamedTuple):
+    """Seconds a frame."""
+
+    frames: str
+    subpixel: np.ndarray
+    literal: np.ndarray
+
+
+def frame_times(number: int) -> list[Times]:
+    """Times of a spot that wanders a little and now and then jumps further than it may.
+
+    The modes take turns frame by frame, so that both meet the machine in the same state.
+    """
+    rng = np.random.default_rng(0)
+    measured = []
+    for shape in (SHAPE, (1080, 1920)):
+        for name, walled in (("even", False), ("retina", True)):
+            wall = any_wall(rng, shape) if walled else None
+            here = Truth(x=230, y=230, semi_major=66, semi_minor=60, angle=0.5)
+            ways = [
+                [
+                    frame_of(Scene(truth=start.moved(*step), wall=wall), rng, shape)
+                    for step in _STEPS_PX
+                ]
+                for start in (here, here.moved(_JUMP_PX, 0))
+            ]
+            seconds = _timed([way + way[-2:0:-1] for way in ways], number)
+            measured.append(Times(f"{shape[1]} x {shape[0]}, {name}", *seconds))
+    return measured
+
+
+def _timed(ways: list[list[np.ndarray]], number: int) -> tuple[np.ndarray, np.ndarray]:
+    modes: tuple[SubpixelSettings | LiteralSettings, ...] = (
+        SubpixelSettings(),
+        LiteralSettings(threshold=_THRESHOLD),
+    )
+    states = [TrackState(at_px=(230, 230)), TrackState(at_px=(230, 230))]
+    seconds: tuple[list[float], list[float]] = [], []
+    for k in range(_WARM + number):
+        way = ways[k // _JUMP_EVERY % 2]
+        image = way[k % len(way)]
+        for mode, settings in enumerate(modes):
+            began = time.perf_counter()
+            _, states[mode] = measure(image, states[mode], settings)
+            seconds[mode].append(time.perf_counter() - began)
+    return np.array(seconds[0][_WARM:]), np.array(seconds[1][_WARM:])

@@ -1,0 +1,84 @@
+"""Frames without a spot: how often one is seen, and how soon a lost spot is found again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.bench.estimator_frames import (
+    SHAPE,
+    Scene,
+    Truth,
+    any_truth,
+    any_wall,
+    frame_of,
+    with_glints,
+    with_shaft,
+)
+from estimator import NoSpot, Reason, Spot, SubpixelSettings, TrackState, measure
+
+_LOST_FRAMES = 3
+_LONGEST = 10  # frames within which a spot is found or never
+
+
+def spotless_frame(rng: np.random.Generator) -> np.ndarray:
+    """A retina under any ambient light, with glints or a shaft or neither, and no spot."""
+    scene = Scene(
+        truth=any_truth(rng, 60),
+        amplitude=0.0,
+        ambient=rng.uniform(3, 180),
+        noise=rng.uniform(0.5, 5),
+        wall=any_wall(rng),
+    )
+    if rng.random() < 0.6:
+        scene = with_glints(scene, rng, on_edge=False, number=int(rng.integers(1, 8)))
+    if rng.random() < 0.5:
+        scene = with_shaft(scene, rng, rng.uniform(-2, 2), rng.uniform(40, 100))
+    return frame_of(scene, rng)
+
+
+def false_spots(number: int, seed: int) -> int:
+    """How many of so many frames without a spot show one, half of them searched round a point."""
+    rng = np.random.default_rng(seed)
+    states = (TrackState(), TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2)))
+    settings = SubpixelSettings()
+    results = (measure(spotless_frame(rng), states[k % 2], settings)[0] for k in range(number))
+    return sum(isinstance(result, Spot) for result in results)
+
+
+def frames_until_found(number: int, seed: int) -> list[int]:
+    """Frames until a spot is measured after it was gone for a while and came back elsewhere.
+
+    1: in the first frame that shows it again.
+    """
+    rng = np.random.default_rng(seed)
+    settings = SubpixelSettings()
+    counts = []
+    for _ in range(number):
+        wall, first = any_wall(rng), any_truth(rng, rng.uniform(30, 90))
+        scene = Scene(truth=first, wall=wall)
+        state = TrackState()
+        dark = [replace(scene, amplitude=0.0)] * _LOST_FRAMES
+        for shown in (scene, scene, *dark):
+            _, state = measure(frame_of(shown, rng), state, settings)
+        back = replace(scene, truth=_elsewhere(first, rng))
+        result: Spot | NoSpot = NoSpot(Reason.NONE_FOUND)
+        count = 0
+        while not result and count < _LONGEST:
+            result, state = measure(frame_of(back, rng), state, settings)
+            count += 1
+        counts.append(count)
+    return counts
+
+
+def _elsewhere(truth: Truth, rng: np.random.Generator) -> Truth:
+    """Anywhere in the frame, whole, and up to a third larger or smaller."""
+    growth, margin = rng.uniform(0.75, 1.33), 1.33 * truth.semi_major
+    return replace(
+        truth,
+        x=rng.uniform(margin, SHAPE[1] - margin),
+        y=rng.uniform(margin, SHAPE[0] - margin),
+        semi_major=growth * truth.semi_major,
+        semi_minor=growth * truth.semi_minor,
+    )

@@ -1,0 +1,229 @@
+"""A lens fitted through its own glass: photons behind the bridge, Levenberg-Marquardt in front.
+
+Two programs that share no code of the lens make the two sides. Data: Mitsuba's particle tracer
+through a dielectric cap. Model: `scenes.rendering.differentiable` behind
+`calibration.render_as_jax`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.ndimage import gaussian_filter1d
+
+import optics
+from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
+from calibration.solvers import least_squares
+from scenes import Scene, load_mitsuba
+from scenes.world import frame_times, trajectory
+
+_LENS = "dome"
+_FRAMES, _HEIGHT, _WIDTH = 2, 48, 64
+_DATA_SEEDS, _PHOTONS_PER_PIXEL = 64, 8
+# More light would show what the model leaves out (docs/bridge.md).
+_MODEL_SEEDS, _MODEL_PHOTONS = 8, 1 << 20
+_FREE = ("sag", "glue_length", "numerical_aperture", "tip_z", "power")
+_NAMES = ("sag, mm", "numerical aperture", "tip height, mm", "power, mW")
+_START_OFF = np.array([0.7, 1.3, 1.0, 1.3])
+"""Start over truth; the tip starts 0.2 mm off."""
+_TIP_OFF_MM = 0.2
+_DARK = 0.01  # of the peak: darker pixels count as if they had this much light
+_INNER = (..., slice(1, -1), slice(1, -1))
+"""Without the outermost pixels, whose outer neighbours `in_spline_pixels` lacks."""
+_BLUR_PX = 1.5
+"""Of residuals. Photons that step from pixel to pixel are noise in the Jacobian, which makes steps
+and errors too small; blurred, it is an order of magnitude less."""
+
+
+class Fit(NamedTuple):
+    """A fitted lens, its error and the truth; chi^2 over what the noise of the seeds makes it."""
+
+    fitted: np.ndarray
+    sigma: np.ndarray
+    truth: np.ndarray
+    start: np.ndarray
+    chi_squared: float
+    converged: bool
+    seconds: float
+
+
+def main() -> None:
+    """Print the tables, all from this run."""
+    load_mitsuba()
+    console = Console()
+    for medium in ("air", "vitreous"):
+        console.print(_table(medium, fit_lens(medium)))
+
+
+def fit_lens(medium: str) -> Fit:
+    """Fit a lens to photon images of two distances in a medium."""
+    from scenes.rendering import PhotonImage  # Mitsuba's variant is set by now
+
+    scene = _scene(medium)
+    data = _data(scene)[_INNER]
+    measured, noise = data.mean(axis=1), data.var(axis=1) / _DATA_SEEDS
+    level = np.maximum(measured, _DARK * measured.max(axis=(1, 2), keepdims=True))
+    per_light = noise.sum(axis=(1, 2)) / measured.sum(axis=(1, 2))
+    sigma = np.sqrt(per_light[:, None, None] * level)
+
+    settings: Any = {"free": _FREE, "photons": _MODEL_PHOTONS}
+    hosts = [
+        [PhotonImage(scene, frame=frame, seed=seed, **settings) for frame in range(_FRAMES)]
+        for seed in range(_MODEL_SEEDS)
+    ]
+    images = [render_as_jax(h.value, h.value_and_jacobian, shape=h.shape) for h in hosts[0]]
+    sag, length, aperture, _, power = hosts[0][0].start
+    gap = length - sag
+    heights = [host.start[3] for host in hosts[0]]
+    truth = np.array([sag, aperture, 0.0, power])
+
+    def model(parameters: jax.Array, images: Iterable[Callable[..., Any]]) -> jax.Array:
+        sag, aperture, offset, power = parameters
+        frames = []
+        for image, height in zip(images, heights, strict=True):
+            # The drop grows with its cap: the core's face stays where it is.
+            values = jnp.stack([sag, sag + gap, aperture, height + offset, power])
+            frames.append(image(values)[..., 0])
+        return jnp.stack(frames)[_INNER]
+
+    def residual(parameters: jax.Array) -> jax.Array:
+        return _blurred((model(parameters, images) - measured) / sigma).ravel()
+
+    start = truth * _START_OFF + np.array([0, 0, _TIP_OFF_MM, 0])
+    began = time.process_time()
+    solution = least_squares(
+        residual,
+        jnp.asarray(start),
+        count=measured.size,
+        solver=FLOAT32_LEVENBERG_MARQUARDT,
+    )
+    seconds = time.process_time() - began
+
+    seeds = [model(solution.parameters, [host.value for host in seed]) for seed in hosts]
+    # Neighbours' noise hangs together, so it is followed seed by seed.
+    ours, theirs = (_blurred(x / sigma[:, None]) for x in (np.stack(seeds, axis=1), data))
+    expected = ours.var(axis=1, ddof=1) + theirs.var(axis=1, ddof=1) / _DATA_SEEDS
+    jacobian = np.asarray(jax.jacfwd(residual)(solution.parameters))
+    variance = _variance(jacobian, ours) + _variance(jacobian, theirs) / _DATA_SEEDS
+    return Fit(
+        np.asarray(solution.parameters),
+        np.sqrt(variance),
+        truth,
+        start,
+        float(jnp.sum(solution.residuals**2)) / expected.sum(),
+        bool(solution.converged),
+        seconds,
+    )
+
+
+def _data(scene: Scene) -> np.ndarray:
+    """Mitsuba's images of every frame, frames x seeds x H x W."""
+    seeds = range(100, 100 + _DATA_SEEDS)
+    settings: Any = {"photons_per_pixel": _PHOTONS_PER_PIXEL, "seeds": seeds}
+    frames = [glass_images(scene, frame=frame, **settings) for frame in range(_FRAMES)]
+    return in_spline_pixels(np.stack(frames))
+
+
+def _blurred(images: Any) -> Any:
+    """By a Gaussian, ... x H x W, of NumPy or JAX; white noise keeps its variance."""
+    rows, columns = (
+        gaussian_filter1d(np.eye(size), _BLUR_PX, axis=0) for size in images.shape[-2:]
+    )
+    rows, columns = (m / np.linalg.norm(m, axis=1, keepdims=True) for m in (rows, columns))
+    return rows @ images @ columns.T
+
+
+def _variance(jacobian: np.ndarray, images: np.ndarray) -> np.ndarray:
+    """Of the parameters by the noise of one of the seeds, of frames x seeds x H x W."""
+    noise = np.swapaxes(images - images.mean(axis=1, keepdims=True), 0, 1)
+    shifts, *_ = np.linalg.lstsq(jacobian, noise.reshape(len(noise), -1).T, rcond=None)
+    return shifts.var(axis=1, ddof=1)
+
+
+def _scene(medium: str) -> Scene:
+    content: dict[str, Any] = {
+        "schema": 1,
+        "phantom": {"wall": "uniform", "indirect": "off"},
+        "source": {
+            "kind": "photons",
+            "lens": _LENS,
+            "medium": medium,
+            "photons_per_pixel": _PHOTONS_PER_PIXEL,
+        },
+        "instrument": {"visible": False},
+        "motion": {"start_mm": 2.0, "travel_mm": 2.0, "frames": _FRAMES},
+        "microscope": {
+            "illumination_mw_mm2": 0.0,
+            "width_px": _WIDTH,
+            "height_px": _HEIGHT,
+            "scale_mm_px": 0.05,
+        },
+    }
+    return Scene.model_validate(content)
+
+
+def glass_images(
+    scene: Scene, *, frame: int, photons_per_pixel: int, seeds: Iterable[int]
+) -> np.ndarray:
+    """Images of a frame by Mitsuba's particle tracer and its own glass, seeds x H x W.
+
+    Args:
+        scene: of kind "photons", with a uniform wall.
+        frame: of its motion.
+        photons_per_pixel: leaving the core.
+        seeds: of independent images.
+    """
+    mi = load_mitsuba()
+    from scenes.rendering import build, photon_image
+
+    # Photons know nothing of the table, which takes half a minute to make.
+    index = jnp.asarray(optics.MEDIA[scene.source.medium])
+    empty = optics.IrradianceTable(jnp.zeros((2, 2, 2)), index, jnp.zeros(()), jnp.zeros(()))
+    loaded = mi.load_dict(build.mitsuba_dict(scene, table=empty, uniform=np.zeros(3)))
+    motion = trajectory(scene)
+    pose = motion.at(frame_times(scene, motion)[frame : frame + 1])
+    parameters = mi.traverse(loaded)
+    parameters.update(
+        build.pose_parameters(scene, tip=pose.tip[0], axis=pose.axis[0], apex=pose.tip[0])
+    )
+    images = [photon_image(loaded, photons_per_pixel=photons_per_pixel, seed=s) for s in seeds]
+    return np.stack(images)[..., 0]
+
+
+def in_spline_pixels(images: np.ndarray) -> np.ndarray:
+    """Box pixels to quadratic-spline pixels, which are boxes blurred by a tent.
+
+    The tent's second moment, 1/6 px^2, is that of (1, 10, 1)/12; light is smooth over a pixel.
+
+    Args:
+        images: of box pixels, ... x H x W; at the edge, wrong unless it is dark.
+    """
+    for axis in (-2, -1):
+        images = (10 * images + np.roll(images, 1, axis) + np.roll(images, -1, axis)) / 12
+    return images
+
+
+def _table(medium: str, fit: Fit) -> Table:
+    table = Table(title=f"lens '{_LENS}' in {medium}, {_FRAMES} frames of {_WIDTH} x {_HEIGHT} px")
+    for heading in ("parameter", "truth", "start", "fitted", "sigma", "error / sigma"):
+        table.add_column(heading, justify="left" if heading == "parameter" else "right")
+    rows = zip(_NAMES, fit.truth, fit.start, fit.fitted, fit.sigma, strict=True)
+    for name, truth, start, fitted, sigma in rows:
+        numbers = (f"{truth:.5f}", f"{start:.5f}", f"{fitted:.5f}", f"{sigma:.5f}")
+        table.add_row(name, *numbers, f"{(fitted - truth) / sigma:+.2f}")
+    state = "converged" if fit.converged else "NOT converged"
+    table.caption = (
+        f"{state}, chi^2 over expected {fit.chi_squared:.3f}, {fit.seconds:.0f} s of CPU"
+    )
+    return table
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""Calibrations that no file holds: what a study found, and what a scene truly is."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from importlib.metadata import version
+
+import numpy as np
+
+import optics
+from estimator import Calibration
+from estimator.files import LENS_PARAMETERS
+from scenes import Scene
+from scenes.world import geometry
+
+
+def calibration(
+    model: str,
+    values: Mapping[str, float],
+    *,
+    medium: str,
+    covariance: np.ndarray | None = None,
+    fitted_on: str = "this study",
+) -> Calibration:
+    """A calibration for `estimator.Ranger`.
+
+    Args:
+        model: as in calibration files.
+        values: of its parameters, in their units.
+        medium: of `optics.MEDIA`.
+        covariance: of the values; None if they are known without error.
+        fitted_on: for people.
+    """
+    known = {name: float(value) for name, value in values.items()}
+    return Calibration(
+        model=model,
+        values=known,
+        covariance=np.zeros((len(known), len(known))) if covariance is None else covariance,
+        medium=medium,
+        medium_index=optics.MEDIA[medium],
+        fitted_on=fitted_on,
+        data_sha256=hashlib.sha256(json.dumps(known).encode()).hexdigest(),
+        software=f"eyespot {version('eyespot')}",
+    )
+
+
+def true_calibration(scene: Scene) -> Calibration:
+    """The scene's own lens, or its ideal cone for `exact`: what a fit would give at best."""
+    if scene.source.kind == "cone":
+        half_angle, apex_offset = geometry.cone(scene, None)
+        model, values = "exact", {"half_angle": half_angle, "b": apex_offset}
+    else:
+        lens = optics.load_lens(scene.source.lens)
+        given = {name: getattr(lens, name) for name in LENS_PARAMETERS}
+        model, values = "lens", {name: x for name, x in given.items() if x is not None}
+    return calibration(model, values, medium=scene.source.medium, fitted_on="the scene as it is")

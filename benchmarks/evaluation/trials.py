@@ -1,0 +1,103 @@
+"""The trials of the main job: the paper's six, and a grid over eccentricity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from benchmarks.evaluation.paper import TABLE_II
+from scenes import Scene
+
+# Places on the printed plane: far enough from each other that no wall texture is shared.
+_PLANE_ECCENTRICITIES_MM = (1.5, 3.0, 4.5)
+_AZIMUTHS_DEG = (0.0, 120.0, 240.0)
+PINHOLE_HEIGHTS_MM = (11.5, 200.0)
+"""On the eyeball's sphere (equation 9 of Zhou et al. 2020), and a real microscope."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """One stack to render.
+
+    Attributes:
+        name: also that of its folder.
+        kind: "plane", "sphere", or "grid".
+        group: which row of the paper's tables it stands beside, or the grid's name.
+        scene: the scene.
+    """
+
+    name: str
+    kind: str
+    group: str
+    scene: Scene
+
+    @property
+    def source(self) -> str:
+        """Kind of light: "lens" or "cone"."""
+        return self.scene.source.kind
+
+
+def paper_trials(*, source: str, quick: bool, seed: int) -> list[Trial]:
+    """Three withdrawals on the plane and three in the eyeball, with one kind of source.
+
+    Args:
+        source: "lens" or "cone".
+        quick: 9 frames a trial instead of 61.
+        seed: of camera noise and wall texture.
+    """
+    frames = 9 if quick else 61
+    plane = [(f"plane {n}", "plane", c) for n, c in enumerate(_PLANE_ECCENTRICITIES_MM, start=1)]
+    sphere = [(name, "sphere", row.c) for name, row in TABLE_II.items()]
+    return [
+        Trial(
+            name=f"{source}-{group.replace(' ', '-')}",
+            kind=kind,
+            group=group,
+            scene=Scene.model_validate(
+                {
+                    "schema": 1,
+                    "seed": seed + number,
+                    "phantom": {
+                        "kind": "eyeball" if kind == "sphere" else "plane",
+                        "texture_seed": seed,
+                    },
+                    "source": {"kind": source},
+                    "spot": {
+                        "eccentricity_mm": c,
+                        "azimuth_deg": _AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)],
+                    },
+                    "motion": {"frames": frames},
+                }
+            ),
+        )
+        for number, (group, kind, c) in enumerate(plane + sphere)
+    ]
+
+
+def grid_trials(*, quick: bool, seed: int) -> list[Trial]:
+    """Ideal cones at each eccentricity from 0 to 7 mm, for both pinhole heights."""
+    eccentricities = (0.0, 3.0, 5.0, 7.0) if quick else tuple(float(c) for c in range(8))
+    return [
+        Trial(
+            name=f"grid-pinhole-{height:g}-c-{c:g}",
+            kind="grid",
+            group=f"pinhole {height:g} mm",
+            scene=Scene.model_validate(
+                {
+                    "schema": 1,
+                    "seed": seed,
+                    "phantom": {"texture_seed": seed},
+                    "source": {"kind": "cone"},
+                    "spot": {"eccentricity_mm": c},
+                    "motion": {
+                        "start_mm": 0.5,
+                        "travel_mm": 5.5,
+                        "frames": 4 if quick else 12,
+                    },
+                    "microscope": {"pinhole_height_mm": height},
+                    "exposures": {"kinds": ["metered"]},
+                }
+            ),
+        )
+        for height in PINHOLE_HEIGHTS_MM
+        for c in eccentricities
+    ]

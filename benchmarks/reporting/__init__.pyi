@@ -1,0 +1,15 @@
+from . import run_folder as run_folder
+from .run_folder import published as published
+from .run_folder import save_figure as save_figure
+from .run_folder import versions as versions
+from .run_folder import write_json as write_json
+from .study import MICROSCOPE_MM as MICROSCOPE_MM
+from .study import Data as Data
+from .study import Picture as Picture
+from .study import Report as Report
+from .study import Request as Request
+from .study import Row as Row
+from .study import Section as Section
+from .study import Study as Study
+from .study import Table as Table
+from .study import require_roomy_eyeball as require_roomy_eyeball

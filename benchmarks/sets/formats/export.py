@@ -1,0 +1,105 @@
+"""The command `eyespot export`: a set, or a stack by itself, in another format."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+from rich.progress import Progress
+
+from benchmarks.sets.read import SetStack, set_files, stacks_of
+from estimator.files import written_whole
+
+Format = Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
+
+_EXTRA = {"h5py", "pycocotools"}
+"""Packages that only the extra `export` installs."""
+
+
+def export(
+    folder: str | Path,
+    *,
+    to: Format,
+    out: str | Path,
+    progress: Callable[[int], None] = lambda total: None,
+) -> None:
+    """Write a set in another format, whole or not at all.
+
+    Args:
+        folder: a set or a stack.
+        to: the format; `benchmarks.sets.formats` says what each holds.
+        out: the file (hdf5) or folder to write; must not exist.
+        progress: called after each image with the number of images there are.
+
+    Raises:
+        ValueError: `folder` is neither, a stack is damaged or holds no frames, `out` exists, or the
+            format's library is not installed.
+    """
+    folder, out = Path(folder), Path(out)
+    if out.exists():
+        raise ValueError(f"{out} exists already. Choose another name; nothing is written over.")
+    stacks = stacks_of(folder)
+    write = _writer(to)
+    images = sum(_checked(entry) for entry in stacks)
+    with written_whole(out) as whole:
+        if to != "hdf5":
+            whole.mkdir()
+        write(stacks, whole, partial(progress, images))
+        for path in set_files(stacks) if to != "hdf5" else ():
+            shutil.copyfile(path, whole / path.name)
+
+
+def run(folder: Path, *, to: Format, out: Path) -> None:
+    """Export with a progress bar; see `export`."""
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("Exporting", total=None)
+        export(
+            folder, to=to, out=out, progress=lambda total: bar.update(task, advance=1, total=total)
+        )
+    print(f"Wrote {out}.")
+
+
+def _checked(entry: SetStack) -> int:
+    """Number of a stack's images; some formats take them as they are, damaged or not."""
+    stack = entry.open()
+    stack.verify()
+    if not stack.labels:
+        raise ValueError(f"the stack {entry.folder} holds no frames. Render it again.")
+    return len(stack.labels)
+
+
+def _writer(to: Format) -> Callable[[Sequence[SetStack], Path, Callable[[], None]], None]:
+    """What writes a format; only its own library is loaded."""
+    try:
+        match to:
+            case "hdf5":
+                from benchmarks.sets.formats import hdf5
+
+                return hdf5.write
+            case "ome-tiff":
+                from benchmarks.sets.formats import ome_tiff
+
+                return ome_tiff.write
+            case "coco":
+                from benchmarks.sets.formats import coco
+
+                return coco.write
+            case "webdataset":
+                from benchmarks.sets.formats import webdataset
+
+                return webdataset.write
+            case "rosbag1" | "rosbag2":
+                from benchmarks.sets.formats import bags
+
+                return partial(bags.write, ros=1 if to == "rosbag1" else 2)
+    except ModuleNotFoundError as error:
+        if error.name not in _EXTRA:
+            raise
+        raise ValueError(
+            f"the format {to} needs the package {error.name}: pip install 'eyespot[export]'."
+        ) from error

@@ -1,0 +1,3 @@
+from . import command as command
+from .cluster import local_workers as local_workers
+from .generate import make_set as make_set

@@ -1,0 +1,100 @@
+"""The data card and the label tables of a set, from what its stacks hold."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jinja2
+import numpy as np
+import tomli_w
+
+from benchmarks.sets.make import pictures
+from benchmarks.sets.read import LabelledSet, Row, rows
+from estimator.files import written_whole
+
+_LICENCES = {
+    "CC-BY-4.0": "Creative Commons Attribution 4.0 International\n"
+    "https://creativecommons.org/licenses/by/4.0/legalcode\n",
+}
+"""What LICENSE says, by SPDX name; another name stands by itself."""
+
+
+class Count(NamedTuple):
+    """How much there is of a split and condition."""
+
+    split: str
+    condition: str
+    stacks: int
+    images: int
+
+
+class Range(NamedTuple):
+    """Values that a label takes in a set."""
+
+    name: str
+    unit: str
+    least: float
+    median: float
+    most: float
+
+
+def write_card(labelled: LabelledSet) -> None:
+    """Write README.md with its figures, LICENSE, spec.toml and every split's metadata.jsonl.
+
+    Args:
+        labelled: a set all of whose stacks are there.
+    """
+    images = list(rows(labelled))
+    for split in labelled.splits:
+        lines = [json.dumps(row.line()) + "\n" for row in images if row.planned.split == split]
+        _write(labelled.folder / split / "metadata.jsonl", "".join(lines))
+    licence = _LICENCES.get(labelled.licence, f"{labelled.licence}\n")
+    _write(labelled.folder / "LICENSE", licence)
+    _write(labelled.folder / "spec.toml", tomli_w.dumps(labelled.description["spec"]))
+    pictures.histograms(images, labelled.folder / "histograms.png")
+    pictures.samples(images, labelled.folder / "samples.png")
+    text = _template("dataset_card.md.j2").render(
+        set=labelled,
+        about=labelled.description,
+        # `load_dataset(DIR)` gives all splits, `load_dataset(DIR, NAME)` one.
+        configs={"default": labelled.splits} | {split: [split] for split in labelled.splits},
+        counts=_counts(images),
+        images=len(images),
+        ranges=_ranges(images),
+        varied=sorted(labelled.stacks[0].parameters),
+    )
+    _write(labelled.folder / "README.md", text)
+
+
+def _counts(images: Sequence[Row]) -> list[Count]:
+    of_images = Counter((row.planned.split, row.planned.condition or "") for row in images)
+    planned = {row.planned.folder: row.planned for row in images}.values()
+    of_stacks = Counter((stack.split, stack.condition or "") for stack in planned)
+    return [Count(*group, of_stacks[group], number) for group, number in of_images.items()]
+
+
+def _ranges(images: Sequence[Row]) -> list[Range]:
+    return [
+        Range(quantity.name, quantity.unit, *np.quantile(quantity.of(images), [0.0, 0.5, 1.0]))
+        for quantity in pictures.QUANTITIES
+    ]
+
+
+def _template(name: str) -> jinja2.Template:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("benchmarks.sets.make"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(name)
+
+
+def _write(path: Path, text: str) -> None:
+    with written_whole(path) as partial:
+        partial.write_text(text, encoding="utf-8")

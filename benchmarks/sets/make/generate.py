@@ -1,0 +1,177 @@
+"""Makes a set: renders the stacks that are missing on Dask workers, then finishes it.
+
+The unit of work is a stack. It appears under its name once it is whole, so whatever stops, on
+purpose or not, the next run of the same spec in the same folder goes on; what a worker had begun
+is gone on with too (`scenes.render_stack`).
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import scenes
+from benchmarks.sets.make import card
+from benchmarks.sets.make.manifest import MANIFEST, write_manifest
+from benchmarks.sets.make.worker import render_planned, versions
+from benchmarks.sets.read import SCHEMA, LabelledSet, SetError, SetStack, read_set
+from benchmarks.sets.spec import PlannedStack, SetSpec, plan
+from estimator.files import written_whole
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+class Shard(NamedTuple):
+    """One of several equal parts of a set, counted from 1."""
+
+    part: int
+    parts: int
+
+    def of(self, planned: Sequence[PlannedStack]) -> Sequence[PlannedStack]:
+        """The stacks that this part renders."""
+        return planned[self.part - 1 :: self.parts]
+
+
+WHOLE = Shard(1, 1)
+
+
+def make_set(
+    spec: SetSpec,
+    out: Path,
+    *,
+    workers: AbstractContextManager[Client],
+    shard: Shard = WHOLE,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> LabelledSet:
+    """Render what a folder lacks of a set; whoever renders the last stack finishes the set.
+
+    Args:
+        spec: of the set.
+        out: the set's folder: a new one, an empty one, or one with this set, unfinished or not.
+        workers: see `cluster`; started only if there is something to render.
+        shard: part of the set to render; the others may run at the same time, on any machine.
+        progress: told the stacks of the shard that are done, and their number.
+
+    Returns:
+        The set; whole unless other shards have stacks left to render (`LabelledSet.missing`).
+
+    Raises:
+        SetError: `out` holds something else, or some scenes cannot be rendered; those that can
+            have been.
+        SceneError: a scene key is unknown or a drawn value impossible; nothing is rendered.
+    """
+    out = Path(out).absolute()
+    planned = plan(spec)
+    _claim(out, spec, planned)
+    share = shard.of(planned)
+    missing = [stack for stack in share if not _folder(out, stack).is_dir()]
+    progress(len(share) - len(missing), len(share))
+    if missing:
+        with workers as client:
+            _render(missing, out, client, lambda left: progress(len(share) - left, len(share)))
+    labelled = read_set(out)
+    if not labelled.missing:
+        _finish(labelled)
+    return labelled
+
+
+def _render(
+    missing: Sequence[PlannedStack], out: Path, client: Client, report: Callable[[int], None]
+) -> None:
+    from distributed import as_completed
+
+    asked = {
+        client.submit(
+            render_planned,
+            stack.scene.model_dump(mode="json", by_alias=True),
+            str(_folder(out, stack)),
+            versions(),
+            pure=False,
+        ): stack
+        for stack in missing
+    }
+    problems = []
+    for done, future in enumerate(as_completed(asked), 1):
+        error = future.exception()
+        if isinstance(error, scenes.RendererUnavailable):
+            raise error
+        if error is not None:
+            stack = asked[future]
+            problems.append(f"{stack.split}/{stack.name}: {error or type(error).__name__}")
+        report(len(missing) - done)
+    if problems:
+        raise SetError(
+            "\n".join([*problems, f"{len(missing) - len(problems)} other stacks are done."])
+        )
+
+
+def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
+    """Take a folder for a set, or see that it holds this very set."""
+    content = {
+        "schema": SCHEMA,
+        "name": spec.name,
+        "description": spec.description,
+        "licence": spec.licence,
+        "seed": spec.seed,
+        "versions": versions(),
+        "spec": spec.model_dump(mode="json", by_alias=True, exclude_none=True),
+        "stacks": [
+            {
+                "split": stack.split,
+                "name": stack.name,
+                "condition": stack.condition,
+                "parameters": stack.parameters,
+            }
+            for stack in planned
+        ],
+    }
+    text = json.dumps(content, indent=1) + "\n"
+    out.mkdir(parents=True, exist_ok=True)
+    file = out / "set.json"
+    with _alone_in(out):
+        if file.is_file():
+            if file.read_text() != text:
+                raise SetError(_difference(out, json.loads(file.read_text()), json.loads(text)))
+        elif any(out.iterdir()):
+            raise SetError(f"{out} holds something else than a labelled set. Choose another --out.")
+        else:
+            with written_whole(file) as partial:
+                partial.write_text(text)
+
+
+def _difference(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> str:
+    if found.get("spec") != wanted["spec"]:
+        return f"{out} holds a set of another spec, {found.get('name')!r}. Choose another --out."
+    return (
+        f"{out} was begun with other versions: {found.get('versions')} instead of "
+        f"{wanted['versions']}. Go on with those, or choose another --out."
+    )
+
+
+def _finish(labelled: LabelledSet) -> None:
+    """Write what is made of all stacks together, once."""
+    with _alone_in(labelled.folder):
+        if not (labelled.folder / MANIFEST).is_file():
+            card.write_card(labelled)
+            write_manifest(labelled)
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Waits until no other process is in the folder's block."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _folder(out: Path, stack: PlannedStack | SetStack) -> Path:
+    return out / stack.split / stack.name

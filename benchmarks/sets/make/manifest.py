@@ -1,0 +1,73 @@
+"""Whether a set is whole: its manifest, written last, and what a folder lacks against it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from benchmarks.sets.read import SCHEMA, LabelledSet, SetError, read_set
+from estimator.files import fingerprint, written_whole
+
+MANIFEST = "manifest.json"
+_NAMED = 20  # problems that a message lists; a half-copied set has thousands
+
+
+def write_manifest(labelled: LabelledSet) -> None:
+    """List every file of a set; the files of a stack as the stack's own manifest does."""
+    files: dict[str, Any] = {}
+    for stack in labelled.stacks:
+        own = stack.folder / MANIFEST
+        listed = {**json.loads(own.read_text())["files"], MANIFEST: fingerprint(own)}
+        files |= {f"{stack.split}/{stack.name}/{name}": known for name, known in listed.items()}
+    for path in _files(labelled.folder):
+        name = path.relative_to(labelled.folder).as_posix()
+        if name not in files and name != MANIFEST:
+            files[name] = fingerprint(path)
+    content = json.dumps({"schema": SCHEMA, "files": dict(sorted(files.items()))}, indent=1)
+    with written_whole(labelled.folder / MANIFEST) as partial:
+        partial.write_text(content + "\n")
+
+
+def verify_set(folder: Path) -> int:
+    """Prove that a set is whole: every file there, with the bytes it was made with, and no other.
+
+    Returns:
+        Number of files.
+
+    Raises:
+        SetError: naming what is missing, changed or does not belong there.
+    """
+    labelled = read_set(folder)
+    if missing := [f"{stack.split}/{stack.name}" for stack in labelled.missing]:
+        raise SetError(_told(folder, [f"stack {name} is missing" for name in missing]))
+    try:
+        files = json.loads((labelled.folder / MANIFEST).read_text())["files"]
+    except FileNotFoundError as error:
+        raise SetError(
+            f"{folder} is not finished: {MANIFEST} is missing. Run `eyespot dataset` with its spec "
+            "and this folder once more."
+        ) from error
+    except (json.JSONDecodeError, KeyError) as error:
+        raise SetError(f"{labelled.folder / MANIFEST} is damaged: {error}.") from error
+    found = {path.relative_to(labelled.folder).as_posix() for path in _files(labelled.folder)}
+    unlisted = sorted(found - files.keys() - {MANIFEST})
+    problems = [f"{name} is not in {MANIFEST}" for name in unlisted]
+    for name, known in files.items():
+        if name not in found:
+            problems.append(f"{name} is missing")
+        elif fingerprint(labelled.folder / name) != known:
+            problems.append(f"{name} differs from its checksum")
+    if problems:
+        raise SetError(_told(folder, problems))
+    return len(files)
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _told(folder: Path, problems: list[str]) -> str:
+    more = len(problems) - _NAMED
+    lines = [f"{folder}: {problem}" for problem in problems[:_NAMED]]
+    return "\n".join(lines + ([f"{folder}: and {more} more"] if more > 0 else []))

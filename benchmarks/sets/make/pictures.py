@@ -1,0 +1,151 @@
+"""Figures of a data card: how the labels are spread, and what the images look like."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+
+from benchmarks.sets.read import Row
+from benchmarks.studies.validate import BLUE, GREEN, ORANGE, STYLE, VERMILION
+
+_COLOURS = {"train": BLUE, "validation": GREEN, "test": ORANGE, "adverse": VERMILION}
+_BINS, _COLUMNS = 24, 4
+_SAMPLES = 6  # of each split and condition
+_WIDTH_IN = 10.0
+_TILE_PX = 160  # of the sheet; it shows what frames are like, not their pixels
+_GAP, _CAPTION = 4, 18  # px of the sheet
+_LEFT = 0.1  # part of its width that names take
+
+
+class Quantity(NamedTuple):
+    """A label, or what follows from labels, that a data card shows."""
+
+    name: str
+    unit: str
+    value: Callable[[Row], float]
+
+    def of(self, rows: Sequence[Row]) -> np.ndarray:
+        """Its value for every image."""
+        return np.array([self.value(row) for row in rows])
+
+
+QUANTITIES = (
+    Quantity("c, eccentricity", "mm", lambda row: row.labels.c_mm),
+    Quantity("d, tip to wall along the beam", "mm", lambda row: row.labels.d_mm),
+    Quantity("incidence", "deg", lambda row: math.degrees(row.labels.incidence_rad)),
+    Quantity("k, 1/tan of the cone's half-angle", "", lambda row: row.k),
+    Quantity("semi-minor axis, half maximum", "px", lambda row: row.labels.half_max_semi_minor_px),
+    Quantity("visible part of the contour", "", lambda row: row.labels.visible_fraction),
+    Quantity("saturated part of the spot", "", lambda row: row.labels.saturated_fraction),
+    Quantity("speed of the tip", "mm/s", lambda row: row.labels.speed_mm_s),
+)
+
+
+def histograms(rows: Sequence[Row], path: Path) -> None:
+    """Draw how each quantity is spread over the images of every split."""
+    lines = math.ceil(len(QUANTITIES) / _COLUMNS)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(_WIDTH_IN, 2.1 * lines + 0.4), layout="constrained")
+        panels = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
+        for axes, quantity in zip(panels, QUANTITIES, strict=True):
+            _histogram(axes, quantity, rows)
+        panels[0].set_ylabel("part of the split's images")
+        handles, names = panels[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=len(names))
+        figure.savefig(path)
+
+
+def samples(rows: Sequence[Row], path: Path) -> None:
+    """Draw images of every split and condition with their true half-maximum ellipses."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        name = "\n".join(filter(None, [row.planned.split, row.planned.condition]))
+        groups.setdefault(name, []).append(row)
+    shown = {name: _spread(group) for name, group in groups.items()}
+    widths, heights = zip(*(_tile(line[0]).shape[1::-1] for line in shown.values()), strict=True)
+    step = np.array([max(widths) + _GAP, max(heights) + _CAPTION])
+    width, height = step * [max(map(len, shown.values())), len(shown)]
+    picture = np.full((height, width, 3), 255, np.uint8)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * (1 - _LEFT) * height / width))
+        axes = figure.add_axes((_LEFT, 0, 1 - _LEFT, 1), frameon=False)
+        for line, (name, group) in enumerate(shown.items()):
+            middle = step[1] * line + max(heights) / 2
+            axes.text(-6, middle, name, ha="right", va="center", size=8)
+            for column, row in enumerate(group):
+                _place(axes, picture, row, corner=step * [column, line])
+        axes.imshow(picture, interpolation="none")
+        axes.set_axis_off()
+        figure.savefig(path)
+
+
+def _place(axes: Axes, picture: np.ndarray, row: Row, *, corner: np.ndarray) -> None:
+    """Put an image onto the sheet, with its true ellipse and what it shows."""
+    tile = _tile(row)
+    height, width = tile.shape[:2]
+    picture[corner[1] :, corner[0] :][:height, :width] = tile
+    axes.add_patch(_true_ellipse(row, corner))
+    text = f"$d$ {row.labels.d_mm:.1f}, $c$ {row.labels.c_mm:.1f} mm"
+    x, y = corner[0] + width / 2, corner[1] + height + 1
+    axes.text(x, y, text, ha="center", va="top", size=7)
+
+
+def _histogram(axes: Axes, quantity: Quantity, rows: Sequence[Row]) -> None:
+    every = quantity.of(rows)
+    low, high = every.min(), every.max()
+    # A value that all images share, but for rounding, is one bar.
+    alike = high - low < 1e-6 * max(abs(low), abs(high), 1.0)
+    edges = low + np.array([-0.5, 0.5]) if alike else np.linspace(low, high, _BINS + 1)
+    for split in dict.fromkeys(row.planned.split for row in rows):
+        values = quantity.of([row for row in rows if row.planned.split == split])
+        part = np.histogram(values, edges)[0] / values.size
+        axes.stairs(part, edges, color=_COLOURS[split], label=split)
+    axes.set_xlabel(f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name)
+    axes.set_ylim(bottom=0)
+
+
+def _spread(rows: Sequence[Row]) -> list[Row]:
+    """Some images of as many stacks as there are, at distances of all kinds."""
+    chosen = np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).round().astype(int)
+    return [rows[i] for i in chosen]
+
+
+def _tile(row: Row) -> np.ndarray:
+    """The image in 8 bits and RGB, made smaller by mean values."""
+    image = row.image()
+    if image.dtype != np.uint8:
+        camera = row.stack.description["scene"]["camera"]
+        image = (image >> (camera["bit_depth"] - 8)).astype(np.uint8)
+    step = _step(row)
+    height, width = (step * (n // step) for n in image.shape[:2])
+    blocks = image[:height, :width].reshape(height // step, step, width // step, step, -1)
+    return np.asarray(blocks.mean(axis=(1, 3)).astype(np.uint8))
+
+
+def _step(row: Row) -> int:
+    """Pixels of the image to one of the sheet."""
+    return max(1, row.stack.description["scene"]["microscope"]["width_px"] // _TILE_PX)
+
+
+def _true_ellipse(row: Row, corner: np.ndarray) -> Ellipse:
+    labels, step = row.labels, _step(row)
+    # Pixel centres are integers in both pictures.
+    x, y = ((p + 0.5) / step - 0.5 for p in (labels.half_max_x_px, labels.half_max_y_px))
+    return Ellipse(
+        (x + corner[0], y + corner[1]),
+        2 * labels.half_max_semi_major_px / step,
+        2 * labels.half_max_semi_minor_px / step,
+        angle=math.degrees(labels.half_max_angle_rad),
+        fill=False,
+        color=ORANGE,
+        lw=0.8,
+        ls=(0, (3, 2)),
+    )

@@ -1,0 +1,14 @@
+from .image_rows import Row as Row
+from .image_rows import rows as rows
+from .labelled_set import SCHEMA as SCHEMA
+from .labelled_set import LabelledSet as LabelledSet
+from .labelled_set import SetError as SetError
+from .labelled_set import SetStack as SetStack
+from .labelled_set import read_set as read_set
+from .stacks import copy_description as copy_description
+from .stacks import exposures_of as exposures_of
+from .stacks import image_name as image_name
+from .stacks import qualified_name as qualified_name
+from .stacks import set_files as set_files
+from .stacks import split_name as split_name
+from .stacks import stacks_of as stacks_of

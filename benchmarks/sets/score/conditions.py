@@ -1,0 +1,137 @@
+"""What images are scored apart by: the spot's place, how it was taken, what hides it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.sets.read import SetStack, image_name, qualified_name
+from estimator import FrameLabels, read_microscope
+
+_SPLITS = ("train", "validation", "test", "adverse")
+
+
+class Circumstances(NamedTuple):
+    """The truth of an image, and what groups it.
+
+    Attributes:
+        labels: its truth.
+        stack: SPLIT/STACK.
+        split: of the set; empty for a stack by itself.
+        adverse: condition of the split of that name; empty elsewhere.
+        scale_mm_px: delta of its microscope.
+        source: of the light: cone, lens or photons.
+        wall: the picture on it.
+    """
+
+    labels: FrameLabels
+    stack: str
+    split: str
+    adverse: str
+    scale_mm_px: float
+    source: str
+    wall: str
+
+    @property
+    def blur_px(self) -> float:
+        """Way of the tip during the exposure, px at the retinal pole."""
+        return self.labels.speed_mm_s * self.labels.exposure_s / self.scale_mm_px
+
+
+def circumstances_of(stacks: Iterable[SetStack]) -> dict[str, Circumstances]:
+    """All images of a set, by the name that the set has for them."""
+    images = {}
+    for entry in stacks:
+        scale = read_microscope(entry.folder / "microscope.json").scale_mm_px
+        stack = entry.open()
+        scene = stack.description["scene"]
+        for labels in stack.labels:
+            images[image_name(entry, labels.file_name)] = Circumstances(
+                labels=labels,
+                stack=qualified_name(entry),
+                split=entry.split,
+                adverse=entry.condition or "",
+                scale_mm_px=scale,
+                source=scene["source"]["kind"],
+                wall=scene["phantom"]["wall"],
+            )
+    return images
+
+
+class Condition(NamedTuple):
+    """A way to group images.
+
+    Attributes:
+        name: of the condition, with its unit, as in score.csv.
+        title: in figures.
+        group_of: an image's group; empty where the condition says nothing of it.
+        order: of the groups; others follow by name.
+    """
+
+    name: str
+    title: str
+    group_of: Callable[[Circumstances], str]
+    order: tuple[str, ...] = ()
+
+    def groups(self, images: Iterable[Circumstances]) -> list[str]:
+        """Groups that images fall into, in order."""
+        place = {group: index for index, group in enumerate(self.order)}
+        found = {self.group_of(image) for image in images} - {""}
+        return sorted(found, key=lambda group: (place.get(group, len(place)), group))
+
+
+def _binned(
+    name: str,
+    title: str,
+    value_of: Callable[[Circumstances], float],
+    edges: tuple[float, ...],
+) -> Condition:
+    """Groups [edge, next edge); the last one has no upper end."""
+    groups = tuple(
+        f"≥ {low:g}" if math.isinf(high) else f"{low:g}–{high:g}"
+        for low, high in zip(edges, (*edges[1:], math.inf), strict=True)
+    )
+
+    def group_of(image: Circumstances) -> str:
+        # Labels such as c = 0 come with a rounding of either sign.
+        index = np.searchsorted(edges, value_of(image) + 1e-9, side="right") - 1
+        return groups[max(int(index), 0)]
+
+    return Condition(name, title, group_of, groups)
+
+
+CONDITIONS = (
+    Condition("split", "split", lambda image: image.split, _SPLITS),
+    Condition("adverse", "adverse condition", lambda image: image.adverse),
+    Condition("source", "light source", lambda image: image.source),
+    Condition("wall", "wall", lambda image: image.wall),
+    Condition("exposure", "exposure", lambda image: image.labels.exposure),
+    Condition("medium", "medium", lambda image: image.labels.medium),
+    _binned("c_mm", "eccentricity $c$ (mm)", lambda image: image.labels.c_mm, (0, 2, 4, 6)),
+    _binned("d_mm", "distance $d$ (mm)", lambda image: image.labels.d_mm, (0, 1, 2, 4, 6)),
+    _binned(
+        "incidence_deg",
+        "incidence (°)",
+        lambda image: math.degrees(image.labels.incidence_rad),
+        (0, 15, 30, 45),
+    ),
+    _binned("speed_mm_s", "speed (mm/s)", lambda image: image.labels.speed_mm_s, (0, 0.5, 1.5, 5)),
+    _binned(
+        "blur_px", "blur: way in an exposure (px)", lambda image: image.blur_px, (0, 0.5, 2, 8)
+    ),
+    _binned(
+        "visible_fraction",
+        "visible fraction",
+        lambda image: image.labels.visible_fraction,
+        (0, 0.5, 0.75, 0.95),
+    ),
+    _binned(
+        "saturated_fraction",
+        "saturated fraction",
+        lambda image: image.labels.saturated_fraction,
+        (0, 0.001, 0.1, 0.5),
+    ),
+)

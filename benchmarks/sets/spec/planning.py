@@ -1,0 +1,148 @@
+"""From a spec to the scene of every stack, evenly spread over what varies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import qmc
+
+from benchmarks.sets.spec.distributions import Distribution
+from benchmarks.sets.spec.spec import SEED_KEYS, SetSpec
+from scenes import Scene, SceneError, changed
+
+_MOST_STACKS = 2**20
+"""Of a set; the seeds of two sets do not meet."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedStack:
+    """One stack to render.
+
+    Attributes:
+        split: train, validation, test or adverse.
+        name: of its folder.
+        condition: of the adverse split, else None.
+        scene: its scene.
+        parameters: the scene's values of all keys that differ within the set, by dotted name.
+    """
+
+    split: str
+    name: str
+    condition: str | None
+    scene: Scene
+    parameters: dict[str, Any]
+
+
+class _Group(NamedTuple):
+    """Stacks that are drawn from one distribution."""
+
+    split: str
+    condition: str | None
+    stacks: int
+    # By dotted name, values and distributions: what all groups vary, what the condition changes.
+    vary: dict[str, Any]
+    condition_changes: dict[str, Any]
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """Both; a condition goes before what all groups vary."""
+        return self.vary | self.condition_changes
+
+
+def plan(spec: SetSpec) -> list[PlannedStack]:
+    """The stacks of a set, in order.
+
+    Every group of stacks takes a block of its own of one scrambled Sobol sequence (Owen 1998;
+    Sobol 1967), whose length is a power of two, so that it covers the distributions evenly by
+    itself. The n-th point of the sequence has the n-th seed, too.
+
+    Raises:
+        SceneError: a key is unknown, or a drawn scene cannot be.
+    """
+    groups = list(_groups(spec))
+    block = 2 ** math.ceil(math.log2(max(1, *(group.stacks for group in groups))))
+    if block * len(groups) > _MOST_STACKS:
+        raise ValueError(
+            f"a set has at most {_MOST_STACKS:,} stacks; this one counts {len(groups)} groups of "
+            f"up to {block}. Lower the numbers of stacks."
+        )
+    drawn = sorted(
+        {k for group in groups for k, v in group.changes.items() if isinstance(v, Distribution)}
+    )
+    points = _sobol(len(drawn), block * len(groups), seed=spec.seed)
+    labelled = sorted({key for group in groups for key in group.changes})
+    return [
+        _planned(
+            group,
+            index,
+            quantiles=dict(zip(drawn, points[number * block + index], strict=True)),
+            seed=spec.seed * _MOST_STACKS + number * block + index,
+            base=spec.scene,
+            labelled=labelled,
+        )
+        for number, group in enumerate(groups)
+        for index in range(group.stacks)
+    ]
+
+
+def _groups(spec: SetSpec) -> Iterator[_Group]:
+    for split, count in spec.splits:
+        yield _Group(split, None, count, spec.vary, {})
+    if spec.adverse:
+        for condition, changes in spec.adverse.conditions.items():
+            yield _Group("adverse", condition, spec.adverse.stacks, spec.vary, changes)
+
+
+def _sobol(dimensions: int, count: int, *, seed: int) -> np.ndarray:
+    if not dimensions:
+        return np.empty((count, 0))
+    # A whole power of two, which the sequence is balanced over.
+    exponent = math.ceil(math.log2(count))
+    return qmc.Sobol(dimensions, rng=np.random.default_rng(seed)).random_base2(exponent)
+
+
+def _planned(
+    group: _Group,
+    index: int,
+    *,
+    quantiles: dict[str, float],
+    seed: int,
+    base: dict[str, Any],
+    labelled: list[str],
+) -> PlannedStack:
+    def drawn(changes: dict[str, Any]) -> dict[str, Any]:
+        return {
+            key: change.value(quantiles[key]) if isinstance(change, Distribution) else change
+            for key, change in changes.items()
+        }
+
+    name = "-".join(filter(None, [group.condition, f"{index:04d}"]))
+    scene = Scene()
+    try:
+        for values in (base, drawn(group.vary), drawn(group.condition_changes)):
+            # A motion's kind comes first: it brings the keys that the others change.
+            scene = changed(
+                scene, dict(sorted(values.items(), key=lambda v: v[0] != "motion.kind"))
+            )
+    except SceneError as error:
+        raise SceneError(f"{group.split}/{name}: {error}") from error
+    scene = changed(scene, {key: seed for key in SEED_KEYS if _value(scene, key) is not None})
+    return PlannedStack(
+        split=group.split,
+        name=name,
+        condition=group.condition,
+        scene=scene,
+        parameters={key: _value(scene, key) for key in labelled},
+    )
+
+
+def _value(scene: Scene, key: str) -> Any:
+    """A scene's value by its dotted key; None where its kind of motion has no such key."""
+    found: Any = scene
+    for part in key.split("."):
+        found = getattr(found, part, None)
+    return found

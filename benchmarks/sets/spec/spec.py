@@ -1,0 +1,169 @@
+"""The spec of a labelled set: TOML, validated before anything is rendered.
+
+name = "eccentricity-v1"
+description = "…"
+seed = 2                            # sets of different seeds share no wall and no noise
+[splits]                            # stacks of each
+train = 32
+validation = 8
+test = 8
+[scene]                             # what all stacks have, or: scene = "scene.toml"
+source.kind = "cone"
+[vary]                              # what differs from stack to stack
+spot.eccentricity_mm = { uniform = [0.0, 8.0] }
+source.cone_k = { log_uniform = [5.0, 25.0] }
+microscope.pinhole_height_mm = { choice = [11.5, 200.0] }
+[adverse]                           # a split of its own
+stacks = 4                          # of each condition
+[adverse.conditions.saturation]     # what the condition changes: values or distributions
+exposures.kinds = ["paper"]
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from benchmarks.sets.spec.distributions import KINDS, Change, Distribution, by_dotted_name
+from scenes import parsed_change
+from scenes.description import problem_sentence
+
+SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
+"""Scene keys that every stack gets values of its own for."""
+
+_NAMED = resources.files("benchmarks.sets.spec") / "named"
+
+
+class SpecError(ValueError):
+    """A spec is missing, broken, or asks for what cannot be; the text says what to change."""
+
+
+def _dotted(table: Any) -> Any:
+    return by_dotted_name(table) if isinstance(table, Mapping) else table
+
+
+_Count = Annotated[int, Field(ge=0, le=4096)]
+_Changes = Annotated[dict[str, Change], BeforeValidator(_dotted)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Splits(_Table):
+    """Stacks of each split."""
+
+    train: _Count = 0
+    validation: _Count = 0
+    test: _Count = 0
+
+
+class Adverse(_Table):
+    """The split of frames that an estimator finds hard."""
+
+    stacks: _Count = Field(description="Of each condition.")
+    conditions: dict[str, _Changes] = Field(min_length=1)
+
+
+class SetSpec(_Table):
+    """What a labelled set is made of.
+
+    Attributes:
+        vary: distributions by dotted scene key.
+        adverse: None where a set has no such split.
+    """
+
+    schema_version: Literal[1] = Field(1, alias="schema")
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")
+    description: str
+    licence: str = Field("CC-BY-4.0", description="Of the images and labels; SPDX name.")
+    seed: int = Field(ge=0, lt=2**40)
+    splits: Splits = Splits()
+    scene: Annotated[dict[str, Any], BeforeValidator(_dotted)] = {}
+    vary: _Changes = {}
+    adverse: Adverse | None = None
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> SetSpec:
+        conditions = self.adverse.conditions if self.adverse else {}
+        for where, changes in {"scene": self.scene, "vary": self.vary, **conditions}.items():
+            if taken := [key for key in SEED_KEYS if key in changes]:
+                raise ValueError(
+                    f"{where}.{taken[0]}: every stack gets a seed of its own from the set's "
+                    "`seed`. Take it out."
+                )
+        if fixed := [
+            key for key, value in self.vary.items() if not isinstance(value, Distribution)
+        ]:
+            raise ValueError(
+                f"vary.{fixed[0]} must be a distribution, one of {', '.join(KINDS)}; got "
+                f"{self.vary[fixed[0]]!r}. A value that all stacks share stands in [scene]."
+            )
+        if not (any(self.splits.model_dump().values()) or (self.adverse and self.adverse.stacks)):
+            raise ValueError("a set needs stacks: give [splits] or [adverse] a number of them.")
+        return self
+
+
+def named_specs() -> list[str]:
+    """Names of the specs that come with the software."""
+    return sorted(Path(file.name).stem for file in _NAMED.iterdir() if file.name.endswith(".toml"))
+
+
+def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
+    """Read and validate a spec.
+
+    Args:
+        source: path of a TOML file, or the name of a spec that comes with the software.
+        changes: scene keys that all stacks get one value of, each "table.key=value".
+
+    Raises:
+        SpecError: there is none, or it is broken; unknown keys name the nearest known one.
+    """
+    named = _NAMED / f"{source}.toml"
+    try:
+        text = (named if named.is_file() else Path(source)).read_text(encoding="utf-8")
+        content = tomllib.loads(text)
+        if isinstance(scene_file := content.get("scene"), str):
+            content["scene"] = _scene_keys(Path(source).parent / scene_file)
+        for change in changes:
+            _fix(content, _dotted(parsed_change(change)))
+    except OSError as error:
+        raise SpecError(
+            f"{error.filename}: cannot be read ({error.strerror}). Give the path of a spec, or one "
+            f"of {', '.join(named_specs())}."
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SpecError(f"{source}: not TOML: {error}.") from error
+    try:
+        return SetSpec.model_validate(content)
+    except ValidationError as error:
+        raise SpecError("\n".join(f"{source}: {_sentence(p)}" for p in error.errors())) from error
+
+
+def _fix(content: dict[str, Any], values: dict[str, Any]) -> None:
+    """Set scene keys, which vary no longer."""
+    content["scene"] = _dotted(content.get("scene", {})) | values
+    vary = _dotted(content.get("vary", {}))
+    content["vary"] = {key: change for key, change in vary.items() if key not in values}
+
+
+def _scene_keys(path: Path) -> dict[str, Any]:
+    """What a scene file says, but for its schema and its seeds."""
+    content = by_dotted_name(tomllib.loads(path.read_text(encoding="utf-8")))
+    return {key: value for key, value in content.items() if key not in ("schema", *SEED_KEYS)}
+
+
+def _sentence(problem: Any) -> str:
+    path = [str(part) for part in problem["loc"]]
+    return problem_sentence(problem, path, siblings=lambda: _siblings(path[:-1]))
+
+
+def _siblings(path: list[str]) -> list[str]:
+    tables: dict[str, type[BaseModel]] = {"splits": Splits, "adverse": Adverse}
+    model = tables.get(".".join(path), SetSpec)
+    return [field.alias or name for name, field in model.model_fields.items()]

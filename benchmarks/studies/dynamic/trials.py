@@ -1,0 +1,148 @@
+"""The scenes of the dynamic study: moving tips at several speeds, and their twins held still."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import scenes
+from benchmarks.evaluation import WAYS, Way
+from estimator import Stack
+from scenes import Scene
+
+LITERAL, SUBPIXEL = WAYS[0], WAYS[-1]
+"""The paper's way of measuring, at its fixed exposure, and ours."""
+
+COMPARED = (LITERAL, SUBPIXEL)
+
+MOTIONS = {
+    "withdrawal": "along the beam",
+    "scan": "across the wall",
+    "hand": "in a hand",
+}
+
+LATENCIES_S = (0.0, 0.05, 0.1)
+"""How late a pose is read that carries no stamp of its own."""
+
+_MEAN_DISTANCE_MM = 3.0
+_STRAIGHT_FRAMES = 5  # as many as fit into the view at the top speed
+_HAND_FRAMES = 10
+_SLOWEST_HAND_MM_S = 2.0  # below, what the robot leaves of the tremor is faster than the hand
+_FREEZES = 1e4  # how much shorter exposures are under so much more light
+
+_REST = {"start_mm": 1.0, "travel_mm": 3.5, "speed_mm_s": 0.1, "frames": 15}
+"""A withdrawal as long and as slow as the paper's (2 um in 20 ms), over what motions reach."""
+
+
+class Trial(NamedTuple):
+    """One motion at one speed, seen in one way.
+
+    Attributes:
+        motion: one of `MOTIONS`.
+        way: of measuring.
+        speed_mm_s: of a straight motion; a hand's highest.
+        run: from 1, each with noise, texture and hand of its own.
+        moving: the scene.
+        frozen: the same with exposures too short for blur: same poses, noise and brightness.
+    """
+
+    motion: str
+    way: Way
+    speed_mm_s: float
+    run: int
+    moving: Scene
+    frozen: Scene
+
+    @property
+    def name(self) -> str:
+        """Of its stack; the frozen one's ends with -frozen."""
+        kind, speed = self.moving.source.kind, f"{self.speed_mm_s:g}"
+        return "-".join([kind, self.motion, speed, self.way.slug, str(self.run)])
+
+
+def at_rest(scene: Scene) -> Scene:
+    """The withdrawal at rest, in both exposures, which calibrates and meters."""
+    return _with_motion(scene, "withdrawal", _REST)
+
+
+def sensitivity(rest: Stack, scene: Scene, way: Way, *, exposure_s: float) -> float:
+    """Sensitivity at which a way's exposure lasts as asked for at the study's mean distance.
+
+    Args:
+        rest: of `at_rest(scene)`.
+        scene: whose sensitivity the stack was exposed with.
+        way: of measuring; "metered" exposures differ with the distance.
+        exposure_s: asked for.
+    """
+    rows = rest.exposed(way.exposure)
+    there = min(rows, key=lambda row: abs(row.d_mm - _MEAN_DISTANCE_MM))
+    return scene.exposures.sensitivity_mm2_sr_mj * there.exposure_s / exposure_s
+
+
+def trials(
+    scene: Scene,
+    way: Way,
+    *,
+    sensitivity: float,
+    speeds: Sequence[float],
+    run: int,
+) -> list[Trial]:
+    """Every motion at every speed, once; runs count from 1."""
+    hands = [speed for speed in speeds if speed >= _SLOWEST_HAND_MM_S]
+    wanted = [(motion, speed) for motion in ("withdrawal", "scan") for speed in speeds]
+    wanted += [("hand", speed) for speed in hands]
+    own = scenes.changed(
+        scene,
+        {
+            "seed": scene.seed + run - 1,
+            "phantom.texture_seed": scene.phantom.texture_seed + run - 1,
+            "clocks.seed": scene.clocks.seed + run - 1,
+            "exposures.kinds": [way.exposure],
+            "exposures.sensitivity_mm2_sr_mj": sensitivity,
+        },
+    )
+    frozen = scenes.changed(own, {"exposures.sensitivity_mm2_sr_mj": sensitivity * _FREEZES})
+    found = []
+    for motion, speed in wanted:
+        path = _path(motion, speed, interval_s=1 / scene.clocks.camera_hz, seed=own.seed)
+        moving, still = (_with_motion(s, motion, path) for s in (own, frozen))
+        found.append(Trial(motion, way, speed, run, moving, still))
+    return found
+
+
+def _path(motion: str, speed: float, *, interval_s: float, seed: int) -> dict[str, float | int]:
+    """Settings of a motion; the first frame and the last stand at its ends and are left out."""
+    intervals = 1 + (_HAND_FRAMES if motion == "hand" else _STRAIGHT_FRAMES)
+    duration = intervals * interval_s
+    if motion == "withdrawal":
+        travel = speed * duration
+        return {
+            "start_mm": _MEAN_DISTANCE_MM - travel / 2,
+            "travel_mm": travel,
+            "speed_mm_s": speed,
+            "frames": intervals + 1,
+        }
+    if motion == "scan":
+        return {
+            "distance_mm": _MEAN_DISTANCE_MM,
+            "length_mm": speed * duration,
+            "speed_mm_s": speed,
+            "trocar_mm": math.inf,  # so the tip is as fast as its spot
+        }
+    return {
+        "distance_mm": _MEAN_DISTANCE_MM,
+        "duration_s": duration,
+        "top_speed_mm_s": speed,
+        "seed": seed,
+    }
+
+
+def _with_motion(scene: Scene, kind: str, path: dict[str, float | int]) -> Scene:
+    changes = {"motion.kind": kind} | {f"motion.{name}": value for name, value in path.items()}
+    return scenes.changed(scene, changes)
+
+
+def nearest_speed(speed: float, speeds: Sequence[float]) -> float:
+    """Of the study's speeds the one that a frame counts for."""
+    return min(speeds, key=lambda s: (math.fabs(s - speed), s))

@@ -1,0 +1,22 @@
+"""Model error against the place of the spot.
+
+causes       The error of every model split by cause, so that the parts sum to the whole
+chain        The chain from a distance to a spot's size and back, each link of which can be real
+             or ideal
+conclusions  What the study of eccentricity found, in sentences whose numbers are this run's
+figures      Pictures of the study of eccentricity
+limits       At which c a model leaves a limit, with the true c and with c fitted as the paper
+             does
+rendered     The rendered part: frames, spots measured in them, and what rendering adds to their
+             size
+report       The report of the study of eccentricity: pictures and tables, all from this run's
+             numbers
+run          `eyespot study eccentricity`: how wrong each model is, where, and by which cause
+shapley      Shapley's fair shares: what each player adds to a whole, over all orders of joining
+space        The space of geometries: scrambled Sobol points, every model's error there, in
+             bounded memory
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,2 @@
+from . import run as run
+from .space import BLOCK as BLOCK

@@ -1,0 +1,158 @@
+"""The error of every model split by cause, so that the parts sum to the whole.
+
+The players are the five links of `chain`, and four more: what a rendered frame adds to e1' at its
+edge (half-maximum, falling light, texture, shadow; seen without noise at twice the resolution) and
+by pixels and noise (the rest), and an r and a c that the models were given wrong. The worth of a
+set of players is a model's error when they are real and the others ideal; it is computed for all
+512 sets, so Shapley's values are exact.
+
+The two that a rendering measures are differences of e1' in px, taken once for each geometry, in the
+real world, and added in every other as they are: what noise and edges do to a contour depends on
+its size and light, which the geometric links change by a few per cent.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+import optics
+from benchmarks.evaluation import Geometry, place
+from benchmarks.studies.eccentricity import chain
+from benchmarks.studies.eccentricity.chain import LINKS, Eye, Links
+from benchmarks.studies.eccentricity.shapley import coalitions, shapley_values
+
+CAUSES = (*LINKS, "edge and radiometry", "pixels and noise", "wrong r", "wrong c")
+"""The players, in order."""
+
+WRONG_R_MM = 0.5
+"""Given too large: the paper's r is 11 mm or 11.5 mm."""
+
+WRONG_C_MM = 0.5
+"""Given too large: an eye half a millimetre off the microscope's axis."""
+
+_BATCH = 4
+
+
+class Shift(NamedTuple):
+    """What rendering adds to e1' of spots, px.
+
+    Attributes:
+        edge: by the edge and its light.
+        pixels: by pixels and noise.
+    """
+
+    edge: np.ndarray
+    pixels: np.ndarray
+
+
+class Part(NamedTuple):
+    """Row of causes.csv: what one cause adds to a model's error.
+
+    `whole_mm` is the error with all causes, to which the parts of a geometry sum.
+    """
+
+    model: str
+    cause: str
+    medium: str
+    c_mm: float
+    d_mm: float
+    r_mm: float
+    z_f_mm: float
+    incidence_deg: float
+    azimuth_deg: float
+    half_angle_deg: float
+    apex_offset_mm: float
+    part_mm: float
+    whole_mm: float
+
+
+def parts(
+    geometry: Geometry, *, medium: str, c: np.ndarray, d: np.ndarray, shift: Shift
+) -> list[Part]:
+    """The errors of all models at eccentricities and distances (mm), each cause a row.
+
+    Args:
+        geometry: what they share.
+        medium: by name.
+        c: n eccentricities, mm.
+        d: n distances, mm.
+        shift: what rendering adds, n each.
+    """
+    worth = worths(eyes(geometry, c=c), d=d, shift=shift)
+    shares = shapley_values(worth)
+    return [
+        Part(
+            model=model,
+            cause=cause,
+            medium=medium,
+            **place(geometry, c=c[i], d=d[i]),
+            part_mm=float(shares[i, m, p]),
+            whole_mm=float(worth[i, m, -1]),
+        )
+        for i in range(len(c))
+        for m, model in enumerate(optics.MODELS)
+        for p, cause in enumerate(CAUSES)
+    ]
+
+
+def eyes(geometry: Geometry, *, c: np.ndarray) -> Eye:
+    """The geometry at each eccentricity (mm) as the chain takes it: arrays of n."""
+    r = geometry.eye_radius
+    shared = {
+        "scale": geometry.scale,
+        "inverse_working_distance": 1.0 / (geometry.pinhole_height + r),
+        "radius": r,
+        "half_angle": geometry.half_angle,
+        "apex_offset": geometry.apex_offset,
+        "incidence": geometry.incidence,
+        "incidence_azimuth": geometry.incidence_azimuth,
+        "eccentricity": c,
+    }
+    return Eye(**{n: jnp.broadcast_to(jnp.asarray(v, float), c.shape) for n, v in shared.items()})
+
+
+def worths(eye: Eye, *, d: np.ndarray, shift: Shift) -> np.ndarray:
+    """Error of every model with every set of causes, mm: n x models x 512."""
+    columns = [np.asarray(column, float) for column in (*eye, d, *shift)]
+    # In parts of one size, so that one compilation serves every trial.
+    filled = np.pad(np.stack(columns), ((0, 0), (0, -len(d) % _BATCH)), mode="edge")
+    parts = np.split(filled, filled.shape[1] // _BATCH, axis=1)
+    return np.concatenate([np.asarray(_worths(jnp.asarray(part))) for part in parts])[: len(d)]
+
+
+@jax.jit
+def _worths(columns: Float[Array, "columns n"]) -> Float[Array, "n models sets"]:
+    sets = jnp.asarray(coalitions(len(CAUSES)))
+
+    def of(spot: Float[Array, "columns"]) -> Float[Array, "models sets"]:
+        *eye, d, edge, pixels = spot
+        return jax.vmap(lambda causes: _errors(Eye(*eye), d, edge, pixels, causes), out_axes=1)(
+            sets
+        )
+
+    return jax.vmap(of, in_axes=1)(columns)
+
+
+def _errors(
+    eye: Eye,
+    d: Float[Array, ""],
+    edge: Float[Array, ""],
+    pixels: Float[Array, ""],
+    causes: Float[Array, "9"],
+) -> Float[Array, "models"]:
+    """Every model's error with one set of causes, mm."""
+    links = Links(*causes[: len(LINKS)])
+    edge_on, pixels_on, r_on, c_on = causes[len(LINKS) :]
+    seen = chain.semi_minor(eye, d, links) + edge_on * edge + pixels_on * pixels
+    # The working distance is the microscope's own and stays, whatever r the models are given.
+    believed = eye._replace(
+        radius=eye.radius + r_on * WRONG_R_MM,
+        eccentricity=eye.eccentricity + c_on * WRONG_C_MM,
+    )
+    found = chain.distances(believed, seen, links)
+    return jnp.stack([found[model] for model in optics.MODELS]) - d

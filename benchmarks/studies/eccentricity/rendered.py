@@ -1,0 +1,204 @@
+"""The rendered part: frames, spots measured in them, and what rendering adds to their size."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+import optics
+import scenes
+from benchmarks.evaluation import WAYS, Geometry, ModelError, Tracked, measured_errors, track_stack
+from benchmarks.reporting import Study
+from benchmarks.studies.eccentricity import causes
+from benchmarks.studies.eccentricity.causes import Part, Shift
+from benchmarks.studies.eccentricity.limits import Refit, refitted
+from scenes import Scene
+from scenes.world import cone, lens_table
+
+_FINER = 2
+"""Pixels of a noise-free frame for one of the camera's, along each side."""
+
+_NOISE_FREE = {
+    "camera.full_well_e": 1e9,
+    "camera.read_noise_e": 0.0,
+    "camera.dark_signal_e": 0.0,
+    "camera.prnu": 0.0,
+    "camera.dsnu_e": 0.0,
+    "camera.bit_depth": 16,
+    "camera.bayer": "none",
+    "camera.jpeg_quality": 0,
+}
+
+_FEWEST_SPOTS = 3  # a fit of c through fewer says nothing
+
+
+class Trial(NamedTuple):
+    """A withdrawal: one pinhole, incidence and eccentricity.
+
+    Attributes:
+        name: of its stack.
+        scene: with the instrument in view, or square to the wall and without it.
+        noise_free: the same at twice the resolution without noise; None where not wanted.
+    """
+
+    name: str
+    scene: Scene
+    noise_free: Scene | None
+
+
+class Rendered(NamedTuple):
+    """What the rendered part found.
+
+    Attributes:
+        errors: of all models on every measured spot, and of small_plane with c fitted.
+        refits: a fit for each trial with enough spots.
+        parts: the errors by cause, where a noise-free frame tells edge from noise.
+        frames: rendered for the errors.
+        left_out: of these, without a spot that counts.
+    """
+
+    errors: list[ModelError]
+    refits: list[Refit]
+    parts: list[Part]
+    frames: int
+    left_out: int
+
+
+def trials(
+    scene: Scene,
+    *,
+    pinhole_heights: Sequence[float],
+    eccentricities: Sequence[float],
+    few: Sequence[float],
+    frames: int,
+) -> list[Trial]:
+    """Withdrawals at the scene's incidence, and square ones without the instrument.
+
+    Args:
+        scene: to start from.
+        pinhole_heights: z_F, mm.
+        eccentricities: c of the withdrawals at the scene's incidence, mm.
+        few: those of them that are rendered without noise too, and with a square beam, which the
+            instrument would hide.
+        frames: of a withdrawal.
+    """
+    return [
+        _trial(scene, z_f=height, c=c, square=square, noise_free=c in few, frames=frames)
+        for height in pinhole_heights
+        for square, chosen in ((False, eccentricities), (True, few))
+        for c in chosen
+    ]
+
+
+def measure(study: Study, every: Sequence[Trial]) -> Rendered:
+    """Render, track and compare."""
+    wanted = {trial.name: trial.scene for trial in every}
+    wanted |= {_fine(t): t.noise_free for t in every if t.noise_free is not None}
+    stacks = study.stacks(wanted)
+    spots = study.folder / "spots"
+    spots.mkdir(exist_ok=True)
+    tracked = {
+        name: track_stack(stack, WAYS[-1], spots_file=spots / f"{name}.csv")
+        for name, stack in stacks.items()
+    }
+    found = Rendered([], [], [], *_counts([tracked[trial.name] for trial in every]))
+    for trial in every:
+        _compare(trial, tracked[trial.name], found)
+        if trial.noise_free is not None:
+            found.parts.extend(_split(trial, tracked[trial.name], tracked[_fine(trial)]))
+    return found
+
+
+def geometry_of(scene: Scene) -> Geometry:
+    """What the models are told of a scene."""
+    half_angle, b = cone(scene, lens_table(scene))
+    return Geometry(
+        scale=scene.microscope.scale_mm_px,
+        pinhole_height=scene.microscope.pinhole_height_mm,
+        eye_radius=scene.phantom.radius_mm,
+        half_angle=half_angle,
+        apex_offset=b,
+        incidence=math.radians(scene.spot.incidence_deg),
+        incidence_azimuth=math.radians(scene.spot.incidence_azimuth_deg),
+    )
+
+
+def _trial(
+    scene: Scene, *, z_f: float, c: float, square: bool, noise_free: bool, frames: int
+) -> Trial:
+    own = scenes.changed(
+        scene,
+        {
+            "spot.eccentricity_mm": c,
+            "microscope.pinhole_height_mm": z_f,
+            "motion.kind": "withdrawal",
+            "motion.start_mm": 0.5,
+            "motion.travel_mm": 5.5,
+            "motion.frames": frames,
+            "exposures.kinds": ["metered"],
+            **({"spot.incidence_deg": 0.0, "instrument.visible": False} if square else {}),
+        },
+    )
+    view = own.microscope
+    finer = {
+        "microscope.scale_mm_px": view.scale_mm_px / _FINER,
+        "microscope.width_px": view.width_px * _FINER,
+        "microscope.height_px": view.height_px * _FINER,
+    }
+    kind = "square" if square else "tilted"
+    again = scenes.changed(own, finer | _NOISE_FREE) if noise_free and not square else None
+    return Trial(f"{kind}-pinhole-{z_f:g}-c-{c:g}", own, again)
+
+
+def _fine(trial: Trial) -> str:
+    return f"{trial.name}-noise-free"
+
+
+def _counts(tracked: Sequence[Tracked]) -> tuple[int, int]:
+    used = np.concatenate([t.used for t in tracked])
+    return used.size, int(np.count_nonzero(~used))
+
+
+def _compare(trial: Trial, tracked: Tracked, found: Rendered) -> None:
+    """Add the trial's errors, and its fit of c."""
+    labels, seen = tracked.used_labels, tracked.semi_minor_px
+    if not labels:
+        return
+    geometry = geometry_of(trial.scene)
+    errors = measured_errors(geometry, labels=labels, semi_minor_px=seen, models=optics.MODELS)
+    found.errors.extend(errors)
+    if len(labels) >= _FEWEST_SPOTS:
+        rows, refit = refitted(
+            geometry,
+            before=errors,
+            source="rendered",
+            medium=trial.scene.source.medium,
+            c=labels[0].c_mm,
+            d=np.array([row.d_mm for row in labels]),
+            semi_minor_px=seen,
+        )
+        found.errors.extend(rows)
+        found.refits.append(refit)
+
+
+def _split(trial: Trial, seen: Tracked, noise_free: Tracked) -> list[Part]:
+    """The trial's errors by cause, in frames in which both measurements found the spot."""
+    both = np.flatnonzero(seen.used & noise_free.used)
+    if not both.size:
+        return []
+    measured, fine = (
+        np.array([t.results[i].semi_minor_px for i in both])  # type: ignore[union-attr]
+        for t in (seen, noise_free)
+    )
+    ideal = np.array([seen.labels[i].cone_semi_minor_px for i in both])
+    fine = fine / _FINER
+    return causes.parts(
+        geometry_of(trial.scene),
+        medium=trial.scene.source.medium,
+        c=np.array([seen.labels[i].c_mm for i in both]),
+        d=np.array([seen.labels[i].d_mm for i in both]),
+        shift=Shift(edge=fine - ideal, pixels=measured - fine),
+    )

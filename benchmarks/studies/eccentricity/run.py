@@ -1,0 +1,177 @@
+"""`eyespot study eccentricity`: how wrong each model is, where, and by which cause.
+
+DIR/model_error.csv  every error of every model, analytic and rendered
+    limits.csv       at which c a model leaves 0.1 and 0.5 mm
+    refit.csv        c fitted as the paper does, and how much of the error that hides
+    causes.csv       Shapley's share of each cause
+    space.csv, sensitivity.csv  errors over the whole space, and which axis they come from
+    stacks/, spots/  what was rendered, and measured in it
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import scenes
+from benchmarks.evaluation import ModelError
+from benchmarks.reporting import MICROSCOPE_MM, Request, Study, require_roomy_eyeball
+from benchmarks.studies.eccentricity import limits, rendered, space
+from benchmarks.studies.eccentricity.limits import Limit, Refit, Withdrawals
+from benchmarks.studies.eccentricity.rendered import Rendered
+from benchmarks.studies.eccentricity.space import Space
+from scenes import Scene
+
+LARGEST_C_MM = 8.0
+"""End of the axis c of every part."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """What the report is made of.
+
+    Attributes:
+        scene: the study's.
+        quick: coarse grids and few frames.
+        withdrawals: on exact contours, by (z_F in mm, incidence in degrees).
+        limits: where models leave the limits, among the withdrawals.
+        rendered: what was measured in frames.
+        space: errors over the whole space.
+    """
+
+    scene: Scene
+    quick: bool
+    withdrawals: dict[tuple[float, float], Withdrawals]
+    limits: list[Limit]
+    rendered: Rendered
+    space: Space
+
+    @property
+    def analytic(self) -> list[ModelError]:
+        """Errors on exact contours of all withdrawals, with the true c."""
+        return [e for w in self.withdrawals.values() for e in w.errors if not e.refit]
+
+    @property
+    def refits(self) -> list[Refit]:
+        """Fits of c on exact contours."""
+        return [refit for w in self.withdrawals.values() for refit in w.refits]
+
+
+def run(request: Request) -> Findings:
+    """Compute, render, compare and report.
+
+    Args:
+        request: what was asked for; its option "geometries" is how many the space is filled with.
+
+    Raises:
+        SceneError: the scene is no eyeball, or too small a one.
+        ValueError: the folder holds something else.
+        RendererUnavailable: Mitsuba cannot run here.
+    """
+    from benchmarks.studies.eccentricity import (
+        report as eccentricity_report,  # figures, needed at the end only
+    )
+
+    study = Study("eccentricity", request, defaults=("source.kind=cone",), check=check)
+    scene = study.scene
+    with study.timed("render and measure"):
+        found = rendered.measure(study, _trials(scene, quick=request.quick))
+    with study.timed("withdrawals on exact contours"):
+        exact = _withdrawals(scene, quick=request.quick)
+    rows = [e for w in exact.values() for e in w.errors] + found.errors
+    with study.timed("space of geometries"):
+        filled = fill_space(
+            scene,
+            count=int(request.options["geometries"]),
+            seed=study.seed,
+            csv_file=study.folder / "model_error.csv",
+            before=rows,
+        )
+    findings = Findings(
+        scene=scene,
+        quick=request.quick,
+        withdrawals=exact,
+        limits=limits.limits([e for w in exact.values() for e in w.errors]),
+        rendered=found,
+        space=filled,
+    )
+    study.publish(eccentricity_report.report(findings))
+    return findings
+
+
+def check(scene: Scene) -> None:
+    """Refuse a scene in which c cannot reach its largest value.
+
+    Raises:
+        SceneError: saying what to change.
+    """
+    require_roomy_eyeball(scene, f"c reaches {LARGEST_C_MM:g} mm")
+
+
+def pinhole_heights(scene: Scene) -> tuple[float, float]:
+    """z_F of the paper's geometry, on the sphere, and of a microscope, mm."""
+    return scene.phantom.radius_mm, MICROSCOPE_MM
+
+
+def fill_space(
+    scene: Scene, *, count: int, seed: int, csv_file: Path, before: Iterable[ModelError] = ()
+) -> Space:
+    """Errors of all models over the space of geometries; writes model_error.csv as it goes.
+
+    Args:
+        scene: gives the scale, the spot's size at contact and the medium.
+        count: of geometries, rounded up to a power of two or to whole blocks of such.
+        seed: of the points.
+        csv_file: file to write; it appears under its name once it is whole.
+        before: rows that stand before those of the space.
+    """
+    cone = rendered.geometry_of(scene)
+    filled = Space()
+    partial = csv_file.with_suffix(".partial")
+    with partial.open("w", encoding="utf-8") as file:
+        file.write(",".join(ModelError._fields) + "\n")
+        file.writelines(space.csv_line(row) for row in before)
+        for block in space.blocks(
+            count=count,
+            seed=seed,
+            scale=cone.scale,
+            contact_radius=-cone.apex_offset * float(np.tan(cone.half_angle)),
+        ):
+            filled.add(block)
+            file.write(space.csv_text(block, medium=scene.source.medium))
+    partial.replace(csv_file)
+    return filled
+
+
+def _trials(scene: Scene, *, quick: bool) -> list[rendered.Trial]:
+    return rendered.trials(
+        scene,
+        pinhole_heights=pinhole_heights(scene),
+        eccentricities=np.linspace(0.0, LARGEST_C_MM, 3 if quick else 9).tolist(),
+        few=(4.0, LARGEST_C_MM) if quick else np.linspace(0.0, LARGEST_C_MM, 5).tolist(),
+        frames=3 if quick else 12,
+    )
+
+
+def _withdrawals(scene: Scene, *, quick: bool) -> dict[tuple[float, float], Withdrawals]:
+    """On exact contours: four pinholes, square to the wall and at the scene's incidence."""
+    eccentricities = np.linspace(0.0, LARGEST_C_MM, 17 if quick else 81)
+    found = {}
+    for height in (0.0, *pinhole_heights(scene), np.inf):
+        for incidence_deg in dict.fromkeys((0.0, scene.spot.incidence_deg)):
+            own = scenes.changed(
+                scene,
+                {
+                    "microscope.pinhole_height_mm": height,
+                    "spot.incidence_deg": incidence_deg,
+                },
+            )
+            found[height, incidence_deg] = limits.withdrawals(
+                rendered.geometry_of(own),
+                eccentricities=eccentricities,
+                medium=scene.source.medium,
+            )
+    return found

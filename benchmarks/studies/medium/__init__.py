@@ -1,0 +1,10 @@
+"""Calibrated in air, used in vitreous.
+
+light     What a medium makes of a lens's half-maximum radius, in closed form from the lens's
+          light
+rendered  The rendered part: calibrated on a plane in air, used in an eyeball full of another
+          medium
+report    The report of the study of media: sentences, tables and figures, all from this run's
+          numbers
+run       `eyespot study medium`: calibrated in air, used in vitreous
+"""

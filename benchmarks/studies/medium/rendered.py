@@ -1,0 +1,139 @@
+"""The rendered part: calibrated on a plane in air, used in an eyeball full of another medium."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+import scenes
+from benchmarks.evaluation import WAYS, Tracked, calibration, track_stack, true_calibration
+from benchmarks.reporting import Study
+from benchmarks.studies.medium.light import (
+    AIR,
+    AIR_CONE,
+    CONE,
+    FARTHEST_MM,
+    LENS,
+    LENS_CONE,
+    NEAREST_MM,
+    VITREOUS,
+    Curve,
+    MediumError,
+)
+from calibration import PlaneFit, fit_plane
+from estimator import Calibration, Ranger, Spot, Stack, read_microscope
+from scenes import Scene
+
+_HEIGHT_PX = 600  # the dome's spot in air outgrows the default window
+
+
+def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Scene]:
+    """Withdrawals with each light: on a plane in air, in an eyeball in both media.
+
+    Args:
+        scene: to start from.
+        lights: lenses, and "cone".
+        frames: of a withdrawal.
+    """
+    return {
+        f"{_slug(light)}-{medium}-{phantom}": scenes.changed(
+            scene,
+            {
+                **({"source.kind": CONE} if light == CONE else {"source.lens": light}),
+                "source.medium": medium,
+                "phantom.kind": phantom,
+                "motion.kind": "withdrawal",
+                "motion.start_mm": NEAREST_MM,
+                "motion.travel_mm": FARTHEST_MM - NEAREST_MM,
+                "motion.frames": frames,
+                "exposures.kinds": ["metered"],
+                "microscope.height_px": _HEIGHT_PX,
+            },
+        )
+        for light in lights
+        for medium, phantom in ((AIR, "plane"), (AIR, "eyeball"), (VITREOUS, "eyeball"))
+    }
+
+
+def measure(
+    study: Study, *, frames: int, curves: Mapping[tuple[str, str], Curve]
+) -> tuple[dict[str, PlaneFit], list[MediumError]]:
+    """Render, track, calibrate in air and use.
+
+    Args:
+        study: whose scene is rendered.
+        frames: of a withdrawal.
+        curves: by light and medium: what the lens model says without another fit.
+
+    Returns:
+        The fits in air by light, and errors in the eyeball.
+    """
+    lights = list(dict.fromkeys(light for light, _ in curves))
+    every = trials(study.scene, lights=lights, frames=frames)
+    stacks = study.stacks(every)
+    spots = study.folder / "spots"
+    spots.mkdir(exist_ok=True)
+    tracked = {
+        name: track_stack(stack, WAYS[-1], spots_file=spots / f"{name}.csv")
+        for name, stack in stacks.items()
+    }
+    fits, rows = {}, []
+    for light in lights:
+        seen = tracked[f"{_slug(light)}-{AIR}-plane"]
+        # The robot's reading since the first frame, whose distance is known here.
+        reading = NEAREST_MM + seen.travel_mm
+        fits[light] = fit_plane(semi_minor_px=seen.semi_minor_px, distance=reading)
+        for medium in (AIR, VITREOUS):
+            name = f"{_slug(light)}-{medium}-eyeball"
+            calibrations = {AIR_CONE: _of_fit(fits[light], study.scene)}
+            if light != CONE and medium == VITREOUS:
+                regression = curves[light, medium].regression
+                values = {"k": regression.k, "b": regression.b_mm}
+                calibrations[LENS_CONE] = calibration("planar", values, medium=medium)
+                calibrations[LENS] = true_calibration(every[name])
+            rows += _errors(every[name], stacks[name], tracked[name], calibrations)
+    return fits, rows
+
+
+def _slug(light: str) -> str:
+    """For names of folders: a lens may be a file."""
+    return Path(light).stem
+
+
+def _errors(
+    scene: Scene, stack: Stack, tracked: Tracked, calibrations: Mapping[str, Calibration]
+) -> list[MediumError]:
+    light = CONE if scene.source.kind == CONE else scene.source.lens
+    microscope = read_microscope(stack.folder / "microscope.json")
+    rows = []
+    for method, known in calibrations.items():
+        # `corrected` is the cone of a plane, taken to the sphere.
+        model = None if known.model == "lens" else "corrected"
+        ranger = Ranger(known, microscope, model=model)
+        for label, result, used in zip(tracked.labels, tracked.results, tracked.used, strict=True):
+            if not (used and isinstance(result, Spot)):
+                continue
+            found = ranger.distance(result, frame=stack.image(label))
+            rows.append(
+                MediumError(
+                    source="rendered",
+                    light=light,
+                    medium=scene.source.medium,
+                    method=method,
+                    d_mm=label.d_mm,
+                    radius_mm=result.semi_minor_px * microscope.scale_mm_px,
+                    estimate_mm=found.distance_mm,
+                    error_mm=found.distance_mm - label.d_mm,
+                    ambiguous=bool(found.others_mm),
+                )
+            )
+    return rows
+
+
+def _of_fit(fit: PlaneFit, scene: Scene) -> Calibration:
+    """What the plane in air gave: k and b, with their covariance."""
+    to_k = np.diag([1.0 / scene.microscope.scale_mm_px, 1.0])
+    values = {"k": fit.delta_k / scene.microscope.scale_mm_px, "b": fit.b}
+    return calibration("planar", values, medium=AIR, covariance=to_k @ fit.covariance @ to_k)

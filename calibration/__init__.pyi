@@ -1,0 +1,16 @@
+from .bridge import FLOAT32_LEVENBERG_MARQUARDT as FLOAT32_LEVENBERG_MARQUARDT
+from .bridge import render_as_jax as render_as_jax
+from .pixels import ImageFit as ImageFit
+from .pixels import fit_image as fit_image
+from .pixels import lens_start as lens_start
+from .spots import ConeFit as ConeFit
+from .spots import PlaneFit as PlaneFit
+from .spots import PlaneTrial as PlaneTrial
+from .spots import PlaneTrialsFit as PlaneTrialsFit
+from .spots import Prior as Prior
+from .spots import SphereFit as SphereFit
+from .spots import Trial as Trial
+from .spots import fit_cone as fit_cone
+from .spots import fit_eccentricity as fit_eccentricity
+from .spots import fit_plane as fit_plane
+from .spots import fit_plane_trials as fit_plane_trials

@@ -1,0 +1,8 @@
+"""Mitsuba as a JAX function.
+
+render_bridge  From a renderer to JAX: an image as a function of its parameters, with derivatives
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

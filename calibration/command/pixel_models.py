@@ -1,0 +1,162 @@
+"""The models of `eyespot fit` that every pixel of one stack is fitted with: image and lens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+import optics
+from calibration.command.fitted import Choices, Fitted, PixelResiduals
+from calibration.command.goodness import bounds_hit
+from calibration.pixels import LENS, UNITS, Footage, ImageFit, fit_footage, lens_start, read_footage
+from calibration.recordings import Recording
+from calibration.spots import fit_plane
+from estimator import read_stack
+from estimator.files import LENS_PARAMETERS
+
+_BLUR_PX = 1.0  # of a camera in focus, to begin with
+_CONE_IN_FILE = ("half_angle", "b")
+_EITHER_IN_FILE = ("scale", "eye_radius")
+_BRIGHTNESS = ("sensitivity", "power", "reflectance")
+"""Whose product over pi is the brightness of a calibration file."""
+
+
+def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+    """Half-angle and b of a cone from pixels, beginning at the paper's line through the spots."""
+    (recording,) = recordings
+    for name in set(_CONE_IN_FILE) - set(choices.free or _CONE_IN_FILE):
+        raise ValueError(f"--free must hold half_angle and b; {name} is missing. Add it.")
+    line = fit_plane(
+        semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
+        distance=recording.trial.readings,
+    )
+    start = {
+        "half_angle": math.atan(recording.microscope.scale_mm_px / line.delta_k),
+        "b": line.b,
+    }
+    if "blur" in (choices.free or ()):
+        start["blur"] = _BLUR_PX
+    _, fit = _fit(recording, choices, "cone", start)
+    names = [name for name in (*_CONE_IN_FILE, *_EITHER_IN_FILE) if name in fit.parameters]
+    return _fitted(
+        recording,
+        fit,
+        model="exact",
+        values={name: fit.values[name] for name in names},
+        slopes={name: {name: 1.0} for name in names},
+        told=names,
+    )
+
+
+def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+    """Shape and aperture of a glue lens from pixels, and how bright it makes its spot."""
+    (recording,) = recordings
+    footage, fit = _fit(recording, choices, "lens", lens_start(optics.load_lens(choices.lens)))
+    every = fit.values
+    own = [name for name in _EITHER_IN_FILE if name in fit.parameters]
+    values = {
+        **{name: every[name] for name in LENS_PARAMETERS if name in LENS},
+        "glue_length": every["rim_height"] + every["sag"],
+        **{name: every[name] for name in own},
+        # Part of full scale, some of which black takes, not of the full well.
+        "brightness": (1 - footage.noise.black)
+        * math.prod(every[name] for name in _BRIGHTNESS)
+        / math.pi,
+    }
+    slopes = {name: {name: 1.0} for name in values}
+    slopes["glue_length"] = {"rim_height": 1.0, "sag": 1.0}
+    slopes["brightness"] = {name: values["brightness"] / every[name] for name in _BRIGHTNESS}
+    return _fitted(
+        recording, fit, model="lens", values=values, slopes=slopes, told=[*LENS, *_EITHER_IN_FILE]
+    )
+
+
+def _fit(
+    recording: Recording,
+    choices: Choices,
+    source: Literal["cone", "lens"],
+    start: Mapping[str, float],
+) -> tuple[Footage, ImageFit]:
+    if choices.loss != "squares":
+        raise ValueError("--robust goes with the models plane and sphere. Leave it out.")
+    if any(recording.tilt):
+        raise ValueError(
+            f"{recording.name} shows a tilted plane, and the fit to pixels knows planes that are "
+            "square to the microscope's axis. Take --model cone, which knows the tilt."
+        )
+    footage = read_footage(read_stack(recording.source), exposure=choices.exposure)
+    fit = fit_footage(footage, source=source, start=start, free=choices.free, priors=choices.priors)
+    return footage, fit
+
+
+def _fitted(
+    recording: Recording,
+    fit: ImageFit,
+    *,
+    model: str,
+    values: dict[str, float],
+    slopes: Mapping[str, Mapping[str, float]],
+    told: Sequence[str],
+) -> Fitted:
+    """The fit as all models' fits are told.
+
+    Args:
+        recording: that was fitted.
+        fit: its outcome.
+        model: of the calibration file.
+        values: of the file.
+        slopes: of each of these, in those of the fit's parameters that it follows.
+        told: names of the fit that the file's values tell.
+    """
+    names = list(fit.parameters)
+    follows = np.array([[slopes[name].get(own, 0.0) for own in names] for name in values])
+    numbers, residuals, picture = _means(fit.residuals)
+    return Fitted(
+        calibration_model=model,
+        values=values,
+        covariance=_propagated(follows, fit.covariance),
+        converged=fit.converged,
+        bounds=bounds_hit(values),
+        undetermined=fit.undetermined,
+        chi_squared=fit.chi_squared,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        residuals={"the frames": residuals},
+        recordings=[recording],
+        used=len(numbers),
+        others=[
+            (name, value, error, UNITS[name])
+            for name, (value, error) in fit.parameters.items()
+            if name not in told
+        ],
+        notes=[f"{np.count_nonzero(np.isfinite(fit.residuals))} pixels were fitted."],
+        pixels=PixelResiduals(picture, numbers),
+    )
+
+
+def _means(
+    residuals: Float[np.ndarray, "frames h w"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frames with pixels, and mean residuals a frame and a pixel, in units of their own sigma."""
+    known = np.isfinite(residuals)
+    filled = np.where(known, residuals, 0.0).astype(float)
+    numbers = np.flatnonzero(known.any(axis=(1, 2)))
+    of_frames = filled.sum(axis=(1, 2))[numbers] / np.sqrt(known.sum(axis=(1, 2))[numbers])
+    count = known.sum(axis=0)
+    picture = np.where(count > 0, filled.sum(axis=0) / np.sqrt(np.maximum(count, 1)), np.nan)
+    return numbers, of_frames, picture
+
+
+def _propagated(
+    follows: Float[np.ndarray, "n p"], covariance: Float[np.ndarray, "p p"]
+) -> Float[np.ndarray, "n n"]:
+    """Covariance of what follows the parameters; infinite where one is not determined."""
+    lost = np.isinf(np.diag(covariance))
+    known = np.where(np.isinf(covariance), 0.0, covariance)
+    result = np.asarray(follows @ known @ follows.T)
+    hidden = follows[:, lost].any(axis=1)
+    result[hidden, :] = result[:, hidden] = np.inf
+    return result

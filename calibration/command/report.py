@@ -1,0 +1,206 @@
+"""The report of `eyespot fit`: one HTML page with its pictures inside."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import statistics
+from collections.abc import Sequence
+from typing import Any
+
+import jinja2
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from calibration.command.fitted import Fitted, PixelResiduals
+from calibration.command.goodness import CHI_SQUARED, SIGNIFICANCE, Doubt, runs_probability
+from calibration.recordings import Recording
+from calibration.solvers import correlations
+from estimator.files import QUANTITIES
+
+# Okabe and Ito's palette, which colour-blind readers can tell apart.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+_STRONG = 4.0  # standard deviations that end the colours of residuals
+_STYLE: dict[Any, Any] = {
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "svg.hashsalt": "eyespot",  # the same data give the same file
+}
+
+
+def render(
+    fitted: Fitted,
+    *,
+    model: str,
+    recordings: Sequence[Recording],
+    doubts: Sequence[Doubt],
+    software: str,
+    fingerprint: str,
+) -> str:
+    """The page.
+
+    Args:
+        fitted: the fit.
+        model: its name on the command line.
+        recordings: all that it was given.
+        doubts: why it is not good; empty if it is.
+        software: names and versions.
+        fingerprint: of the data.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("calibration.command"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    sigma = np.sqrt(np.diag(fitted.covariance))
+    with matplotlib.rc_context(_STYLE):
+        residuals = (
+            _residuals(fitted)
+            if fitted.pixels is None
+            else _pixels(fitted.pixels, *fitted.residuals.values())
+        )
+        figures = {"residuals": _svg(residuals)}
+        if fitted.lines:
+            figures["lines"] = _svg(_lines(fitted))
+    return environment.get_template("fit.html.j2").render(
+        fitted=fitted,
+        model=model,
+        recordings=recordings,
+        doubts=doubts,
+        software=software,
+        fingerprint=fingerprint,
+        figures=figures,
+        rows=[
+            (name, value, error, QUANTITIES[name].unit)
+            for (name, value), error in zip(fitted.values.items(), sigma, strict=True)
+        ],
+        correlations=correlations(fitted.covariance),
+        runs=[
+            (name, runs_probability(values), float(np.mean(values**2)))
+            for name, values in fitted.residuals.items()
+        ],
+        level=SIGNIFICANCE / len(fitted.residuals),
+        chi_squared=CHI_SQUARED,
+        significance=SIGNIFICANCE,
+        number=_number,
+    )
+
+
+def _number(value: float, digits: int = 6) -> str:
+    if math.isnan(value):
+        return ""
+    return "not determined" if math.isinf(value) else f"{value:.{digits}g}"
+
+
+def _residuals(fitted: Fitted) -> Figure:
+    """A row for each kind of residual: against reading and place, and against normal quantiles."""
+    names = list(fitted.residuals)
+    figure = Figure(figsize=(10.0, 2.1 * len(names) + 0.5), layout="constrained")
+    grid = figure.subplots(len(names), 4, squeeze=False, sharey="row", sharex="col")
+    for (name, values), row in zip(fitted.residuals.items(), grid, strict=True):
+        at = 0
+        for number, recording in enumerate(fitted.recordings):
+            trial = recording.trial
+            own = values[at : at + trial.readings.size]
+            at += own.size
+            places = np.asarray(trial.ellipses.centre) - trial.principal_point
+            for axes, x in zip(row, (trial.readings, *places.T), strict=False):
+                _marks(axes, x, own, number, recording.name)
+        normal = statistics.NormalDist()
+        expected = [normal.inv_cdf((k + 0.5) / values.size) for k in range(values.size)]
+        row[3].plot(expected, np.sort(values), ".", color="#444444", ms=4)
+        ends = np.array([expected[0], expected[-1]])
+        row[3].plot(ends, ends, color="#999999", lw=0.8)
+        for axes in row[:3]:
+            axes.axhline(0.0, color="#999999", lw=0.8)
+        row[0].set_ylabel("residual / σ")
+        row[0].set_title(name)
+    for axes, label in zip(
+        grid[-1],
+        (
+            "reading (mm)",
+            "$u - u_0$ (px)",
+            "$v - v_0$ (px)",
+            "quantile of the normal distribution",
+        ),
+        strict=True,
+    ):
+        axes.set_xlabel(label)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    return figure
+
+
+def _pixels(pixels: PixelResiduals, of_frames: np.ndarray) -> Figure:
+    """The mean residual of each pixel over the frames, and of each frame over its pixels."""
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    shown = left.imshow(
+        pixels.image, cmap="RdBu_r", vmin=-_STRONG, vmax=_STRONG, interpolation="nearest"
+    )
+    figure.colorbar(shown, ax=left, extend="both", label="mean over frames / its σ")
+    lit = np.argwhere(np.isfinite(pixels.image))
+    (top, first), (bottom, last) = lit.min(axis=0), lit.max(axis=0)
+    left.set(xlim=(first - 1, last + 1), ylim=(bottom + 1, top - 1), facecolor="#E4E4E4")
+    left.set(xlabel="$u$ (px)", ylabel="$v$ (px)")
+    left.grid(visible=False)
+    _marks(right, pixels.frames, of_frames, 0, "")
+    right.axhline(0.0, color="#999999", lw=0.8)
+    right.set(xlabel="frame", ylabel="mean over pixels / its σ")
+    return figure
+
+
+def _lines(fitted: Fitted) -> Figure:
+    """Distance against spot size with the curves' confidence bands."""
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for number, recording in enumerate(fitted.recordings):
+        line = fitted.lines[recording.name]
+        trial = recording.trial
+        axis = np.asarray(trial.ellipses.semi_minor)
+        count_from = trial.touch.mean if trial.kind == "eyeball" else 0.0
+        distance = trial.readings + count_from
+        colour = _COLOURS[number % len(_COLOURS)]
+        _marks(left, axis, distance, number, recording.name)
+        left.plot(line.semi_minor_px, line.distance, color=colour, lw=1)
+        left_over = np.interp(axis, line.semi_minor_px, line.distance) - distance
+        _marks(right, axis, left_over, number, recording.name)
+        right.fill_between(line.semi_minor_px, -line.band, line.band, color=colour, alpha=0.2, lw=0)
+    for axes in (left, right):
+        axes.set_xlabel("$e_1'$ (px)")
+    left.set_ylabel("reading (mm)")
+    right.set_ylabel("model − reading (mm)")
+    left.legend()
+    return figure
+
+
+def _marks(axes: Axes, x: Any, y: Any, number: int, label: str) -> None:
+    axes.plot(
+        x,
+        y,
+        _MARKERS[number % len(_MARKERS)],
+        color=_COLOURS[number % len(_COLOURS)],
+        ms=3.5,
+        label=label,
+    )
+
+
+def _svg(figure: Figure) -> str:
+    """The picture as a data URI."""
+    file = io.BytesIO()
+    figure.savefig(file, format="svg", metadata={"Date": None})
+    return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"

@@ -1,0 +1,217 @@
+"""The image model on chunks of pixels, compiled once for every frame and every stage of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Int
+
+import optics
+from calibration.pixels import table as _image_table
+from calibration.pixels.model import Cone, Lens, Source, WallPixels, radiance, wall_pixels
+from calibration.pixels.table import LensTable
+from calibration.spots import phantom_wall
+
+CHUNK = 4096
+"""Pixels at a time: what their derivatives need stays in the cache."""
+
+
+_ROUNDING = 1e-6  # of a whole pixel: no part that an edge has cut off
+
+
+class Problem(eqx.Module):
+    """What a fit holds fixed, and how its parameters become values.
+
+    Attributes:
+        first, size: values are first + size x.
+        fixed: values of what is not free.
+        microscope: the camera; `scale` and `eye_radius` of the values take the place of its own.
+        axis: of the beam as the robot reports it.
+        blur: sigma by which the frames were blurred, px, or None.
+        names: of the free parameters.
+        kind: of the wall.
+    """
+
+    first: Float[Array, "p"]
+    size: Float[Array, "p"]
+    fixed: dict[str, Array]
+    microscope: optics.Microscope
+    axis: Float[Array, "3"]
+    blur: Float[Array, ""] | None
+    names: tuple[str, ...] = eqx.field(static=True)
+    kind: str = eqx.field(static=True)
+
+
+class Chunk(NamedTuple):
+    """Pixels of one frame, padded; where `weight` is 0, there is none.
+
+    Attributes:
+        pixels: (u, v), px.
+        light: measured, full wells.
+        weight: one over the light's sigma.
+        reading: of the robot, mm.
+        exposure_s: reported.
+        frame: its number.
+    """
+
+    pixels: Float[np.ndarray, "n 2"]
+    light: Float[np.ndarray, "n"]
+    weight: Float[np.ndarray, "n"]
+    reading: Float[np.ndarray, ""]
+    exposure_s: Float[np.ndarray, ""]
+    frame: Int[np.ndarray, ""]
+
+
+class View(NamedTuple):
+    """What the model says of a chunk's pixels.
+
+    Attributes:
+        light: full wells.
+        direct: of it, what comes from the source.
+        step: at a sharp edge that cuts the pixel, full wells; 0 where there is none.
+        along: distance of the wall from the tip's plane, mm.
+        point: on the wall, mm.
+        sight: unit vectors from the microscope.
+        tip, axis: of the frame.
+    """
+
+    light: Float[Array, "n"]
+    direct: Float[Array, "n"]
+    step: Float[Array, "n"]
+    along: Float[Array, "n"]
+    point: Float[Array, "n 3"]
+    sight: Float[Array, "n 3"]
+    tip: Float[Array, "3"]
+    axis: Float[Array, "3"]
+
+
+class Sums(NamedTuple):
+    """A chunk's part of the normal equations; the last parameter is its frame's exposure."""
+
+    cost: Float[Array, ""]
+    gradient: Float[Array, "p+1"]
+    information: Float[Array, "p+1 p+1"]
+    residuals: Float[Array, "n"]
+
+
+def values_at(problem: Problem, x: Array) -> dict[str, Array]:
+    """All values at a point of the fit."""
+    free = problem.first + problem.size * x
+    return problem.fixed | dict(zip(problem.names, free, strict=True))
+
+
+@eqx.filter_jit
+def look(problem: Problem, table: LensTable | None, x: Array, chunk: Chunk) -> View:
+    """The model's view of a chunk."""
+    values = values_at(problem, x)
+    camera, surface = _eye(problem, values)
+    wall = wall_pixels(jnp.asarray(chunk.pixels), microscope=camera, surface=surface)
+    tip, axis = _pose(problem, values, camera, surface, chunk.reading)
+    source = _source(problem, values, table)
+    gain = values["sensitivity"] * chunk.exposure_s
+    direct = gain * values["reflectance"] / jnp.pi * values["power"]
+    direct = direct * source.irradiance(wall, tip=tip, axis=axis)
+    lit = source.lit(wall, tip=tip, axis=axis)
+    cut = (lit > _ROUNDING) & (lit < 1.0 - _ROUNDING)
+    return View(
+        light=gain * _radiance(problem, values, wall, source, tip, axis),
+        direct=direct,
+        step=jnp.where(cut, direct / jnp.where(cut, lit, 1.0), 0.0),
+        along=(wall.point - tip) @ axis,
+        point=wall.point,
+        sight=camera.ray(jnp.asarray(chunk.pixels))[1],
+        tip=tip,
+        axis=axis,
+    )
+
+
+@eqx.filter_jit
+def sums(problem: Problem, table: LensTable | None, x: Array, over: Array, chunk: Chunk) -> Sums:
+    """A chunk's part of the normal equations.
+
+    Args:
+        problem: the fit.
+        table: of a lens, made near `x`; None of a cone.
+        x: of the parameters.
+        over: by which part the frame's exposure exceeds the reported one.
+        chunk: the pixels.
+    """
+
+    def residuals(z: Array) -> Array:
+        values = values_at(problem, z[:-1])
+        camera, surface = _eye(problem, values)
+        wall = wall_pixels(jnp.asarray(chunk.pixels), microscope=camera, surface=surface)
+        tip, axis = _pose(problem, values, camera, surface, chunk.reading)
+        source = _source(problem, values, table)
+        gain = values["sensitivity"] * chunk.exposure_s * (1.0 + z[-1])
+        model = gain * _radiance(problem, values, wall, source, tip, axis)
+        return jnp.asarray(chunk.weight) * (model - chunk.light)
+
+    z = jnp.append(x, over)
+    value, slopes = jax.vmap(
+        lambda direction: jax.jvp(residuals, (z,), (direction,)), out_axes=(None, 0)
+    )(jnp.eye(z.size))
+    return Sums(jnp.sum(value**2), slopes @ value, slopes @ slopes.T, value)
+
+
+def _radiance(
+    problem: Problem,
+    values: Mapping[str, Array],
+    wall: WallPixels,
+    source: Source,
+    tip: Array,
+    axis: Array,
+) -> Array:
+    return radiance(
+        wall, values, source=source, tip=tip, axis=axis, eyeball=problem.kind == "eyeball"
+    )
+
+
+def poses(
+    problem: Problem, values: Mapping[str, ArrayLike], readings: Float[np.ndarray, "frames"]
+) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "3"]]:
+    """Tips and axis of frames, by their readings."""
+    known = {name: jnp.asarray(value) for name, value in values.items()}
+    camera, surface = _eye(problem, known)
+    tips, axes = zip(*(_pose(problem, known, camera, surface, r) for r in readings), strict=True)
+    return np.stack(tips), np.asarray(axes[0])
+
+
+def _eye(problem: Problem, values: Mapping[str, Array]) -> tuple[optics.Microscope, optics.Surface]:
+    camera = eqx.tree_at(
+        lambda m: (m.scale, m.pole_height),
+        problem.microscope,
+        (values["scale"], -values["eye_radius"]),
+    )
+    return camera, phantom_wall(problem.kind, eye_radius=values["eye_radius"])
+
+
+def _pose(
+    problem: Problem,
+    values: Mapping[str, Array],
+    camera: optics.Microscope,
+    surface: optics.Surface,
+    reading: ArrayLike,
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Tip and axis of a frame."""
+    spot = surface.intersect(*camera.ray(jnp.stack([values["u"], values["v"]]))).point
+    first, second = optics.perpendicular_frame(problem.axis)
+    axis = problem.axis + values["lean"] * first + values["lean_sideways"] * second
+    axis /= jnp.linalg.norm(axis)
+    return spot - (reading + values["touch"]) * axis, axis
+
+
+def _source(problem: Problem, values: Mapping[str, Array], table: LensTable | None) -> Source:
+    if table is None:
+        own, added = values.get("blur"), problem.blur
+        blurs = [blur for blur in (own, added) if blur is not None]
+        blur = jnp.sqrt(sum(jnp.square(b) for b in blurs)) if blurs else None
+        return Cone(values["half_angle"], values["b"], blur)
+    names = [name for name in problem.names if name in _image_table.PARAMETERS]
+    now = jnp.array([values[name] for name in names])
+    return Lens(eqx.tree_at(lambda t: t.moved, table, now - table.at))

@@ -1,0 +1,289 @@
+r"""What a pixel sees: the light of a cone or a lens on the wall, as a differentiable function.
+
+A matt wall of reflectance rho sends the radiance
+
+$$ L = \frac{\rho}{\pi}\bigl(P\,E(X) + E_\mathrm{indirect} + E_0\,c(X)\bigr) $$
+
+towards the microscope: P the power, E the source's irradiance of the wall point X per unit power,
+the uniform light that a closed eyeball scatters back, and the microscope's own light, E_0 at the
+pole. The mean over a pixel is that of its centre, but for the cone's edge, which cuts pixels, and
+for the lens's light, whose edges may be as narrow as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.stats import norm
+from jaxtyping import Array, Float, ScalarLike
+
+import optics
+from calibration.pixels.table import LensTable
+
+_ACROSS = 1e-3  # px; a pixel's width along an edge that runs along its side, instead of 0
+_GAUSS = 12**-0.5 * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])  # px from a pixel's centre
+_FAR_PX, _FAR_SIGMAS = 2.0, 9.0  # from an edge, beyond which a pixel is wholly lit or dark
+
+
+class WallPixels(NamedTuple):
+    """Wall points behind pixels.
+
+    Attributes:
+        point: X, mm, eye frame.
+        normal: inward unit normal N.
+        right, down: dX/du and dX/dv, mm/px.
+        bend_right, bend_down: dN/du and dN/dv, 1/px.
+        coaxial: irradiance by a light in the pinhole, relative to that at the pole.
+    """
+
+    point: Float[Array, "n 3"]
+    normal: Float[Array, "n 3"]
+    right: Float[Array, "n 3"]
+    down: Float[Array, "n 3"]
+    bend_right: Float[Array, "n 3"]
+    bend_down: Float[Array, "n 3"]
+    coaxial: Float[Array, "n"]
+
+
+class Edge(NamedTuple):
+    """Where pixels lie to an edge.
+
+    Attributes:
+        inside: distance of their centres from it, px, positive on the lit side.
+        normal_u, normal_v: of its unit normal towards the lit side.
+    """
+
+    inside: Float[Array, "*n"]
+    normal_u: Float[Array, "*n"]
+    normal_v: Float[Array, "*n"]
+
+
+class Source(Protocol):
+    """A light at a tip, pointing along an axis."""
+
+    def irradiance(
+        self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
+    ) -> Float[Array, "n"]:
+        """Mean irradiance of each pixel's wall per unit power, 1/mm²."""
+
+    def lit(
+        self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
+    ) -> Float[Array, "n"]:
+        """Part of each pixel on the lit side of a sharp edge."""
+
+    def emitted(self) -> Float[Array, ""]:
+        """Part of the power that reaches the wall."""
+
+
+def wall_pixels(
+    pixels: Float[Array, "n 2"], *, microscope: optics.Microscope, surface: optics.Surface
+) -> WallPixels:
+    """Wall points behind pixels, and how they move from pixel to pixel.
+
+    Args:
+        pixels: (u, v) of their centres, px.
+        microscope: the camera.
+        surface: the wall.
+    """
+
+    def hit(at: Array) -> tuple[tuple[Array, Array], Array]:
+        origin, sight = microscope.ray(at)
+        meeting = surface.intersect(origin, sight)
+        return (meeting.point, meeting.normal), sight
+
+    def moved(by: tuple[float, float]) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:
+        return jax.jvp(hit, (pixels,), (jnp.broadcast_to(jnp.array(by), pixels.shape),), True)
+
+    (point, normal), (right, bend_right), sight = moved((1.0, 0.0))
+    _, (down, bend_down), _ = moved((0.0, 1.0))
+    across = jnp.square(microscope.inverse_working_distance) * _dot(point, point, 2)
+    depth = microscope.depth(point)
+    coaxial = -_dot(normal, sight) / (across + jnp.square(depth))
+    return WallPixels(point, normal, right, down, bend_right, bend_down, coaxial)
+
+
+def radiance(
+    wall: WallPixels,
+    values: Mapping[str, ScalarLike],
+    *,
+    source: Source,
+    tip: Float[Array, "3"],
+    axis: Float[Array, "3"],
+    eyeball: bool,
+) -> Float[Array, "n"]:
+    """Radiance of the wall behind pixels, mW/(mm² sr).
+
+    Args:
+        wall: from `wall_pixels`.
+        values: `reflectance`, `power` (mW), `illumination` (mW/mm² at the pole), `eye_radius` (mm).
+        source: the light.
+        tip: S, mm.
+        axis: unit vector from the tip towards the wall.
+        eyeball: whether the wall is closed and scatters light back to itself.
+    """
+    light = jnp.asarray(values["power"]) * source.irradiance(wall, tip=tip, axis=axis)
+    light += values["illumination"] * wall.coaxial
+    if eyeball:
+        light += optics.indirect_irradiance(
+            flux=values["power"] * source.emitted(),
+            reflectance=values["reflectance"],
+            eye_radius=values["eye_radius"],
+        )
+    return jnp.asarray(values["reflectance"]) / jnp.pi * light
+
+
+class Cone(eqx.Module):
+    """An even cone: the same intensity in all of its directions, none outside.
+
+    Attributes:
+        half_angle: alpha, rad.
+        apex_offset: b, mm.
+        blur: sigma of the microscope's Gaussian blur at the cone's edge, px, or None.
+    """
+
+    half_angle: Float[Array, ""]
+    apex_offset: Float[Array, ""]
+    blur: Float[Array, ""] | None
+
+    def irradiance(
+        self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
+    ) -> Float[Array, "n"]:
+        """Intensity over squared distance, times cosine, over the part of the pixel within."""
+        edge = self._edge(wall, tip, axis)
+        along = edge.normal_u[:, None] * wall.right + edge.normal_v[:, None] * wall.down
+        bend = edge.normal_u[:, None] * wall.bend_right + edge.normal_v[:, None] * wall.bend_down
+
+        def even(point: Array, normal: Array) -> Array:
+            offset = point - (tip + self.apex_offset * axis)
+            squared = _dot(offset, offset)
+            return -_dot(offset, normal) / (squared * jnp.sqrt(squared))
+
+        value, slope = jax.jvp(even, (wall.point, wall.normal), (along, bend))
+        # What is lit of a cut pixel does not have its middle at the pixel's.
+        whole = lit_part(edge, blur=self.blur) * value + lit_moment(edge, blur=self.blur) * slope
+        return whole / (2.0 * jnp.pi * (1.0 - jnp.cos(self.half_angle)))
+
+    def lit(
+        self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
+    ) -> Float[Array, "n"]:
+        """Part of each pixel within the cone."""
+        return lit_part(self._edge(wall, tip, axis), blur=self.blur)
+
+    def _edge(self, wall: WallPixels, tip: Float[Array, "3"], axis: Float[Array, "3"]) -> Edge:
+        offset = wall.point - (tip + self.apex_offset * axis)
+        along = _dot(offset, axis)
+        lateral = offset - along[:, None] * axis
+        off_axis = jnp.sqrt(_dot(lateral, lateral) + 1e-24)
+        sin_a, cos_a = jnp.sin(self.half_angle), jnp.cos(self.half_angle)
+        # Distance from the cone's surface, mm; over its slope in the image it is that in px.
+        inside = along * sin_a - off_axis * cos_a
+        inwards = sin_a * axis - cos_a * lateral / off_axis[:, None]
+        slope_u, slope_v = _dot(inwards, wall.right), _dot(inwards, wall.down)
+        per_px = jnp.hypot(slope_u, slope_v)
+        normal_u, normal_v = slope_u / per_px, slope_v / per_px
+        # The edge is no straight line: within a pixel's or the blur's reach along it, it recedes.
+        tangent = normal_u[:, None] * wall.down - normal_v[:, None] * wall.right
+        around = _dot(tangent, jnp.cross(axis, lateral)) / off_axis
+        spread = 1.0 / 12.0 + (0.0 if self.blur is None else jnp.square(self.blur))
+        recedes = 0.5 * spread * cos_a * jnp.square(around) / off_axis
+        return Edge((inside - recedes) / per_px, normal_u, normal_v)
+
+    def emitted(self) -> Float[Array, ""]:
+        """All of it."""
+        return jnp.ones(())
+
+
+class Lens(eqx.Module):
+    """A glue lens, by a table of its vector irradiance.
+
+    Attributes:
+        table: the lens's light near the parameters that it was made for.
+    """
+
+    table: LensTable
+
+    def irradiance(
+        self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
+    ) -> Float[Array, "n"]:
+        """E = -n · V (see `optics.vector_irradiance`), as Gauss' rule has a pixel's mean."""
+        u, v = (node[:, None, None] for node in _GAUSS.T)
+        offset = wall.point + u * wall.right + v * wall.down - tip
+        normal = wall.normal + u * wall.bend_right + v * wall.bend_down
+        along = _dot(offset, axis)
+        lateral = offset - along[..., None] * axis
+        off_axis = jnp.sqrt(_dot(lateral, lateral) + 1e-24)
+        v_lateral, v_axial = self.table(radius=off_axis, distance=along)
+        across = _dot(lateral, normal) / off_axis
+        return -jnp.mean(v_lateral * across + v_axial * _dot(normal, axis), axis=0)
+
+    def lit(
+        self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
+    ) -> Float[Array, "n"]:
+        """All of it: a lens's light ends without an edge that a pixel would see."""
+        return jnp.ones(wall.coaxial.shape)
+
+    def emitted(self) -> Float[Array, ""]:
+        """What leaves the cap."""
+        return self.table.transmitted()
+
+
+def lit_part(edge: Edge, *, blur: ScalarLike | None = None) -> Float[Array, "*n"]:
+    r"""Part of a pixel on the lit side of a straight edge, exact, with or without Gaussian blur.
+
+    A pixel seen along the edge is a trapezoid, the convolution of boxes of width $|n_u|$ and
+    $|n_v|$, so that its lit part is a mixed second difference of $G_2$, the second integral of the
+    step, $\max(t, 0)^2/2$, or of the blurred step $\Phi(t/\sigma)$.
+
+    Args:
+        edge: where it is.
+        blur: sigma, px, or None.
+    """
+    return _second_difference(2, edge, blur)
+
+
+def lit_moment(edge: Edge, *, blur: ScalarLike | None = None) -> Float[Array, "*n"]:
+    r"""First moment of a pixel's lit part about its centre, along the edge's normal, px.
+
+    $-t\,L(t) + \int L\,dt$ with L the lit part: 0 for wholly lit and for dark pixels.
+
+    Args:
+        edge: where it is.
+        blur: sigma, px, or None.
+    """
+    t = _near(edge, blur)
+    return _second_difference(3, edge, blur) - t * _second_difference(2, edge, blur)
+
+
+def _near(edge: Edge, blur: ScalarLike | None) -> Array:
+    far = _FAR_PX + (0.0 if blur is None else _FAR_SIGMAS * jnp.asarray(blur))
+    return jnp.clip(edge.inside, -far, far)
+
+
+def _second_difference(order: int, edge: Edge, blur: ScalarLike | None) -> Array:
+    """Of a step's integral of an order, over a pixel's two widths."""
+    t = _near(edge, blur)
+    a = jnp.maximum(jnp.abs(edge.normal_u), _ACROSS)
+    b = jnp.maximum(jnp.abs(edge.normal_v), _ACROSS)
+
+    def integral(x: Array) -> Array:
+        if blur is None:
+            return jnp.maximum(x, 0.0) ** order / order / (order - 1)
+        variance, cdf = jnp.square(blur), norm.cdf(x / blur)
+        density = blur * norm.pdf(x / blur)
+        if order == 2:
+            return 0.5 * ((x * x + variance) * cdf + x * density)
+        return (x * (x * x + 3 * variance) * cdf + (x * x + 2 * variance) * density) / 6
+
+    wide, narrow = 0.5 * (a + b), 0.5 * (a - b)
+    ends = integral(t + wide) - integral(t + narrow) - integral(t - narrow) + integral(t - wide)
+    return ends / (a * b)
+
+
+def _dot(a: Array, b: Array, size: int = 3) -> Array:
+    """Scalar product of the first components on the last axis, as `optics.vector` has it."""
+    return sum((a[..., k] * b[..., k] for k in range(size)), jnp.zeros(()))

@@ -1,0 +1,79 @@
+"""The parameters of the fit to all pixels: names, units, and what they may be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from calibration.pixels.table import PARAMETERS as LENS
+from calibration.spots import Prior
+
+UNITS = {
+    "half_angle": "rad",
+    "b": "mm",
+    "blur": "px",
+    "core_radius": "mm",
+    "aperture_radius": "mm",
+    "rim_height": "mm",
+    "sag": "mm",
+    "glue_index": "1",
+    "numerical_aperture": "1",
+    "scale": "mm/px",
+    "eye_radius": "mm",
+    "reflectance": "1",
+    "power": "mW",
+    "sensitivity": "mm2 sr/mJ",
+    "illumination": "mW/mm2",
+    "touch": "mm",
+    "u": "px",
+    "v": "px",
+    "lean": "rad",
+    "lean_sideways": "rad",
+}
+"""Every parameter's unit. `sensitivity`: full wells per radiance and second; `u`, `v`: where the
+beam's axis meets the wall; `touch`: distance along it in the first frame; `lean`: of the axis from
+what the robot says, along `optics.perpendicular_frame`."""
+
+CONE = ("half_angle", "b")
+FREE = {"cone": CONE, "lens": ("sag", "numerical_aperture")}
+"""What a fit finds unless told otherwise."""
+NUISANCES = ("sensitivity", "illumination", "touch", "u", "v", "lean", "lean_sideways")
+"""Free in every fit: no log book knows them well enough."""
+DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0}
+_MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", "lean", "lean_sideways", "rim_height"}
+
+
+def known_names(source: str) -> tuple[str, ...]:
+    """Parameters of a fit to the light of a "cone" or a "lens"."""
+    others = (*CONE, "blur") if source == "lens" else LENS
+    return tuple(name for name in UNITS if name not in others)
+
+
+def check_names(
+    source: str, start: Mapping[str, float], free: Sequence[str], priors: Mapping[str, Prior]
+) -> None:
+    """Refuse names that a fit does not know, and starts that it lacks.
+
+    Raises:
+        ValueError: naming them.
+    """
+    own = CONE if source == "cone" else LENS
+    names = known_names(source)
+    unknown = [name for name in (*start, *free, *priors) if name not in names]
+    missing = [name for name in own if name not in start]
+    missing += ["blur"] if "blur" in free and "blur" not in start else []
+    if unknown or missing:
+        raise ValueError(
+            f"the image fit of a {source} knows {', '.join(names)} and starts from "
+            f"{', '.join(own)}; got unknown {', '.join(unknown) or 'none'}, missing "
+            f"{', '.join(missing) or 'none'}."
+        )
+
+
+def possible(values: Mapping[str, float]) -> bool:
+    """Whether parameters describe anything; a step to where they do not is not taken."""
+    positive = all(value > 0 for name, value in values.items() if name not in _MAY_BE_NEGATIVE)
+    lens = "sag" not in values or (
+        values["sag"] <= values["aperture_radius"] >= values["core_radius"]
+        and values["rim_height"] >= 0
+    )
+    return positive and lens and values["reflectance"] < 1

@@ -1,0 +1,161 @@
+"""Which pixels a fit takes: what the beam reaches and a ring about it, less what hides the wall."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy import ndimage
+
+from calibration.pixels.chunks import CHUNK, Chunk, Problem, View, look
+from calibration.pixels.data import Footage
+from calibration.pixels.table import LensTable
+
+_GRID_PX = 4  # of the search for what the beam reaches
+_RING_PX = 8
+_RING_SIGMAS = 4
+_LIT = 1e-3  # of a frame's peak, above which light counts as the beam's
+_MARGIN_PX = {True: 10.0, False: 3.0}  # about the instrument, while its place is only guessed
+
+
+def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
+    """Where the frames are brighter than their median: centre, px, and typical radius, px.
+
+    Raises:
+        ValueError: nothing is.
+    """
+    dark = np.median(footage.light, axis=(1, 2), keepdims=True)
+    excess = np.maximum(footage.light - dark, 0)
+    peak = np.quantile(excess, 0.999, axis=(1, 2), keepdims=True)
+    excess = np.where(excess > peak / 2, excess, 0)
+    if not peak.min() > 4 * np.sqrt(footage.noise.variance(dark.min())):
+        raise ValueError("the image fit finds frames without a spot. Leave them out of the stack.")
+    weight = excess.sum(axis=0)
+    v, u = np.mgrid[: weight.shape[0], : weight.shape[1]]
+    centre = np.array([np.sum(u * weight), np.sum(v * weight)]) / np.sum(weight)
+    areas = np.count_nonzero(excess, axis=(1, 2))
+    return centre, float(np.sqrt(np.median(areas) / np.pi))
+
+
+def chosen_chunks(
+    footage: Footage,
+    problem: Problem,
+    table: LensTable | None,
+    x: Array,
+    *,
+    coarse: bool,
+    stride: int,
+    nearest: float,
+) -> list[Chunk]:
+    """Pixels of all frames with their light and weight.
+
+    Args:
+        footage: the frames.
+        problem: the fit; its blur is applied to the frames.
+        table: of a lens.
+        x: where the fit is.
+        coarse: whether that is only a guess: noise is then judged by the light, not by the model.
+        stride: every how many px one is taken, along u and v.
+        nearest: distance from the tip's plane from which on the model holds, mm.
+    """
+    blur = 0.0 if problem.blur is None else float(problem.blur)
+    chunks: list[Chunk] = []
+    for frame in range(len(footage.readings)):
+        v, u = np.nonzero(_reached(footage, problem, table, x, frame, blur))
+        pixels = np.stack([u, v], axis=-1).astype(float)
+        view = _seen(footage, problem, table, x, frame, pixels)
+        usable = np.asarray(view.along) > nearest
+        if footage.in_view:
+            usable &= ~footage.instrument.hides(
+                np.asarray(view.point),
+                np.asarray(view.sight),
+                tip=np.asarray(view.tip),
+                axis=np.asarray(view.axis),
+                margin=_MARGIN_PX[coarse] * float(problem.microscope.scale),
+            )
+        model, light = np.asarray(view.light), footage.light[frame]
+        if coarse:
+            usable &= footage.clear[frame][v, u]
+        else:
+            usable &= footage.noise.is_clear(model)
+        if blur:
+            light, whole = _blurred(light, (v[usable], u[usable]), blur)
+            usable &= whole[v, u]
+        usable &= (u % stride == 0) & (v % stride == 0)
+        level = light[v, u].astype(float)
+        variance = footage.noise.variance(level if coarse else model)
+        variance += footage.edge_variance * np.square(view.step)
+        weight = 1.0 / np.sqrt(variance)
+        chunks += _chunks(footage, frame, pixels[usable], level[usable], weight[usable])
+    return chunks
+
+
+def _reached(
+    footage: Footage,
+    problem: Problem,
+    table: LensTable | None,
+    x: Array,
+    frame: int,
+    blur: float,
+) -> Bool[np.ndarray, "h w"]:
+    """What the beam reaches, and a ring about it."""
+    height, width = footage.light.shape[1:]
+    v, u = np.mgrid[0:height:_GRID_PX, 0:width:_GRID_PX]
+    pixels = np.stack([u.ravel(), v.ravel()], axis=-1).astype(float)
+    direct = np.asarray(_seen(footage, problem, table, x, frame, pixels).direct).reshape(u.shape)
+    dark = ~(direct > _LIT * direct.max())
+    ring = max(_RING_PX, _RING_SIGMAS * blur) + _GRID_PX
+    near = ndimage.distance_transform_edt(dark) * _GRID_PX <= ring
+    return np.kron(near, np.ones((_GRID_PX, _GRID_PX), bool))[:height, :width]
+
+
+def _seen(
+    footage: Footage,
+    problem: Problem,
+    table: LensTable | None,
+    x: Array,
+    frame: int,
+    pixels: Float[np.ndarray, "n 2"],
+) -> View:
+    ones = np.ones(len(pixels))
+    views = [look(problem, table, x, c) for c in _chunks(footage, frame, pixels, ones, ones)]
+
+    def joined(*parts: Array) -> np.ndarray:
+        # Tip and axis are the same in all chunks of a frame.
+        whole = np.concatenate([np.asarray(part) for part in parts])
+        return whole[: len(pixels)] if len(parts[0]) == CHUNK else whole[:3]
+
+    return jax.tree.map(joined, *views)
+
+
+def _chunks(
+    footage: Footage,
+    frame: int,
+    pixels: Float[np.ndarray, "n 2"],
+    light: Float[np.ndarray, "n"],
+    weight: Float[np.ndarray, "n"],
+) -> Iterator[Chunk]:
+    for begin in range(0, len(light), CHUNK):
+        part = slice(begin, begin + CHUNK)
+        missing = CHUNK - len(light[part])
+        yield Chunk(
+            pixels=np.pad(pixels[part], ((0, missing), (0, 0)), mode="edge"),
+            light=np.pad(light[part], (0, missing)),
+            weight=np.pad(weight[part], (0, missing)),
+            reading=np.asarray(footage.readings[frame]),
+            exposure_s=np.asarray(footage.exposure_s[frame]),
+            frame=np.asarray(frame),
+        )
+
+
+def _blurred(
+    light: Float[np.ndarray, "h w"], usable: tuple[np.ndarray, np.ndarray], sigma: float
+) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """Light blurred over usable pixels, and where those were more than half of it."""
+    part = np.zeros(light.shape)
+    part[usable] = 1.0
+    weight = ndimage.gaussian_filter(part, sigma)
+    mean = ndimage.gaussian_filter(part * light, sigma) / np.maximum(weight, 1e-12)
+    return mean, weight > 0.5

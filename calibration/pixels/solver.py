@@ -1,0 +1,339 @@
+r"""How the fit to all pixels goes: from the start, coarse and blurred, to all pixels as they are.
+
+The sum over pixels of ((light - model)/sigma)^2 is minimised by Levenberg-Marquardt. Its Jacobian
+over 40 frames would take 24 GB, and the solver needs J^T J and J^T r only, which are sums over
+pixels: they are gathered in chunks, by forward mode. Optimistix asks for the residuals themselves,
+which is why the loop is one of our own.
+
+The cone's edge is sharp, and from 30 % off a pixel's slope does not see it. So first fits are of
+frames and model blurred alike, by a quarter of the spot's radius and then less.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+import optics
+from calibration.pixels.chunks import Chunk, Problem, Sums, look, poses, sums, values_at
+from calibration.pixels.data import Footage
+from calibration.pixels.parameters import DEFAULTS, LENS, NUISANCES, possible
+from calibration.pixels.selection import bright_spot, chosen_chunks
+from calibration.pixels.table import LensTable, lens_sampling, lens_table
+from calibration.solvers import Minimum, NormalEquations, covariance_and_lost, minimise
+from calibration.spots import Prior, phantom_wall
+
+_TOUCH_SIGMA_MM = 0.02
+_BLURS = (1 / 4, 1 / 12, 1 / 36)
+"""Of the spot's radius, in turn; then none."""
+_COARSE_PIXELS = 200_000
+_ROUNDS = 2
+"""Of the fit to all pixels: their noise, and which of them there are, follow the round before."""
+_NEAREST_MM = {"cone": 0.03, "lens": 0.3}
+"""From the tip's plane: a touching rim, or light too near the lens for its table."""
+_REACH = {True: 1.6, False: 1.05}
+"""Of a lens's table over the light's envelope: how far the lens may move, at first and later."""
+_TABLES = 10
+"""Of a lens at most in a round, each where the fit with the former one ended."""
+_HALVINGS = {True: 1, False: 3}
+"""Of a lens's table where it needs them, at first and later."""
+_EXACT = 1e-6
+"""Sigma of what is so by definition: that fitted exposures are those reported, on average."""
+_SETTLED, _COARSELY = 1e-3, 0.1
+"""Decrease of chi squared still to be had: 0.03 standard errors, and 0.3 of coarse fits."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImageFit:
+    """Parameters that were free, nuisances included, and how well the pixels know them.
+
+    Attributes:
+        parameters: by name (see `UNITS`), value and standard error.
+        values: of all parameters, the given ones too.
+        covariance: of `parameters` in their order, from the camera's noise and the priors.
+        chi_squared: sum of squared residuals over their sigma, priors included.
+        degrees_of_freedom: pixels and priors minus parameters.
+        tips: of the frames, mm, eye frame.
+        axis: of the beam, unit vector from the tip towards the wall, eye frame.
+        undetermined: directions that neither data nor priors hold, in words; empty if none.
+        converged: whether less than 0.001 of chi squared was still to be had.
+        residuals: frames x h x w, light minus model over sigma; NaN where not fitted.
+    """
+
+    parameters: dict[str, tuple[float, float]]
+    values: dict[str, float]
+    covariance: Float[np.ndarray, "p p"]
+    chi_squared: float
+    degrees_of_freedom: int
+    tips: Float[np.ndarray, "frames 3"]
+    axis: Float[np.ndarray, "3"]
+    undetermined: tuple[str, ...]
+    converged: bool
+    residuals: Float[np.ndarray, "frames h w"]
+
+    @property
+    def chi_squared_per_dof(self) -> float:
+        """1 where camera and model are as assumed."""
+        return self.chi_squared / self.degrees_of_freedom
+
+
+class Solver:
+    """A fit on its way: parameters x in units of their size, the frames' exposures behind them."""
+
+    def __init__(
+        self,
+        footage: Footage,
+        source: Literal["cone", "lens"],
+        start: Mapping[str, float],
+        free: tuple[str, ...],
+        priors: Mapping[str, Prior],
+        exposures: bool,
+        lean_sigma: float,
+    ) -> None:
+        self.footage, self.source, self.exposures = footage, source, exposures
+        self.names = (*free, *(name for name in NUISANCES if name not in free))
+        self.frames = len(footage.readings)
+        place, self.radius_px = bright_spot(footage)
+        file = footage.microscope
+        microscope = optics.microscope(
+            scale=file.scale_mm_px,
+            pinhole_height=file.pinhole_height_mm,
+            eye_radius=file.eye_radius_mm,
+            principal_point=file.principal_point_px,
+            distortion=tuple(file.distortion),
+        )
+        surface = phantom_wall(footage.kind, eye_radius=file.eye_radius_mm)
+        normal = surface.intersect(*microscope.ray(place)).normal
+        # The rim of a tilted tip touches before its centre does.
+        touch = optics.contact_distance(
+            surface,
+            incidence=jnp.arccos(-normal @ footage.axis),
+            rim_radius=footage.instrument.fibre_radius,
+        )
+        lean = Prior(0.0, lean_sigma)
+        self.priors = {
+            "touch": Prior(float(touch), _TOUCH_SIGMA_MM),
+            "lean": lean,
+            "lean_sideways": lean,
+            **priors,
+        }
+        known = dict.fromkeys(NUISANCES, 0.0) | DEFAULTS
+        known |= {"scale": file.scale_mm_px, "eye_radius": file.eye_radius_mm}
+        known |= {"u": float(place[0]), "v": float(place[1])}
+        known |= {name: prior.mean for name, prior in self.priors.items()} | dict(start)
+        self.problem = Problem(
+            first=jnp.array([known[name] for name in self.names]),
+            size=jnp.array([self._size(name, known[name]) for name in self.names]),
+            fixed={n: jnp.asarray(v, float) for n, v in known.items() if n not in self.names},
+            microscope=microscope,
+            axis=jnp.asarray(footage.axis),
+            blur=None,
+            names=self.names,
+            kind=footage.kind,
+        )
+
+    def _size(self, name: str, value: float) -> float:
+        """Steps of one size in all parameters keep the damping fair."""
+        if name in self.priors:
+            return self.priors[name].sigma
+        own = {"u": 1.0, "v": 1.0, "illumination": 0.01}
+        return own.get(name) or abs(value) or 1.0
+
+    def run(self) -> ImageFit:
+        """From the start to the fit of all pixels."""
+        x = np.zeros(len(self.names) + self.frames * self.exposures)
+        if self.source == "cone":
+            coarse = [part * self.radius_px for part in _BLURS]
+            strides = [max(1, round(blur / 2)) for blur in coarse]
+        else:
+            coarse = [0.0]
+            strides = [math.ceil((self.footage.light.size / _COARSE_PIXELS) ** 0.5)]
+        self._choose(x, blur=coarse[0], stride=strides[0])
+        x = self._bright_enough(x)
+        for blur, stride in zip(coarse, strides, strict=True):
+            self._choose(x, blur=blur, stride=stride)
+            x = minimise(self._tabulated_sums, x, tolerance=_COARSELY).x
+        for _ in range(_ROUNDS):
+            self._choose(x)
+            found = self._settled(x)
+            x = found.x
+        return self._result(found)
+
+    def _settled(self, x: np.ndarray) -> Minimum:
+        """The minimum, where a lens's table is exact.
+
+        With a table made anew at every step chi squared would jump by 0.02 as the quadrature
+        finds arcs or loses them, and no step would be known to lower it.
+        """
+        for _ in range(_TABLES):
+            found = minimise(self._sums, x, tolerance=_SETTLED)
+            if self.source == "cone" or np.array_equal(found.x, x):
+                return found
+            x = found.x
+            self.table = self._table(x)
+        return found._replace(converged=False)
+
+    def _choose(self, x: np.ndarray, *, blur: float | None = None, stride: int = 1) -> None:
+        """Take pixels as the fit stands; without a blur, all of them."""
+        if self.source == "lens":
+            values = self._values(x)
+            gone = self.footage.readings + values["touch"]
+            self.sampling = lens_sampling(
+                values,
+                medium_index=self.footage.medium_index,
+                # The wall leans: parts of it are nearer and farther than where the axis meets it.
+                nearest=max(_NEAREST_MM["lens"], gone.min() - 1.0),
+                farthest=gone.max() + 1.0,
+                reach=_REACH[blur is not None],
+                halvings=_HALVINGS[blur is not None],
+            )
+        self.problem = eqx.tree_at(
+            lambda problem: problem.blur,
+            self.problem,
+            jnp.asarray(blur) if blur else None,
+            is_leaf=lambda leaf: leaf is None,
+        )
+        self.table = self._table(x)
+        self.chunks = chosen_chunks(
+            self.footage,
+            self.problem,
+            self.table,
+            jnp.asarray(x[: len(self.names)]),
+            coarse=blur is not None,
+            stride=stride,
+            nearest=_NEAREST_MM[self.source],
+        )
+
+    def _bright_enough(self, x: np.ndarray) -> np.ndarray:
+        """With the sensitivity and illumination that fit best as the light falls: two unknowns."""
+        own = [self.names.index(name) for name in ("sensitivity", "illumination")]
+        first, size = np.array(self.problem.first), np.array(self.problem.size)
+        columns = []
+        for illumination in (0.0, 1.0):
+            at = x[: len(self.names)].copy()
+            at[own] = (np.array([1.0, illumination]) - first[own]) / size[own]
+            views = [look(self.problem, self.table, jnp.asarray(at), c) for c in self.chunks]
+            columns.append(np.concatenate([np.asarray(view.light) for view in views]))
+        source, both = columns
+        weight = np.concatenate([chunk.weight for chunk in self.chunks])
+        light = np.concatenate([chunk.light for chunk in self.chunks])
+        basis = np.stack([source, both - source], axis=1) * weight[:, None]
+        sensitivity, product = np.linalg.lstsq(basis, light * weight, rcond=None)[0]
+        if not sensitivity > 0:
+            raise ValueError("the spot is nowhere near where the start puts it. Check the start.")
+        first[own] = sensitivity, max(product / sensitivity, 0.0)
+        size[own[0]] = sensitivity
+        self.problem = eqx.tree_at(
+            lambda problem: (problem.first, problem.size),
+            self.problem,
+            (jnp.asarray(first), jnp.asarray(size)),
+        )
+        return x
+
+    def _values(self, x: np.ndarray) -> dict[str, float]:
+        values = values_at(self.problem, jnp.asarray(x[: len(self.names)]))
+        return {name: float(value) for name, value in values.items()}
+
+    def _table(self, x: np.ndarray) -> LensTable | None:
+        if self.source == "cone":
+            return None
+        values = self._values(x)
+        return lens_table(
+            {name: values[name] for name in LENS},
+            tuple(name for name in self.names if name in LENS),
+            medium_index=self.footage.medium_index,
+            sampling=self.sampling,
+        )
+
+    def _tabulated_sums(self, x: np.ndarray) -> NormalEquations:
+        """With a table made at x: far from the solution a lens's light is not linear for long."""
+        if possible(self._values(x)):
+            self.table = self._table(x)
+        return self._sums(x)
+
+    def _sums(self, x: np.ndarray) -> NormalEquations:
+        """Normal equations of all chunks and priors."""
+        p = len(self.names)
+        gradient, information = np.zeros(x.size), np.zeros((x.size, x.size))
+        values = self._values(x)
+        if not possible(values):
+            return NormalEquations(np.inf, gradient, information)
+        cost = 0.0
+        own = np.arange(p)
+        for chunk, part in zip(self.chunks, self._parts(x), strict=True):
+            at = np.append(own, p + int(chunk.frame)) if self.exposures else own
+            cost += float(part.cost)
+            gradient[at] += np.asarray(part.gradient)[: at.size]
+            information[np.ix_(at, at)] += np.asarray(part.information)[: at.size, : at.size]
+        size = np.asarray(self.problem.size)
+        for name, prior in self.priors.items():
+            if name in self.names:
+                i = self.names.index(name)
+                off, slope = (values[name] - prior.mean) / prior.sigma, size[i] / prior.sigma
+                cost += off**2
+                gradient[i] += slope * off
+                information[i, i] += slope**2
+        if self.exposures:
+            # The camera's clock is right on average; else they would show with sensitivity alone.
+            share = np.zeros(x.size)
+            share[p:] = 1.0 / (_EXACT * self.frames)
+            cost += float(share @ x) ** 2
+            gradient += share * (share @ x)
+            information += np.outer(share, share)
+        return NormalEquations(cost, gradient, information)
+
+    def _parts(self, x: np.ndarray) -> list[Sums]:
+        """Every chunk's sums, on all cores."""
+        p = len(self.names)
+        at, over = jnp.asarray(x[:p]), x[p:] if self.exposures else np.zeros(self.frames)
+
+        def part(chunk: Chunk) -> Sums:
+            return jax.block_until_ready(
+                sums(self.problem, self.table, at, over[int(chunk.frame)], chunk)
+            )
+
+        with ThreadPoolExecutor() as pool:
+            # The first one alone, so that only one thread compiles.
+            return [part(self.chunks[0]), *pool.map(part, self.chunks[1:])]
+
+    def _result(self, found: Minimum) -> ImageFit:
+        exposures = [f"exposure of frame {frame}" for frame in range(self.frames)]
+        names = (*self.names, *exposures[: self.frames * self.exposures])
+        over = dict(zip(names[len(self.names) :], 1.0 + found.x[len(self.names) :], strict=True))
+        every = self._values(found.x) | over
+        covariance, lost = covariance_and_lost(
+            found.at.information, names, [every[name] for name in names]
+        )
+        size = np.append(np.asarray(self.problem.size), np.ones(len(over)))
+        covariance = covariance * np.outer(size, size)
+        errors = np.sqrt(np.diag(covariance)).tolist()
+        residuals = np.full(self.footage.light.shape, np.nan, np.float32)
+        pixels = 0
+        for chunk, part in zip(self.chunks, self._parts(found.x), strict=True):
+            real = chunk.weight > 0
+            u, v = chunk.pixels[real].astype(int).T
+            residuals[int(chunk.frame), v, u] = -np.asarray(part.residuals)[real]
+            pixels += int(np.count_nonzero(real))
+        tips, axis = poses(self.problem, every, self.footage.readings)
+        held = sum(name in self.names for name in self.priors) + self.exposures
+        return ImageFit(
+            parameters={n: (every[n], error) for n, error in zip(names, errors, strict=True)},
+            values=every,
+            covariance=covariance,
+            chi_squared=found.at.cost,
+            degrees_of_freedom=pixels + held - len(names),
+            tips=tips,
+            axis=axis,
+            undetermined=lost,
+            converged=found.converged,
+            residuals=residuals,
+        )

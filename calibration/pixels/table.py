@@ -1,0 +1,308 @@
+"""The light of a lens near some parameters: vector irradiance and its slopes on a small grid.
+
+Quadrature at every pixel would take minutes a frame. A grid over the distances and radii that the
+frames show takes seconds, slopes in the lens's parameters with it, and is made anew wherever the
+fit has moved to. Its samples are close where the light has edges, as `optics.irradiance_table`
+has them: in its focal plane a lens shows the cone of its core, sharply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, ScalarLike
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import binary_dilation
+
+import optics
+
+PARAMETERS = (
+    "core_radius",
+    "aperture_radius",
+    "rim_height",
+    "sag",
+    "glue_index",
+    "numerical_aperture",
+)
+"""A lens's shape and light; `rim_height` is that of the cap's rim over the core, mm, so that a
+drop stays possible when its sag alone moves."""
+
+_ROWS, _COLUMNS = 24, 48  # cells of the first grid, all of whose samples are computed
+_TOLERANCE = 1e-3  # of a row's peak; where the spline is off by more, halving goes on
+_BATCH = 64  # as in optics.irradiance: what so many points need stays in the cache
+
+
+class Grid(NamedTuple):
+    """Where a table has its samples.
+
+    Attributes:
+        contact_radius, slope: of the envelope within which there is light, mm and 1.
+        nearest, farthest: distances from the tip of its first and last row, mm.
+    """
+
+    contact_radius: ScalarLike
+    slope: ScalarLike
+    nearest: ScalarLike
+    farthest: ScalarLike
+
+
+class Sampling(NamedTuple):
+    """Which samples of a grid are computed.
+
+    Attributes:
+        grid: where the table has its samples.
+        computed: of the first grid, all; of each one with cells of half the size, those that a
+            cubic spline through the former ones misses. The others are the spline's.
+    """
+
+    grid: Grid
+    computed: tuple[Bool[np.ndarray, "rows columns"], ...]
+
+
+class LensTable(eqx.Module):
+    """Vector irradiance, to first order in the lens's parameters, cubic between its samples.
+
+    Rows are even in ln s, columns in rho / e(s); samples are V e(s)², as in
+    `optics.IrradianceTable`.
+
+    Attributes:
+        values: at the parameters that the table was made for.
+        slopes: per parameter.
+        transmitted_value: part of the power that leaves the cap.
+        transmitted_slopes: per parameter.
+        at: those parameters.
+        moved: away from them.
+        grid: where the samples are.
+    """
+
+    values: Float[Array, "rows columns 2"]
+    slopes: Float[Array, "p rows columns 2"]
+    transmitted_value: Float[Array, ""]
+    transmitted_slopes: Float[Array, "p"]
+    at: Float[Array, "p"]
+    moved: Float[Array, "p"]
+    grid: Grid
+
+    def __call__(
+        self, *, radius: Float[Array, "*n"], distance: Float[Array, "*n"]
+    ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+        """V_rho and V_s, 1/mm² per unit power; 0 outside the envelope and behind the tip."""
+        rows, columns, _ = self.values.shape
+        envelope = self.grid.contact_radius + self.grid.slope * distance
+        x = radius / envelope
+        reached = jnp.clip(distance, self.grid.nearest, self.grid.farthest)
+        y = jnp.log(reached / self.grid.nearest) / jnp.log(self.grid.farthest / self.grid.nearest)
+        i, down = _taps(y * (rows - 1), rows)
+        j, across = _taps(jnp.clip(x, 0.0, 1.0) * (columns - 1), columns)
+        # One gather per tap: XLA on a CPU handles an axis of two badly. And none of what moves with
+        # the parameters, or every direction of a derivative would gather again.
+        fields = [(1.0, self.values), *((self.moved[k], x) for k, x in enumerate(self.slopes))]
+        lateral, axial = (
+            sum(
+                row * column * sum(w * f[..., part].ravel()[at] for w, f in fields)
+                for r, row in enumerate(down)
+                for c, column in enumerate(across)
+                for at in [(i + r) * columns + j + c]
+            )
+            for part in range(2)
+        )
+        lit = (x <= 1.0) & (distance > 0.0)
+        scale = jnp.where(lit, 1.0 / jnp.square(envelope), 0.0)
+        return scale * lateral, scale * axial
+
+    def transmitted(self) -> Float[Array, ""]:
+        """Part of the power that leaves the cap."""
+        return self.transmitted_value + jnp.dot(self.moved, self.transmitted_slopes)
+
+
+def lens_sampling(
+    values: Mapping[str, float],
+    *,
+    medium_index: float,
+    nearest: float,
+    farthest: float,
+    reach: float,
+    halvings: int,
+) -> Sampling:
+    """Where to compute the light of lenses near the given one.
+
+    Args:
+        values: all `PARAMETERS`.
+        medium_index: n0.
+        nearest: distance that the frames show, mm.
+        farthest: likewise.
+        reach: of the envelope, over that of the given lens.
+        halvings: of the first grid's cells, where the light needs them; the first all over.
+    """
+    envelope = optics.LensField(lens_of(values), medium_index).envelope
+    contact_radius = float(envelope(0.0))
+    slope = float(envelope(1.0)) - contact_radius
+    grid = Grid(reach * contact_radius, reach * slope, nearest, farthest)
+    field = _Field(values, (), medium_index, grid)
+    computed = [np.ones((_ROWS + 1, _COLUMNS + 1), bool)]
+    missed, samples = computed[0], field(computed[0])
+    while missed.any() and len(computed) <= halvings:
+        guess = _halved(samples)
+        wanted = np.kron(binary_dilation(missed, np.ones((3, 3))), np.ones((2, 2), bool))[:-1, :-1]
+        wanted[::2, ::2] = False
+        samples = field(wanted, guess)
+        error = np.abs(samples - guess).max(axis=(0, 1))
+        missed = error > _TOLERANCE * samples[0, 1].max(axis=1, keepdims=True)
+        computed.append(wanted)
+    return Sampling(grid, tuple(computed))
+
+
+def lens_of(values: Mapping[str, ScalarLike]) -> optics.GlueLens:
+    """The lens with given `PARAMETERS`, evenly launched; they may be traced."""
+    length = jnp.asarray(values["rim_height"], float) + values["sag"]
+    fields = {name: jnp.asarray(values[name], float) for name in PARAMETERS if name != "rim_height"}
+    return optics.GlueLens(**fields, glue_length=length, launch_radius=None, launch_aperture=None)
+
+
+def lens_parameters(lens: optics.GlueLens) -> dict[str, float]:
+    """`PARAMETERS` of a lens.
+
+    Raises:
+        ValueError: a Gaussian launch, which the image fit does not know.
+    """
+    if lens.launch_radius is not None or lens.launch_aperture is not None:
+        raise ValueError(
+            "the image fit knows evenly filled cores only; this lens has a launch_radius or a "
+            "launch_aperture. Leave them out."
+        )
+    fields = {name: getattr(lens, name) for name in PARAMETERS if name != "rim_height"}
+    fields["rim_height"] = lens.glue_length - lens.sag
+    return {name: float(fields[name]) for name in PARAMETERS}
+
+
+def lens_table(
+    values: Mapping[str, float], free: Sequence[str], *, medium_index: float, sampling: Sampling
+) -> LensTable:
+    """Tabulate a lens and its slopes in the free parameters.
+
+    Args:
+        values: all `PARAMETERS`.
+        free: those to take slopes in.
+        medium_index: n0.
+        sampling: where. A fit keeps it while it moves, so that what interpolation gets wrong stays.
+    """
+    field = _Field(values, tuple(free), medium_index, sampling.grid)
+    first, *rest = sampling.computed
+    samples = field(first)
+    for computed in rest:
+        samples = field(computed, _halved(samples))
+    samples = np.moveaxis(samples, 1, -1)
+    leaves = _transmitted(field.names, field.at, field.fixed, field.medium_index)
+    return LensTable(
+        values=jnp.asarray(samples[0]),
+        slopes=jnp.asarray(samples[1:]),
+        transmitted_value=leaves[0],
+        transmitted_slopes=leaves[1:],
+        at=field.at,
+        moved=jnp.zeros(len(field.names)),
+        grid=jax.tree.map(jnp.asarray, sampling.grid),
+    )
+
+
+class _Field:
+    """V e² of a lens on a grid, and its slopes in some parameters."""
+
+    def __init__(
+        self, values: Mapping[str, float], names: tuple[str, ...], medium_index: float, grid: Grid
+    ) -> None:
+        self.names, self.grid = names, grid
+        self.at = jnp.array([values[name] for name in names])
+        self.fixed = {name: jnp.asarray(value, float) for name, value in values.items()}
+        self.medium_index = jnp.asarray(medium_index, float)
+
+    def __call__(
+        self, wanted: Bool[np.ndarray, "rows columns"], known: np.ndarray | None = None
+    ) -> Float[np.ndarray, "p+1 2 rows columns"]:
+        """Known samples, and in their place those that are wanted."""
+        samples = (
+            np.empty((1 + len(self.names), 2, *wanted.shape)) if known is None else known.copy()
+        )
+        row, column = np.nonzero(wanted)
+        rows, columns = wanted.shape
+        grid = self.grid
+        s = grid.nearest * (grid.farthest / grid.nearest) ** (row / (rows - 1))
+        envelope = grid.contact_radius + grid.slope * s
+        points = np.stack([envelope * column / (columns - 1), s])
+        points = np.pad(points, ((0, 0), (0, -row.size % _BATCH)), mode="edge")
+        batches = points.reshape(2, -1, _BATCH).transpose(1, 0, 2)
+
+        def evaluate(batch: np.ndarray) -> np.ndarray:
+            own = (self.names, self.at, self.fixed, self.medium_index)
+            return np.asarray(_with_slopes(*own, *batch))
+
+        # A batch is too small to be shared among cores; the first alone compiles.
+        with ThreadPoolExecutor() as pool:
+            parts = [evaluate(batches[0]), *pool.map(evaluate, batches[1:])]
+        samples[..., row, column] = np.concatenate(parts, axis=-1)[..., : row.size] * envelope**2
+        return samples
+
+
+def _halved(samples: Float[np.ndarray, "p 2 n m"]) -> Float[np.ndarray, "p 2 2n-1 2m-1"]:
+    """Samples of a cubic spline through the given ones, at half their distance."""
+    for axis in (2, 3):
+        count = samples.shape[axis]
+        samples = CubicSpline(np.arange(count), samples, axis=axis)(np.arange(2 * count - 1) / 2)
+    return samples
+
+
+@eqx.filter_jit
+def _with_slopes(
+    names: tuple[str, ...],
+    at: Float[Array, "p"],
+    fixed: dict[str, Array],
+    medium_index: Float[Array, ""],
+    radius: Float[Array, "n"],
+    distance: Float[Array, "n"],
+) -> Float[Array, "p+1 2 n"]:
+    """V at some points, then its derivatives."""
+
+    def field(free: Array) -> Array:
+        lens = lens_of(fixed | dict(zip(names, free, strict=True)))
+        return jnp.stack(
+            optics.vector_irradiance(
+                lens, medium_index=medium_index, radius=radius, distance=distance
+            )
+        )
+
+    return _value_and_slopes(field, at)
+
+
+@eqx.filter_jit
+def _transmitted(names, at, fixed, medium_index) -> Float[Array, "p+1"]:
+    def share(free: Array) -> Array:
+        lens = lens_of(fixed | dict(zip(names, free, strict=True)))
+        return optics.transmitted_power(lens, medium_index=medium_index)
+
+    return _value_and_slopes(share, at)
+
+
+def _value_and_slopes(function: Callable[[Array], Array], at: Float[Array, "p"]) -> Array:
+    if not at.size:
+        return function(at)[None]
+    value, slopes = jax.vmap(
+        lambda direction: jax.jvp(function, (at,), (direction,)), out_axes=(None, 0)
+    )(jnp.eye(at.size))
+    return jnp.concatenate([value[None], slopes])
+
+
+def _taps(place: Array, count: int) -> tuple[Array, tuple[Array, Array, Array, Array]]:
+    """First of the four samples around a place, and their weights in the cubic through them."""
+    first = jnp.clip(place.astype(int) - 1, 0, count - 4)
+    t = place - first
+    return first, (
+        (t - 1) * (t - 2) * (t - 3) / -6,
+        t * (t - 2) * (t - 3) / 2,
+        t * (t - 1) * (t - 3) / -2,
+        t * (t - 1) * (t - 2) / 6,
+    )

@@ -1,0 +1,4 @@
+from .trials import LogBook as LogBook
+from .trials import Recording as Recording
+from .trials import read_recording as read_recording
+from .withdrawals import withdrawal as withdrawal

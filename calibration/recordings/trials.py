@@ -1,0 +1,224 @@
+"""Recordings as trials: spots measured by the estimator, readings and axis from the robot's report.
+
+The labels of a stack stay unread, but for each frame's time: what is fitted is what a rig would
+have. What else is used, a rig's log book would say: the wall's kind and tilt, the medium, the
+fibre's diameter, and that a withdrawal began at the touch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+import optics
+from calibration.recordings.withdrawals import withdrawal
+from calibration.spots import Prior, Trial, phantom_wall
+from estimator import Spot, read_spots, read_stack, track_source
+from estimator.files import MicroscopeFile, Quaternion, SpotRecord, read_microscope, turned
+from estimator.run import Options
+from estimator.sources import open_source
+
+_FEWEST_SPOTS = 3
+_TOUCH_SIGMA_MM = 0.02
+"""How well a hand finds the moment of contact; the paper's own trials scatter by more."""
+_LEAST_COVERAGE = 0.5
+"""Of the contour: with less, the ellipse rests on its model (as in the paper's trials here)."""
+_SPOTS_FILES = (".csv", ".parquet")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogBook:
+    """What a stack tells of itself, and of another recording somebody must.
+
+    Attributes:
+        kind: of the wall, as `Trial.kind`.
+        tilt: of the plane, as `phantom_wall` takes it.
+        medium: name of what lies between the tip and the wall, of `optics.MEDIA`.
+        fibre_diameter_mm: of the tip's face, whose rim touches first.
+        microscope: file, see `read_microscope`.
+        poses: file, see `read_poses`.
+        eye_from_robot: unit quaternion that turns the poses' frame into the eye's.
+        begins_at_touch: whether the first frame was taken when the tip touched the wall.
+    """
+
+    kind: str
+    medium: str
+    fibre_diameter_mm: float
+    microscope: Path
+    poses: Path
+    tilt: tuple[float, float] = (0.0, 0.0)
+    eye_from_robot: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    begins_at_touch: bool = True
+
+
+class Recording(NamedTuple):
+    """A withdrawal, ready to be fitted.
+
+    Attributes:
+        name: of its file or folder.
+        source: the file or folder.
+        trial: spots, readings and axis.
+        tilt: of the plane, as the log book has it.
+        frames: number of frames, with a usable spot or without.
+        microscope: as its file describes it.
+        medium: name of what lies between the tip and the wall.
+        sha256: of a stack's manifest, which holds the checksums of all its files; else of the files
+            read.
+    """
+
+    name: str
+    source: Path
+    trial: Trial
+    tilt: tuple[float, float]
+    frames: int
+    microscope: MicroscopeFile
+    medium: str
+    sha256: str
+
+
+def read_recording(
+    source: Path,
+    *,
+    exposure: str | None = None,
+    log_book: LogBook | None = None,
+    touch: Prior | None = None,
+) -> Recording:
+    """Measure or read the spots of a withdrawal and join them with the robot's poses.
+
+    Readings count from the first frame, along the mean axis that the robot reports.
+
+    Args:
+        source: a stack; a spots file; or a bag, video or what else `open_source` takes.
+        exposure: "paper" or "metered", of a stack that holds both.
+        log_book: of what is no stack.
+        touch: distance at the first frame, mm; by default where the rim touches the wall.
+
+    Raises:
+        ValueError: a file that is missing or broken, no withdrawal from the touch, or too few spots
+            to fit.
+    """
+    source = Path(source)
+    if (source / "stack.toml").is_file():
+        log_book = _of_stack(source)
+        prints = [source / "manifest.json"]
+    elif source.is_dir() and log_book is None:
+        read_stack(source)  # which says what of a stack is missing
+    if log_book is None:
+        raise ValueError(
+            f"{source} is no stack, which would tell what else a fit needs. Give --microscope, "
+            "--poses, --phantom and --medium."
+        )
+    if source.suffix.lower() in _SPOTS_FILES:
+        records = read_spots(source)
+    else:
+        opened = open_source(source, exposure=exposure)
+        records = track_source(opened, Options(microscope=log_book.microscope).reader()).records
+    if not (source / "stack.toml").is_file():
+        prints = [*_files(source), *_files(log_book.poses)]
+    if touch is None and not log_book.begins_at_touch:
+        raise ValueError(
+            f"{source} does not begin where the tip touches the wall, so nothing says what its "
+            "readings count from. Give the first frame's distance in mm, --prior touch=MEAN,SIGMA, "
+            "or start at contact."
+        )
+    return _joined(source, records, log_book, touch, _sha256(prints))
+
+
+def _of_stack(folder: Path) -> LogBook:
+    scene: dict[str, Any] = read_stack(folder).description["scene"]
+    phantom, motion = scene["phantom"], scene["motion"]
+    tilt, towards = (math.radians(phantom[f"tilt_{part}deg"]) for part in ("", "azimuth_"))
+    return LogBook(
+        kind=phantom["kind"],
+        tilt=(math.tan(tilt) * math.cos(towards), math.tan(tilt) * math.sin(towards)),
+        medium=scene["source"]["medium"],
+        fibre_diameter_mm=scene["instrument"]["fibre_diameter_mm"],
+        microscope=folder / "microscope.json",
+        poses=folder / "kinematics.csv",
+        begins_at_touch=motion["kind"] == "withdrawal" and motion["start_mm"] == "contact",
+    )
+
+
+def _joined(
+    source: Path,
+    records: Sequence[SpotRecord],
+    log_book: LogBook,
+    touch: Prior | None,
+    sha256: str,
+) -> Recording:
+    times = np.array([record.time_s for record in records])
+    readings, axis = withdrawal(times, log_book.poses, source=source)
+    axis = np.array(turned(tuple(axis), log_book.eye_from_robot))
+    usable = [
+        (record.result, reading)
+        for record, reading in zip(records, readings, strict=True)
+        # A mode that does not measure the coverage has NaN.
+        if isinstance(record.result, Spot) and not record.result.coverage < _LEAST_COVERAGE
+    ]
+    if len(usable) < _FEWEST_SPOTS:
+        raise ValueError(
+            f"{source} has {len(usable)} usable spots in {len(records)} frames; a fit needs "
+            f"{_FEWEST_SPOTS}. See why with `eyespot track {source} --out spots.csv`."
+        )
+    spots = [spot for spot, _ in usable]
+    microscope = read_microscope(log_book.microscope)
+    ellipses = _ellipses(spots)
+    if touch is None:
+        wall = phantom_wall(log_book.kind, eye_radius=microscope.eye_radius_mm, tilt=log_book.tilt)
+        normal = wall.intersect(*microscope.ideal_microscope().ray(ellipses.centre[0])).normal
+        # The rim of a tilted tip touches before its centre does.
+        contact = optics.contact_distance(
+            wall,
+            incidence=jnp.arccos(-normal @ axis),
+            rim_radius=log_book.fibre_diameter_mm / 2,
+        )
+        touch = Prior(float(contact), _TOUCH_SIGMA_MM)
+    return Recording(
+        name=source.name,
+        source=source,
+        trial=Trial(
+            ellipses=ellipses,
+            covariances=np.stack([spot.covariance for spot in spots]),
+            readings=np.array([reading for _, reading in usable]),
+            axis=axis,
+            principal_point=np.array(microscope.principal_point_px),
+            touch=touch,
+            kind=log_book.kind,
+        ),
+        tilt=log_book.tilt,
+        frames=len(records),
+        microscope=microscope,
+        medium=log_book.medium,
+        sha256=sha256,
+    )
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+
+
+def _sha256(files: Iterable[Path]) -> str:
+    checksum = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as content:
+            checksum.update(hashlib.file_digest(content, "sha256").digest())
+    return checksum.hexdigest()
+
+
+def _ellipses(spots: Sequence[Spot]) -> optics.Ellipse:
+    def column(name: str) -> jnp.ndarray:
+        return jnp.array([getattr(spot, name) for spot in spots])
+
+    return optics.Ellipse(
+        centre=jnp.stack([column("x_px"), column("y_px")], axis=-1),
+        semi_major=column("semi_major_px"),
+        semi_minor=column("semi_minor_px"),
+        angle=column("angle_rad"),
+    )

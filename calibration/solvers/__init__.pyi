@@ -1,0 +1,12 @@
+from .identifiability import correlations as correlations
+from .identifiability import covariance_and_lost as covariance_and_lost
+from .identifiability import marginal_information as marginal_information
+from .levenberg_marquardt import GAUSS_NEWTON as GAUSS_NEWTON
+from .levenberg_marquardt import Solution as Solution
+from .levenberg_marquardt import least_squares as least_squares
+from .levenberg_marquardt import padded as padded
+from .normal_equations import Minimum as Minimum
+from .normal_equations import NormalEquations as NormalEquations
+from .normal_equations import minimise as minimise
+from .robust import Robust as Robust
+from .robust import huber as huber

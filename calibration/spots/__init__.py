@@ -1,0 +1,15 @@
+"""Fits to the ellipses of spots.
+
+cone_fit      The exact geometry fitted to measured ellipses: cone, scale, eye, and each trial's
+              nuisances
+cone_trials   Trials whose ellipses the exact geometry is fitted to, and how far they are from its
+              contours
+paper_fits    The fits of Zhou et al. 2020: delta k and b on planes (Table I), c in spheres (Table
+              II)
+plane_trials  The paper's line through several trials at once, with what makes trials differ as
+              nuisances
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

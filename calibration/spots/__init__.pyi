@@ -1,0 +1,16 @@
+from .cone_fit import PARAMETERS as PARAMETERS
+from .cone_fit import ConeFit as ConeFit
+from .cone_fit import fit_cone as fit_cone
+from .cone_trials import Prior as Prior
+from .cone_trials import Trial as Trial
+from .cone_trials import phantom_wall as phantom_wall
+from .paper_fits import Loss as Loss
+from .paper_fits import PlaneFit as PlaneFit
+from .paper_fits import SphereFit as SphereFit
+from .paper_fits import fit_eccentricity as fit_eccentricity
+from .paper_fits import fit_plane as fit_plane
+from .paper_fits import plane_solution as plane_solution
+from .paper_fits import sphere_solution as sphere_solution
+from .plane_trials import PlaneTrial as PlaneTrial
+from .plane_trials import PlaneTrialsFit as PlaneTrialsFit
+from .plane_trials import fit_plane_trials as fit_plane_trials

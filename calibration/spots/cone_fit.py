@@ -1,0 +1,281 @@
+r"""The exact geometry fitted to measured ellipses: cone, scale, eye, and each trial's nuisances.
+
+Each trial brings nuisances of its own (`_cone_trials`), which are fitted along with the parameters
+asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+import optics
+from calibration.solvers import (
+    Solution,
+    correlations,
+    covariance_and_lost,
+    least_squares,
+    marginal_information,
+)
+from calibration.spots.cone_trials import NUISANCES, Group, Prior, Trial, misfit, spots
+
+PARAMETERS = (
+    "half_angle",
+    "b",
+    "scale",
+    "eye_radius",
+    "inverse_working_distance",
+    "tilt_x",
+    "tilt_y",
+)
+"""What a fit may leave free: rad, mm, mm/px, mm, 1/mm, and the tangents of the plane's tilt.
+
+The focal length is 1/(scale inverse_working_distance) px, the pinhole's height
+1/inverse_working_distance - eye_radius.
+"""
+
+_SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1}
+"""Of parameters that may be zero; the others are as large as they are."""
+
+
+class ConeFit(NamedTuple):
+    """Parameters that were free, and how well the data know them.
+
+    Attributes:
+        values: by name, in the units of `PARAMETERS`, the given ones too.
+        free: names of the fitted ones, in the covariance's order.
+        covariance: of the fitted ones, from the noise model (the ellipses' covariances).
+        information: Fisher's, of the fitted ones, with the nuisances unknown but for their priors.
+        touch: per trial, mm: the distance at reading 0.
+        touch_error: its standard error, mm; infinite where the data do not determine it.
+        lean: per trial, rad: of the axis off the robot's, along the two vectors of
+            `optics.perpendicular_frame`.
+        spot: per trial, (x, y) of the wall's point in the first frame, mm.
+        spot_covariance: of each spot; infinite where the data do not determine it.
+        residuals: per trial, n x 5: of `optics.ellipse_mismatch`, each of variance 1.
+        chi_squared: sum of squared whitened residuals, priors included.
+        degrees_of_freedom: data and priors minus parameters.
+        undetermined: directions that neither data nor priors hold, in words; empty if none.
+        converged: whether the solver says so.
+    """
+
+    values: dict[str, float]
+    free: tuple[str, ...]
+    covariance: Float[np.ndarray, "p p"]
+    information: Float[np.ndarray, "p p"]
+    touch: Float[np.ndarray, "trials"]
+    touch_error: Float[np.ndarray, "trials"]
+    lean: Float[np.ndarray, "trials 2"]
+    spot: Float[np.ndarray, "trials 2"]
+    spot_covariance: Float[np.ndarray, "trials 2 2"]
+    residuals: tuple[Float[np.ndarray, "n 5"], ...]
+    chi_squared: float
+    degrees_of_freedom: int
+    undetermined: tuple[str, ...]
+    converged: bool
+
+    @property
+    def correlations(self) -> Float[np.ndarray, "p p"]:
+        """Of the fitted ones."""
+        return correlations(self.covariance)
+
+    @property
+    def eccentricity(self) -> Float[np.ndarray, "trials"]:
+        """Of each trial's spot: c, mm."""
+        return np.hypot(*self.spot.T)
+
+    @property
+    def eccentricity_error(self) -> Float[np.ndarray, "trials"]:
+        """Standard error of c, mm."""
+        outward = self.spot / np.maximum(self.eccentricity, 1e-12)[:, None]
+        known = np.isfinite(self.spot_covariance)
+        variance = np.einsum(
+            "ti,tij,tj->t", outward, np.where(known, self.spot_covariance, 0.0), outward
+        )
+        return np.sqrt(np.where(known.all(axis=(1, 2)), variance, np.inf))
+
+
+def fit_cone(
+    trials: Sequence[Trial],
+    microscope: optics.Microscope,
+    *,
+    start: Mapping[str, float],
+    free: Sequence[str] = ("half_angle", "b"),
+    priors: Mapping[str, Prior] | None = None,
+    lean_sigma: float = np.radians(1.0),
+) -> ConeFit:
+    """Fit the exact contour to the ellipses of all trials at once.
+
+    Args:
+        trials: planes and spheres together.
+        microscope: ideal pinhole; `start` may replace its scale, eye radius and working distance,
+            each trial has its own principal point.
+        start: values of `half_angle` and `b`, and of others that the microscope does not tell (the
+            plane's tilt is 0); those that are not free stay as they are.
+        free: names of `PARAMETERS` to fit.
+        priors: of free parameters.
+        lean_sigma: of the robot's axis, rad.
+
+    Raises:
+        ValueError: an unknown name, or no trial.
+    """
+    unknown = [name for name in (*free, *(priors or {})) if name not in PARAMETERS]
+    if unknown or not trials:
+        raise ValueError(
+            f"fit_cone needs one trial or more and names of {', '.join(PARAMETERS)}; got "
+            f"{len(trials)} trials and {', '.join(unknown) or 'no unknown name'}."
+        )
+    known = {
+        "scale": float(microscope.scale),
+        "eye_radius": -float(microscope.pole_height),
+        "inverse_working_distance": float(microscope.inverse_working_distance),
+    }
+    fixed = known | {"tilt_x": 0.0, "tilt_y": 0.0} | dict(start)
+    # Steps of one size in all parameters keep the damping fair.
+    sizes = np.array([_SIZES.get(name) or abs(fixed[name]) for name in free])
+    held = [(priors or {}).get(name) if name in free else None for name in PARAMETERS]
+    groups = [
+        Group.of(trials, kind, lean_sigma) for kind in sorted({trial.kind for trial in trials})
+    ]
+    # Every nuisance counts from what is expected of it, in units of its standard deviation.
+    begin = jnp.zeros(len(free) + len(NUISANCES) * len(trials))
+    priors_held = sum(prior is not None for prior in held)
+    count = sum(group.data for group in groups) + priors_held + 3 * len(trials)
+    # Names become numbers here, so that one compilation serves all choices of as many parameters.
+    solution, spot, spot_slopes = _solve(
+        begin,
+        groups,
+        microscope,
+        jnp.array([fixed[name] for name in PARAMETERS]),
+        jnp.array([[name == own for own in free] for name in PARAMETERS]) * sizes,
+        jnp.array([prior.mean if prior else 0.0 for prior in held]),
+        jnp.array([1.0 / prior.sigma if prior else 0.0 for prior in held]),
+        jnp.asarray(count),
+    )
+    information = np.asarray(solution.information)
+    found = np.asarray(solution.parameters)
+    moved = sizes * found[: len(free)]
+    values = fixed | {
+        name: fixed[name] + float(step) for name, step in zip(free, moved, strict=True)
+    }
+    covariance, undetermined = covariance_and_lost(
+        information,
+        (*free, *_names(groups)),
+        [*(values[name] for name in free), *found[len(free) :]],
+    )
+    errors = np.sqrt(np.diag(covariance))
+    touch, touch_error = np.empty((2, len(trials)))
+    lean = np.empty((len(trials), 2))
+    at = len(free)
+    for number in (number for group in groups for number in group.numbers):
+        mean, sigma = trials[number].touch
+        touch[number], touch_error[number] = mean + sigma * found[at], sigma * errors[at]
+        lean[number] = lean_sigma * found[at + 3 : at + 5]
+        at += len(NUISANCES)
+    own = slice(len(free))
+    in_order = np.argsort([number for group in groups for number in group.numbers])
+    slopes = np.asarray(spot_slopes)[in_order]
+    return ConeFit(
+        values=values,
+        free=tuple(free),
+        covariance=covariance[own, own] * np.outer(sizes, sizes),
+        information=marginal_information(information, len(free)) / np.outer(sizes, sizes),
+        touch=touch,
+        touch_error=touch_error,
+        lean=lean,
+        spot=np.asarray(spot)[in_order],
+        spot_covariance=_carried_on(covariance, slopes),
+        residuals=_by_trial(np.asarray(solution.residuals)[len(PARAMETERS) :], groups, trials),
+        chi_squared=float(np.sum(np.square(solution.residuals))),
+        degrees_of_freedom=count - found.size,
+        undetermined=undetermined,
+        converged=bool(solution.converged),
+    )
+
+
+def _carried_on(
+    covariance: Float[np.ndarray, "x x"], slopes: Float[np.ndarray, "trials 2 x"]
+) -> Float[np.ndarray, "trials 2 2"]:
+    """Covariance of what has these slopes; all infinite where it hangs on what is unknown."""
+    unknown = np.isinf(covariance).any(axis=0)
+    known = np.where(unknown | unknown[:, None], 0.0, covariance)
+    carried = slopes @ known @ slopes.swapaxes(1, 2)
+    carried[np.any(slopes[..., unknown], axis=(1, 2))] = np.inf
+    return carried
+
+
+def _names(groups: list[Group]) -> list[str]:
+    return [
+        f"{name} of trial {number + 1}"
+        for group in groups
+        for number in group.numbers
+        for name in NUISANCES
+    ]
+
+
+def _by_trial(
+    residuals: Float[np.ndarray, "n"], groups: list[Group], trials: Sequence[Trial]
+) -> tuple[Float[np.ndarray, "n 5"], ...]:
+    """The frames' residuals of each trial, from the order of `_solve`."""
+    found = {}
+    for group in groups:
+        longest = group.readings.shape[1]
+        mine = residuals[: group.size * (5 * longest + 3)].reshape(group.size, -1)
+        residuals = residuals[mine.size :]
+        for number, row in zip(group.numbers, mine, strict=True):
+            frames = trials[number].readings.size
+            found[number] = row[: 5 * frames].reshape(frames, 5)
+    return tuple(found[number] for number in range(len(trials)))
+
+
+@eqx.filter_jit
+def _solve(
+    begin: Float[Array, "p"],
+    groups: list[Group],
+    microscope: optics.Microscope,
+    fixed: Float[Array, "q"],
+    steps: Float[Array, "q f"],
+    prior_means: Float[Array, "q"],
+    prior_weights: Float[Array, "q"],
+    count: Array,
+) -> tuple[Solution, Float[Array, "trials 2"], Float[Array, "trials 2 x"]]:
+    """Free parameters first, then the nuisances group by group; residuals likewise.
+
+    Also returns the spots of all trials, in the groups' order, and their derivatives.
+    """
+
+    def unpacked(x: Array) -> tuple[Array, dict[str, Array], optics.Microscope, list[Array]]:
+        parameters = fixed + steps @ x[: steps.shape[1]]
+        values = dict(zip(PARAMETERS, parameters, strict=True))
+        camera = eqx.tree_at(
+            lambda m: (m.scale, m.pole_height, m.inverse_working_distance),
+            microscope,
+            (values["scale"], -values["eye_radius"], values["inverse_working_distance"]),
+        )
+        nuisances, at = [], steps.shape[1]
+        for group in groups:
+            nuisances.append(x[at : at + group.size * len(NUISANCES)].reshape(group.size, -1))
+            at += nuisances[-1].size
+        return parameters, values, camera, nuisances
+
+    def residual(x: Array) -> Array:
+        parameters, values, camera, nuisances = unpacked(x)
+        parts = [prior_weights * (parameters - prior_means)]
+        for group, own in zip(groups, nuisances, strict=True):
+            parts.append(misfit(group, camera, values, own))
+        return jnp.concatenate(parts)
+
+    def spot_of_each(x: Array) -> Array:
+        _, values, camera, nuisances = unpacked(x)
+        of_groups = zip(groups, nuisances, strict=True)
+        return jnp.concatenate([spots(g, camera, values, own)[:, :2] for g, own in of_groups])
+
+    solution = least_squares(residual, begin, count=count)
+    found = solution.parameters
+    return solution, spot_of_each(found), jax.jacfwd(spot_of_each)(found)

@@ -1,0 +1,13 @@
+from .edges import EdgeFit as EdgeFit
+from .ellipse import Ellipse as Ellipse
+from .literal import LiteralSettings as LiteralSettings
+from .regions import Region as Region
+from .regions import regions_in as regions_in
+from .settings import SubpixelSettings as SubpixelSettings
+from .shape import LEVELS as LEVELS
+from .shape import Shape as Shape
+from .shape import spot_shape as spot_shape
+from .tracking import TrackState as TrackState
+from .tracking import measure as measure
+from .tracking import track as track
+from .unwrap import contour_points as contour_points

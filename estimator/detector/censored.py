@@ -1,0 +1,124 @@
+"""The edge of a saturated spot, from the part of its flank that is not at full scale."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from estimator.detector.ellipse import Ellipse
+from estimator.detector.levels import Levels
+from estimator.detector.unwrap import RAYS, Patch
+
+READABLE = 0.95
+"""Part of full scale up to which noise does not reach it and a mean value can be believed."""
+
+_BRIGHTEST = 2 * READABLE  # times full scale: peak of which half can be read
+_VAGUEST = 0.02  # standard error, radii, of an edge that is seen at all
+_BIN_PX = 0.25
+_STEPS = 25
+_SMALLEST_STEP = 1e-5
+
+
+def hidden_edge(
+    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels, reach: float
+) -> tuple[Levels, float, float] | None:
+    """Levels, radius offset and that offset's variance, of an edge whose plateau is at full scale.
+
+    The visible part of the flank is fitted with background + amplitude * Phi((offset - x) / width)
+    by damped Gauss-Newton steps (Levenberg 1944): the plateau follows from the flank's curvature,
+    so the edge must be a Gaussian-blurred step. The pixels themselves are averaged over the
+    contour, because samples between a saturated pixel and its neighbour would be too dark.
+
+    Args:
+        patch: signal round the spot.
+        ellipse: about which the contour is averaged.
+        inliers: rays that see it.
+        levels: of the spot, the peak unknown.
+        reach: of the profile, units of the radius.
+
+    Returns:
+        None where the flank does not show half of the peak.
+    """
+    x, mean, number = _pixel_profile(patch, ellipse, inliers, reach)
+    bright = np.flatnonzero(mean > READABLE * patch.ceiling)
+    first = int(bright[-1]) + 1 if bright.size else 0
+    x, y = x[first:], (mean[first:] - levels.background) / patch.ceiling
+    root = np.sqrt(number[first:])
+    if x.size < 8:
+        return None
+    start = np.array([math.log(1.4), float(x[0]), math.log(levels.width)])
+    try:
+        fitted, covariance = _flank(start, x, y, root)
+    except np.linalg.LinAlgError:  # too little of the flank to tell height, place and width apart
+        return None
+    peak, variance = (
+        levels.background + patch.ceiling * math.exp(fitted[0]),
+        float(covariance[1, 1]),
+    )
+    if not (peak < _BRIGHTEST * patch.ceiling and 0 <= variance < _VAGUEST**2):
+        return None
+    return replace(levels, peak=peak, width=math.exp(fitted[2])), float(fitted[1]), variance
+
+
+def _flank(
+    start: np.ndarray, x: np.ndarray, y: np.ndarray, root: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fitted (log amplitude, offset, log width) and their covariance.
+
+    Raises:
+        LinAlgError: the flank does not determine them.
+    """
+    fitted = start
+    residual, jacobian = _linearised(fitted, x, y, root)
+    damping = 1e-3
+    for _ in range(_STEPS):
+        gram = jacobian.T @ jacobian
+        gram.flat[::4] *= 1 + damping
+        step = np.clip(np.linalg.solve(gram, jacobian.T @ residual), -0.5, 0.5)
+        trial_residual, trial_jacobian = _linearised(fitted + step, x, y, root)
+        if trial_residual @ trial_residual < residual @ residual:
+            fitted, residual, jacobian = fitted + step, trial_residual, trial_jacobian
+            damping /= 4
+        else:
+            damping *= 8
+        if np.abs(step).max() < _SMALLEST_STEP:
+            break
+    noise = float(residual @ residual) / (x.size - 3)
+    return fitted, noise * np.linalg.inv(jacobian.T @ jacobian)
+
+
+def _pixel_profile(
+    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Radius offsets of bins along the edge, their mean signal, and their number of pixels."""
+    height, width = patch.signal.shape
+    u = np.arange(width, dtype=np.float32) + np.float32(patch.x0 - ellipse.centre[0])
+    v = np.arange(height, dtype=np.float32) + np.float32(patch.y0 - ellipse.centre[1])
+    to_circle = np.linalg.inv(ellipse.shape).astype(np.float32)
+    cos = to_circle[0, 0] * u + to_circle[0, 1] * v[:, None]
+    sin = to_circle[1, 0] * u + to_circle[1, 1] * v[:, None]
+    offset = np.sqrt(cos * cos + sin * sin) - 1
+    band = np.abs(offset) < reach
+    ray = np.rint(np.arctan2(sin[band], cos[band]) * (RAYS / (2 * math.pi))).astype(int) % RAYS
+    offset, signal = offset[band][inliers[ray]], patch.signal[band][inliers[ray]]
+    bins = max(int(2 * reach * ellipse.axes()[1] / _BIN_PX), 8)
+    index = np.minimum(((offset + reach) * (bins / (2 * reach))).astype(int), bins - 1)
+    number = np.bincount(index, minlength=bins)
+    sums = np.bincount(index, offset, bins), np.bincount(index, signal, bins)
+    filled = number > 0
+    number = number[filled]
+    return sums[0][filled] / number, sums[1][filled] / number, number
+
+
+def _linearised(
+    parameters: np.ndarray, x: np.ndarray, y: np.ndarray, root: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted residual of (log amplitude, offset, log width) and the model's Jacobian."""
+    amplitude, width = math.exp(parameters[0]), math.exp(parameters[2])
+    z = (parameters[1] - x) / width
+    edge = amplitude * np.array([0.5 * math.erfc(-v / math.sqrt(2)) for v in z.tolist()])
+    density = amplitude * np.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
+    jacobian = np.stack([edge, density / width, -density * z], axis=1)
+    return (y - edge) * root, jacobian * root[:, None]

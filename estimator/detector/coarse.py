@@ -1,0 +1,163 @@
+"""Bright regions of a subsampled window, and the ellipses that they may be parts of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from estimator.detector.ellipse import Ellipse
+
+_PEELS = 4  # regions sought in one window
+_FAINTEST_STEP = 4  # levels of 255 between peak and background that are not noise
+_SMALLEST_PIECE = 0.1  # of the largest piece's area
+
+
+@dataclass(frozen=True, eq=False)
+class Coarse:
+    """A subsampled window as 8-bit signal.
+
+    Attributes:
+        levels: (h, w) uint8.
+        unit: signal per level.
+        stride: px of the frame per pixel.
+        x0: column of the frame under the first pixel, px.
+        y0: row of the frame under the first pixel, px.
+    """
+
+    levels: np.ndarray
+    unit: float
+    stride: int
+    x0: int
+    y0: int
+
+    @classmethod
+    def of_signal(cls, signal: np.ndarray, *, stride: int, x0: int, y0: int) -> Coarse:
+        """Scale a float signal to 8 bits by its own maximum."""
+        unit = float(signal.max()) / 255
+        if not unit > 0:
+            return cls(np.zeros(signal.shape, np.uint8), 1.0, stride, x0, y0)
+        _, positive = cv2.threshold(signal, 0, 0, cv2.THRESH_TOZERO)
+        levels = cv2.convertScaleAbs(positive, alpha=1 / unit)
+        return cls(levels, unit, stride, x0, y0)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An ellipse round a bright region, good to a few px, and the region's levels.
+
+    Attributes:
+        ellipse: in the frame, px.
+        peak: typical signal of the region.
+        background: typical signal of what is not bright.
+        mask: of the region's pixels in the coarse window.
+    """
+
+    ellipse: Ellipse
+    peak: float
+    background: float
+    mask: np.ndarray
+
+    def relevelled(self, coarse: Coarse) -> Candidate:
+        """The same region with its mean levels in another channel."""
+        mask = self.mask.view(np.uint8)
+        peak, background = cv2.mean(coarse.levels, mask)[0], cv2.mean(coarse.levels, 1 - mask)[0]
+        return replace(self, peak=peak * coarse.unit, background=background * coarse.unit)
+
+
+@dataclass(frozen=True)
+class TooSmall:
+    """A bright region that is too small for a spot."""
+
+
+def bright_regions(
+    coarse: Coarse, *, min_contrast: float, min_area: float
+) -> Iterator[list[Candidate] | TooSmall]:
+    """Bright regions, brightest first, each as its possible readings.
+
+    A region exceeds the half level between the bright and the dark part of the window (after a
+    median filter). Its ellipse goes through the vertices of its convex hull: where something convex
+    hides part of an ellipse, the hull's vertices still lie on the ellipse, and the hidden part is
+    bridged by a chord without vertices. A spot that a shaft splits in two is read as the whole
+    region and as its largest piece alone. What was offered is painted over and the next sought.
+
+    Args:
+        coarse: the window.
+        min_contrast: least (peak - background) / background.
+        min_area: least area of a region, px^2.
+    """
+    smooth = cv2.medianBlur(coarse.levels, 3)
+    for _ in range(_PEELS):
+        count = cv2.calcHist([smooth], [0], None, [256], [0, 256]).ravel().astype(int)
+        below = np.cumsum(count)
+        split = _otsu_level(count, below)
+        dark, pixels = int(below[split]), int(below[-1])
+        background, peak = np.searchsorted(below, [dark / 2, (dark + pixels) / 2]).tolist()
+        if peak - background < max(min_contrast * background, _FAINTEST_STEP):
+            return
+        if 2 * dark < pixels:
+            # What is dark is a shaft before a bright wall: the wall is the background.
+            smooth = np.maximum(smooth, np.uint8(peak))
+            continue
+        mask = (smooth > (peak + background) // 2).view(np.uint8)
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        # A contour runs through pixel centres; half its length is the area outside them.
+        areas = [cv2.contourArea(c) + len(c) / 2 + 1 for c in contours]
+        largest = max(range(len(areas)), key=areas.__getitem__)
+        if areas[largest] * coarse.stride**2 < min_area:
+            yield TooSmall()
+        else:
+            region = np.zeros_like(mask)
+            cv2.drawContours(region, contours, largest, 1, cv2.FILLED)
+            inside = (region & mask).view(bool)
+            pieces = [
+                c
+                for c, area in zip(contours, areas, strict=True)
+                if area > _SMALLEST_PIECE * areas[largest]
+            ]
+            readings = [np.concatenate(pieces)] if len(pieces) > 1 else []
+            ellipses = [_hull_ellipse(points, coarse) for points in [*readings, contours[largest]]]
+            yield [
+                Candidate(ellipse, peak * coarse.unit, background * coarse.unit, inside)
+                for ellipse in ellipses
+                if ellipse is not None
+            ]
+        painted = contours if areas[largest] * coarse.stride**2 < min_area else [contours[largest]]
+        smooth = smooth.copy()
+        cv2.drawContours(smooth, painted, -1, background, cv2.FILLED)
+        cv2.drawContours(smooth, painted, -1, background, 3)
+
+
+def _otsu_level(count: np.ndarray, cumulative: np.ndarray) -> int:
+    """Level that splits a histogram best in two, by Otsu 1979; small glints hardly move it."""
+    below, sums = cumulative[:-1], np.cumsum(count * np.arange(len(count)))
+    above = cumulative[-1] - below
+    sum_below = sums[:-1]
+    sum_above = sums[-1] - sum_below
+    both = np.maximum(below * above, 1)
+    difference = (sum_above * below - sum_below * above) / both
+    return int(np.argmax(difference * difference * both))
+
+
+def _hull_ellipse(points: np.ndarray, coarse: Coarse) -> Ellipse | None:
+    hull = cv2.convexHull(points)[:, 0]
+    height, width = coarse.levels.shape
+    x, y = hull[:, 0], hull[:, 1]
+    hull = hull[(x > 0) & (y > 0) & (x < width - 1) & (y < height - 1)]
+    if len(hull) < 5:
+        return None
+    (u, v), (first, second), degrees = cv2.fitEllipse(hull)
+    # cv2's angle is that of the first axis; the rim lies half a pixel outside pixel centres.
+    half = first / 2 + 0.5, second / 2 + 0.5
+    if not (max(half) < 2 * max(height, width) and math.isfinite(u + v + degrees)):
+        return None
+    return Ellipse.from_axes(
+        coarse.x0 + coarse.stride * u,
+        coarse.y0 + coarse.stride * v,
+        coarse.stride * half[0],
+        coarse.stride * half[1],
+        math.radians(degrees),
+    )

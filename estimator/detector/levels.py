@@ -1,0 +1,210 @@
+"""Peak, background and edge width of a spot, from its profiles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from estimator.detector.coarse import Candidate, Coarse
+from estimator.detector.ellipse import Ellipse
+from estimator.detector.unwrap import RAYS, Patch
+
+RADII = np.linspace(0.05, 1.6, 48)
+"""Radii of the wide view, in units of the ellipse."""
+RADIUS_STEP = float(RADII[1] - RADII[0])
+
+_EVEN_POWERS = RADII[:, None] ** np.array([0, 2, 4])
+_NEAR_EDGE = np.abs(RADII[1:-1] - 1) < 0.35
+_DOUBT = 13.0  # variances that a dome must exceed to count
+_FAR_ENOUGH = 0.9  # part of the radius where the background begins that must be in view
+_TAILED = 0.3  # width, in radii, from which an edge is a bell's, with tails ...
+_LEFT = 0.005  # ... of which so much of its peak is left ...
+_TAIL = 4.4  # ... from here, in radii
+_BACKGROUND_RADII = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What a spot's half level is made of.
+
+    Attributes:
+        peak: signal of the spot's brightest part, noise and texture taken out.
+        dome: signal over the peak's, a polynomial in the squared radius.
+        variance: of the peak, relative, from what texture leaves open.
+        background: signal around the spot.
+        background_radius: where it was taken, units of the radius.
+        width: of the edge in units of the radius (see `Spot.edge_width_px`).
+        half_radius: where the mean profile falls to the half level, units of the radius.
+    """
+
+    peak: float
+    dome: tuple[float, float, float]
+    variance: float
+    background: float
+    background_radius: float
+    width: float
+    half_radius: float
+
+    @property
+    def amplitude(self) -> float:
+        """Peak above background."""
+        return self.peak - self.background
+
+    @property
+    def half(self) -> float:
+        """The level of the contour."""
+        return (self.peak + self.background) / 2
+
+    @property
+    def sees_background(self) -> bool:
+        """Whether the background was taken where the spot's light no longer reaches the wall."""
+        return _dark_at(self.background_radius, self.width)
+
+    @property
+    def tail(self) -> float:
+        """Light that a bell may have left where the background was taken, over its amplitude."""
+        return _tail(self.width, self.background_radius)
+
+    def before(self, background: float, radius: float) -> Levels:
+        """The levels with a background taken there, less half of what a bell may have left."""
+        background = _without_tail(background, self.peak, self.width, radius)
+        return replace(self, background=background, background_radius=radius)
+
+    def in_units_of(self, radius: float) -> Levels:
+        """The same levels about an ellipse that is so many times as large."""
+        c0, c1, c2 = self.dome
+        return replace(
+            self,
+            dome=(c0, c1 * radius**2, c2 * radius**4),
+            background_radius=self.background_radius / radius,
+            width=self.width / radius,
+            half_radius=self.half_radius / radius,
+        )
+
+    def share_of_peak(self, radii: np.ndarray) -> np.ndarray:
+        """Signal over the peak's inside the edge, at radii inside it."""
+        c0, c1, c2 = self.dome
+        square = radii * radii
+        return c0 + square * (c1 + square * c2)
+
+
+def levels_of(
+    profiles: np.ndarray, coarse: Coarse, ellipse: Ellipse, candidate: Candidate
+) -> Levels | None:
+    """Levels of a spot.
+
+    Args:
+        profiles: (n, len(RADII)) of the rays whose edge belongs to the spot; 0 outside the frame.
+        coarse: shows the background.
+        ellipse: of the spot, to a px or two.
+        candidate: the levels that the spot was found with.
+
+    Returns:
+        The levels; None where the profiles do not fall, or fall on from something brighter.
+    """
+    mean = profiles.sum(axis=0) / len(profiles)
+    steepest = float((mean[:-2] - mean[2:])[_NEAR_EDGE].max()) / (2 * RADIUS_STEP)
+    height = candidate.peak - candidate.background
+    width = height / (math.sqrt(2 * math.pi) * steepest) if steepest > 0 else math.inf
+    if width > 2:
+        return None
+    background, radius = background_of(coarse, ellipse, width) or (candidate.background, 1.0)
+    dark = (candidate.peak + candidate.background) / 2
+    glaring = 2 * candidate.peak
+    if 2 * np.count_nonzero(profiles[:, :16] > glaring) > profiles[:, :16].size:
+        return None  # the halo of something brighter
+    peak, dome, variance = _top(profiles, width, dark, glaring)
+    if not peak > background:
+        return None
+    half_radius = _falling_through(mean, (peak + background) / 2)
+    background = _without_tail(background, peak, width, radius)
+    return Levels(peak, dome, variance, background, radius, width, half_radius)
+
+
+def _falling_through(mean: np.ndarray, level: float) -> float:
+    """Radius at which the mean profile last falls to the level."""
+    above = np.flatnonzero(mean >= level)
+    last = int(above[-1]) if above.size else 0
+    if last + 1 == len(RADII):
+        return float(RADII[-1])
+    share = (mean[last] - level) / (mean[last] - mean[last + 1]) if above.size else 0.0
+    return float(RADII[last] + RADIUS_STEP * share)
+
+
+def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float, float] | None:
+    """Median signal on rings outside an edge of that width, and the radius where they begin.
+
+    The rings lie nearer where the window does not show them; None if it shows none.
+    """
+    levels = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
+    radius = dark_radius(width)
+    for _ in range(6):
+        ring = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII, every=2).ravel()
+        if not levels.holds(ellipse.scaled(radius + 0.4)):
+            ring = ring[~np.isnan(ring)]
+        if ring.size > RAYS // 2:
+            return float(np.partition(ring, ring.size // 2)[ring.size // 2]) * coarse.unit, radius
+        radius = 1 + 0.75 * (radius - 1)
+    return None
+
+
+def dark_radius(width: float) -> float:
+    """Radius from which a spot's light no longer reaches the wall, by its edge's width in radii."""
+    near = 1 + 4 * width
+    # The tails of a lens's bell reach further than a Gaussian's of the same flank.
+    return near if width < _TAILED else max(near, _TAIL)
+
+
+def _dark_at(radius: float, width: float) -> bool:
+    return radius > _FAR_ENOUGH * dark_radius(width)
+
+
+def _tail(width: float, radius: float) -> float:
+    """Light that a bell of that edge width may have left at a radius, over its amplitude."""
+    if width < _TAILED or _dark_at(radius, width):
+        return 0.0
+    return 0.5 * (2 * _LEFT) ** ((radius - 1) / (_TAIL - 1))
+
+
+def _without_tail(background: float, peak: float, width: float, radius: float) -> float:
+    """A background taken at a radius, less half of what a bell may have left there."""
+    return background - _tail(width, radius) / 2 * (peak - background)
+
+
+def _top(
+    profiles: np.ndarray, width: float, dark: float, glaring: float
+) -> tuple[float, tuple[float, float, float], float]:
+    """Peak, the dome under it (see `Levels`), and the variance of the dome's height.
+
+    An even polynomial through the rings' means over what is neither dark (a shaft) nor glaring. A
+    wall's texture looks like a dome too, so the dome counts only as far as it exceeds what the
+    rays' scatter explains (the garrote of Breiman 1995).
+    """
+    outermost = min(max(1 - 3 * width, 0.5), 0.9)
+    rings = slice(0, max(int((outermost - RADII[0]) / RADIUS_STEP) + 1, 8), 2)
+    radii, basis = RADII[rings], _EVEN_POWERS[rings]
+    inner = profiles[:, rings]
+    seen = (inner > dark) & (inner < glaring)
+    number = seen.sum(axis=0)
+    means = (inner * seen).sum(axis=0) / np.maximum(number, 1)
+    weighted = basis * (radii * number)[:, None]
+    gram = weighted.T @ basis
+    gram.flat[::4] += 1e-6
+    _, coefficients = cv2.solve(gram, weighted.T @ means[:, None])
+    curve = basis @ coefficients
+    top, plateau = float(curve.max()), float(curve[-1, 0])
+    height = top / plateau - 1 if plateau > dark / 2 else 0.0
+    whole = inner[seen.all(axis=1)]
+    if len(whole) < 8 or not height > 0:
+        return plateau, (1.0, 0.0, 0.0), 0.0
+    sums = whole.sum(axis=1)
+    sums -= sums.sum() / len(sums)
+    variance = float(sums @ sums) / len(sums) / (plateau * len(radii)) ** 2
+    kept = max(0.0, 1 - (_DOUBT * variance / height**2) ** 2)
+    c0, c1, c2 = (coefficients[:, 0] / top).tolist()
+    dome = (1 - kept + kept * c0, kept * c1, kept * c2)
+    doubt = kept * variance + kept * (1 - kept) * height**2  # the dome is there or not
+    return plateau / (1 - kept + kept * plateau / top), dome, doubt

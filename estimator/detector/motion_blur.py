@@ -1,0 +1,196 @@
+"""The ellipse in the middle of the exposure, of a spot that moved during it.
+
+A moving spot leaves the mean of its ellipse over its path: along the path its edge is smeared,
+across it is not, and the half-maximum contour is no ellipse. So the ellipse, its path and its edge
+are fitted to the pixels together. It takes some 0.1 s, and only what shows the signs is fitted so.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+
+import cv2
+import numpy as np
+
+from estimator.detector.edges import EdgeFit
+from estimator.detector.ellipse import Ellipse
+from estimator.detector.levels import RADII, RADIUS_STEP
+from estimator.detector.unwrap import Patch, normals_of
+
+SMEARED = 0.08
+"""Edge width, radii, from which a smear may bend the contour; less is symmetric."""
+
+_UNEVEN = 0.2  # amplitude of the width's logarithm over the direction, beyond a wall's texture
+_SHARP = 0.3  # radii that an edge takes at most beside the path; a bell's takes 0.6 and more
+_ALONG = 0.85  # cosine to the path of normals whose edges are smeared by nearly all of it
+_BESIDE = 0.25  # cosine to the path of normals whose edges it hardly smears
+_SIDE = 100  # pixels along a side that are fitted: larger patches are averaged down
+_WALL = 2.0  # pixels of that size: the wall's texture is taken to be longer than what this passes
+_SURE = 3.0  # standard deviations by which a path must differ from none
+_NODES_PER_WIDTH = 1.2  # places on the path at which the ellipse is summed, per edge width
+_STEPS = 12
+_SETTLED = 2e-4  # radii
+_OUTLYING = 3.0  # typical residuals at which a pixel counts half
+_BLOCK = 8  # pixels along a side of what counts as one observation
+_FURTHEST = 4.0  # edge widths beyond which an edge is flat
+
+_GRID = np.linspace(-_FURTHEST, _FURTHEST, 1601)
+_PER_WIDTH = (len(_GRID) - 1) / (2 * _FURTHEST)
+_INSIDE = np.array([NormalDist().cdf(-d) for d in _GRID], np.float32)
+_DENSITY = np.exp(-0.5 * _GRID**2, dtype=np.float32) / np.float32(math.sqrt(2 * math.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """An evenly lit ellipse with a Gaussian-blurred edge on its way; lengths in px."""
+
+    ellipse: Ellipse
+    path: np.ndarray
+    width: float
+    amplitude: float
+    background: float
+
+    def stepped(self, step: np.ndarray) -> _Moving:
+        """Moved by five parameters of `Ellipse.stepped`, path (2), and three logarithms."""
+        growth = np.exp(np.clip(step[7:], -0.5, 0.5)).tolist()
+        longest = 0.25 * self.ellipse.axes()[1]
+        return _Moving(
+            self.ellipse.stepped(np.clip(step[:5], -0.2, 0.2)),
+            self.path + np.clip(step[5:7], -longest, longest),
+            self.width * growth[0],
+            self.amplitude * growth[1],
+            self.background * growth[2],
+        )
+
+    def linearised(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signal at pixels, and the relative derivatives by the parameters of `stepped`, (10, …).
+
+        The mean over the path is a sum over places that lie closer than the edge is wide.
+        """
+        number = 3 + math.ceil(_NODES_PER_WIDTH * math.hypot(*self.path) / self.width)
+        (a, b), (c, d) = np.linalg.inv(self.ellipse.shape).astype(np.float32)
+        lit = np.zeros(np.broadcast(u, v).shape, np.float32)
+        derivatives = np.zeros((10, *lit.shape), np.float32)
+        for at in ((np.arange(number) + 0.5) / number - 0.5).tolist():
+            x, y = (self.ellipse.centre + at * self.path).tolist()
+            cos, sin = a * (u - x) + b * (v - y), c * (u - x) + d * (v - y)
+            radius = np.hypot(cos, sin) + np.float32(1e-6)
+            cos, sin = cos / radius, sin / radius
+            normal_x, normal_y = cos * a + sin * c, cos * b + sin * d
+            per_px = np.hypot(normal_x, normal_y)
+            distance = (radius - 1) / (per_px * np.float32(self.width))
+            inside = np.clip((distance + _FURTHEST) * _PER_WIDTH, 0, len(_GRID) - 1).astype(int)
+            lit += _INSIDE[inside]
+            density = _DENSITY[inside] / np.float32(self.width)
+            by_radius = density / per_px
+            for row, column in enumerate((cos, sin, cos * cos, sin * sin, 2 * cos * sin)):
+                derivatives[row] += by_radius * column
+            derivatives[5] += by_radius * normal_x * at
+            derivatives[6] += by_radius * normal_y * at
+            derivatives[7] += density * distance * np.float32(self.width)
+        share = np.float32(self.amplitude / number)
+        derivatives *= share
+        signal = lit * share
+        derivatives[8] = signal
+        derivatives[9] = self.background
+        signal = signal + np.float32(self.background)
+        return signal, derivatives / signal
+
+
+def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
+    """The fit with the ellipse in the middle of the path, if the spot moved; else as it is.
+
+    Weighted least squares by Gauss-Newton steps on the signal over the model's, both less their
+    local mean: a wall's texture is strongest at long waves (`_WALL`). The covariance is that of
+    White 1980, of blocks of pixels that share texture.
+
+    Args:
+        patch: signal round the spot.
+        fit: of its half-maximum contour.
+    """
+    path = _path(patch, fit)
+    if path is None:
+        return fit
+    levels = fit.levels
+    shrink = max(round(max(patch.signal.shape) / _SIDE), 1)
+    height, width = (length // shrink for length in patch.signal.shape)
+    whole = patch.signal[: height * shrink, : width * shrink]
+    signal = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+    u = patch.x0 + shrink * (np.arange(width, dtype=np.float32) + 0.5) - 0.5
+    v = patch.y0 + shrink * (np.arange(height, dtype=np.float32)[:, None] + 0.5) - 0.5
+    background = max(levels.background, 0.01 * levels.peak)
+    moving = _Moving(fit.ellipse, path, float(shrink), levels.amplitude, background)
+    for _ in range(_STEPS):
+        model, derivatives = moving.linearised(u, v)
+        residual = _passed(signal / model - 1)
+        columns = np.stack([_passed(row) for row in derivatives], axis=-1)
+        typical = 1.48 * float(np.median(np.abs(residual))) + 1e-9
+        weight = 1 / (1 + (residual / (_OUTLYING * typical)) ** 2)
+        pull = columns * (weight * residual)[..., None]
+        flat = columns.reshape(-1, 10)
+        gram = (flat.T * weight.ravel()).astype(float) @ flat
+        gram.flat[::11] *= 1 + 1e-6
+        step = np.linalg.lstsq(gram, pull.sum(axis=(0, 1)).astype(float), rcond=None)[0]
+        moving = moving.stepped(step)
+        semi_major, semi_minor, _ = moving.ellipse.axes()
+        sane = shrink / 4 < moving.width < semi_minor and semi_major < 2 * fit.ellipse.axes()[0]
+        if not (sane and math.hypot(*moving.path) < 4 * semi_minor):
+            return fit
+        if np.abs(step[:5]).max() < _SETTLED:
+            break
+    covariance = _covariance(gram, pull)
+    length = math.hypot(*moving.path)
+    heading = moving.path / length
+    if length < _SURE * math.sqrt(heading @ covariance[5:7, 5:7] @ heading):
+        return fit
+    return replace(
+        fit,
+        ellipse=moving.ellipse,
+        step_covariance=covariance[:5, :5],
+        levels=replace(
+            levels,
+            peak=moving.background + moving.amplitude,
+            background=moving.background,
+            width=moving.width / math.sqrt(semi_major * semi_minor),
+        ),
+        offsets=np.where(fit.found, 0.0, fit.offsets),
+        inliers=fit.found,
+    )
+
+
+def _path(patch: Patch, fit: EdgeFit) -> np.ndarray | None:
+    """Rough path of a spot whose edge is wide in one direction and narrow across; else None."""
+    profiles = np.nan_to_num(patch.unwrapped(fit.ellipse, RADII), nan=0.0)
+    normals, per_px = normals_of(fit.ellipse)
+    # The integral of the squared slope is step^2 / length where an edge is smeared evenly.
+    steepness = (np.diff(profiles, axis=1) ** 2).sum(axis=1) * (per_px / RADIUS_STEP)
+    seen = fit.found & (steepness > 0)
+    lengths = fit.levels.amplitude**2 / steepness[seen]
+    cos, sin = normals[:, seen]
+    double = np.stack([np.ones_like(cos), cos * cos - sin * sin, 2 * cos * sin], axis=1)
+    _, along, across = np.linalg.lstsq(double, np.log(lengths * per_px[seen]), rcond=None)[0]
+    if math.hypot(along, across) < _UNEVEN:
+        return None
+    heading = math.atan2(across, along) / 2
+    towards = np.array([math.cos(heading), math.sin(heading)])
+    along_path = np.abs(towards @ normals[:, seen])
+    beside, ahead = lengths[along_path < _BESIDE], lengths[along_path > _ALONG]
+    # Beside its path the edge of a sharp spot stays sharp; a bell, which texture or a slanted beam
+    # makes uneven too, is broad all round.
+    if not (beside.size and ahead.size) or np.median(beside) > _SHARP * fit.ellipse.axes()[1]:
+        return None
+    return min(float(np.median(ahead)), fit.ellipse.axes()[1]) * towards
+
+
+def _passed(values: np.ndarray) -> np.ndarray:
+    return values - cv2.GaussianBlur(values, (0, 0), _WALL)
+
+
+def _covariance(gram: np.ndarray, pull: np.ndarray) -> np.ndarray:
+    height, width = (length // _BLOCK * _BLOCK for length in pull.shape[:2])
+    blocks = pull[:height, :width].reshape(height // _BLOCK, _BLOCK, width // _BLOCK, _BLOCK, 10)
+    scores = blocks.sum(axis=(1, 3)).reshape(-1, 10).astype(float)
+    inverse = np.linalg.pinv(gram)
+    return inverse @ (scores.T @ scores) @ inverse

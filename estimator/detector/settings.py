@@ -1,0 +1,89 @@
+"""Sub-pixel mode: the half-maximum contour of the linearised signal.
+
+The edge of a spot is where its light falls to the middle between the spot's own peak and the
+background around it: the peak of a bell, the plateau of a disc, the highest point of a dome or of a
+plateau that slopes. It does not move with exposure nor, where the edge is symmetric about its
+middle, with blur. The wall's reflectance is taken out as far as the frame shows it, and altogether
+by a reference frame without the spot.
+
+Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), which has the least
+noise, unless one channel is clearly brighter in the spot, where texture is weaker (on a retina red,
+in which vessels hardly show), or a channel is saturated: then on the least saturated one. Of broad
+edges the texture that differs from colour to colour is taken out first (`texture.py`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from estimator.image import Camera, LightMeter, Response
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SubpixelSettings:
+    """Settings of the sub-pixel mode.
+
+    Attributes:
+        response: how values follow from light.
+        reference: a frame of the same view without the spot, under the light that stays; takes the
+            wall's texture out. None where there is none.
+        camera: whose lens distortion is taken out of the edge, so that spots are in the image of an
+            ideal pinhole. None measures in the image as it is.
+        search_half_width_px: half side of the square searched round the last position.
+        min_semi_minor_px: smaller spots are `too_small`.
+        max_semi_major_px: larger spots are `too_large`.
+        max_axis_ratio: of semi-major to semi-minor; more elongated regions are no spots (2: a
+            beam at 60 degrees).
+        min_contrast: least (peak - background) / background; must exceed what texture alone shows.
+        min_coverage: fraction of the contour below which a spot is `occluded` or `clipped`.
+        max_jump_px: furthest move between frames; a spot further away must be seen twice.
+        max_growth: largest ratio of the semi-minor axes of two frames, either way.
+    """
+
+    response: Response = field(default_factory=Response)
+    reference: np.ndarray | None = None
+    camera: Camera | None = None
+    search_half_width_px: int = 200
+    min_semi_minor_px: float = 15.0
+    max_semi_major_px: float = 400.0
+    max_axis_ratio: float = 2.0
+    min_contrast: float = 1.0
+    min_coverage: float = 0.5
+    max_jump_px: float = 80.0
+    max_growth: float = 1.5
+
+    def __post_init__(self) -> None:
+        """Reject settings under which nothing can be found."""
+        positive = ("search_half_width_px", "min_semi_minor_px", "min_contrast", "max_jump_px")
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise ValueError(
+                    f"SubpixelSettings({name}=...) must be positive; got {getattr(self, name)}."
+                )
+        for name in ("max_axis_ratio", "max_growth"):
+            if not getattr(self, name) > 1:
+                raise ValueError(
+                    f"SubpixelSettings({name}=...) must exceed 1; got {getattr(self, name)}."
+                )
+        if not 0 < self.min_coverage <= 1:
+            raise ValueError(
+                f"SubpixelSettings(min_coverage=...) must lie in (0, 1]; got {self.min_coverage}."
+            )
+        if not self.max_semi_major_px > self.min_semi_minor_px:
+            raise ValueError(
+                "SubpixelSettings(max_semi_major_px=...) must exceed min_semi_minor_px; got"
+                f" {self.max_semi_major_px} px and {self.min_semi_minor_px} px."
+            )
+
+    @cached_property
+    def meter(self) -> LightMeter:
+        """What turns frames into light under these settings."""
+        return LightMeter(self.response, self.reference)
+
+    @property
+    def stride(self) -> int:
+        """Subsampling of the search: the smallest spot still spans seven pixels."""
+        return max(1, min(4, int(self.min_semi_minor_px / 3.5)))

@@ -1,0 +1,92 @@
+"""Shape of a spot's profile: a plateau, a bell, or what lies between."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.detector.ellipse import Ellipse
+from estimator.detector.unwrap import RAYS, Patch
+from estimator.image import GREY, Camera, LightMeter, Response, Spot, Window, checked_frame
+
+LEVELS = (0.25, 0.5, 0.75)
+"""Of the peak above the background."""
+
+_PROFILE_RADII = np.linspace(0.0, 3.0, 121)  # in units of the spot's ellipse
+_BACKGROUND = _PROFILE_RADII >= 2.5
+_CORE = np.linspace(0.0, 0.9, 10)
+_TOP = 95  # percentile of the core: a few glints do not make a channel useless
+_FEWEST_RAYS = RAYS // 4
+
+
+class Shape(NamedTuple):
+    """What a frame tells of a spot beyond its ellipse.
+
+    Attributes:
+        ratios: radii at a quarter and at three quarters of the peak over the half-maximum radius.
+        peak: above the background, as a fraction of full scale.
+    """
+
+    ratios: tuple[float, float]
+    peak: float
+
+
+def spot_shape(
+    frame: np.ndarray, spot: Spot, *, response: Response, camera: Camera | None
+) -> Shape | None:
+    """Shape and peak of a spot, of the median profile over its rays.
+
+    Args:
+        frame: in which the spot was measured; as `estimator.measure` takes it.
+        spot: of that frame.
+        response: of the camera.
+        camera: with which the spot was measured.
+
+    Returns:
+        None where the peak is saturated, the wall round the spot out of view, or no spot there.
+    """
+    frame = checked_frame(frame)
+    x, y = spot.x_px, spot.y_px
+    if camera is not None:
+        x, y = camera.distorted(x, y)
+    ellipse = Ellipse.from_axes(x, y, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad)
+    half_width, half_height = ellipse.scaled(_PROFILE_RADII[-1]).half_extent()
+    window = Window.around(x, y, half_width + 1, half_height + 1, frame)
+    values, full_scale = window.of(frame), response.full_scale_of(frame)
+
+    def profiles_of(signal: np.ndarray, radii: np.ndarray) -> np.ndarray:
+        patch = Patch(signal.astype(np.float32), window.x0, window.y0)
+        rays = patch.unwrapped(ellipse, radii)
+        return rays[~np.isnan(rays).any(axis=1)]
+
+    # A channel at full scale has lost its peak; the brightest that is not says most.
+    channels = np.atleast_3d(values)
+    cores = [profiles_of(channels[:, :, c], _CORE) for c in range(channels.shape[2])]
+    if len(cores[0]) < _FEWEST_RAYS:
+        return None
+    tops = np.percentile(cores, _TOP, axis=(1, 2))
+    whole = tops < full_scale
+    if not whole.any():
+        return None
+    channel = GREY if whole.all() else int(np.argmax(np.where(whole, tops, -1.0)))
+    light = LightMeter(response, None).light(values, window, channel, full_scale)
+    profiles = profiles_of(light, _PROFILE_RADII)
+    if len(profiles) < _FEWEST_RAYS:
+        return None
+    profile = np.median(profiles, axis=0)
+    profile = profile - np.median(profile[_BACKGROUND])
+    peak = float(profile[_PROFILE_RADII < 1].max())
+    if not peak > 0:
+        return None
+    quarter, half, three_quarters = (_outermost(profile, level * peak) for level in LEVELS)
+    return Shape((quarter / half, three_quarters / half), peak / full_scale)
+
+
+def _outermost(profile: np.ndarray, level: float) -> float:
+    """Radius at which the profile falls to a level for the last time."""
+    last = int(np.flatnonzero(profile >= level)[-1])
+    if last + 1 == profile.size:
+        return float(_PROFILE_RADII[-1])
+    share = (profile[last] - level) / (profile[last] - profile[last + 1])
+    return float(_PROFILE_RADII[last] + share * (_PROFILE_RADII[1] - _PROFILE_RADII[0]))

@@ -1,0 +1,273 @@
+"""Distance behind a glue lens: size, shape and brightness of the spot against the lens's light.
+
+Behind a lens one radius may belong to two distances. The profile differs between them (near the
+lens a plateau, farther off a bell), so what decides is the likelihood of the distance given the
+half-maximum radius, the radii at a quarter and at three quarters of the peak relative to it, and,
+at known exposure, the peak's brightness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from estimator.detector import LEVELS, Shape
+from estimator.files import LENS_PARAMETERS, Calibration
+
+if TYPE_CHECKING:
+    import optics
+
+_RADIUS_ERROR = 0.003  # relative: projection to first order, interpolation between incidences
+_SHAPE_ERROR = 0.02  # of the ratios: tilt 0.01, the wall's texture and the camera's blur
+_BRIGHTNESS_ERROR = 0.1  # relative: the wall's reflectance differs from place to place
+_DECIDED = 9.0  # difference of -2 log likelihood: three standard deviations
+_STRANGE = 25.0  # of the best distance: five
+
+_STEP = 0.001  # of the distances compared, mm
+_DISTANCES = np.linspace(0.05, 8.0, 160)
+_INCIDENCES = np.radians([0.0, 15.0, 30.0, 45.0])
+_RADII = np.linspace(0.0, 1.0, 192)  # of the light's reach
+_HALF_TURN = np.linspace(0.0, np.pi, 19)  # about the axis, from the side to which the beam leans
+_SENSITIVITY_DISTANCES = np.linspace(0.05, 8.0, 32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LensCurve:
+    """What a lens shows on the eyeball's wall at each distance and incidence.
+
+    Attributes:
+        distances: d, (n,), mm, growing.
+        incidences: (m,), rad, growing from 0.
+        radii: (n, m, 3), semi-minor axes of the isophotes at `LEVELS` of the peak, mm.
+        peak: (n, m), irradiance, 1/mm2 per unit power in the core.
+        relative_error: (n,), standard error of the half-maximum radius from the calibration.
+        tip_radius: of the lens's rim, which touches the wall first, mm.
+    """
+
+    distances: np.ndarray
+    incidences: np.ndarray
+    radii: np.ndarray
+    peak: np.ndarray
+    relative_error: np.ndarray
+    tip_radius: float
+
+    def at(self, incidence: float) -> tuple[np.ndarray, np.ndarray]:
+        """`radii` and `peak` at an incidence; to first order both fall with its square."""
+        square, known = incidence**2, self.incidences**2
+        j = int(np.clip(np.searchsorted(known, square) - 1, 0, len(known) - 2))
+        share = (square - known[j]) / (known[j + 1] - known[j])
+        blend = np.array([1 - share, share])
+        return (
+            np.einsum("njl,j->nl", self.radii[:, j : j + 2], blend),
+            self.peak[:, j : j + 2] @ blend,
+        )
+
+
+class LensDistance(NamedTuple):
+    """The likeliest distance, its standard deviation, and others that cannot be excluded, mm."""
+
+    distance: float
+    sigma: float
+    others: tuple[float, ...]
+
+
+def distance_from_lens(
+    curve: LensCurve,
+    *,
+    radius_mm: float,
+    relative_sigma: float,
+    incidence: float,
+    shape: Shape | None,
+    peak_irradiance: tuple[float, float] | None,
+) -> LensDistance | None:
+    """Distance of greatest likelihood.
+
+    Args:
+        curve: of the lens.
+        radius_mm: semi-minor axis of the half-maximum contour on the wall; NaN is nowhere.
+        relative_sigma: of the radius, from the image.
+        incidence: of the beam, rad.
+        shape: of the profile; None leaves it out.
+        peak_irradiance: of the peak, 1/mm2 per unit power, and its relative standard deviation;
+            None leaves it out.
+
+    Returns:
+        The distance; sigma covers `others` too where there are any. None where no distance in
+        the curve's range has such a spot.
+    """
+    radii, peak = curve.at(incidence)
+    # Nearer, the tilted tip's rim would be inside the wall.
+    possible = curve.distances[curve.distances >= curve.tip_radius * np.tan(incidence)]
+    if possible.size == 0:
+        return None
+    grid = np.arange(possible[0], possible[-1], _STEP)
+
+    def over_grid(values: np.ndarray) -> np.ndarray:
+        return np.interp(grid, curve.distances, values)
+
+    variance = relative_sigma**2 + _RADIUS_ERROR**2 + over_grid(curve.relative_error) ** 2
+    by_size = np.log(over_grid(radii[:, 1]) / radius_mm) ** 2 / variance
+    if not by_size.min() < _DECIDED:
+        return None
+    cost = by_size
+    if shape is not None:
+        # Tilt shifts the isophotes against each other and leaves the median over the rays alone.
+        square, _ = curve.at(0.0)
+        for column, ratio in zip((0, 2), shape.ratios, strict=True):
+            expected = over_grid(square[:, column] / square[:, 1])
+            cost = cost + ((expected - ratio) / _SHAPE_ERROR) ** 2
+    if peak_irradiance is not None:
+        value, relative = peak_irradiance
+        cost = cost + np.log(over_grid(peak) / value) ** 2 / (relative**2 + _BRIGHTNESS_ERROR**2)
+    # A profile that fits nowhere (a shaft in front, a wall too dark) says nothing.
+    return _likeliest(grid, cost if cost.min() < _STRANGE else by_size)
+
+
+def _likeliest(grid: np.ndarray, cost: np.ndarray) -> LensDistance:
+    best = int(np.argmin(cost))
+    excess = cost - cost[best]
+    # Stretches of distance that cannot be excluded; each counts as one answer.
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], excess < _DECIDED, [0]])))
+    others = []
+    for first, last in edges.reshape(-1, 2):
+        if not first <= best < last:
+            others.append(float(grid[first + np.argmin(excess[first:last])]))
+    distance = _vertex(grid, cost, best)
+    weight = np.exp(-0.5 * excess)
+    spread = weight @ (grid - distance) ** 2 / weight.sum()
+    return LensDistance(distance, float(np.sqrt(spread)), tuple(others))
+
+
+def _vertex(grid: np.ndarray, cost: np.ndarray, index: int) -> float:
+    """Of the parabola through the least value and its neighbours."""
+    if not 0 < index < len(grid) - 1:
+        return float(grid[index])
+    before, least, after = cost[index - 1 : index + 2]
+    return float(grid[index] + 0.5 * _STEP * (before - after) / (before - 2 * least + after))
+
+
+def lens_curve(calibration: Calibration, *, eye_radius_mm: float) -> LensCurve:
+    """Trace a calibrated lens. Loads JAX; takes some 20 s.
+
+    Args:
+        calibration: of the model `lens`.
+        eye_radius_mm: r.
+
+    Raises:
+        ValueError: no lens has these parameters; the text says which one is wrong.
+    """
+    import optics
+
+    lens = optics.glue_lens(
+        **{name: calibration.values[name] for name in LENS_PARAMETERS if name in calibration.values}
+    )
+    table = optics.irradiance_table(lens, medium_index=calibration.medium_index)
+    light, points = zip(
+        *(_wall_light(table, eye_radius_mm, distance) for distance in _DISTANCES), strict=True
+    )
+    contours: Any = np.stack([_isophotes(*of_one) for of_one in zip(light, points, strict=True)])
+    return LensCurve(
+        distances=_DISTANCES,
+        incidences=_INCIDENCES,
+        radii=np.asarray(optics.ellipse_of_contour(contours).semi_minor),
+        peak=np.max(light, axis=(2, 3)),
+        relative_error=_relative_error(calibration),
+        tip_radius=calibration.values["aperture_radius"],
+    )
+
+
+def _wall_light(
+    table: optics.IrradianceTable, eye_radius_mm: float, distance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Irradiance of the wall as `optics.wall_irradiance` has it, but at all incidences at once.
+
+    The wall touches z = 0 at O, the sphere's centre is above it, and the beam leans towards +x.
+
+    Returns:
+        Light per unit power on half a turn of rays, (incidences, angles, radii), and where on the
+        wall, (..., 3), mm.
+    """
+
+    def vectors(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.stack(np.broadcast_arrays(x, y, z), axis=-1)
+
+    incidence, angle = _INCIDENCES[:, None, None], _HALF_TURN[:, None]
+    sine, cosine, none = np.sin(incidence), np.cos(incidence), np.zeros(1)
+    axis = vectors(sine, none, -cosine)
+    around = vectors(np.cos(angle) * cosine, np.sin(angle), np.cos(angle) * sine)
+    centre = np.array([0.0, 0.0, eye_radius_mm])
+
+    def light_to(reach: float) -> tuple[np.ndarray, np.ndarray]:
+        radius = reach * _RADII
+        start = radius[:, None] * around - distance * axis - centre
+        along = np.sum(start * axis, axis=-1)
+        square = along**2 + eye_radius_mm**2 - np.sum(start**2, axis=-1)
+        to_wall = np.sqrt(np.maximum(square, 0.0)) - along
+        outward = start + to_wall[..., None] * axis
+        lateral, axial = map(np.asarray, table(radius=radius, distance=to_wall))
+        vector = lateral[..., None] * around + axial[..., None] * axis
+        light = np.sum(outward * vector, axis=-1) / eye_radius_mm
+        return np.where(square > 0, np.maximum(light, 0.0), 0.0), outward + centre
+
+    # On a tilted wall the light's far side is farther than O; wide enough up to 45 degrees. A few
+    # rays go far beside the spot, so a second look takes in the isophotes alone.
+    reach = float(table.envelope(1.5 * distance + 0.5))
+    light, _ = light_to(reach)
+    bright = (light > 0.5 * LEVELS[0] * light.max(axis=(1, 2), keepdims=True)).any(axis=(0, 1))
+    outermost = np.flatnonzero(bright).max(initial=0) + 1
+    return light_to(reach * _RADII[min(outermost, _RADII.size - 1)])
+
+
+def _isophotes(light: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Isophotes at `LEVELS`, seen square to the wall at O: (incidences, 3, whole turn, 2), mm."""
+    contours = []
+    for level in LEVELS:
+        wanted = level * light.max(axis=(1, 2), keepdims=True)
+        above = light[..., :-1] >= wanted
+        last = above.shape[-1] - 1 - np.argmax(above[..., ::-1], axis=-1, keepdims=True)
+        inner, outer = (np.take_along_axis(light, last + side, axis=-1) for side in (0, 1))
+        # Nearer than the tilted tip can come there may be no light at all.
+        share = (inner - wanted) / np.where(inner > outer, inner - outer, 1.0)
+        start, end = (
+            np.take_along_axis(points, last[..., None] + side, axis=-2)[..., 0, :2]
+            for side in (0, 1)
+        )
+        half = start + share * (end - start)
+        contours.append(np.concatenate([half, half[:, -2:0:-1] * [1.0, -1.0]], axis=1))
+    return np.stack(contours, axis=1)
+
+
+def _relative_error(calibration: Calibration) -> np.ndarray:
+    """Standard error of the half-maximum radius at `_DISTANCES`, from the calibration's."""
+    import optics
+
+    def log_radius(values: Mapping[str, float]) -> np.ndarray:
+        field = optics.LensField(_lens(values), calibration.medium_index)
+        radius = optics.half_maximum_radius(field, distance=_SENSITIVITY_DISTANCES)
+        return np.log(np.asarray(radius))
+
+    values = calibration.values
+    slopes = np.zeros((len(_SENSITIVITY_DISTANCES), len(values)))
+    middle: np.ndarray | None = None
+    for column, (name, value) in enumerate(values.items()):
+        # A step of one standard error: small ones drown in the quadrature's error.
+        step = calibration.sigma(name)
+        if name == "scale":
+            slopes[:, column] = -1.0 / value
+        elif name in LENS_PARAMETERS and step > 0:
+            middle = log_radius(values) if middle is None else middle
+            slopes[:, column] = (log_radius({**values, name: value + step}) - middle) / step
+    variance = np.einsum("ni,ij,nj->n", slopes, calibration.covariance, slopes)
+    return np.sqrt(np.interp(_DISTANCES, _SENSITIVITY_DISTANCES, np.maximum(variance, 0.0)))
+
+
+def _lens(values: Mapping[str, float]) -> optics.GlueLens:
+    """Unchecked: a step of one standard error may leave what `optics.glue_lens` allows."""
+    import optics
+
+    present: Any = {name: None for name in LENS_PARAMETERS}
+    present |= {name: np.asarray(values[name]) for name in LENS_PARAMETERS if name in values}
+    return optics.GlueLens(**present)

@@ -1,0 +1,274 @@
+"""From a spot to the distance between tip and wall, with its standard deviation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from estimator.detector import Ellipse, spot_shape
+from estimator.distance import models
+from estimator.distance.cone_pose import UNKNOWN_SIGMA_PX, ConePoses
+from estimator.distance.lens_range import distance_from_lens, lens_curve
+from estimator.distance.range import Range
+from estimator.files import CONE_MODELS, MODELS, Calibration, MicroscopeFile
+from estimator.image import Spot
+
+_APART = 3.0  # standard deviations between two distances that count as two
+_STEP = 1e-6  # of the differences, relative
+_UNIT = 1e-3  # of a unit vector's length, as robots round them
+
+
+class Ranger:
+    """Turns spots into distances with one model and one calibration.
+
+    - planar: d = delta k e1' + b (Zhou et al. 2020, eq. 7).
+    - small_plane: the paper's model of the eyeball (eq. 11).
+    - corrected: with the right first-order factor for the pinhole's height.
+    - stereographic: exact for a pinhole on the sphere (z_F = r) and a square beam.
+    - exact: tip and axis of the cone that leaves the spot's ellipse on the sphere. Loads JAX.
+    - lens: by size, shape and brightness against the light of a glue lens. Loads JAX.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        microscope: MicroscopeFile,
+        *,
+        model: str | None = None,
+        eccentricity_mm: float | None = None,
+    ) -> None:
+        """Check that the parts fit each other, and prepare what the model needs.
+
+        `exact` is compiled once a process, for some 10 s; `lens` traces its lens, for some 20 s.
+
+        Args:
+            calibration: its `scale`, `eye_radius` and `inverse_working_distance`, if it has them,
+                go before the microscope's.
+            microscope: in whose undistorted image the spots lie.
+            model: one of `MODELS`; by default the calibration's. All models of a cone share k
+                (or half_angle) and b.
+            eccentricity_mm: c of the spots, which all but planar and exact need; by default, where
+                the pinhole sees each spot's centre on the sphere.
+
+        Raises:
+            ValueError: no such model, one that calibration or microscope does not fit, or a lens
+                that cannot be.
+        """
+        own = calibration.values
+        self.calibration = calibration
+        self.microscope = microscope
+        view = self._view(own)
+        self.microscope = replace(
+            microscope,
+            scale_mm_px=float(view.scale),
+            eye_radius_mm=float(view.eye_radius),
+            pinhole_height_mm=float(view.pinhole_height),
+        )
+        self.model = calibration.model if model is None else model
+        self.eccentricity_mm = eccentricity_mm
+        self._check()
+        if self.model == "exact":
+            self._poses = ConePoses(
+                self.microscope, half_angle=float(np.arctan(1 / _slope(own))), apex_offset=own["b"]
+            )
+        elif self.model == "lens":
+            self._curve = lens_curve(calibration, eye_radius_mm=self.microscope.eye_radius_mm)
+
+    def distance(
+        self,
+        spot: Spot,
+        *,
+        axis: ArrayLike | None = None,
+        axis_sigma_rad: float = math.radians(1.0),
+        frame: np.ndarray | None = None,
+        exposure_s: float | None = None,
+    ) -> Range:
+        """Distance of a spot. What a model has no use for, it leaves alone.
+
+        Args:
+            spot: from `measure`, in the undistorted image.
+            axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame.
+                `exact` weighs it against the ellipse.
+            axis_sigma_rad: standard deviation of the axis across itself.
+            frame: in which the spot was measured; `lens` reads the profile's shape from it.
+            exposure_s: of the frame; `lens` with a calibrated `brightness` uses the peak's, too.
+
+        Raises:
+            ValueError: the axis is not a unit vector, or the frame is not an image.
+        """
+        direction = None if axis is None else _unit(axis)
+        if self.model == "exact":
+            return self._exact(spot, direction, axis_sigma_rad)
+        if self.model == "lens":
+            return self._lens(spot, frame, exposure_s)
+        return self._closed_form(self.model, spot, spot.covariance)
+
+    def _check(self) -> None:
+        model, c, radius = self.model, self.eccentricity_mm, self.microscope.eye_radius_mm
+        if model not in MODELS:
+            raise ValueError(
+                f"Ranger(model=...) must be one of {', '.join(MODELS)}; got {model!r}."
+            )
+        if (model in CONE_MODELS) != (self.calibration.model in CONE_MODELS):
+            raise ValueError(
+                f"Ranger(model={model!r}) does not fit a calibration of the model "
+                f"{self.calibration.model!r}: one is a cone, the other a lens. Leave model out, or "
+                f"calibrate {model}."
+            )
+        if c is not None and not 0 <= c < radius:
+            raise ValueError(
+                f"Ranger(eccentricity_mm=...) must lie in [0, {radius:g}), inside the eye; got {c} "
+                "mm."
+            )
+        height = self.microscope.pinhole_height_mm
+        if model == "stereographic" and not math.isclose(height, radius, rel_tol=1e-3):
+            raise ValueError(
+                f"Ranger(model='stereographic') needs the pinhole on the sphere, at {radius:g} mm; "
+                f"this microscope has it at {height:g} mm. Take model='corrected'."
+            )
+
+    def _closed_form(self, model: str, spot: Spot, spot_covariance: np.ndarray) -> Range:
+        """Distance by a closed form, its sigma propagated by central differences."""
+        names, values = zip(*self.calibration.values.items(), strict=True)
+        base = np.array([spot.x_px, spot.y_px, spot.semi_minor_px, *values])
+        steps = np.diag(_STEP * np.maximum(np.abs(base), 1.0))
+        # The first column is the spot itself; then each quantity a step up, and each a step down.
+        varied = base[:, None] + np.hstack([np.zeros((base.size, 1)), steps, -steps])
+        x, y, semi_minor, *calibrated = varied
+        quantities = dict(zip(names, calibrated, strict=True))
+        view = self._view(quantities)
+        # A spot that the sphere does not hold becomes a NaN, which is flagged.
+        with np.errstate(invalid="ignore"):
+            distances = np.asarray(
+                models.distance(
+                    model,
+                    view,
+                    semi_minor_px=semi_minor,
+                    eccentricity=self._eccentricity(view, x, y),
+                    k=_slope(quantities),
+                    b=quantities["b"],
+                )
+            )
+        up, down = distances[1:].reshape(2, -1)
+        gradient = (up - down) / (2 * np.diag(steps))
+        of_spot, of_calibration = gradient[:3], gradient[3:]
+        measured = np.ix_((0, 1, 3), (0, 1, 3))
+        variance = of_spot @ spot_covariance[measured] @ of_spot
+        variance += of_calibration @ self.calibration.covariance @ of_calibration
+        return Range(distance_mm=float(distances[0]), sigma_mm=float(np.sqrt(variance)))
+
+    def _view(self, calibrated: Mapping[str, models.Numbers]) -> models.View:
+        microscope = self.microscope
+        eye_radius = calibrated.get("eye_radius", microscope.eye_radius_mm)
+        height: models.Numbers = microscope.pinhole_height_mm
+        if "inverse_working_distance" in calibrated:
+            with np.errstate(divide="ignore"):  # 0 of a telecentric one: infinitely high
+                height = 1.0 / np.asarray(calibrated["inverse_working_distance"]) - eye_radius
+        return models.View(
+            scale=calibrated.get("scale", microscope.scale_mm_px),
+            eye_radius=eye_radius,
+            pinhole_height=height,
+        )
+
+    def _wall_point(self, view: models.View, x: models.Numbers, y: models.Numbers) -> np.ndarray:
+        u, v = self.microscope.principal_point_px
+        return models.wall_point(view, right_px=x - u, down_px=y - v)
+
+    def _eccentricity(
+        self, view: models.View, x: models.Numbers, y: models.Numbers
+    ) -> models.Numbers:
+        if self.eccentricity_mm is not None:
+            return self.eccentricity_mm
+        return np.hypot(*self._wall_point(view, x, y)[:2])
+
+    def _exact(self, spot: Spot, axis: np.ndarray | None, axis_sigma_rad: float) -> Range:
+        """The pose whose cone leaves the spot's ellipse on the sphere."""
+        # The calibration acts on a tilted spot as on a square one, to a few percent.
+        square = self._closed_form("corrected", spot, np.zeros((5, 5)))
+        if math.isnan(square.distance_mm):
+            return square
+        found = self._poses.of(spot, axis=axis, axis_sigma_rad=axis_sigma_rad)
+        distance, other = (pose.distance_mm for pose in (found.best, found.mirror))
+        sigma = math.hypot(found.sigma_mm, square.sigma_mm)
+        apart = abs(other - distance) > _APART * sigma
+        return Range(
+            distance_mm=distance,
+            sigma_mm=sigma,
+            others_mm=(other,) if found.alike and apart else (),
+            poses=(found.best, found.mirror),
+        )
+
+    def _lens(
+        self,
+        spot: Spot,
+        frame: np.ndarray | None,
+        exposure_s: float | None,
+    ) -> Range:
+        """The distance at which the lens makes a spot of this size, shape and brightness."""
+        values = self.calibration.values
+        shape = peak = None
+        if frame is not None:
+            microscope = self.microscope
+            shape = spot_shape(
+                frame, spot, response=microscope.response, camera=microscope.camera()
+            )
+        if shape is not None and exposure_s is not None and "brightness" in values:
+            relative = self.calibration.sigma("brightness") / values["brightness"]
+            peak = shape.peak / (values["brightness"] * exposure_s), relative
+        major, minor = self._axes_on_wall(spot)
+        sigma = spot.sigma_semi_minor_px
+        known = sigma > 0
+        found = distance_from_lens(
+            self._curve,
+            radius_mm=minor,
+            relative_sigma=(sigma if known else UNKNOWN_SIGMA_PX) / spot.semi_minor_px,
+            # As of a cone: within 2.5 degrees at 30, which the radius hardly feels.
+            incidence=math.acos(minor / major),
+            shape=shape,
+            peak_irradiance=peak,
+        )
+        if found is None:
+            return Range(distance_mm=math.nan, sigma_mm=math.nan)
+        return Range(
+            distance_mm=found.distance,
+            sigma_mm=found.sigma if known else math.nan,
+            others_mm=found.others,
+        )
+
+    def _axes_on_wall(self, spot: Spot) -> np.ndarray:
+        """The spot's semi-axes on the wall, mm, to first order in its size; NaN off the sphere."""
+        # A pixel's step along u, and one along v.
+        x = spot.x_px + np.array([0.5, -0.5, 0.0, 0.0])
+        y = spot.y_px + np.array([0.0, 0.0, 0.5, -0.5])
+        with np.errstate(invalid="ignore"):
+            points = self._wall_point(self._view({}), x, y)
+        per_px = points[:, [0, 2]] - points[:, [1, 3]]
+        if np.isnan(per_px).any():
+            return np.full(2, math.nan)
+        return np.linalg.svd(per_px @ _ellipse(spot).shape, compute_uv=False)
+
+
+def _unit(axis: ArrayLike) -> np.ndarray:
+    vector = np.asarray(axis, float)
+    length = float(np.linalg.norm(vector))
+    if vector.shape != (3,) or not abs(length - 1) < _UNIT:
+        raise ValueError(
+            "Ranger.distance(axis=...) must be a unit vector from the tip towards the wall, (3,); "
+            f"got {vector.tolist()}."
+        )
+    return vector / length
+
+
+def _slope(values: Mapping[str, models.Numbers]) -> models.Numbers:
+    """k = 1/tan(half_angle), whichever of the two a calibration holds."""
+    return values["k"] if "k" in values else 1 / np.tan(values["half_angle"])
+
+
+def _ellipse(spot: Spot) -> Ellipse:
+    return Ellipse.from_axes(
+        spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad
+    )

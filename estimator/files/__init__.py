@@ -1,0 +1,21 @@
+"""The files that people exchange: schemas, readers and writers.
+
+calibration       Calibration file: JSON with a model's fitted parameters, their covariance and
+                  their origin
+microscope        What is known of a microscope: the stack's microscope.json, or a calibration
+                  file of OpenCV
+model_parameters  Parameters of the models: which each of them has, in which unit and range
+opencv            Camera calibrations as OpenCV and ROS write them
+poses             Poses of the robot: where the instrument's tip was, and which way it pointed
+spots             The spots file: CSV or Parquet, one line a frame, of what was measured and what
+                  came of it
+stack             Stack folder: frames, masks, one line of labels a frame, the scene as run,
+                  checksums
+stack_writer      Writes a stack folder, frame by frame, so that a run that was stopped can go on
+writing           Files: written whole or not at all, and one clear error where a reader finds
+                  damage
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

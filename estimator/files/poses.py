@@ -1,0 +1,189 @@
+"""Poses of the robot: where the instrument's tip was, and which way it pointed."""
+
+from __future__ import annotations
+
+import bisect
+import csv
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+_POSITION = ("x_mm", "y_mm", "z_mm")
+_QUATERNION = ("qx", "qy", "qz", "qw")
+_AXIS = ("axis_x", "axis_y", "axis_z")
+_UNIT = 0.01  # that a length may be off 1: files round
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose:
+    """The tool at one moment, in the frame of whoever recorded it.
+
+    Attributes:
+        time_s: on the same clock as the frames' times.
+        position_mm: of the tip.
+        rotation: unit quaternion (x, y, z, w) that turns the tool's frame into the recorder's.
+    """
+
+    time_s: float
+    position_mm: Vector
+    rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        """Reject what is no pose, and take the rounding out of the quaternion."""
+        if not all(map(math.isfinite, (self.time_s, *self.position_mm))):
+            raise ValueError(
+                "Pose(time_s=..., position_mm=...) must be finite;"
+                f" got {self.time_s} s, {self.position_mm} mm."
+            )
+        object.__setattr__(self, "rotation", unit_quaternion(self.rotation))
+
+    @classmethod
+    def along(
+        cls,
+        axis: Vector,
+        *,
+        time_s: float,
+        position_mm: Vector,
+    ) -> Self:
+        """The pose that turns the tool's +z axis into `axis`, a unit vector, the shortest way."""
+        x, y, z = _of_unit_length(axis, "A pose's axis must be a unit vector")
+        # z cross axis, and 1 + z . axis: twice the half-angle's quaternion.
+        turn = (-y, x, 0.0, 1 + z)
+        size = math.hypot(*turn)
+        rotation = (1.0, 0.0, 0.0, 0.0)  # straight back: about any axis across
+        if size > 1e-6:
+            rotation = (turn[0] / size, turn[1] / size, 0.0, turn[3] / size)
+        return cls(time_s=time_s, position_mm=position_mm, rotation=rotation)
+
+    @property
+    def axis(self) -> Vector:
+        """The tool's +z axis, a unit vector."""
+        return turned((0.0, 0.0, 1.0), self.rotation)
+
+
+def unit_quaternion(rotation: Quaternion) -> Quaternion:
+    """A quaternion (x, y, z, w) without the rounding of whoever wrote it down.
+
+    Raises:
+        ValueError: its length is not 1 to a percent.
+    """
+    x, y, z, w = _of_unit_length(rotation, "A rotation must be a unit quaternion (x, y, z, w)")
+    return x, y, z, w
+
+
+def _of_unit_length(parts: tuple[float, ...], rule: str) -> Iterator[float]:
+    length = math.hypot(*parts)
+    if not abs(length - 1) <= _UNIT:
+        raise ValueError(f"{rule}; got {parts}, of length {length:.3g}.")
+    return (part / length for part in parts)
+
+
+def turned(vector: Vector, rotation: Quaternion) -> Vector:
+    """A vector turned by a unit quaternion (x, y, z, w)."""
+    *part, w = rotation
+    across = np.cross(part, vector)
+    x, y, z = (np.asarray(vector) + 2 * (w * across + np.cross(part, across))).tolist()
+    return x, y, z
+
+
+class PoseTrack:
+    """Poses by time.
+
+    Args:
+        poses: in any order.
+    """
+
+    def __init__(self, poses: Iterable[Pose]) -> None:
+        self._poses = sorted(poses, key=lambda pose: pose.time_s)
+        self._times = [pose.time_s for pose in self._poses]
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    def __iter__(self) -> Iterator[Pose]:
+        return iter(self._poses)
+
+    def at(self, time_s: float) -> tuple[Pose, float] | None:
+        """The pose that was known at a time.
+
+        Returns:
+            The latest pose that is not after `time_s`, and its age in s; None if there was none
+            yet or the time is NaN.
+        """
+        following = bisect.bisect_right(self._times, time_s)
+        if following == 0 or math.isnan(time_s):
+            return None
+        pose = self._poses[following - 1]
+        return pose, time_s - pose.time_s
+
+
+def read_poses(path: str | Path, *, topic: str | None = None) -> PoseTrack:
+    """Read the robot's poses from a CSV file or a ROS bag.
+
+    The CSV file's header names its columns: `time_s, x_mm, y_mm, z_mm`, and either a quaternion
+    `qx, qy, qz, qw` or the tool's axis `axis_x, axis_y, axis_z`; others are passed over.
+
+    Args:
+        path: of the CSV file or the bag.
+        topic: of the poses in a bag; None takes the one there is, see `bags.read_poses`.
+
+    Raises:
+        ValueError: not readable, or without poses; the message names the file and the line.
+    """
+    from estimator.sources import bags  # which reads poses of this module's kind
+
+    path = Path(path)
+    if not path.exists():
+        raise ValueError(f"{path}: there is no such file. Check the path of the poses.")
+    poses = bags.read_poses(path, topic=topic) if bags.is_bag(path) else _from_csv(path)
+    track = PoseTrack(poses)
+    if not len(track):
+        raise ValueError(f"{path} holds no poses.")
+    return track
+
+
+def _from_csv(path: Path) -> list[Pose]:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = csv.DictReader(file, strict=True)
+            names = rows.fieldnames or ()
+            direction = _QUATERNION if set(_QUATERNION) <= set(names) else _AXIS
+            missing = [name for name in ("time_s", *_POSITION, *direction) if name not in names]
+            if missing:
+                raise ValueError(
+                    f"{path}, line 1: no poses: column {missing[0]!r} is missing. Name the columns"
+                    f" time_s, {', '.join(_POSITION)}, and {', '.join(_QUATERNION)} or"
+                    f" {', '.join(_AXIS)}."
+                )
+            return [_pose(row, direction, f"{path}, line {rows.line_num}") for row in rows]
+    except OSError as error:
+        raise ValueError(f"{path} could not be read: {error.strerror}.") from error
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not a CSV file of poses: {error}.") from error
+
+
+def _pose(row: dict[str, str], direction: tuple[str, ...], where: str) -> Pose:
+    def number(name: str) -> float:
+        try:
+            return float(row[name])
+        except (TypeError, ValueError):
+            raise ValueError(f"{where}: {name} must be a number; got {row[name]!r}.") from None
+
+    time_s = number("time_s")
+    x, y, z = map(number, _POSITION)
+    towards = [number(name) for name in direction]
+    try:
+        if direction is _AXIS:
+            ax, ay, az = towards
+            return Pose.along((ax, ay, az), time_s=time_s, position_mm=(x, y, z))
+        qx, qy, qz, qw = towards
+        return Pose(time_s=time_s, position_mm=(x, y, z), rotation=(qx, qy, qz, qw))
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None

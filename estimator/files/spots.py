@@ -1,0 +1,261 @@
+"""The spots file: CSV or Parquet, one line a frame, of what was measured and what came of it.
+
+Missing values are empty cells (CSV) or nulls (Parquet). `schema_version` is the last column, so
+that a plain reader needs no hint.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.files.writing import damage_told, written_whole
+from estimator.image import PARAMETERS, NoSpot, Reason, Spot
+
+SCHEMA_VERSION = 1
+
+_UPPER = [(i, j) for i in range(5) for j in range(i, 5)]
+_VALUES = (
+    "x_px",
+    "y_px",
+    "semi_major_px",
+    "semi_minor_px",
+    "angle_rad",
+    "sigma_semi_minor_px",
+    "edge_width_px",
+    "coverage",
+    "inlier_fraction",
+    "saturated",
+)
+_DISTANCES = ("distance_mm", "sigma_distance_mm", "pose_age_s")
+_COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in _UPPER)
+COLUMNS = (
+    "frame",
+    "file_name",
+    "time_s",
+    "mode",
+    "status",
+    "reason",
+    *_VALUES,
+    *_DISTANCES,
+    *_COVARIANCES,
+    "schema_version",
+)
+_KINDS: dict[str, Callable[[str], Any]] = {
+    **dict.fromkeys(("frame", "schema_version"), int),
+    **dict.fromkeys(("file_name", "mode", "status", "reason"), str),
+}
+"""Type of a Parquet column; the others are floats."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpotRecord:
+    """One line of a spots file.
+
+    Attributes:
+        frame: index of the frame.
+        file_name: of the frame's image; empty where there is none.
+        time_s: of the frame; NaN if unknown.
+        mode: "literal" or "subpixel".
+        result: the spot, or why there is none.
+        distance_mm: from the tip to the wall along the beam; NaN without a calibration.
+        sigma_distance_mm: its standard deviation.
+        pose_age_s: age of the robot's pose that the distance used.
+    """
+
+    frame: int
+    file_name: str
+    time_s: float
+    mode: str
+    result: Spot | NoSpot
+    distance_mm: float = field(default=math.nan)
+    sigma_distance_mm: float = field(default=math.nan)
+    pose_age_s: float = field(default=math.nan)
+
+    @property
+    def status(self) -> str:
+        """The file's `status`: "spot" or "no_spot"."""
+        return "spot" if self.result else "no_spot"
+
+    @property
+    def reason(self) -> str:
+        """The file's `reason`: one of `Reason`, empty with a spot."""
+        return self.result.reason.value if isinstance(self.result, NoSpot) else ""
+
+
+def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
+    """Write a spots file, whole or not at all; one of the same name is replaced.
+
+    Args:
+        path: of the file; `.parquet` makes it Parquet, any other name CSV.
+        records: in the order of the file's lines.
+
+    Raises:
+        ValueError: Parquet is asked for and pyarrow is not installed.
+    """
+    write = _write_parquet if _is_parquet(path) else _write_csv
+    with written_whole(Path(path)) as partial:
+        write(partial, records)
+
+
+def read_spots(path: str | Path) -> list[SpotRecord]:
+    """Read a spots file.
+
+    Raises:
+        ValueError: not a spots file, of another schema version, or with a bad value; the message
+            names the file and the line.
+    """
+    rows = _parquet_rows(Path(path)) if _is_parquet(path) else _csv_rows(Path(path))
+    return [_record(row, where) for row, where in rows]
+
+
+def pyarrow() -> Any:
+    """The library that reads and writes Parquet, loaded when it is needed.
+
+    Raises:
+        ValueError: it is not installed.
+    """
+    try:
+        importlib.import_module("pyarrow.parquet")
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            "Parquet needs the package pyarrow: pip install 'eyespot[parquet]'. CSV needs nothing."
+        ) from error
+    return importlib.import_module("pyarrow")
+
+
+def _is_parquet(path: str | Path) -> bool:
+    return Path(path).suffix.lower() == ".parquet"
+
+
+def _write_csv(path: Path, records: Iterable[SpotRecord]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for record in records:
+            writer.writerow(_line(record))
+
+
+def _csv_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        try:
+            rows = csv.DictReader(file, strict=True)
+            _check_columns(rows.fieldnames or (), f"{path}, line 1")
+            for row in rows:
+                yield row, f"{path}, line {rows.line_num}"
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: not a spots file: {error}.") from error
+
+
+def _write_parquet(path: Path, records: Iterable[SpotRecord]) -> None:
+    pa = pyarrow()
+    kinds = {int: pa.int64(), str: pa.string(), _value: pa.float64()}
+    lines = [_line(record) for record in records]
+    columns = {}
+    for index, name in enumerate(COLUMNS):
+        value = _KINDS.get(name, _value)
+        columns[name] = pa.array([value(line[index]) for line in lines], kinds[value])
+    pa.parquet.write_table(pa.table(columns), path)
+
+
+def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
+    pa = pyarrow()
+    with path.open("rb") as file, damage_told(f"{path}", "Write it with write_spots."):
+        table = pa.parquet.read_table(file)
+    _check_columns(table.column_names, f"{path}")
+    for index, row in enumerate(table.to_pylist()):
+        cells = {name: "" if value is None else str(value) for name, value in row.items()}
+        yield cells, f"{path}, row {index}"
+
+
+def _check_columns(names: Collection[str], where: str) -> None:
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise ValueError(
+            f"{where}: not a spots file: column {missing[0]!r} is missing"
+            f" ({len(missing)} of {len(COLUMNS)} are). Write it with write_spots."
+        )
+
+
+def _line(record: SpotRecord) -> list[str]:
+    spot = record.result if isinstance(record.result, Spot) else None
+    values = [getattr(spot, name) for name in _VALUES] if spot else [math.nan] * len(_VALUES)
+    covariance = [spot.covariance[i, j] if spot else math.nan for i, j in _UPPER]
+    return [
+        str(record.frame),
+        record.file_name,
+        _cell(record.time_s),
+        record.mode,
+        record.status,
+        record.reason,
+        *map(_cell, values),
+        *(_cell(getattr(record, name)) for name in _DISTANCES),
+        *map(_cell, covariance),
+        str(SCHEMA_VERSION),
+    ]
+
+
+def _cell(value: float) -> str:
+    return "" if math.isnan(value) else repr(float(value))
+
+
+def _value(cell: str) -> float | None:
+    return float(cell) if cell else None
+
+
+def _record(row: dict[str, str], where: str) -> SpotRecord:
+    if None in row or None in row.values():
+        raise ValueError(f"{where}: {len(COLUMNS)} cells expected, as in the header.")
+    if row["schema_version"] != str(SCHEMA_VERSION):
+        raise ValueError(
+            f"{where}: schema_version is {row['schema_version']!r}; this software reads"
+            f" {SCHEMA_VERSION}. Write the file again with this version."
+        )
+    values = {
+        name: _number(row, name, where) for name in ("time_s", *_VALUES, *_DISTANCES, *_COVARIANCES)
+    }
+    try:
+        frame = int(row["frame"])
+    except ValueError:
+        raise ValueError(f"{where}: frame must be a whole number; got {row['frame']!r}.") from None
+    return SpotRecord(
+        frame=frame,
+        file_name=row["file_name"],
+        time_s=values["time_s"],
+        mode=row["mode"],
+        result=_result(row, values, where),
+        **{name: values[name] for name in _DISTANCES},
+    )
+
+
+def _number(row: dict[str, str], name: str, where: str) -> float:
+    cell = row[name]
+    try:
+        return float(cell) if cell else math.nan
+    except ValueError:
+        raise ValueError(f"{where}: {name} must be a number or empty; got {cell!r}.") from None
+
+
+def _result(row: dict[str, str], values: dict[str, float], where: str) -> Spot | NoSpot:
+    if row["status"] == "no_spot":
+        try:
+            return NoSpot(Reason(row["reason"]))
+        except ValueError:
+            known = ", ".join(reason.value for reason in Reason)
+            raise ValueError(
+                f"{where}: reason must be one of {known}; got {row['reason']!r}."
+            ) from None
+    if row["status"] != "spot":
+        raise ValueError(f"{where}: status must be spot or no_spot; got {row['status']!r}.")
+    covariance = np.empty((5, 5))
+    for (i, j), name in zip(_UPPER, _COVARIANCES, strict=True):
+        covariance[i, j] = covariance[j, i] = values[name]
+    measured = {name: values[name] for name in _VALUES if name != "sigma_semi_minor_px"}
+    return Spot(covariance=covariance, **measured)

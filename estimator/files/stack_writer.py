@@ -1,0 +1,186 @@
+"""Writes a stack folder, frame by frame, so that a run that was stopped can go on.
+
+A stack is written into a folder with another name and renamed when it is whole: a folder that
+bears the stack's name is complete. What a stopped run has left in the other folder is used by
+the next run that describes the same stack.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import json
+import os
+import shutil
+import threading
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Self
+
+import cv2
+import numpy as np
+import tomli_w
+
+from estimator.files.stack import SCHEMA, FrameLabels, StackError, fingerprint, linear_name
+from estimator.files.writing import written_whole
+
+# Camera noise holds no strings that come again: entropy coding alone makes smaller files than
+# zlib's default strategy, in half of the time. A mask is nothing but strings.
+_PNG = [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB]
+_PNG += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
+_MASK = [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
+_MASK += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+_TIFF = [cv2.IMWRITE_TIFF_COMPRESSION, 1]  # none: noise-free floats hardly compress
+_KINEMATICS = "time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z"
+
+
+class StackWriter:
+    """Writes a stack; leaving the `with` block without an error makes it whole and gives its name.
+
+    An error, or an end of the process at any moment, leaves the frames that are whole. The next
+    writer of that folder keeps them if it describes the stack with the same words, else it starts
+    afresh.
+
+    Args:
+        folder: name of the finished stack; must not exist yet.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = Path(folder)
+        self._partial = self.folder.with_name(f".{self.folder.name}.partial")
+        self._lines: dict[str, str] = {}
+        self._one_at_a_time = threading.Lock()
+
+    def __enter__(self) -> Self:
+        if self.folder.exists():
+            raise StackError(f"{self.folder} exists already. Choose another folder or remove it.")
+        self._partial.mkdir(parents=True, exist_ok=True)
+        self._open_folder = os.open(self._partial, os.O_RDONLY)
+        try:
+            fcntl.flock(self._open_folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(self._open_folder)
+            raise StackError(
+                f"{self.folder} is being written by another process. Wait for it to end, or choose "
+                "another folder."
+            ) from error
+        return self
+
+    def describe(
+        self,
+        *,
+        stack: dict[str, Any],
+        microscope: dict[str, Any],
+        kinematics: np.ndarray | None = None,
+    ) -> None:
+        """Write stack.toml, microscope.json and kinematics.csv, and keep what fits to them.
+
+        Args:
+            stack: all that images and labels depend on: the scene, versions.
+            microscope: the camera.
+            kinematics: n x 7, time (s), tip (mm) and axis that the robot reported.
+        """
+        texts = {
+            "stack.toml": tomli_w.dumps({"schema": SCHEMA, **stack}),
+            "microscope.json": json.dumps({"schema": SCHEMA, **microscope}, indent=1) + "\n",
+        }
+        if kinematics is not None:
+            texts["kinematics.csv"] = _kinematics_csv(kinematics)
+        if not all(_holds(self._partial / name, text) for name, text in texts.items()):
+            _empty(self._partial)
+            for folder in ("frames", "masks"):
+                (self._partial / folder).mkdir()
+            for name, text in texts.items():
+                (self._partial / name).write_text(text)
+        self._lines = self._lines_left()
+        (self._partial / "manifest.json").unlink(missing_ok=True)
+        _write_text(self._partial / "metadata.jsonl", "".join(self._lines.values()))
+
+    def has(self, file_name: str) -> bool:
+        """Whether an image, its mask and its labels are there, from a run that was stopped."""
+        return file_name in self._lines
+
+    def add(
+        self,
+        image: np.ndarray,
+        labels: FrameLabels,
+        mask: np.ndarray | None,
+        linear: np.ndarray | None = None,
+    ) -> None:
+        """Write one image (RGB or grey), its labels, and its mask unless another image has.
+
+        Images may be added in any order and from several threads; labels are sorted by name.
+
+        Args:
+            image: 8 or 16 bits.
+            labels: its truth.
+            mask: 0 or 255.
+            linear: radiance behind the image, to be kept with it.
+        """
+        if mask is not None:
+            _write_image(self._partial / labels.mask_file_name, mask, _MASK)
+        if linear is not None:
+            (self._partial / "linear").mkdir(exist_ok=True)
+            light = linear.astype(np.float32)
+            _write_image(self._partial / linear_name(labels), light, _TIFF)
+        _write_image(self._partial / labels.file_name, image, _PNG)
+        line = json.dumps(asdict(labels)) + "\n"
+        # Last of all: a line says that the files it names are whole.
+        with self._one_at_a_time, (self._partial / "metadata.jsonl").open("a") as file:
+            file.write(line)
+            self._lines[labels.file_name] = line
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
+        try:
+            if kind is None:
+                self._finish()
+            elif not self._lines:
+                shutil.rmtree(self._partial)
+        finally:
+            os.close(self._open_folder)
+
+    def _finish(self) -> None:
+        lines = [self._lines[name] for name in sorted(self._lines)]
+        _write_text(self._partial / "metadata.jsonl", "".join(lines))
+        files = sorted(path for path in self._partial.rglob("*") if path.is_file())
+        manifest = {str(path.relative_to(self._partial)): fingerprint(path) for path in files}
+        content = json.dumps({"schema": SCHEMA, "files": manifest}, indent=1) + "\n"
+        _write_text(self._partial / "manifest.json", content)
+        self._partial.rename(self.folder)
+
+    def _lines_left(self) -> dict[str, str]:
+        """Label lines of the images that a stopped run has finished, by the image's name."""
+        path = self._partial / "metadata.jsonl"
+        lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+        # A line that was being written has no end.
+        whole = [line for line in lines if line.endswith("\n")]
+        return {json.loads(line)["file_name"]: line for line in whole}
+
+
+def _kinematics_csv(rows: np.ndarray) -> str:
+    """To 1 us, 1 nm and 1 nrad: far below what a robot knows."""
+    text = io.StringIO()
+    formats = ["%.6f"] * 4 + ["%.9f"] * 3
+    np.savetxt(text, rows, fmt=formats, delimiter=",", header=_KINEMATICS, comments="")
+    return text.getvalue()
+
+
+def _write_image(path: Path, image: np.ndarray, options: list[int]) -> None:
+    ordered = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
+    with written_whole(path) as partial:
+        if not cv2.imwrite(str(partial), ordered, options):
+            raise OSError(f"{path} could not be written. Check space and permissions.")
+
+
+def _write_text(path: Path, text: str) -> None:
+    with written_whole(path) as partial:
+        partial.write_text(text)
+
+
+def _holds(path: Path, text: str) -> bool:
+    return path.is_file() and path.read_bytes() == text.encode()
+
+
+def _empty(folder: Path) -> None:
+    for path in folder.iterdir():
+        shutil.rmtree(path) if path.is_dir() else path.unlink()

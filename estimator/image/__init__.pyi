@@ -1,0 +1,11 @@
+from .camera import Camera as Camera
+from .frames import GREY as GREY
+from .frames import GREY_WEIGHTS as GREY_WEIGHTS
+from .frames import LightMeter as LightMeter
+from .frames import Response as Response
+from .frames import Window as Window
+from .frames import checked_frame as checked_frame
+from .spot import PARAMETERS as PARAMETERS
+from .spot import NoSpot as NoSpot
+from .spot import Reason as Reason
+from .spot import Spot as Spot

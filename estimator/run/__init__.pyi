@@ -1,0 +1,7 @@
+from . import command as command
+from .offline import Ended as Ended
+from .offline import Tracking as Tracking
+from .offline import track_source as track_source
+from .options import Options as Options
+from .reader import Reader as Reader
+from .reader import Reading as Reading

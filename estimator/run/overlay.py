@@ -1,0 +1,161 @@
+"""What was measured, drawn over the frames: a video or a folder of PNGs to look through."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from estimator.files import SpotRecord, written_whole
+from estimator.image import Camera, NoSpot, Response, Spot
+from estimator.sources import Frame
+
+RIG_RATE_HZ = 10.0
+"""Of the rig's camera; the video's where a source does not tell its own."""
+
+_CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
+_POINTS = 180  # of an ellipse: 2 px apart at a radius of 60 px
+_SHIFT = 4  # cv2 takes fractions of a pixel as integers of 1/16 px
+_GREEN, _RED, _BLACK = (60, 255, 60), (255, 70, 70), (0, 0, 0)
+
+Draw = Callable[[Frame, SpotRecord], None]
+
+
+def annotated(
+    frame: Frame, record: SpotRecord, *, response: Response, camera: Camera | None = None
+) -> np.ndarray:
+    """The frame as 8-bit RGB with the ellipse, the frame's number, and the distance or the reason.
+
+    Args:
+        frame: as it was measured.
+        record: what was measured.
+        response: whose full scale becomes 255.
+        camera: whose distortion was taken out of the spot; it is put back for the drawing.
+    """
+    picture = _rgb_8bit(frame.image, response)
+    lines = [f"frame {record.frame}"]
+    if not math.isnan(record.time_s):
+        lines[0] += f"   {record.time_s:.3f} s"
+    colour = _GREEN
+    if isinstance(record.result, NoSpot):
+        lines.append(record.reason.replace("_", " "))
+        colour = _RED
+    else:
+        _draw_ellipse(picture, record.result, camera)
+        if not math.isnan(record.distance_mm):
+            lines.append(f"d = {record.distance_mm:.3f} +- {record.sigma_distance_mm:.3f} mm")
+    _write(picture, lines, colour)
+    return picture
+
+
+@contextmanager
+def overlay(
+    path: Path, *, rate_hz: float, response: Response, camera: Camera | None = None
+) -> Iterator[Draw]:
+    """Make an overlay; it gets its name when the block ends.
+
+    Args:
+        path: a video (`.mp4`, `.avi`), or a folder of PNGs where the name has no suffix.
+        rate_hz: of the video.
+        response: as for `annotated`.
+        camera: as for `annotated`.
+
+    Yields:
+        A function that adds a frame and its record; raises ValueError where the frame's size is
+        not the video's, and OSError where nothing can be written.
+
+    Raises:
+        ValueError: another suffix.
+    """
+    check_overlay_path(path)
+    kind = _video if path.suffix else _folder
+    with written_whole(path) as partial, kind(partial, rate_hz) as write:
+
+        def draw(frame: Frame, record: SpotRecord) -> None:
+            write(annotated(frame, record, response=response, camera=camera))
+
+        yield draw
+
+
+def check_overlay_path(path: Path) -> None:
+    """Refuse, with a ValueError, what is neither a folder nor a kind of video that is written."""
+    if path.suffix.lower() not in (*_CODECS, ""):
+        raise ValueError(
+            f"{path}: an overlay is a video ({', '.join(_CODECS)}) or a folder, whose name has no"
+            f" suffix; got {path.suffix!r}."
+        )
+
+
+@contextmanager
+def _video(path: Path, rate_hz: float) -> Iterator[Callable[[np.ndarray], None]]:
+    writer = cv2.VideoWriter()
+    size: tuple[int, int] | None = None
+
+    def write(picture: np.ndarray) -> None:
+        nonlocal size
+        this = picture.shape[1], picture.shape[0]
+        if size is None:
+            size = this
+            codec = cv2.VideoWriter.fourcc(*_CODECS[path.suffix.lower()])
+            if not writer.open(str(path), codec, rate_hz, size):
+                raise OSError(f"{path} cannot be written as a video. Choose a folder of PNGs.")
+        if this != size:
+            raise ValueError(
+                f"a video's frames must have one size; got {this} px after {size} px. Choose a"
+                " folder for the overlay."
+            )
+        writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+
+    try:
+        yield write
+    finally:
+        writer.release()
+
+
+@contextmanager
+def _folder(path: Path, rate_hz: float) -> Iterator[Callable[[np.ndarray], None]]:
+    path.mkdir()
+    written = 0
+
+    def write(picture: np.ndarray) -> None:
+        nonlocal written
+        name = path / f"{written:06d}.png"
+        if not cv2.imwrite(str(name), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
+            raise OSError(f"{name} could not be written. Check space and permissions.")
+        written += 1
+
+    yield write
+
+
+def _rgb_8bit(image: np.ndarray, response: Response) -> np.ndarray:
+    if image.dtype != np.uint8 or response.full_scale is not None:
+        scale = 255 / response.full_scale_of(image)
+        image = np.clip(np.rint(image * scale), 0, 255).astype(np.uint8)
+    return cv2.cvtColor(image, cv2.COLOR_GRAY2RGB) if image.ndim == 2 else image.copy()
+
+
+def _draw_ellipse(picture: np.ndarray, spot: Spot, camera: Camera | None) -> None:
+    t = np.linspace(0, 2 * np.pi, _POINTS, endpoint=False)
+    along, across = spot.semi_major_px * np.cos(t), spot.semi_minor_px * np.sin(t)
+    c, s = math.cos(spot.angle_rad), math.sin(spot.angle_rad)
+    points = np.stack([spot.x_px + along * c - across * s, spot.y_px + along * s + across * c], 1)
+    centre = np.array([[spot.x_px, spot.y_px]])
+    if camera is not None:
+        points = np.array([camera.distorted(x, y) for x, y in points.tolist()])
+        centre = np.array([camera.distorted(spot.x_px, spot.y_px)])
+    fixed = np.rint(points * 2**_SHIFT).astype(np.int32)
+    cv2.polylines(picture, [fixed], True, _GREEN, 1, cv2.LINE_AA, _SHIFT)
+    x, y = np.rint(centre[0]).astype(int).tolist()
+    cv2.drawMarker(picture, (x, y), _GREEN, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
+
+
+def _write(picture: np.ndarray, lines: list[str], colour: tuple[int, int, int]) -> None:
+    scale = max(picture.shape[0] / 900, 0.3)
+    for number, line in enumerate(lines, 1):
+        at = round(16 * scale), round(32 * scale * number)
+        for ink, width in ((_BLACK, 3), (colour, 1)):  # an outline, readable on any ground
+            cv2.putText(picture, line, at, cv2.FONT_HERSHEY_SIMPLEX, scale, ink, width, cv2.LINE_AA)

@@ -1,0 +1,137 @@
+"""From a frame to a reading: the spot, its distance, the age of the robot's pose.
+
+Recordings (`offline`) and the rig (`rig`) read their frames with this code.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.detector import LiteralSettings, SubpixelSettings, TrackState, measure
+from estimator.distance import Range, RangeFlag, Ranger
+from estimator.files import PoseTrack, Quaternion, turned
+from estimator.image import NoSpot, Spot
+
+_NO_POSES = PoseTrack(())
+
+
+class Reading(NamedTuple):
+    """What a frame says.
+
+    Attributes:
+        result: the spot, or why there is none.
+        range: its distance; None without a spot or without a calibration.
+        pose_age_s: age of the robot's pose at the frame's time; NaN where none was known.
+    """
+
+    result: Spot | NoSpot
+    range: Range | None
+    pose_age_s: float
+
+    @property
+    def distance_mm(self) -> float:
+        """From the tip to the wall along the beam; NaN where there is none."""
+        return self.range.distance_mm if self.range else math.nan
+
+    @property
+    def sigma_distance_mm(self) -> float:
+        """Standard deviation of the distance; NaN where there is none."""
+        return self.range.sigma_mm if self.range else math.nan
+
+    @property
+    def doubt(self) -> str:
+        """A `Reason` for no spot, else a `RangeFlag` of the distance; empty if all is well."""
+        if isinstance(self.result, NoSpot):
+            return self.result.reason.value
+        flag = self.range.flag if self.range else RangeFlag.NONE
+        return "" if flag is RangeFlag.NONE else flag.value
+
+
+class Reader:
+    """Reads the frames of one sequence in order; where the spot was goes along.
+
+    Args:
+        settings: whose type selects the mode.
+        start: (x, y) of the spot in the first frame, px; None finds it.
+        size_px: (width, height) that the microscope's description holds for; None takes any.
+        ranger: makes distances of spots; None leaves them out.
+        exposure_s: of all frames; None takes what each frame tells.
+        eye_from_robot: unit quaternion that turns the poses' frame into the eye's; with it the
+            model `exact` takes the beam's axis from the tool's +z.
+    """
+
+    def __init__(
+        self,
+        settings: LiteralSettings | SubpixelSettings,
+        *,
+        start: tuple[float, float] | None = None,
+        size_px: tuple[int, int] | None = None,
+        ranger: Ranger | None = None,
+        exposure_s: float | None = None,
+        eye_from_robot: Quaternion | None = None,
+    ) -> None:
+        self.settings = settings
+        self._start = start
+        self._size_px = size_px
+        self._ranger = ranger
+        self._exposure_s = exposure_s
+        self._eye_from_robot = eye_from_robot
+        self._state = TrackState(at_px=start)
+
+    @property
+    def mode(self) -> str:
+        """The spots file's `mode`."""
+        return "literal" if isinstance(self.settings, LiteralSettings) else "subpixel"
+
+    def read(
+        self,
+        image: np.ndarray,
+        *,
+        time_s: float = math.nan,
+        exposure_s: float = math.nan,
+        poses: PoseTrack = _NO_POSES,
+    ) -> Reading:
+        """Measure the next frame.
+
+        Args:
+            image: as `measure` takes it.
+            time_s: of the frame, on the poses' clock.
+            exposure_s: of the frame; NaN if unknown.
+            poses: of the robot.
+
+        Raises:
+            ValueError: no image, of another size than the microscope's, or the start lies outside
+                of the first one.
+        """
+        self._check(image)
+        result, self._state = measure(image, self._state, self.settings)
+        self._start = None
+        pose, age_s = poses.at(time_s) or (None, math.nan)
+        if self._ranger is None or isinstance(result, NoSpot):
+            return Reading(result, None, age_s)
+        axis = None
+        if pose is not None and self._eye_from_robot is not None:
+            axis = turned(pose.axis, self._eye_from_robot)
+        own = None if math.isnan(exposure_s) else exposure_s
+        distance = self._ranger.distance(
+            result, axis=axis, frame=image, exposure_s=self._exposure_s or own
+        )
+        return Reading(result, distance, age_s)
+
+    def _check(self, image: np.ndarray) -> None:
+        height, width = image.shape[:2]
+        if self._size_px is not None and self._size_px != (width, height):
+            made_for = "x".join(map(str, self._size_px))
+            raise ValueError(
+                f"the image is {width}x{height} px, but the microscope file is made for {made_for}"
+                " px. Calibrate the microscope at the images' size."
+            )
+        x, y = self._start or (0.0, 0.0)
+        if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+            raise ValueError(
+                f"the start ({x:g}, {y:g}) px lies outside of the image of {width}x{height} px."
+                " Give x to the right and y down, from 0, or auto."
+            )

@@ -1,0 +1,13 @@
+"""Where frames come from: stacks, images, videos, cameras, ROS bags.
+
+bags        ROS 1 and ROS 2 bags, read and written without ROS
+images      Image files as sources: a folder of them, one of them, the pages of a TIFF
+opening     Opens whatever frames come from: a stack, images, a video, a camera or a bag
+ros_images  Images of ROS messages as frames, and back; for bags and for a live node alike
+source      What frames come from, whatever it is: `sources.open_source` makes one
+videos      Videos and cameras as sources, both through OpenCV
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,155 @@
+"""Image files as sources: a folder of them, one of them, the pages of a TIFF."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from estimator.files import damage_told
+from estimator.image import checked_frame
+from estimator.sources.source import AGAIN, Frame, Source
+
+if TYPE_CHECKING:
+    from tifffile import TiffFile
+
+TIFF = (".tif", ".tiff")
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pgm", ".ppm", ".jp2", *TIFF)
+
+
+def open_folder(folder: Path) -> Source:
+    """A folder of images, in the natural order of their names.
+
+    Raises:
+        ValueError: it holds none.
+    """
+    pictures = [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in IMAGES and not path.name.startswith(".")
+    ]
+    if not pictures:
+        raise ValueError(
+            f"{folder} holds no images ({', '.join(IMAGES)}), and is neither a stack (stack.toml)"
+            " nor a ROS 2 bag (metadata.yaml). Check the path."
+        )
+    return _images(folder, sorted(pictures, key=lambda path: (_natural(path.name), path.name)))
+
+
+def open_image(path: Path) -> Source:
+    """A source of one frame."""
+    return _images(path.parent, [path])
+
+
+def _natural(name: str) -> list[int | str]:
+    """So that frame9 comes before frame10."""
+    parts = re.split("([0-9]+)", name.lower())
+    return [int(part) if index % 2 else part for index, part in enumerate(parts)]
+
+
+def _images(folder: Path, pictures: list[Path]) -> Source:
+    def read() -> Iterator[Frame]:
+        for index, path in enumerate(pictures):
+            name = path.relative_to(folder).as_posix()
+            yield Frame(index=index, file_name=name, time_s=math.nan, image=_picture(path, index))
+
+    name = pictures[0] if len(pictures) == 1 else folder
+    return Source(name=str(name), read=read, length=len(pictures))
+
+
+def _picture(path: Path, index: int) -> np.ndarray:
+    where = f"{path} (frame {index})"
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"{where}: cannot be read: {error.strerror}.") from error
+    cut = _cut_short(data)
+    image = None if cut or not data else cv2.imdecode(np.frombuffer(data, np.uint8), -1)
+    if image is None:
+        fault = "is empty" if not data else "is cut short" if cut else "is damaged or no image"
+        raise ValueError(f"{where} {fault}. {AGAIN}")
+    with damage_told(where, AGAIN):
+        return rgb_of_opencv(image)
+
+
+def rgb_of_opencv(image: np.ndarray) -> np.ndarray:
+    """A picture in OpenCV's order of channels as a frame, without its alpha channel.
+
+    Raises:
+        ValueError: as `frames.checked_frame`.
+    """
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        order = cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB
+        image = cv2.cvtColor(image, order)
+    return checked_frame(image)
+
+
+def _cut_short(data: bytes) -> bool:
+    """Whether a PNG or JPEG lacks its end, which decoders fill with grey."""
+    if data.startswith(b"\x89PNG"):
+        return b"IEND" not in data
+    if data.startswith(b"\xff\xd8"):
+        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")  # end of image, start of scan
+    return False
+
+
+def open_tiff(path: Path) -> Source:
+    """The pages of a TIFF.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
+    import logging
+
+    import tifffile
+
+    # What it logs about damage comes back from here as one error.
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)
+    with damage_told(f"{path}", AGAIN), tifffile.TiffFile(path) as file:
+        length = len(file.pages)
+        # ImageJ writes one directory for all images where the file exceeds 4 GB.
+        announced = (file.imagej_metadata or {}).get("images", length)
+        end, size = file.pages.next_page_offset, file.tiff.offsetsize
+        file.filehandle.seek(end or 0)
+        whole = end is not None and not any(file.filehandle.read(size))
+    if whole and announced > length:
+        raise ValueError(
+            f"{path} holds {announced} images in {length} pages, as ImageJ writes files above"
+            " 4 GB. Save it as a BigTIFF or as a folder of images."
+        )
+
+    def read() -> Iterator[Frame]:
+        with tifffile.TiffFile(path) as file:
+            for index in range(length):
+                where = f"{path}, frame {index}"
+                with damage_told(where, AGAIN):
+                    image = _page(file, index)
+                yield Frame(index=index, file_name="", time_s=math.nan, image=image)
+        if not whole:
+            raise ValueError(f"{path} breaks off after frame {length - 1}. {AGAIN}")
+
+    return Source(name=str(path), read=read, length=length)
+
+
+def _page(file: TiffFile, index: int) -> np.ndarray:
+    import tifffile
+
+    page = file.pages[index].aspage()
+    if page.compression not in tifffile.TIFF.DECOMPRESSORS:
+        # LZW and JPEG, which tifffile leaves to a further package. OpenCV walks to each page from
+        # the first, so it is not the way to read the others.
+        seen, images = cv2.imreadmulti(file.filehandle.path, index, 1, flags=cv2.IMREAD_UNCHANGED)
+        if not seen:
+            raise ValueError(f"page {index} cannot be decoded")
+        return rgb_of_opencv(images[0])
+    image = page.asarray()
+    if page.axes == "SYX":
+        image = np.moveaxis(image, 0, 2)
+    if image.ndim == 3:
+        image = np.ascontiguousarray(image[:, :, :3])  # no alpha channel
+    return checked_frame(image)

@@ -1,0 +1,88 @@
+"""Opens whatever frames come from: a stack, images, a video, a camera or a bag."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from estimator.files import read_stack
+from estimator.image import checked_frame
+from estimator.sources import bags
+from estimator.sources.images import IMAGES, TIFF, open_folder, open_image, open_tiff
+from estimator.sources.source import Frame, Source
+from estimator.sources.videos import open_camera, open_video
+
+
+def open_source(
+    source: str | Path, *, exposure: str | None = None, image_topic: str | None = None
+) -> Source:
+    """Open what frames come from.
+
+    Args:
+        source: a stack folder, a folder of images (in natural order of their names), an image, a
+            multi-page TIFF, a video, a ROS 1 or ROS 2 bag, or the number of a camera.
+        exposure: of a stack that holds more than one, such as "paper" or "metered".
+        image_topic: of a bag, see `bags.read_frames`.
+
+    Raises:
+        ValueError: there is no such thing, it cannot be read, it is empty, or the exposure or the
+            topic does not fit it. Reading the frames raises it where damage shows later.
+    """
+    path = Path(source)
+    if not path.exists():
+        if str(source).isdecimal():
+            opened = open_camera(int(str(source)))
+        else:
+            raise ValueError(f"{path}: there is no such file or folder. Check the path.")
+    elif not os.access(path, os.R_OK):
+        raise ValueError(f"{path} may not be read. Change its permissions.")
+    elif (path / "stack.toml").is_file():
+        return _stack(path, exposure)
+    elif bags.is_bag(path):
+        opened = bags.open_bag(path, topic=image_topic)
+    elif path.is_dir():
+        opened = open_folder(path)
+    elif path.suffix.lower() in TIFF:
+        opened = open_tiff(path)
+    elif path.suffix.lower() in IMAGES:
+        opened = open_image(path)
+    else:
+        opened = open_video(path)
+    if exposure is not None:
+        raise ValueError(f"{source} is no stack, so it has no exposures. Leave the choice out.")
+    return opened
+
+
+def _stack(folder: Path, exposure: str | None) -> Source:
+    stack = read_stack(folder)
+    kinds = sorted({labels.exposure for labels in stack.labels})
+    if not kinds:
+        raise ValueError(f"{folder} holds no frames. Render the stack again.")
+    if exposure is None and len(kinds) > 1:
+        raise ValueError(f"{folder} holds the exposures {' and '.join(kinds)}. Choose one of them.")
+    chosen = stack.exposed(exposure or kinds[0])
+    if not chosen:
+        raise ValueError(f"{folder} holds no exposure {exposure}. Choose {' or '.join(kinds)}.")
+
+    def read() -> Iterator[Frame]:
+        for labels in chosen:
+            yield Frame(
+                index=labels.frame,
+                file_name=labels.file_name,
+                time_s=labels.time_s,
+                image=checked_frame(stack.image(labels)),
+                exposure_s=labels.exposure_s,
+            )
+
+    steps = np.diff([labels.time_s for labels in chosen])
+    microscope = folder / "microscope.json"
+    return Source(
+        name=str(folder),
+        read=read,
+        length=len(chosen),
+        rate_hz=1 / float(np.median(steps)) if steps.size and np.median(steps) > 0 else None,
+        microscope_file=microscope if microscope.is_file() else None,
+    )

@@ -1,0 +1,84 @@
+"""Images of ROS messages as frames, and back; for bags and for a live node alike."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from estimator.image import checked_frame
+from estimator.sources.images import rgb_of_opencv
+
+
+class _Layout(NamedTuple):
+    dtype: str
+    channels: int
+    to_rgb: int | None = None
+
+
+_LAYOUTS = {
+    "mono8": _Layout("u1", 1),
+    "mono16": _Layout("u2", 1),
+    "rgb8": _Layout("u1", 3),
+    "rgb16": _Layout("u2", 3),
+    "bgr8": _Layout("u1", 3, cv2.COLOR_BGR2RGB),
+    "bgr16": _Layout("u2", 3, cv2.COLOR_BGR2RGB),
+    "rgba8": _Layout("u1", 4, cv2.COLOR_RGBA2RGB),
+    "bgra8": _Layout("u1", 4, cv2.COLOR_BGRA2RGB),
+}
+
+
+def frame_of_message(message: Any) -> np.ndarray:
+    """The frame in a `sensor_msgs/Image` or `sensor_msgs/CompressedImage`.
+
+    Args:
+        message: with the fields of ROS 1 or ROS 2, as rospy, rclpy and rosbags give it.
+
+    Returns:
+        (H, W) or RGB (H, W, 3), uint8 or uint16.
+
+    Raises:
+        ValueError: an encoding that is no picture's, or data that does not fill the image.
+    """
+    if hasattr(message, "format"):
+        return _decompressed(np.frombuffer(message.data, np.uint8), message.format)
+    layout = _LAYOUTS.get(message.encoding)
+    if layout is None:
+        raise ValueError(
+            f"the image encoding must be one of {', '.join(_LAYOUTS)};"
+            f" got {message.encoding!r}. Publish or convert it in one of these."
+        )
+    height, width, step = message.height, message.width, message.step
+    values = np.dtype(layout.dtype).newbyteorder(">" if message.is_bigendian else "<")
+    row = width * layout.channels * values.itemsize
+    data = np.frombuffer(message.data, np.uint8)
+    if step < row or data.size < height * step or row * height == 0:
+        raise ValueError(
+            f"an image of {width}x{height} px ({message.encoding}, {step} bytes a row) cannot be"
+            f" made of {data.size} bytes."
+        )
+    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
+    image = rows.view(values).reshape(height, width, layout.channels)
+    native = image.astype(values.newbyteorder("="), copy=False)
+    return checked_frame(native if layout.to_rgb is None else cv2.cvtColor(native, layout.to_rgb))
+
+
+def encoding_of(image: np.ndarray) -> str:
+    """The encoding in which a `sensor_msgs/Image` holds a frame without loss.
+
+    Raises:
+        ValueError: floats, for which ROS has no picture encoding.
+    """
+    if image.dtype.name not in ("uint8", "uint16"):
+        raise ValueError(
+            f"A ROS image holds uint8 or uint16; got {image.dtype.name}. Convert it with astype."
+        )
+    return ("mono" if image.ndim == 2 else "rgb") + str(8 * image.dtype.itemsize)
+
+
+def _decompressed(data: np.ndarray, form: str) -> np.ndarray:
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if image is None:
+        raise ValueError(f"a compressed image ({form!r}, {data.size} bytes) cannot be decoded.")
+    return rgb_of_opencv(image)

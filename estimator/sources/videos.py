@@ -1,0 +1,86 @@
+"""Videos and cameras as sources, both through OpenCV."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+
+from estimator.sources.images import rgb_of_opencv
+from estimator.sources.source import AGAIN, Frame, Source
+
+
+@contextmanager
+def _capturing(what: str | int, refusal: str) -> Iterator[cv2.VideoCapture]:
+    capture = cv2.VideoCapture(what)
+    try:
+        if not capture.isOpened():
+            raise ValueError(refusal)
+        yield capture
+    finally:
+        capture.release()
+
+
+def open_video(path: Path) -> Source:
+    """A video file.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
+    refusal = f"{path} is no video that OpenCV can read, or it is cut short. {AGAIN}"
+    with _capturing(str(path), refusal) as capture:
+        announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        rate_hz = capture.get(cv2.CAP_PROP_FPS)
+    length = int(announced) if announced > 0 else None
+    rate = rate_hz if 0 < rate_hz < math.inf else None
+
+    def read() -> Iterator[Frame]:
+        index, time_s = 0, 0.0
+        with _capturing(str(path), refusal) as capture:
+            while True:
+                seen, image = capture.read()
+                if not seen:
+                    break
+                time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+                yield Frame(index=index, file_name="", time_s=time_s, image=rgb_of_opencv(image))
+                index += 1
+        # Some containers tell only how long they last, and their rate may vary: a video is cut
+        # short where both the number of frames and the time fall short of what it announces.
+        if length and rate and index < length and time_s * rate < length - 2:
+            raise ValueError(
+                f"{path} breaks off at frame {index} of the {length} that it announces. {AGAIN}"
+            )
+
+    return Source(name=str(path), read=read, length=length, rate_hz=rate)
+
+
+def open_camera(number: int) -> Source:
+    """A camera; its frames bear the time at which they came, s since 1970.
+
+    Raises:
+        ValueError: it cannot be opened.
+    """
+    refusal = (
+        f"camera {number} cannot be opened (and no file is named {number}). Check that it is"
+        " plugged in, that no other program uses it, and its number (ls /dev/video*)."
+    )
+    with _capturing(number, refusal) as capture:
+        rate_hz = capture.get(cv2.CAP_PROP_FPS)
+
+    def read() -> Iterator[Frame]:
+        index = 0
+        with _capturing(number, refusal) as capture:
+            while True:
+                seen, image = capture.read()
+                if not seen:
+                    raise ValueError(f"camera {number} stopped at frame {index}. Check its cable.")
+                image = rgb_of_opencv(image)
+                yield Frame(index=index, file_name="", time_s=time.time(), image=image)
+                index += 1
+
+    rate = rate_hz if 0 < rate_hz < math.inf else None
+    return Source(name=f"camera {number}", read=read, rate_hz=rate, live=True)

@@ -1,0 +1,173 @@
+"""The fibre's beam: a cone given by tip and axis, by spot and distance, or through a trocar."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, ScalarLike
+
+from optics.surface import Intersection, Sphere, Surface
+from optics.vector import components
+
+
+class Beam(eqx.Module):
+    r"""Cone of light: radius $R(s) = (s - b)\tan\alpha$ at distance s from the tip.
+
+    Zhou et al. 2020, eq. 1 (d = kR + b) with $k = 1/\tan\alpha$; the virtual apex is
+    $S + b\,\mathbf{u}$ and lies behind the tip for b < 0.
+
+    Attributes:
+        tip: S, mm, eye frame.
+        axis: unit vector from the tip towards the wall.
+        half_angle: alpha, rad.
+        apex_offset: b, mm.
+    """
+
+    tip: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    half_angle: Float[Array, ""]
+    apex_offset: Float[Array, ""]
+
+    def __init__(
+        self,
+        *,
+        tip: Float[ArrayLike, "3"],
+        axis: Float[ArrayLike, "3"],
+        half_angle: ScalarLike,
+        apex_offset: ScalarLike,
+    ) -> None:
+        self.tip, self.axis = jnp.asarray(tip, float), jnp.asarray(axis, float)
+        self.half_angle = jnp.asarray(half_angle, float)
+        self.apex_offset = jnp.asarray(apex_offset, float)
+
+    @property
+    def apex(self) -> Float[Array, "3"]:
+        """Virtual apex, mm."""
+        return self.tip + self.apex_offset * self.axis
+
+    def generators(self, angles: Float[Array, "n"]) -> Float[Array, "n 3"]:
+        """Unit directions of the cone's generators at angles (rad) about the axis."""
+        across = [components(side) for side in perpendicular_frame(self.axis)]
+        cos_t, sin_t = jnp.cos(angles), jnp.sin(angles)
+        cos_a, sin_a = jnp.cos(self.half_angle), jnp.sin(self.half_angle)
+        return jnp.stack(
+            [
+                cos_a * along + sin_a * (cos_t * first + sin_t * second)
+                for along, first, second in zip(components(self.axis), *across, strict=True)
+            ],
+            axis=-1,
+        )
+
+    def spot(self, surface: Surface) -> Intersection:
+        """O, where the axis meets the wall; `distance` is d = |SO|, mm."""
+        return surface.intersect(self.tip, self.axis)
+
+
+def slope(half_angle: ArrayLike) -> Array:
+    """k = 1/tan(theta/2), dimensionless (Zhou et al. 2020, eq. 1); half_angle in rad."""
+    return 1.0 / jnp.tan(half_angle)
+
+
+def beam_at_spot(
+    surface: Surface,
+    *,
+    eccentricity: ScalarLike,
+    distance: ScalarLike,
+    azimuth: ScalarLike = 0.0,
+    incidence: ScalarLike = 0.0,
+    incidence_azimuth: ScalarLike = 0.0,
+    half_angle: ScalarLike,
+    apex_offset: ScalarLike,
+) -> Beam:
+    """Beam that meets the wall at a given spot, from a given distance.
+
+    Args:
+        surface: the wall.
+        eccentricity: c, distance of O from the microscope's axis, mm, in [0, r).
+        distance: d = |SO|, mm.
+        azimuth: of O about the microscope's axis, rad.
+        incidence: angle between the beam's axis and the outward normal at O, rad.
+        incidence_azimuth: 0 where the beam travels towards growing eccentricity, so that the tip
+            is nearer to the microscope's axis than O; counted towards growing azimuth, rad.
+        half_angle: rad.
+        apex_offset: b, mm.
+    """
+    frame = surface.frame_at(
+        eccentricity=jnp.asarray(eccentricity, float), azimuth=jnp.asarray(azimuth, float)
+    )
+    sideways = (
+        jnp.cos(incidence_azimuth) * frame.meridional + jnp.sin(incidence_azimuth) * frame.azimuthal
+    )
+    axis = jnp.cos(incidence) * frame.outward + jnp.sin(incidence) * sideways
+    return Beam(
+        tip=frame.origin - distance * axis,
+        axis=axis,
+        half_angle=half_angle,
+        apex_offset=apex_offset,
+    )
+
+
+def beam_through_trocar(
+    *,
+    trocar: Float[Array, "3"],
+    spot: Float[Array, "3"],
+    distance: ScalarLike,
+    half_angle: ScalarLike,
+    apex_offset: ScalarLike,
+) -> Beam:
+    """Beam whose shaft passes a trocar (remote centre of motion) towards a wall point.
+
+    Args:
+        trocar: entry point, mm, eye frame.
+        spot: O, mm, eye frame.
+        distance: d = |SO|, mm, smaller than the distance from trocar to spot.
+        half_angle: rad.
+        apex_offset: b, mm.
+    """
+    towards = spot - trocar
+    axis = towards / jnp.linalg.norm(towards)
+    return Beam(
+        tip=spot - distance * axis, axis=axis, half_angle=half_angle, apex_offset=apex_offset
+    )
+
+
+def contact_distance(
+    surface: Surface, *, incidence: ScalarLike, rim_radius: ArrayLike
+) -> Float[Array, ""]:
+    r"""Distance d along the beam at which the rim of a tilted flat tip touches the wall.
+
+    On a plane $\rho\tan\iota$. Inside a sphere the rim point deepest towards the wall satisfies
+    $(r\cos\iota - d)^2 + (r\sin\iota + \rho)^2 = r^2$.
+
+    Args:
+        surface: the wall.
+        incidence: iota, rad.
+        rim_radius: rho, radius of the tip's face, mm.
+
+    Returns:
+        d at first contact, mm; 0 at square incidence on a plane, slightly above 0 in a sphere.
+    """
+    if isinstance(surface, Sphere):
+        r = surface.radius
+        return r * jnp.cos(incidence) - jnp.sqrt(r**2 - (r * jnp.sin(incidence) + rim_radius) ** 2)
+    return jnp.asarray(rim_radius) * jnp.tan(jnp.asarray(incidence, float))
+
+
+def generator_angles(count: int) -> np.ndarray:
+    """Angles of `count` generators uniform about the axis, rad."""
+    return np.arange(count) * (2.0 * np.pi / count)
+
+
+def perpendicular_frame(
+    axis: Float[ArrayLike, "3"],
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Two unit vectors that complete `axis` to a right-handed frame (Duff et al. 2017)."""
+    x, y, z = jnp.asarray(axis)
+    sign = jnp.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return (
+        jnp.stack([1.0 + sign * x * x * a, sign * b, -sign * x]),
+        jnp.stack([b, sign + y * y * a, -y]),
+    )

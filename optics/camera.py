@@ -1,0 +1,234 @@
+"""Pinhole microscope at any height, from the eyeball's centre to infinity."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, ScalarLike
+
+from optics.vector import components
+
+_UNDISTORT_STEPS = 12
+
+
+class Microscope(eqx.Module):
+    r"""Pinhole camera on the +z axis, looking down at the retinal pole.
+
+    With the reciprocal working distance $\kappa = 1/(z_F + r)$ a point (X, Y, Z) images at
+
+    $$ u = u_0 + \frac{X/\delta}{1 - \kappa (Z + r)}, \qquad
+       v = v_0 - \frac{Y/\delta}{1 - \kappa (Z + r)}, $$
+
+    which is $u_0 + f X/(z_F - Z)$ with $f = (z_F + r)/\delta$, and stays finite for the telecentric
+    microscope ($\kappa = 0$). Integer pixel coordinates are pixel centres (OpenCV's convention).
+
+    Attributes:
+        scale: delta, mm per px at the height of the pole.
+        inverse_working_distance: kappa, 1/mm; 0 is telecentric.
+        pole_height: Z of the retinal pole, mm (-r for the eyeball).
+        principal_point: (u0, v0), px; may lie outside the window.
+        distortion: Brown-Conrady (k1, k2, p1, p2, k3) in OpenCV's order and normalisation
+            (Brown 1966); without effect for a telecentric microscope.
+    """
+
+    scale: Float[Array, ""]
+    inverse_working_distance: Float[Array, ""]
+    pole_height: Float[Array, ""]
+    principal_point: Float[Array, "2"]
+    distortion: Float[Array, "5"]
+
+    @property
+    def inverse_focal(self) -> Float[Array, ""]:
+        """1/f in 1/px; 0 for a telecentric microscope."""
+        return self.inverse_working_distance * self.scale
+
+    @property
+    def pinhole_height(self) -> Float[Array, ""]:
+        """z_F in mm; infinite for a telecentric microscope."""
+        return 1.0 / self.inverse_working_distance + self.pole_height
+
+    def depth(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+        """(z_F - Z)/(z_F + r): 1 at the pole, 0 or less for points that cannot be seen."""
+        return 1.0 - self.inverse_working_distance * (points[..., 2] - self.pole_height)
+
+    def project(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
+        """Image of points of the eye frame.
+
+        Args:
+            points: X, Y, Z in mm, in front of the pinhole (`depth` > 0).
+
+        Returns:
+            (u, v) in px of the window.
+        """
+        x, y, _ = components(points)
+        per_mm = 1.0 / (self.scale * self.depth(points))
+        offset = jnp.stack([x * per_mm, -y * per_mm], axis=-1)
+        return self.principal_point + _distort(offset, self.distortion, self.inverse_focal)
+
+    def ray(
+        self, pixels: Float[ArrayLike, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
+        """Line of sight of pixels, the inverse of `project`.
+
+        Args:
+            pixels: (u, v) in px.
+
+        Returns:
+            A point of the line at the pole's height in mm and the unit direction away from
+            the microscope.
+        """
+        offset = _undistort(
+            jnp.asarray(pixels) - self.principal_point, self.distortion, self.inverse_focal
+        )
+        xy = offset * jnp.array([1.0, -1.0]) * self.scale
+        height = jnp.broadcast_to(self.pole_height, (*xy.shape[:-1], 1))
+        slope = jnp.concatenate(
+            [self.inverse_working_distance * xy, -jnp.ones((*xy.shape[:-1], 1))], axis=-1
+        )
+        return (
+            jnp.concatenate([xy, height], axis=-1),
+            slope / jnp.linalg.norm(slope, axis=-1, keepdims=True),
+        )
+
+    def camera_matrix(self) -> Float[Array, "3 3"]:
+        """K of OpenCV for a camera at F that looks down (x right, y down, z away), px."""
+        f = 1.0 / self.inverse_focal
+        (u, v), one, zero = self.principal_point, jnp.ones(()), jnp.zeros(())
+        return jnp.array([[f, zero, u], [zero, f, v], [zero, zero, one]])
+
+    def centred_on(
+        self,
+        point: Float[Array, "3"],
+        *,
+        width: int,
+        height: int,
+        offset: tuple[float, float] = (0.0, 0.0),
+    ) -> Microscope:
+        """The same microscope with its sensor window shifted so that `point` is in the middle.
+
+        The pinhole stays on the axis (DESIGN: a shifted window, not a tilted camera).
+
+        Args:
+            point: eye frame, mm.
+            width: of the window, px.
+            height: of the window, px.
+            offset: of the window's middle from the point's image, px.
+        """
+        middle = jnp.array([(width - 1) / 2.0, (height - 1) / 2.0])
+        shift = middle - jnp.array(offset) - self.project(point)
+        return eqx.tree_at(lambda m: m.principal_point, self, self.principal_point + shift)
+
+
+def microscope(
+    *,
+    scale: ScalarLike,
+    pinhole_height: ScalarLike,
+    eye_radius: ScalarLike,
+    principal_point: tuple[float, float] = (0.0, 0.0),
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+) -> Microscope:
+    """Microscope from its pinhole's height.
+
+    Args:
+        scale: delta, mm/px at the pole.
+        pinhole_height: z_F, mm above the eyeball's centre; `inf` is telecentric.
+        eye_radius: r, mm; the pole (or the plane phantom) lies at Z = -r.
+        principal_point: (u0, v0), px.
+        distortion: (k1, k2, p1, p2, k3), OpenCV's order.
+
+    Raises:
+        ValueError: scale or the working distance z_F + r is not positive.
+    """
+    delta = jnp.asarray(scale, float)
+    # Traced values cannot be judged; what a person types can.
+    if _known(delta) and not delta > 0:
+        raise ValueError(f"microscope(scale=...) must be positive; got {scale} mm/px.")
+    reach = jnp.asarray(pinhole_height, float) + eye_radius
+    if _known(reach) and not reach > 0:
+        raise ValueError(
+            "microscope(pinhole_height=...) must lie above the retinal pole at -eye_radius; got "
+            f"{pinhole_height} mm with eye_radius={eye_radius} mm. Raise pinhole_height."
+        )
+    return Microscope(
+        scale=delta,
+        inverse_working_distance=1.0 / reach,
+        pole_height=-jnp.asarray(eye_radius, float),
+        principal_point=jnp.asarray(principal_point, float),
+        distortion=jnp.asarray(distortion, float),
+    )
+
+
+def microscope_from_camera_matrix(
+    matrix: Float[Array, "3 3"],
+    *,
+    working_distance: float,
+    eye_radius: float,
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+) -> Microscope:
+    """Microscope from an OpenCV camera matrix and the distance from pinhole to pole.
+
+    Args:
+        matrix: K, px; square pixels without skew.
+        working_distance: z_F + r, mm.
+        eye_radius: r, mm.
+        distortion: (k1, k2, p1, p2, k3).
+
+    Raises:
+        ValueError: the pixels are not square or K has skew (relative 1e-6), which this
+            pinhole cannot hold; rectify the images first.
+    """
+    fx, fy, skew = float(matrix[0][0]), float(matrix[1][1]), float(matrix[0][1])
+    if abs(fx - fy) > 1e-6 * fx or abs(skew) > 1e-6 * fx:
+        raise ValueError(
+            f"microscope_from_camera_matrix needs square pixels without skew; got fx={fx} px, "
+            f"fy={fy} px, skew={skew} px. Rectify the images (cv2.undistort) first."
+        )
+    return microscope(
+        scale=working_distance / fx,
+        pinhole_height=working_distance - eye_radius,
+        eye_radius=eye_radius,
+        principal_point=(float(matrix[0][2]), float(matrix[1][2])),
+        distortion=distortion,
+    )
+
+
+def _known(value: Array) -> bool:
+    return not isinstance(value, jax.core.Tracer)
+
+
+def _distort(
+    offset: Float[Array, "*batch 2"],
+    distortion: Float[Array, "5"],
+    inverse_focal: Float[Array, ""],
+) -> Float[Array, "*batch 2"]:
+    """Distorted offset from the principal point, px, of an ideal offset in px."""
+    k1, k2, p1, p2, k3 = distortion
+    x, y = offset[..., 0], offset[..., 1]
+    r2 = (x * x + y * y) * inverse_focal**2
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    squared = x * x + y * y
+    return jnp.stack(
+        [
+            x * radial + inverse_focal * (2 * p1 * x * y + p2 * (squared + 2 * x * x)),
+            y * radial + inverse_focal * (p1 * (squared + 2 * y * y) + 2 * p2 * x * y),
+        ],
+        axis=-1,
+    )
+
+
+def _undistort(
+    offset: Float[Array, "*batch 2"],
+    distortion: Float[Array, "5"],
+    inverse_focal: Float[Array, ""],
+) -> Float[Array, "*batch 2"]:
+    """Inverse of `_distort` by fixed-point steps, each of which gains the distortion's order.
+
+    A lens of 10 % distortion converges to 1e-12 within the fixed number of steps.
+    """
+
+    def step(_: int, ideal: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        return ideal + offset - _distort(ideal, distortion, inverse_focal)
+
+    # A loop of its own, because unrolled it takes a second to compile wherever it is used.
+    return jax.lax.fori_loop(0, _UNDISTORT_STEPS, step, offset)

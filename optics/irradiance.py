@@ -1,0 +1,142 @@
+r"""Vector irradiance of a glue lens on any wall point, by deterministic quadrature.
+
+$\mathbf V(X) = \int L\,\boldsymbol\omega\,d\omega$ over the part of the cap that is lit when seen
+from X, with $L = L_0\,T\,(n_0/n_g)^2$: radiance is conserved along a ray but for $n^2$ and the
+Fresnel loss. The lit part is bounded by the cone, the core and the rim; spherical aberration makes
+crescents and rings of it. The quadrature runs over rings of the cap about the axis, and on each
+over its lit arcs, whose ends are found by root finding: the integrand is smooth, and derivatives
+include what the moving ends add.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from optics.irradiance_edges import Excess, implicit_root, ring_breaks, scan_boundaries, settle
+from optics.lens import GlueLens
+from optics.lens_trace import BackwardRays, trace_backwards
+
+_RINGS = 6  # Gauss-Legendre nodes between two breaks
+_CELLS = 8  # cells of the scan along half a ring
+_ARC = 5  # Gauss-Legendre nodes on an arc
+_BATCH = 64  # wall points at a time: what they need stays in the cache
+
+
+def vector_irradiance(
+    lens: GlueLens, *, medium_index: ArrayLike, radius: ArrayLike, distance: ArrayLike
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    r"""Vector irradiance V of a lens at wall points, per unit power in the core.
+
+    A matt wall with inward unit normal **n** receives E = -**n**·**V**, exactly, while the whole
+    cap is in front of it. Light that the cap throws back into the glue is lost.
+
+    Args:
+        lens: the lens.
+        medium_index: n0, refractive index of the medium.
+        radius: distance of the wall point from the axis, mm.
+        distance: s, distance of the wall point from the tip along the axis, mm, positive.
+
+    Returns:
+        V_rho and V_s, 1/mm². Both are 0 outside the light.
+    """
+    radius, distance = jnp.broadcast_arrays(
+        jnp.asarray(radius, dtype=float), jnp.asarray(distance, dtype=float)
+    )
+    medium_index = jnp.asarray(medium_index, dtype=float)
+    size = radius.size
+    if size == 0:
+        return jnp.zeros(radius.shape), jnp.zeros(radius.shape)
+    wall = jnp.stack([radius.ravel(), distance.ravel()])
+    leaves = jax.tree.leaves((lens, medium_index, wall))
+    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+    # Known wall points come in whole batches, so that one compilation serves any number of them.
+    width = min(size, _BATCH) if traced else _BATCH
+    wall = jnp.pad(wall, ((0, 0), (0, -size % width)), mode="edge")
+    batches = wall.reshape(2, -1, width).transpose(1, 0, 2)
+
+    def evaluate(batch):
+        return np.asarray(_batch_field(lens, medium_index, *batch))
+
+    if traced:
+        field = lax.map(lambda batch: _batch_field(lens, medium_index, *batch), batches)
+    else:
+        # One batch is too small to be shared among cores, so each core takes its own. The first is
+        # computed alone, so that only one thread compiles.
+        first, *rest = np.asarray(batches)
+        with ThreadPoolExecutor() as pool:
+            fields = [evaluate(first), *pool.map(evaluate, rest)]
+        field = jnp.asarray(np.stack(fields))
+    field = field.transpose(1, 0, 2).reshape(2, -1)[:, :size]
+    return field[0].reshape(radius.shape), field[1].reshape(radius.shape)
+
+
+@jax.jit
+def _batch_field(lens, medium_index, radius, distance) -> Float[Array, "2 batch"]:
+    return jax.vmap(partial(_field, lens, medium_index), out_axes=1)(radius, distance)
+
+
+def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
+    """V at one wall point."""
+    trace = partial(
+        trace_backwards, lens, medium_index=medium_index, radius=radius, distance=distance
+    )
+
+    def haversine(ring: Array, tau: Array) -> Array:
+        # A Möbius map of sin²(phi/2) in which the squared sine at the wall point is linear along a
+        # ring, for wall points near the cap and far from it: few Newton steps find a root.
+        gap_squared = jnp.square(radius - ring) + jnp.square(distance + lens.sagitta(ring))
+        return tau / (1.0 + 4.0 * radius * ring / gap_squared * (1.0 - tau))
+
+    def rays(ring: Array, tau: Array) -> BackwardRays:
+        return trace(cap_radius=ring, haversine=haversine(ring, tau))
+
+    breaks = ring_breaks(lens, rays, radius=radius, distance=distance)
+    node, weight = np.polynomial.legendre.leggauss(_RINGS)
+    # An arc opens and closes like a square root at a break; the cosine makes that smooth.
+    turn = 0.5 * np.pi * (node + 1.0)
+    share, share_weight = 0.5 - 0.5 * np.cos(turn), 0.25 * np.pi * np.sin(turn) * weight
+    start, width = breaks[:-1, None], jnp.diff(breaks)[:, None]
+    ring, ring_weight = (start + width * share).ravel(), (width * share_weight).ravel()
+
+    # Axes from here on: node of an arc, arc, ring.
+    node, weight = np.polynomial.legendre.leggauss(_ARC)
+    node, weight = node[:, None, None], weight[:, None, None]
+    arcs = _lit_arcs(lambda tau: rays(ring, tau).excess, ring.size)
+    first, last = _quarter_tangent(haversine(ring, arcs))
+    half = 0.5 * (last - first)
+    tangent = first + half * (1.0 + node)
+    stretch = 1.0 + jnp.square(tangent)
+    light = trace(cap_radius=ring, haversine=jnp.square(2.0 * tangent / stretch))
+    # Twice, for the half of the ring on the other side of the meridian's plane.
+    area = 2.0 * ring * ring_weight * (4.0 * half / stretch) * weight
+    return jnp.stack([jnp.sum(area * light.lateral), jnp.sum(area * light.axial)])
+
+
+def _lit_arcs(excess: Excess, rings: int) -> Float[Array, "2 2 rings"]:
+    """First and last tau in [0, 1] of the two lit arcs that half a ring can have; empty if not."""
+    tau = jnp.broadcast_to(np.linspace(0.0, 1.0, _CELLS + 1)[:, None], (_CELLS + 1, rings))
+    values = excess(tau)
+    found, lit, dark = scan_boundaries(tau, values, count=2)
+    root = jnp.clip(implicit_root(excess, settle(excess, lit, dark)), 0.0, 1.0)
+    zero, one = jnp.zeros(rings), jnp.ones(rings)
+    end, other = jnp.where(found, root, one)
+    from_lit = jnp.stack([jnp.stack([zero, other]), jnp.stack([end, one])])
+    from_dark = jnp.stack([jnp.stack([end, one]), jnp.stack([other, one])])
+    return jnp.where(values[0] < 0.0, from_lit, from_dark)
+
+
+def _quarter_tangent(haversine: Array) -> Array:
+    """tan(phi/4) from sin²(phi/2), with a zero derivative at the ends 0 and pi.
+
+    As a variable of integration it is as smooth as phi, and needs no sines, which are slow.
+    """
+    inside = (haversine > 0.0) & (haversine < 1.0)
+    safe = jnp.where(inside, haversine, 0.5)
+    tangent = jnp.sqrt(safe) / (1.0 + jnp.sqrt(1.0 - safe))
+    return jnp.where(inside, tangent, jnp.where(haversine > 0.5, 1.0, 0.0))

@@ -1,0 +1,214 @@
+"""Tip and axis of the beam, five parameters: what is estimated, and the solver for it.
+
+Two beams explain a spot almost equally well: the incidence and its reverse. The solver starts from
+both and ranks them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from operator import itemgetter
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, ScalarLike
+
+from optics.beam import perpendicular_frame
+from optics.ellipse import ellipse_of_contour
+from optics.surface import Surface
+from optics.vector import dot
+
+_STEPS = 40
+_DAMPING = 1e-3
+_SMALLEST_STEP = 1e-11
+_UNOBSERVED = 1e-14
+_OBSERVABLE_AXIS_ERROR = np.radians(2.0)
+"""Largest standard error of the axis, rad, for which its direction counts as observed."""
+
+TipAndAxis = Callable[[Float[Array, "3"], Float[Array, "3"]], Float[Array, "*n"]]
+"""A function of tip (mm) and axis (unit vector)."""
+
+
+class DirectionPrior(NamedTuple):
+    """What is known of the axis beforehand, from the robot or from the last frame.
+
+    Attributes:
+        axis: unit vector.
+        sigma: standard deviation across it, rad.
+    """
+
+    axis: Float[Array, "3"]
+    sigma: ScalarLike
+
+
+class Pose(NamedTuple):
+    """One solution.
+
+    Attributes:
+        tip: S, mm.
+        axis: unit vector.
+        distance: d = |SO|, mm.
+        covariance: of (tip x, y, z in mm; axis along its two perpendiculars in rad).
+        distance_error: standard error of d, mm.
+        misfit_px: root mean square distance of what was measured from the contour, px.
+        cost: sum of squares over sigma, prior included; ranks solutions.
+    """
+
+    tip: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    distance: Float[Array, ""]
+    covariance: Float[Array, "5 5"]
+    distance_error: Float[Array, ""]
+    misfit_px: Float[Array, ""]
+    cost: Float[Array, ""]
+
+
+class PoseEstimate(NamedTuple):
+    """The better solution, its mirror (incidence reversed), and what can be told.
+
+    Attributes:
+        best: the solution of least cost.
+        mirror: the other one; the same where both starts end in one place.
+        observable: whether the direction is determined better than 2 degrees; near square
+            incidence it is not, while the distance still is.
+    """
+
+    best: Pose
+    mirror: Pose
+    observable: Bool[Array, ""]
+
+
+def leaning_either_way(
+    points: Float[Array, "n 3"],
+    outward: Float[Array, "3"],
+    half_angle: ScalarLike,
+    apex_offset: ScalarLike,
+) -> tuple[Float[Array, "2 3"], Float[Array, "2 3"]]:
+    """Tips and axes of the two beams that would make the spot on a plane: the starts.
+
+    Such a spot has cos(incidence) = minor/major, leaning either way along the major axis.
+
+    Args:
+        points: of the spot's edge on the wall, mm.
+        outward: mean normal of the wall there, of any length.
+        half_angle: of the cone, rad.
+        apex_offset: b, mm.
+    """
+    outward = outward / jnp.linalg.norm(outward)
+    first, second = perpendicular_frame(outward)
+    centre = jnp.mean(points, axis=0)
+    apart = points - centre
+    ellipse = ellipse_of_contour(jnp.stack([dot(apart, first), dot(apart, second)], axis=-1))
+    along = jnp.cos(ellipse.angle) * first + jnp.sin(ellipse.angle) * second
+    # An exactly square start would stay square: both lean by 3 degrees at least.
+    cosine = jnp.minimum(ellipse.semi_minor / ellipse.semi_major, np.cos(np.radians(3.0)))
+    sine = jnp.sqrt(1.0 - cosine**2)
+    axes = jnp.stack([cosine * outward + side * sine * along for side in (1.0, -1.0)])
+    distance = ellipse.semi_minor / jnp.tan(half_angle) + apex_offset
+    return centre - distance * axes, axes
+
+
+def best_and_mirror(solve: Callable[..., Pose], starts: object) -> PoseEstimate:
+    """Solve from two starts, ranked by cost.
+
+    Args:
+        solve: from a tip and an axis to a solution.
+        starts: tips and axes, the leading axis over the two starts.
+    """
+    both = jax.vmap(lambda start: solve(*start))(starts)
+    # With its apex on the wall a cone's contour is a point, which fits the mismatch of any ellipse.
+    ahead = jnp.where(both.distance > 0, both.cost, jnp.inf)
+    first, second = (jax.tree.map(itemgetter(k), both) for k in (0, 1))
+    swap = ahead[1] < ahead[0]
+    best = jax.tree.map(lambda a, b: jnp.where(swap, b, a), first, second)
+    mirror = jax.tree.map(lambda a, b: jnp.where(swap, a, b), first, second)
+    axis_error = jnp.sqrt(jnp.linalg.norm(best.covariance[3:, 3:], ord=2))
+    return PoseEstimate(best, mirror, axis_error < _OBSERVABLE_AXIS_ERROR)
+
+
+def refined_pose(
+    residual: TipAndAxis,
+    misfit_px: TipAndAxis,
+    surface: Surface,
+    prior: DirectionPrior | None,
+    tip: Float[Array, "3"],
+    axis: Float[Array, "3"],
+) -> Pose:
+    """Gauss-Newton with Levenberg's damping from a start until the steps are lost in rounding.
+
+    Args:
+        residual: over its standard deviation.
+        misfit_px: a single number.
+        surface: the wall.
+        prior: of the direction.
+        tip: start, mm.
+        axis: start.
+    """
+
+    def residuals(step, tip, axis):
+        tip, axis = _moved(step, tip, axis)
+        if prior is None:
+            return residual(tip, axis)
+        return jnp.concatenate([residual(tip, axis), jnp.cross(axis, prior.axis) / prior.sigma])
+
+    zero = jnp.zeros(5)
+
+    def linear(tip, axis):
+        value = residuals(zero, tip, axis)
+        jacobian = jax.jacfwd(residuals)(zero, tip, axis)
+        return jnp.sum(value**2), jacobian.T @ jacobian, jacobian.T @ value
+
+    def going_on(state):
+        count, _, _, _, _, length = state
+        return (count < 2) | (count < _STEPS) & (length > _SMALLEST_STEP)
+
+    def iterate(state):
+        count, tip, axis, damping, (cost, normal, gradient), _ = state
+        damped = normal + damping * jnp.diag(jnp.diag(normal))
+        step = -jnp.linalg.solve(damped, gradient)
+        moved = _moved(step, tip, axis)
+        system = linear(*moved)
+        better = system[0] <= cost
+        kept = jax.tree.map(
+            partial(jnp.where, better), (*moved, system), (tip, axis, (cost, normal, gradient))
+        )
+        damping = jnp.clip(jnp.where(better, 0.1, 10.0) * damping, 1e-15, 1e3)
+        return count + 1, *kept[:2], damping, kept[2], jnp.linalg.norm(step)
+
+    # The first round makes no step but the system at the start: so `linear` is compiled once.
+    unknown = (jnp.asarray(jnp.inf), jnp.eye(5), zero)
+    start = (0, tip, axis, jnp.asarray(10 * _DAMPING), unknown, jnp.asarray(0.0))
+    _, tip, axis, _, (cost, normal, _), _ = jax.lax.while_loop(going_on, iterate, start)
+    covariance = _covariance(normal)
+
+    def distance(step):
+        return surface.intersect(*_moved(step, tip, axis)).distance
+
+    gradient = jax.grad(distance)(zero)
+    return Pose(
+        tip=tip,
+        axis=axis,
+        distance=distance(zero),
+        covariance=covariance,
+        distance_error=jnp.sqrt(gradient @ covariance @ gradient),
+        misfit_px=misfit_px(tip, axis),
+        cost=cost,
+    )
+
+
+def _moved(step, tip, axis):
+    """Tip shifted by mm, axis turned by rad along its two perpendiculars."""
+    first, second = perpendicular_frame(axis)
+    turned = axis + step[3] * first + step[4] * second
+    return tip + step[:3], turned / jnp.linalg.norm(turned)
+
+
+def _covariance(normal: Float[Array, "5 5"]) -> Float[Array, "5 5"]:
+    """Inverse of the normal matrix; directions that nothing observes get a huge variance."""
+    scale = jnp.sqrt(jnp.diag(normal))
+    values, vectors = jnp.linalg.eigh(normal / (scale * scale[:, None]))
+    inverse = (vectors / jnp.maximum(values, _UNOBSERVED)) @ vectors.T
+    return inverse / (scale * scale[:, None])

@@ -1,0 +1,17 @@
+from .description import Scene as Scene
+from .description import SceneError as SceneError
+from .description import changed as changed
+from .description import load_scene as load_scene
+from .description import parsed_change as parsed_change
+from .description import scene_schema as scene_schema
+from .description import scene_template as scene_template
+from .description import scene_toml as scene_toml
+from .machine import RendererUnavailable as RendererUnavailable
+from .machine import load_mitsuba as load_mitsuba
+from .rendering import LinearFrame as LinearFrame
+from .rendering import Renderer as Renderer
+from .stacks import check_scene as check_scene
+from .stacks import expose_again as expose_again
+from .stacks import render_stack as render_stack
+from .stacks import write_preview as write_preview
+from .world import frame_count as frame_count

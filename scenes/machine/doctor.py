@@ -1,0 +1,177 @@
+"""What this machine can do for eyespot, and what to do about each thing that is missing."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from scenes.machine.llvm import find_llvm
+
+GIB = 2**30
+MEMORY_NEEDED = 4 * GIB
+
+HOME = Path(__file__).resolve().parents[2]
+"""Where the five packages lie: the checkout, or site-packages."""
+
+# Each variant is tried in a process of its own: one that cannot work may take its process along.
+_TRY_VARIANT = """
+import sys
+import numpy
+from scenes.machine import RendererUnavailable, load_mitsuba
+try:
+    mi = load_mitsuba(sys.argv[1])
+except RendererUnavailable as unavailable:
+    sys.exit(str(unavailable))
+scene = mi.load_dict({
+    "type": "scene", "integrator": {"type": "path"}, "light": {"type": "constant"},
+    "ball": {"type": "sphere", "center": [0, 0, 4]},
+    "camera": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}},
+})
+brightness = numpy.asarray(mi.render(scene, spp=4)).mean()
+sys.exit(0 if 0 < brightness < 2 else f"a grey ball in white light has brightness {brightness}")
+"""
+
+
+class State(StrEnum):
+    """How a finding is judged; only MISSING stands in the way of the main job."""
+
+    OK = "ok"
+    NOTE = "note"
+    MISSING = "missing"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report: what was looked at, what was found, what to do about it."""
+
+    what: str
+    found: str
+    state: State = State.OK
+    remedy: str = ""
+
+
+def report() -> int:
+    """Prints the findings as a table.
+
+    Returns:
+        The exit code: 0, or 1 where something that the main job needs is missing.
+    """
+    table = Table(title="eyespot doctor")
+    for heading in ("", "found", "", "what to do"):
+        table.add_column(heading, overflow="fold")
+    colours = {State.OK: "green", State.NOTE: "yellow", State.MISSING: "red"}
+    something_missing = False
+    for finding in examine():
+        # Text, because rich would read the square brackets of an error message as markup.
+        state = Text(finding.state, style=colours[finding.state])
+        table.add_row(Text(finding.what), Text(finding.found), state, Text(finding.remedy))
+        something_missing |= finding.state is State.MISSING
+    Console().print(table)
+    return int(something_missing)
+
+
+def examine() -> Iterator[Finding]:
+    """Everything worth knowing about this machine, one finding at a time."""
+    yield from _versions()
+    yield Finding("eyespot's packages", str(HOME))
+    yield from llvm_findings()
+    yield _variant("llvm_ad_rgb", State.MISSING, "See what it says, then `make setup` again.")
+    yield _variant("scalar_rgb", State.NOTE, "Not needed, but odd. Run `make setup` again.")
+    yield _variant("cuda_ad_rgb", State.NOTE, "Not needed. It takes an NVIDIA GPU and its driver.")
+    yield from _hardware()
+    yield _current_folder()
+
+
+def _versions() -> Iterator[Finding]:
+    """Python and the core packages against what eyespot asks for and was tested with."""
+    yield Finding("Python", f"{platform.python_version()} ({sys.executable})")
+    tested = _tested_versions()
+    for line in importlib.metadata.requires("eyespot") or []:
+        requirement = Requirement(line)
+        if requirement.marker and not requirement.marker.evaluate({"extra": ""}):
+            continue
+        name = requirement.name
+        try:
+            version = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            yield Finding(name, "not installed", State.MISSING, "Run `make setup` again.")
+            continue
+        pinned = tested.get(canonicalize_name(name), version)
+        if version not in requirement.specifier:
+            remedy = f"eyespot needs {name}{requirement.specifier}. Run `make setup` again."
+            yield Finding(name, version, State.MISSING, remedy)
+        elif version != pinned:
+            yield Finding(name, version, State.NOTE, f"eyespot was tested with {pinned}.")
+        else:
+            yield Finding(name, version)
+
+
+def _tested_versions() -> dict[str, str]:
+    """The pins of constraints.txt, where this is a checkout."""
+    constraints = HOME / "constraints.txt"
+    if not constraints.is_file():
+        return {}
+    lines = (line.strip() for line in constraints.read_text().splitlines())
+    pins = (line.split("==") for line in lines if "==" in line)
+    return {canonicalize_name(name): version for name, version in pins}
+
+
+def llvm_findings() -> Iterator[Finding]:
+    """The libLLVM that Mitsuba will use or the lack of one, then those that were refused."""
+    llvm = find_llvm()
+    if llvm:
+        version = ".".join(map(str, llvm.version))
+        yield Finding("libLLVM", f"{version} ({llvm.path})")
+    else:
+        yield Finding("libLLVM", "none that works", State.MISSING, llvm.remedy)
+    for refused in llvm.refused:
+        yield Finding("libLLVM, not used", f"{refused.path}: {refused.reason}", State.NOTE)
+
+
+def _variant(variant: str, state_of_failure: State, remedy: str) -> Finding:
+    child = subprocess.run(
+        [sys.executable, "-c", _TRY_VARIANT, variant],
+        cwd=HOME,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    what = f"Mitsuba {variant}"
+    if child.returncode == 0:
+        return Finding(what, "renders")
+    problem = (child.stderr.strip().splitlines() or [f"exit code {child.returncode}"])[-1]
+    return Finding(what, problem, state_of_failure, remedy)
+
+
+def _hardware() -> Iterator[Finding]:
+    yield Finding("cores", str(len(os.sched_getaffinity(0))))
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if memory < MEMORY_NEEDED:
+        remedy = f"`eyespot validate` may need {MEMORY_NEEDED / GIB:.0f} GiB; use --quick."
+        yield Finding("memory", f"{memory / GIB:.1f} GiB", State.NOTE, remedy)
+    else:
+        yield Finding("memory", f"{memory / GIB:.1f} GiB")
+
+
+def _current_folder() -> Finding:
+    folder = Path.cwd()
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return Finding("this folder", f"{folder} can be written to")
+    except OSError as error:
+        remedy = "Give --out a folder elsewhere."
+        return Finding("this folder", f"{folder}: {error.strerror}", State.NOTE, remedy)

@@ -1,0 +1,109 @@
+"""The one door to Mitsuba, so that Dr.Jit never meets a libLLVM that aborts the process.
+
+Run as a script it says whether the main variant can be loaded (exit code 0 or 1).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from types import ModuleType
+
+from scenes.machine.llvm import (
+    DEBIAN_COMMAND,
+    ENVIRONMENT_VARIABLE,
+    OLDEST_USABLE,
+    REMEDY,
+    find_llvm,
+)
+
+
+class RendererUnavailable(RuntimeError):
+    """The asked variant of Mitsuba cannot run in this process; the message says what to do."""
+
+
+def load_mitsuba(variant: str = "llvm_ad_rgb") -> ModuleType:
+    """Mitsuba with its variant set; later calls in one process must ask for the same one.
+
+    Args:
+        variant: Mitsuba's name of it, such as `llvm_ad_rgb` or `scalar_rgb`.
+
+    Returns:
+        The module `mitsuba`.
+
+    Raises:
+        ValueError: this build of Mitsuba has no such variant.
+        RendererUnavailable: a system library or the GPU is missing, or this process runs another
+            variant already.
+    """
+    needs_llvm = variant.startswith("llvm")
+    if "drjit" in sys.modules:
+        _check_loaded_llvm(needed=needs_llvm)
+    else:
+        _choose_llvm(needed=needs_llvm)
+    mitsuba = _import_mitsuba()
+
+    if variant not in mitsuba.variants():
+        known = ", ".join(mitsuba.variants())
+        raise ValueError(f"load_mitsuba({variant!r}): no such variant; choose one of {known}.")
+    if mitsuba.variant() not in (None, variant):
+        raise RendererUnavailable(
+            f"load_mitsuba({variant!r}): this process renders with {mitsuba.variant()} already, "
+            "and what was made with one variant is of no use to another. Start a new process."
+        )
+    try:
+        mitsuba.set_variant(variant)
+    except ImportError as error:
+        if not variant.startswith("cuda"):
+            raise
+        raise RendererUnavailable(
+            f"load_mitsuba({variant!r}): no NVIDIA GPU with a working driver was found. "
+            "Use llvm_ad_rgb, which needs none."
+        ) from error
+    return mitsuba
+
+
+def _import_mitsuba() -> ModuleType:
+    try:
+        import mitsuba
+    except ModuleNotFoundError:
+        raise
+    except (ImportError, NameError) as error:
+        # Dr.Jit 1.5 trips over a NameError of its own while it reports the ImportError.
+        raise RendererUnavailable(
+            f"Mitsuba cannot be loaded ({error.__context__ or error}). Install the library that "
+            f"it misses (Debian, as root: `{DEBIAN_COMMAND}`)."
+        ) from error
+    return mitsuba
+
+
+def _choose_llvm(*, needed: bool) -> None:
+    """Tells Dr.Jit which libLLVM to load: it reads the variable once, on import."""
+    llvm = find_llvm()
+    if needed and not llvm:
+        raise RendererUnavailable(
+            f"Mitsuba cannot render: {llvm} Without it, `eyespot render --variant scalar_rgb` "
+            "renders scenes of source.kind 'cone', slowly."
+        )
+    # Left to itself, Dr.Jit would load an old libLLVM even for a variant that needs none.
+    os.environ[ENVIRONMENT_VARIABLE] = str(llvm.path) if llvm else os.devnull
+
+
+def _check_loaded_llvm(*, needed: bool) -> None:
+    """What is left to do where somebody imported Dr.Jit before: look at what it loaded."""
+    import drjit
+
+    major = drjit.detail.llvm_version()[0]
+    if needed and major < OLDEST_USABLE:
+        found = f"LLVM {major}" if major > 0 else "no LLVM"
+        raise RendererUnavailable(
+            f"Mitsuba cannot render: drjit was imported before and loaded {found}. "
+            f"Call load_mitsuba() before `import drjit`. {REMEDY}"
+        )
+
+
+if __name__ == "__main__":
+    try:
+        print(f"Mitsuba {load_mitsuba().__version__} can render.")
+    except RendererUnavailable as unavailable:
+        sys.exit(str(unavailable))

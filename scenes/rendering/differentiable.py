@@ -1,0 +1,279 @@
+"""Photons through the glue lens onto the film, as a function of the lens and its pose.
+
+Import after `load_mitsuba`.
+
+What makes its derivatives right: a photon's place on the film and its power are smooth in every
+parameter, and nothing is decided by comparing a parameter with a random number. `smooth_lens` sees
+to that in the glass; the film shares a photon out to the nine pixels about it by a quadratic
+spline. An occluder would break the rule, because which photons it hides is a comparison; scenes
+with one are refused.
+"""
+
+# Mitsuba's stubs describe no variant's types; the tracer is left to its tests.
+# mypy: no-check-untyped-defs
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy.stats import qmc
+
+import optics
+from scenes.description import Scene, SceneError
+from scenes.rendering import build
+from scenes.rendering.smooth_lens import check_lens, leave_cap
+from scenes.world import frame_times, trajectory
+
+LENS = (
+    "core_radius",
+    "glue_length",
+    "aperture_radius",
+    "sag",
+    "glue_index",
+    "numerical_aperture",
+)
+"""What can be free of the lens, as `optics.GlueLens` names it."""
+
+POSE = ("tip_x", "tip_y", "tip_z", "axis_x", "axis_y", "axis_z")
+"""What can be free of the pose, eye frame: mm; the axis is a direction of any length."""
+
+_BORDER_PX = 1  # pixels of the film's edge lack the light of photons just beyond it
+_PASS = 1 << 18  # photons at a time; their graph takes about 1 kB each
+
+
+class _OnFilm(NamedTuple):
+    """Photons shared out to the nine pixels about each: numbers of pixels, light for them."""
+
+    pixels: list[Any]
+    light: list[Any]
+
+
+class PhotonImage:
+    """Direct light of the lens on the wall, seen by the microscope, with derivatives.
+
+    The image is that of `scenes.rendering.photon_image` but for two things: the pixel is a
+    quadratic spline three pixels wide instead of a box, and light that the cap throws back is
+    lost (under 0.5 % of it comes out later). One seed's photons are the same for all parameters,
+    so that the image is a smooth function of them. They are spread evenly (a scrambled Sobol
+    sequence), so that its noise is less than theirs by chance.
+
+    Args:
+        scene: whose source is a lens and whose view nothing obstructs.
+        free: names of the parameters, of `LENS`, `POSE` and "power"; the others stay as in the
+            scene.
+        photons: leaving the core.
+        frame: of the scene's motion, for the pose.
+        seed: other seeds give independent noise.
+
+    Attributes:
+        free: names of the parameters.
+        start: the scene's own values of them.
+        shape: H, W, 3 of the image.
+
+    Raises:
+        SceneError: an instrument or tool may hide photons, or the source has no lens.
+        ValueError: a name in `free` is unknown.
+    """
+
+    def __init__(
+        self, scene: Scene, *, free: Sequence[str], photons: int, frame: int = 0, seed: int = 0
+    ) -> None:
+        _refuse_occluders(scene)
+        known = (*LENS, *POSE, "power")
+        if unknown := [name for name in free if name not in known]:
+            raise ValueError(
+                f"PhotonImage(free=...) names {', '.join(unknown)}; choose from {', '.join(known)}."
+            )
+        self._values, self._launch = _parameters(scene, frame)
+        self._medium_index = optics.MEDIA[scene.source.medium]
+        self._numbers = _evenly_spread(photons, seed=seed)
+        self.free = tuple(free)
+        self.start = np.array([self._values[name] for name in self.free])
+        self.shape = (scene.microscope.height_px, scene.microscope.width_px, 3)
+        self._wall, self._sensor = _wall_and_sensor(scene)
+
+    def value(self, parameters: np.ndarray) -> np.ndarray:
+        """Radiance, H x W x 3, mW/(mm2 sr).
+
+        Args:
+            parameters: of `free`, in its order.
+
+        Raises:
+            ValueError: they describe no lens; the message names the value.
+        """
+        image = np.zeros(self.shape)
+        for _, photons in self._passes(parameters):
+            image += self._splatted(photons.pixels, photons.light)
+        return image
+
+    def value_and_jacobian(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Radiance, and its derivatives in forward mode, H x W x 3 x p.
+
+        Args:
+            parameters: of `free`, in its order.
+
+        Raises:
+            ValueError: they describe no lens; the message names the value.
+        """
+        image, jacobian = np.zeros(self.shape), np.zeros((*self.shape, len(self.free)))
+        for leaves, photons in self._passes(parameters, derivatives=True):
+            columns = []
+            for leaf in leaves:
+                dr.forward_from(leaf, flags=dr.ADFlag.ClearVertices)
+                columns.append(dr.grad(photons.light))
+                dr.clear_grad(photons.light)
+            light = dr.detach(photons.light)
+            # One kernel for all: they share the photons' paths.
+            dr.eval(photons.pixels, light, columns)
+            image += self._splatted(photons.pixels, light)
+            for number, column in enumerate(columns):
+                jacobian[..., number] += self._splatted(photons.pixels, column)
+        return image, jacobian
+
+    def vjp(self, parameters: np.ndarray, cotangent: np.ndarray) -> np.ndarray:
+        """Derivatives of sum(cotangent * image) in reverse mode, one pass for any number of them.
+
+        Args:
+            parameters: p of them, of `free` in its order.
+            cotangent: H x W x 3.
+
+        Returns:
+            p derivatives.
+
+        Raises:
+            ValueError: they describe no lens; the message names the value.
+        """
+        border = [(_BORDER_PX, _BORDER_PX)] * 2 + [(0, 0)]
+        weight = mi.Float(np.pad(cotangent, border).ravel().astype(np.float32))
+        total = np.zeros(len(self.free))
+        for leaves, photons in self._passes(parameters, derivatives=True):
+            product = mi.Float(0)
+            for pixel, light in zip(photons.pixels, photons.light, strict=True):
+                product += dr.dot(light, dr.gather(mi.Color3f, weight, pixel))
+            dr.backward(product)
+            total += [dr.sum(dr.grad(leaf))[0] for leaf in leaves]
+        return total
+
+    def _passes(self, parameters: np.ndarray, *, derivatives: bool = False):
+        """The free parameters and the photons that follow them, so many photons at a time."""
+        values = self._values | dict(zip(self.free, parameters.tolist(), strict=True))
+        check_lens(values)
+        for numbers in np.array_split(self._numbers, math.ceil(len(self._numbers) / _PASS)):
+            size = len(numbers)
+            # In memory, or every new value would be a new kernel; for each photon, or reverse mode
+            # would sum over the photons wherever a parameter is used.
+            copies = {name: dr.opaque(mi.Float, value, size) for name, value in values.items()}
+            leaves = [copies[name] for name in self.free]
+            if derivatives:
+                dr.enable_grad(leaves)
+            yield leaves, self._photons_on_film(copies, numbers)
+
+    def _photons_on_film(self, values: dict[str, Any], numbers: np.ndarray) -> _OnFilm:
+        place, heading, power = leave_cap(
+            values,
+            launch=self._launch,
+            medium_index=self._medium_index,
+            numbers=(mi.Point2f(numbers.T[:2]), mi.Point2f(numbers.T[2:])),
+        )
+        frame = mi.Frame3f(dr.normalize(_vector(values, "axis")))
+        tip = _vector(values, "tip")
+        si = self._wall.ray_intersect(
+            mi.Ray3f(mi.Point3f(tip + frame.to_world(place)), frame.to_world(heading)), power > 0
+        )
+        to_film, importance = self._sensor.sample_direction(si, mi.Point2f(0.5), si.is_valid())
+        context = mi.BSDFContext(mi.TransportMode.Importance)
+        reflected = si.bsdf().eval(context, si, si.to_local(to_film.d), si.is_valid())
+        film = mi.ScalarVector2u(self._sensor.film().size())
+        light = reflected * importance * power * (math.prod(film) / len(self._numbers))
+        light = dr.select(to_film.pdf > 0, light, 0)
+        nearest = dr.floor(to_film.uv)
+        columns, rows = (_spline(to_film.uv[i] - nearest[i] - 0.5) for i in (0, 1))
+        pixels, parts = [], []
+        for (right, across), (down, along) in itertools.product(columns, rows):
+            column, row = mi.Int(nearest.x) + right, mi.Int(nearest.y) + down
+            inside = (column >= 0) & (column < film.x) & (row >= 0) & (row < film.y)
+            pixels.append(mi.UInt32(dr.select(inside, row * film.x + column, 0)))
+            parts.append(dr.select(inside, across * along * light, 0))
+        return _OnFilm(pixels, parts)
+
+    def _splatted(self, pixels: list[Any], light: list[Any]) -> np.ndarray:
+        """The image that photons make, without the film's border."""
+        height, width, channels = self.shape
+        height, width = height + 2 * _BORDER_PX, width + 2 * _BORDER_PX
+        film = dr.zeros(mi.Float, height * width * channels)
+        for pixel, part in zip(pixels, light, strict=True):
+            dr.scatter_add(film, part, pixel)
+        inner = slice(_BORDER_PX, -_BORDER_PX)
+        return np.array(film, dtype=float).reshape(height, width, channels)[inner, inner]
+
+
+def _evenly_spread(count: int, *, seed: int) -> np.ndarray:
+    """Scrambled Sobol points, count x 4, in [0, 1) after rounding to float32."""
+    points = qmc.Sobol(4, rng=seed).random_base2(math.ceil(math.log2(count)))[:count]
+    return np.minimum(points, 1 - 2**-24).astype(np.float32)
+
+
+def _spline(offset):
+    """Shares of the pixels before, about and behind a place, by its offset from the centre, px.
+
+    The quadratic B-spline: smooth, and its shares add up to 1.
+    """
+    return (
+        (-1, 0.5 * dr.square(0.5 - offset)),
+        (0, 0.75 - dr.square(offset)),
+        (1, 0.5 * dr.square(0.5 + offset)),
+    )
+
+
+def _refuse_occluders(scene: Scene) -> None:
+    for key, visible in (
+        ("instrument", scene.instrument.visible),
+        ("second_tool", scene.second_tool.visible),
+    ):
+        if visible:
+            raise SceneError(
+                f"PhotonImage: {key}.visible = true would hide photons, and derivatives do not "
+                f"see the shadow's edge move (up to 20 % off). Set {key}.visible to false."
+            )
+    if scene.source.kind == "cone":
+        raise SceneError(
+            "PhotonImage: source.kind 'cone' has no glass that photons could pass. Set it to "
+            "'photons' or 'lens'."
+        )
+
+
+def _parameters(scene: Scene, frame: int) -> tuple[dict[str, float], optics.GlueLens]:
+    """The scene's values of all that can be free, and its lens."""
+    lens = optics.load_lens(scene.source.lens)
+    motion = trajectory(scene)
+    pose = motion.at(frame_times(scene, motion)[frame : frame + 1])
+    values = {name: float(getattr(lens, name)) for name in LENS}
+    values |= zip(POSE, map(float, (*pose.tip[0], *pose.axis[0])), strict=True)
+    return values | {"power": scene.source.power_mw}, lens
+
+
+def _wall_and_sensor(scene: Scene) -> tuple[Any, Any]:
+    """The wall as a Mitsuba scene of its own, and the microscope with a border round its window."""
+    film = {
+        "width_px": scene.microscope.width_px + 2 * _BORDER_PX,
+        "height_px": scene.microscope.height_px + 2 * _BORDER_PX,
+    }
+    bare = scene.model_copy(
+        update={
+            # The lens itself is not needed, nor its table, which takes seconds.
+            "source": scene.source.model_copy(update={"kind": "cone"}),
+            "microscope": scene.microscope.model_copy(update=film),
+        }
+    )
+    content = build.mitsuba_dict(bare, table=None, uniform=np.zeros(3))
+    return mi.load_dict({"type": "scene", "wall": content["wall"]}), mi.load_dict(content["sensor"])
+
+
+def _vector(values: dict[str, Any], name: str):
+    return mi.Vector3f(*(values[f"{name}_{axis}"] for axis in "xyz"))

@@ -1,0 +1,107 @@
+"""Images of a scene without the camera's noise, for any pose of the tip."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scenes.description import Scene, SceneError
+from scenes.machine import load_mitsuba
+from scenes.world import geometry, photometry
+
+# Far below the eye and turned away: hidden by the wall, and its beam is lost.
+_PARKED_MM, _DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
+
+
+class Images:
+    """One scene, loaded once into Mitsuba; the tip moves, and what it cannot change stays.
+
+    Args:
+        scene: the scene.
+        variant: of Mitsuba.
+
+    Attributes:
+        scene: as given.
+        table: vector irradiance of the lens, or None for the cone.
+        wall_colour: mean reflectance of the wall per channel.
+        mitsuba_scene: for other integrators on the same scene.
+        random: whether light is sampled at random, so that no two images are the same anywhere.
+        reach: which pixels a pose changes; None where all are rendered each time.
+
+    Raises:
+        SceneError: a scalar variant was asked for more than a cone's direct light.
+        RendererUnavailable: Mitsuba cannot run that variant here.
+    """
+
+    def __init__(self, scene: Scene, *, variant: str) -> None:
+        _refuse_slow_light(scene, variant)
+        self._mi = load_mitsuba(variant)
+        from scenes.rendering import build, reach, wall  # Mitsuba's plugins need the variant
+
+        self.scene = scene
+        self.table = geometry.lens_table(scene)
+        self.wall_colour = wall.wall_colour(scene)
+        uniform = photometry.uniform_irradiance(scene, wall_colour=self.wall_colour)
+        content = build.mitsuba_dict(scene, table=self.table, uniform=uniform)
+        self.mitsuba_scene = self._mi.load_dict(content)
+        self._move = build.mover(scene, self.mitsuba_scene)
+        self.random = (
+            scene.source.kind == "photons"
+            or scene.phantom.indirect == "traced"
+            or scene.microscope.numerical_aperture > 0
+        )
+        # Scalar variants know no arrays of pixels.
+        self.reach = None
+        if not (self.random or variant.startswith("scalar")):
+            height, width = scene.microscope.height_px, scene.microscope.width_px
+            self._move(_PARKED_MM, _DOWN)
+            radiance, seen = self._pixels(np.arange(height * width, dtype=np.uint32))
+            self._still = radiance.reshape(height, width, 3), seen.reshape(height, width)
+            self.reach = reach.Reach.of(scene, self.mitsuba_scene, self.table, wall=self._still[1])
+
+    def at(self, *, tip: np.ndarray, axis: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        """Image of one pose.
+
+        Args:
+            tip: mm, eye frame.
+            axis: unit vector from the tip towards the wall.
+            seed: of light that is sampled at random.
+
+        Returns:
+            Radiance, H x W x 3, mW/(mm2 sr), and the part of each pixel in which the wall is seen.
+        """
+        self._move(tip, axis)
+        if self.reach is None:
+            return self._whole_image(seed)
+        radiance, wall = (still.copy() for still in self._still)
+        pixels = self.reach.pixels(tip=tip, axis=axis)
+        radiance.reshape(-1, 3)[pixels], wall.reshape(-1)[pixels] = self._pixels(pixels)
+        return radiance, wall
+
+    def _pixels(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        from scenes.rendering.pixels import pixel_means
+
+        return pixel_means(self.mitsuba_scene, pixels, samples=self.scene.microscope.samples)
+
+    def _whole_image(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        image = np.array(self._mi.render(self.mitsuba_scene, seed=seed))
+        if self.scene.source.kind == "photons":
+            from scenes.rendering.photons import photon_image
+
+            image[..., :3] += photon_image(
+                self.mitsuba_scene,
+                photons_per_pixel=self.scene.source.photons_per_pixel,
+                seed=seed,
+            )
+        return image[..., :3], image[..., 3]
+
+
+def _refuse_slow_light(scene: Scene, variant: str) -> None:
+    """Scalar variants run our emitters ray by ray in Python: a minute a frame for the simplest."""
+    if not variant.startswith("scalar"):
+        return
+    if scene.source.kind != "cone" or scene.phantom.indirect == "traced":
+        raise SceneError(
+            f"the variant {variant} renders source.kind 'cone' without traced light only; got "
+            f"{scene.source.kind!r} with phantom.indirect {scene.phantom.indirect!r}. Take "
+            "llvm_ad_rgb; `eyespot doctor` says what it needs."
+        )

@@ -1,0 +1,225 @@
+"""Mitsuba plugins: the lens and the cone as emitters, and an integrator without noise.
+
+Import after `load_mitsuba`: the base classes exist only once a variant is set.
+"""
+
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+
+import optics
+from scenes.rendering.photons import Glass
+from scenes.world import geometry
+
+# Two wall points nearer than this see each other at an angle that float32 does not resolve; in the
+# smallest spot, of 0.25 mm, 0.2 % of the first reflection onto itself is lost.
+_NEAREST_PAIR_MM = 0.01
+
+
+class _PointEmitter(mi.Emitter):
+    """What emitters without a surface have in common: a tip, an axis, and no chance hits."""
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.tip = mi.Point3f(props["tip"])
+        self.axis = mi.Vector3f(props["axis"])
+        # Without a shape, an emitter that does not say so is dropped by the scene.
+        self.m_flags = +mi.EmitterFlags.DeltaPosition
+
+    def pdf_direction(self, ref, ds, active=True):
+        """0: a point light is never met by chance."""
+        return mi.Float(0)
+
+    def eval(self, si, active=True):
+        """0: a point light has no surface."""
+        return mi.Color3f(0)
+
+    def traverse(self, callback):
+        """Parameters that a withdrawal changes."""
+        callback.put("tip", self.tip, mi.ParamFlags.NonDifferentiable)
+        callback.put("axis", self.axis, mi.ParamFlags.NonDifferentiable)
+
+
+class ConeEmitter(_PointEmitter):
+    """An emitter whose apex lies inside the fibre: shadow rays end at the plane of the tip.
+
+    Wraps Mitsuba's `spot`, which keeps the light; only the end of the shadow ray moves.
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.light = props["light"]
+
+    def sample_direction(self, ref, sample, active=True):
+        """Direction to the apex, with the end point moved along it to the plane of the tip."""
+        ds, weight = self.light.sample_direction(ref, sample, active)
+        ds.dist = dr.dot(self.tip - ref.p, self.axis) / dr.dot(ds.d, self.axis)
+        ds.p = ref.p + ds.dist * ds.d
+        return ds, weight & (ds.dist > 0)
+
+    def sample_ray(self, time, sample1, sample2, sample3, active=True):
+        """A ray of the light, from the plane of the tip on."""
+        ray, weight = self.light.sample_ray(time, sample1, sample2, sample3, active)
+        ray.o = ray(dr.dot(self.tip - ray.o, self.axis) / dr.dot(ray.d, self.axis))
+        return ray, weight
+
+    def traverse(self, callback):
+        """Parameters that a withdrawal changes."""
+        super().traverse(callback)
+        callback.put("light", self.light, mi.ParamFlags.Differentiable)
+
+
+class LensEmitter(_PointEmitter):
+    """The glue lens, seen from the wall and seen from its core.
+
+    From the wall (`sample_direction`) by its vector irradiance V, looked up in
+    `optics.IrradianceTable`. A matt wall with inward normal n receives E = -n . V. The emitter says
+    that its light comes from the direction of -V with the strength |V|, which gives just that; the
+    shadow ray ends at the tip. From its core (`sample_ray`) by photons through real glass, which
+    know nothing of V.
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        values = mi.TensorXf(props["values"])
+        self.rows, self.columns = values.shape[:2]
+        self.field = mi.Texture2f(values, filter_mode=dr.FilterMode.Linear)
+        self.contact_radius, self.slope = props["contact_radius"], props["slope"]
+        self.nearest, self.farthest = props["nearest"], props["farthest"]
+        self.power = mi.Float(props["power"])
+        self.glass = Glass(optics.load_lens(props["lens"]), medium_index=props["medium_index"])
+
+    def vector_irradiance(self, point):
+        """V at a point, mW/mm2: the look-up that `optics.IrradianceTable` defines."""
+        offset = point - self.tip
+        distance = dr.dot(offset, self.axis)
+        lateral = offset - distance * self.axis
+        radius = dr.norm(lateral)
+        envelope = self.contact_radius + self.slope * distance
+        x = radius / envelope
+        y = dr.log(dr.clip(distance, self.nearest, self.farthest) / self.nearest)
+        y /= math.log(self.farthest / self.nearest)
+        # Texels have their centres at (i + 1/2)/n, the table's samples at i/(n - 1).
+        across = (x * (self.columns - 1) + 0.5) / self.columns
+        along = (y * (self.rows - 1) + 0.5) / self.rows
+        v_lateral, v_axial = self.field.eval(mi.Point2f(across, along))
+        scale = dr.select((x <= 1) & (distance >= 0), self.power / dr.square(envelope), 0)
+        outwards = lateral * dr.rcp(dr.maximum(radius, 1e-9))
+        return scale * (v_lateral * outwards + v_axial * self.axis)
+
+    def sample_direction(self, ref, sample, active=True):
+        """Direction against V; weight |V|; shadow rays end at the tip."""
+        vector = self.vector_irradiance(ref.p)
+        strength = dr.norm(vector)
+        lit = active & (strength > 0)
+        ds = dr.zeros(mi.DirectionSample3f)
+        ds.p, ds.n, ds.time, ds.pdf, ds.delta = self.tip, self.axis, ref.time, 1, True
+        ds.dist = dr.norm(self.tip - ref.p)
+        ds.d = dr.select(lit, -vector / dr.select(lit, strength, 1), -self.axis)
+        ds.emitter = mi.EmitterPtr(self)
+        return ds, mi.Color3f(strength) & lit
+
+    def sample_ray(self, time, sample1, sample2, sample3, active=True):
+        """A photon behind the cap; weight 0 if the glue's side or the core swallowed it."""
+        ray, out = self.glass.sample_ray(sample1, sample2, sample3)
+        frame = mi.Frame3f(self.axis)
+        placed = mi.Ray3f(
+            self.tip + frame.to_world(mi.Vector3f(ray.o)), frame.to_world(ray.d), time
+        )
+        return placed, mi.Color3f(self.power) & out & active
+
+
+class SpotIntegrator(mi.SamplingIntegrator):
+    """Direct light of every point emitter, coaxial light, and light from wall to wall.
+
+    All emitters are points, so each is summed rather than one picked at random: what is left of
+    Monte Carlo is the pixel's area, sampled on a grid. Light scattered back by the closed eyeball
+    is uniform (`optics.indirect_irradiance`) and enters as `uniform`; or, where `bounces` is not 0,
+    it is traced, with up to so many reflections before the last. The coaxial light comes from
+    the pinhole: whatever the camera sees is lit by it, without shadows. The extra channel `wall`
+    is the part of a pixel in which the wall is seen.
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.uniform = mi.Color3f(props["uniform"])
+        self.coaxial = mi.Float(props["coaxial"])
+        self.pinhole_height = float(props["pinhole_height"])
+        self.pole_height = float(props["pole_height"])
+        self.pupil_height = float(props["pupil_height"])
+        self.direct, self.bounces = props["direct"], int(props["bounces"])
+
+    def sample(self, scene, sampler, ray, medium=None, active=True):
+        """Radiance along camera rays, and whether they meet the wall."""
+        si = scene.ray_intersect(ray, active)
+        valid = active & si.is_valid()
+        context, bsdf = mi.BSDFContext(), si.bsdf(ray)
+        radiance = bsdf.eval_diffuse_reflectance(si, valid) * self.uniform * dr.inv_pi
+        radiance += bsdf.eval(context, si, si.wi, valid) * self.coaxial * self._falloff(si)
+        if self.bounces:
+            radiance += self._interreflection(scene, sampler, si, valid)
+        for emitter in scene.emitters() if self.direct else ():
+            ds, weight = emitter.sample_direction(si, mi.Point2f(0.5), valid)
+            reflected = bsdf.eval(context, si, si.to_local(ds.d), valid) * weight
+            lit = valid & (dr.max(reflected) > 0)
+            lit = dr.select(scene.ray_test(si.spawn_ray_to(ds.p), lit), False, lit)
+            radiance += dr.select(lit, reflected, 0)
+        wall = si.shape == geometry.wall_shape(scene)
+        return dr.select(valid, radiance, 0), valid, [dr.select(valid & wall, mi.Float(1), 0)]
+
+    @dr.syntax
+    def _interreflection(self, scene, sampler, si, active):
+        """Radiance of light that reached its last surface from another one.
+
+        A path from the camera is joined at each of its points with a photon's first surface. In a
+        uniform sphere all joints carry the same light, so that there is no noise. What goes through
+        the pupil is lost.
+        """
+        context, radiance, throughput = mi.BSDFContext(), mi.Color3f(0), mi.Color3f(1)
+        bounce = mi.UInt32(0)
+        while active & (bounce < self.bounces):
+            photon, power, _ = scene.sample_emitter_ray(
+                si.time, sampler.next_1d(), sampler.next_2d(), sampler.next_2d(), active
+            )
+            lit = scene.ray_intersect(photon, active)
+            reflects = lit.is_valid() & (lit.p.z < self.pupil_height)
+            # Off both surfaces, or a flat chord of the sphere would be blocked by its own end.
+            joint = si.spawn_ray_to(lit.spawn_ray_to(si.p).o)
+            distance = dr.norm(lit.p - si.p)
+            bsdf = si.bsdf()
+            light = lit.bsdf().eval(context, lit, lit.to_local(-joint.d), reflects) * power
+            light *= throughput * bsdf.eval(context, si, si.to_local(joint.d), active)
+            joined = active & reflects & (distance > _NEAREST_PAIR_MM) & (dr.max(light) > 0)
+            joined &= ~scene.ray_test(joint, joined)
+            radiance += (light * dr.rcp(dr.square(distance))) & joined
+            scattered, weight = bsdf.sample(
+                context, si, sampler.next_1d(), sampler.next_2d(), active
+            )
+            throughput *= weight
+            si = scene.ray_intersect(si.spawn_ray(si.to_world(scattered.wo)), active)
+            # Not `&=`, which would change the caller's mask of pixels.
+            active = active & si.is_valid() & (si.p.z < self.pupil_height)
+            bounce += 1
+        return radiance
+
+    def aov_names(self):
+        """Names of the extra channels."""
+        return ["wall"]
+
+    def _falloff(self, si):
+        """Irradiance of the light at the pinhole relative to that at the pole, before cosines."""
+        if math.isinf(self.pinhole_height):
+            return mi.Float(1)
+        reach = self.pinhole_height - self.pole_height
+        return reach**2 / dr.squared_norm(si.p - mi.Point3f(0, 0, self.pinhole_height))
+
+    def traverse(self, callback):
+        """Nothing moves."""
+
+
+mi.register_emitter("eyespot_cone", ConeEmitter)
+mi.register_emitter("eyespot_lens", LensEmitter)
+mi.register_integrator("eyespot_spot", SpotIntegrator)

@@ -1,0 +1,117 @@
+"""Which pixels a moving instrument can change: those that see it, or what its beam reaches.
+
+Import after `load_mitsuba`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import mitsuba as mi
+import numpy as np
+
+import optics
+from scenes.description import GAUGE_DIAMETER_MM, Scene
+from scenes.world import geometry
+
+_TILE_PX = 16
+# A tile's piece of the curved wall reaches past the sphere about its corners by less than this, as
+# long as a pixel is no wider than 0.1 mm.
+_BULGE = 1.05
+
+
+class Reach(NamedTuple):
+    """The image in square tiles, each with the camera's rays through it.
+
+    Attributes:
+        scene: the scene.
+        envelope: radius in which all light at the tip is, mm, and its growth per mm along the axis.
+        centre: middle of each tile's piece of wall, n x 3, mm.
+        radius: within which that piece lies, and all rays to it, n, mm.
+        sight: directions of the rays, n x 3, unit vectors.
+        tile: number of each pixel's tile, H x W.
+        always: tiles that belong to it in any pose, n.
+    """
+
+    scene: Scene
+    envelope: tuple[float, float]
+    centre: np.ndarray
+    radius: np.ndarray
+    sight: np.ndarray
+    tile: np.ndarray
+    always: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        mitsuba_scene: Any,
+        table: optics.IrradianceTable | None,
+        *,
+        wall: np.ndarray,
+    ) -> Reach:
+        """Tiles of a scene.
+
+        Args:
+            scene: the scene.
+            mitsuba_scene: made of it, with the instrument away.
+            table: vector irradiance of the lens, or None for the cone.
+            wall: part of each pixel in which the wall is seen then, H x W.
+        """
+        height, width = wall.shape
+        rows, columns = (-(-side // _TILE_PX) for side in wall.shape)
+        tile = np.arange(rows)[:, None] * columns + np.arange(columns)
+        tile = tile.repeat(_TILE_PX, axis=0).repeat(_TILE_PX, axis=1)[:height, :width]
+        u = np.minimum(np.arange(columns + 1) * _TILE_PX, width) / width
+        v = np.minimum(np.arange(rows + 1) * _TILE_PX, height) / height
+        place = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2).T
+        ray, _ = mitsuba_scene.sensors()[0].sample_ray(0.0, 0.5, mi.Point2f(place), mi.Point2f(0.5))
+        seen = mitsuba_scene.ray_intersect(ray)
+        corners, sight = (
+            np.array(a, float).T.reshape(rows + 1, columns + 1, 3) for a in (seen.p, ray.d)
+        )
+        bare = np.array(seen.shape == geometry.wall_shape(mitsuba_scene))
+        bare = bare.reshape(rows + 1, columns + 1)
+        four = np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, :-1], corners[1:, 1:]])
+        centre = four.mean(axis=0)
+        radius = np.linalg.norm(four - centre, axis=-1).max(axis=0) * _BULGE
+        # The beam may light what stands before the wall.
+        always = np.bincount(tile[wall < 1], minlength=rows * columns) > 0
+        always |= ~(bare[:-1, :-1] & bare[:-1, 1:] & bare[1:, :-1] & bare[1:, 1:]).ravel()
+        if table is None:
+            cone = geometry.cone(scene, None)
+            slope = math.tan(cone.half_angle)
+            envelope = -cone.apex_offset * slope, slope
+        else:
+            envelope = float(table.contact_radius), float(table.slope)
+        towards = sight[:-1, :-1].reshape(-1, 3)
+        return cls(scene, envelope, centre.reshape(-1, 3), radius.ravel(), towards, tile, always)
+
+    def pixels(self, *, tip: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        """Numbers of the pixels that a pose can change, counted along rows from the top left."""
+        offset = self.centre - tip
+        ahead = offset @ axis
+        aside = np.linalg.norm(offset - ahead[:, None] * axis, axis=1)
+        at_tip, slope = self.envelope
+        reached = aside - self.radius <= at_tip + slope * (ahead + self.radius)
+        reached &= ahead + self.radius >= 0
+        reached |= self.always
+        instrument = self.scene.instrument
+        if instrument.visible:
+            end = instrument.fibre_length_mm
+            fibre, shaft = instrument.fibre_diameter_mm / 2, GAUGE_DIAMETER_MM[instrument.gauge] / 2
+            reached |= self._see_rod(offset, axis, start=0.0, end=end, thickness=fibre)
+            reached |= self._see_rod(offset, axis, start=end, end=math.inf, thickness=shaft)
+        return np.flatnonzero(reached[self.tile]).astype(np.uint32)
+
+    def _see_rod(
+        self, offset: np.ndarray, axis: np.ndarray, *, start: float, end: float, thickness: float
+    ) -> np.ndarray:
+        """Tiles in which a rod may be seen that lies so far behind the tip."""
+        across = axis - (self.sight @ axis)[:, None] * self.sight
+        apart = -offset + np.sum(offset * self.sight, axis=1)[:, None] * self.sight
+        square = np.maximum(np.sum(across * across, axis=1), 1e-12)
+        behind = np.clip(np.sum(apart * across, axis=1) / square, start, end)
+        nearest = np.linalg.norm(apart - behind[:, None] * across, axis=1)
+        return np.asarray(nearest <= thickness + self.radius)

@@ -1,0 +1,163 @@
+"""From a scene to linear frames: sharp ones of a moment, and what an exposure gathers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from scenes.description import Scene
+from scenes.rendering.images import Images
+from scenes.world import geometry, labels
+
+# A contour that shifts by less is blurred by 0.25 px / sqrt(12) = 0.07 px, in squares against the
+# pixel's own 0.3 px. The tip's edges, which nobody measures, may shift by a pixel.
+_STILL_SPOT_PX, _STILL_TIP_PX = 0.25, 1.0
+# In units of the noise. Where a sharp edge passes, tripling n changes a pixel by up to 1/(3n) of
+# its light and doubling 3n by up to 1/(6n), half of it.
+_SETTLED = 2.0
+# Enough for a sharp edge in a well-exposed frame; over-exposed ones would ask for ever more.
+_MOST_SUB_FRAMES = 81
+
+
+class LinearFrame(NamedTuple):
+    """A noise-free frame.
+
+    Attributes:
+        radiance: H x W x 3, mW/(mm2 sr).
+        wall: H x W, part of each pixel in which the wall is seen.
+        visible_fraction: part of the half-maximum contour that the camera sees.
+    """
+
+    radiance: np.ndarray
+    wall: np.ndarray
+    visible_fraction: float
+
+
+class Exposed(NamedTuple):
+    """The light of an exposure.
+
+    Attributes:
+        radiance: its mean over the exposure, H x W x 3, mW/(mm2 sr).
+        sub_frames: moments that it was rendered at.
+    """
+
+    radiance: np.ndarray
+    sub_frames: int
+
+
+class Renderer:
+    """One scene, loaded once into Mitsuba; frames are rendered by moving the tip.
+
+    Args:
+        scene: the scene.
+        variant: of Mitsuba.
+
+    Attributes:
+        scene: as given.
+        images: of any pose of the tip.
+        table: vector irradiance of the lens, or None for the cone.
+        moments: what is true of every frame.
+        truth: of the spots of all frames.
+        wall_colour: mean reflectance of the wall per channel.
+        mitsuba_scene: for other integrators on the same scene.
+
+    Raises:
+        SceneError: the tip touches the wall, or the spot leaves the window.
+        RendererUnavailable: Mitsuba cannot run that variant here.
+    """
+
+    def __init__(self, scene: Scene, *, variant: str = "llvm_ad_rgb") -> None:
+        self.scene = scene
+        self.images = Images(scene, variant=variant)
+        self.mitsuba_scene, self.wall_colour = self.images.mitsuba_scene, self.images.wall_colour
+        self.table = self.images.table
+        self.moments = labels.moments(scene, self.table)
+        self.truth = self.moments.spots
+        self._microscope = geometry.microscope(scene)
+
+    def render(self, frame: int) -> LinearFrame:
+        """Linear frame of one moment."""
+        (tip,), (axis,) = self.moments.motion.at(self.moments.times[[frame]])
+        radiance, wall = self.images.at(tip=tip, axis=axis, seed=frame)
+        return LinearFrame(radiance, wall, self._visible_fraction(frame, wall))
+
+    def exposed(self, frame: int, sharp: LinearFrame, *, exposure_s: float) -> Exposed:
+        """What a frame gathers while the tip moves: the mean over sub-frames.
+
+        Sub-frames stand at the middles of equal parts of the exposure. Splitting every part in
+        three keeps those that are there; it is done until it hardly changes a pixel against the
+        camera's noise. An exposure in which the spot and the tip hardly move is its middle.
+
+        Args:
+            frame: number of the frame.
+            sharp: rendered at the middle of the exposure.
+            exposure_s: duration of the exposure.
+        """
+        exposed = Exposed(sharp.radiance, 1)
+        spot_px, tip_px = self._shift(frame, exposure_s)
+        if spot_px < _STILL_SPOT_PX and tip_px < _STILL_TIP_PX:
+            return exposed
+        # Frames that are noise themselves never settle: one sub-frame a pixel has to do.
+        most = min(max(spot_px, tip_px) if self.images.random else math.inf, _MOST_SUB_FRAMES)
+        settled = False
+        while not settled:
+            count = 3 * exposed.sub_frames
+            added = [part for part in range(count) if part % 3 != 1]
+            mean = exposed.radiance / 3
+            mean += self.gathered(frame, exposure_s, count, added) * (len(added) / count)
+            change = self._change_over_noise(exposed.radiance, mean, exposure_s)
+            settled = change <= _SETTLED or count >= most
+            exposed = Exposed(mean, count)
+        return exposed
+
+    def gathered(
+        self, frame: int, exposure_s: float, count: int, parts: Sequence[int]
+    ) -> np.ndarray:
+        """Mean radiance at the middles of some of `count` equal parts of a frame's exposure."""
+        times = exposure_s * ((np.array(parts) + 0.5) / count - 0.5)
+        poses = self.moments.motion.at(self.moments.times[frame] + times)
+        total = np.zeros(1)
+        for part, tip, axis in zip(parts, *poses, strict=True):
+            # Light that is sampled at random needs numbers of its own in every sub-frame.
+            seed = frame + (count + part) * self.moments.times.size
+            total = total + self.images.at(tip=tip, axis=axis, seed=seed)[0]
+        return total / np.float32(len(parts))
+
+    def _shift(self, frame: int, exposure_s: float) -> tuple[float, float]:
+        """How far the spot's contour and the tip's image move in an exposure, px."""
+        times = self.moments.times[frame] + exposure_s * np.array([-0.5, 0.0, 0.5])
+        tip, axis = self.moments.motion.at(times)
+        scale, camera = self.scene.microscope.scale_mm_px, self._microscope
+        depth = 1 - float(camera.inverse_working_distance) * (tip[:, 2] - float(camera.pole_height))
+        tip_px = np.linalg.norm(np.diff(tip[:, :2] / (scale * depth[:, None]), axis=0), axis=1)
+        # O moves with the tip and with the lever d, seen along the beam, and the spot grows.
+        steps, turns, beam = np.diff(tip, axis=0), np.diff(axis, axis=0), axis[1]
+        aside = steps + float(self.truth.distance[frame]) * turns
+        across = np.linalg.norm(aside - (aside @ beam)[:, None] * beam, axis=1)
+        moved = across / math.cos(float(self.truth.incidence[frame]))
+        grown = np.abs(steps @ beam) * math.tan(float(self.truth.beam.half_angle[frame]))
+        return float(np.sum(moved + grown)) / scale, float(np.sum(tip_px))
+
+    def _change_over_noise(self, old: np.ndarray, new: np.ndarray, exposure_s: float) -> float:
+        """Largest change of a pixel in units of the camera's temporal noise (EMVA 1288)."""
+        camera = self.scene.camera
+        electrons = exposure_s * self.scene.exposures.sensitivity_mm2_sr_mj * camera.full_well_e
+        rounding = 1 / (12 * camera.system_gain**2)
+        fixed = camera.dark_signal_e + camera.read_noise_e**2 + rounding
+        return float(np.max(np.abs(new - old) * electrons / np.sqrt(new * electrons + fixed)))
+
+    def mask(self, frame: int, linear: LinearFrame) -> np.ndarray:
+        """Pixels whose centre lies inside the half-maximum contour and sees the wall."""
+        from skimage.draw import polygon2mask
+
+        contour = np.asarray(self.truth.contour_px)[frame, :, ::-1]
+        return polygon2mask(linear.wall.shape, contour) & (linear.wall > 0.5)
+
+    def _visible_fraction(self, frame: int, wall: np.ndarray) -> float:
+        column, row = np.rint(np.asarray(self.truth.contour_px)[frame]).astype(int).T
+        height, width = wall.shape
+        inside = (0 <= row) & (row < height) & (0 <= column) & (column < width)
+        return float(np.sum(wall[row[inside], column[inside]]) / inside.size)

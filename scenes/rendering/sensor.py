@@ -1,0 +1,131 @@
+"""Mitsuba plugin: the microscope, for light traced from it and towards it.
+
+Import after `load_mitsuba`: the base class exists only once a variant is set.
+"""
+
+# Mitsuba's stubs describe no variant's types; the body is left to its tests.
+# mypy: no-check-untyped-defs
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+# Each step gains the distortion's order; `scenes.world.geometry` refuses lenses for which they
+# fail.
+_UNDISTORT_STEPS = 12
+
+
+class MicroscopeSensor(mi.Sensor):
+    """The pinhole of `optics.Microscope`: at any height or at infinity, with lens distortion.
+
+    Unlike Mitsuba's `perspective` it looks into the closed eyeball: lines of sight begin at the
+    height where they enter the eye. Corners are darker: a pixel has the part
+    1 - vignetting (s / s_corner)^2 of its light, s its distance from the window's middle.
+
+    With an aperture it is a thin lens in the pinhole's place: the lines of sight of a pixel all
+    cross where the one through the pinhole meets the height in focus, within a slope (tangent of
+    the angle) of it.
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.scale, self.bend = props["scale"], props["inverse_working_distance"]
+        self.pole_height, self.entry_height = props["pole_height"], props["entry_height"]
+        self.centre = mi.Vector2f(props["principal_point"])
+        self.distortion = tuple(props[name] for name in ("k1", "k2", "p1", "p2", "k3"))
+        self.vignetting = props["vignetting"]
+        self.aperture_slope, self.focus_height = props["aperture_slope"], props["focus_height"]
+        self.m_needs_sample_3 = self.aperture_slope > 0
+
+    def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
+        """Line of sight through a place of the film, and the part of the light that arrives."""
+        size = mi.Vector2f(self.film().size())
+        ideal = self._undistorted(mi.Vector2f(position_sample) * size - self.centre)
+        x, y = ideal.x * self.scale, -ideal.y * self.scale
+        depth = self._depth(self.entry_height)
+        aside = self._slope(aperture_sample)
+        above = self.entry_height - self.focus_height
+        ray = mi.Ray3f(
+            mi.Point3f(x * depth - above * aside.x, y * depth - above * aside.y, self.entry_height),
+            dr.normalize(mi.Vector3f(self.bend * x + aside.x, self.bend * y + aside.y, -1)),
+            time,
+        )
+        return ray, mi.Color3f(self._part(position_sample))
+
+    def sample_ray_differential(
+        self, time, wavelength_sample, position_sample, aperture_sample, active=True
+    ):
+        """The same: no texture of ours is filtered, so that differentials have no use."""
+        ray, part = self.sample_ray(
+            time, wavelength_sample, position_sample, aperture_sample, active
+        )
+        return mi.RayDifferential3f(ray), part
+
+    def sample_direction(self, it, sample, active=True):
+        """Direction to the pinhole; weight by which a photon's radiance enters the film."""
+        size = mi.Vector2f(self.film().size())
+        depth = self._depth(it.p.z)
+        aside = self._slope(sample)
+        # Where the line of sight of that slope would start from were it the pinhole's.
+        above = it.p.z - self.focus_height
+        x, y = (it.p.x + above * aside.x) / depth, (it.p.y + above * aside.y) / depth
+        ds = dr.zeros(mi.DirectionSample3f)
+        ds.d = -dr.normalize(mi.Vector3f(self.bend * x + aside.x, self.bend * y + aside.y, -1))
+        ds.dist = (self.entry_height - it.p.z) / ds.d.z
+        ds.p = it.p + ds.dist * ds.d
+        offset, growth = self._distorted(mi.Vector2f(x, -y) / self.scale)
+        place = self.centre + offset
+        seen = active & (ds.dist > 0) & dr.all((place >= 0) & (place < size))
+        ds.uv = mi.Point2f(place)
+        ds.pdf = dr.select(seen, mi.Float(1), 0)
+        # A pixel's area on the plane through the point, over the cosine to that plane's normal.
+        area = dr.prod(size) * dr.square(self.scale * depth) / growth
+        return ds, mi.Color3f(self._part(place / size) * dr.rcp(area * ds.d.z)) & seen
+
+    def _depth(self, height):
+        return 1 - self.bend * (height - self.pole_height)
+
+    def _slope(self, sample):
+        """Of a line of sight against the pinhole's, from uniform numbers; zero for a pinhole."""
+        return self.aperture_slope * mi.warp.square_to_uniform_disk_concentric(sample)
+
+    def _part(self, position):
+        """Of the light at a place of the film, what vignetting leaves."""
+        size = mi.Vector2f(self.film().size())
+        from_middle = (mi.Vector2f(position) - 0.5) * size
+        return 1 - self.vignetting * 4 * dr.squared_norm(from_middle) / dr.squared_norm(size)
+
+    def _distorted(self, ideal):
+        """Brown's distortion of an offset from the principal point, px, and its area's growth.
+
+        Brown (1966) in OpenCV's order and normalisation, and the determinant of its derivative.
+        """
+        k1, k2, p1, p2, k3 = self.distortion
+        u, v = ideal.x, ideal.y
+        x, y = u * self.bend * self.scale, v * self.bend * self.scale
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        steepness = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+        offset = mi.Vector2f(
+            u * radial + 2 * p1 * u * y + p2 * (3 * u * x + v * y),
+            v * radial + p1 * (u * x + 3 * v * y) + 2 * p2 * u * y,
+        )
+        along = radial + x * x * steepness + 2 * p1 * y + 6 * p2 * x
+        across = x * y * steepness + 2 * p1 * x + 2 * p2 * y
+        down = radial + y * y * steepness + 6 * p1 * y + 2 * p2 * x
+        return offset, along * down - across * across
+
+    def _undistorted(self, offset):
+        """Inverse of `_distorted` by fixed-point steps, as in `optics.Microscope`."""
+        ideal = offset
+        if any(self.distortion):
+            for _ in range(_UNDISTORT_STEPS):
+                ideal = ideal + offset - self._distorted(ideal)[0]
+        return ideal
+
+    def traverse(self, callback):
+        """Nothing moves."""
+
+
+mi.register_sensor("eyespot_microscope", MicroscopeSensor)

@@ -1,0 +1,141 @@
+"""The phantom's wall for Mitsuba: its shape and the picture on it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+import optics
+from scenes.description import Phantom, Scene
+from scenes.walls import fundus, wall_image
+from scenes.world import geometry
+
+_TEXTURE_MM, _TEXTURE_PX = 24.0, 2048
+_COATS = {"wet": (optics.MEDIA["water"], 0.05), "glossy": (1.5, 0.2)}
+"""Refractive index, and Beckmann's roughness (an assumption)."""
+
+
+def wall_colour(scene: Scene) -> np.ndarray:
+    """Mean linear reflectance of the wall per colour channel."""
+    if scene.phantom.wall == "uniform":
+        return np.full(3, scene.phantom.reflectance)
+    return _texture(scene.phantom).mean(axis=(0, 1), dtype=float)
+
+
+def _texture(phantom: Phantom) -> np.ndarray:
+    """The wall's picture on a plane about the pole."""
+    if phantom.wall != "image":
+        return _fundus(phantom.texture_seed, phantom.wall)
+    return wall_image(
+        Path(phantom.wall_image),
+        width_mm=phantom.wall_image_mm,
+        white=phantom.reflectance,
+        extent_mm=_TEXTURE_MM,
+        pixels=_TEXTURE_PX,
+    )
+
+
+@functools.lru_cache(maxsize=2)
+def _fundus(seed: int, palette: Any) -> np.ndarray:
+    # All trials of a run share one wall.
+    return fundus(seed=seed, extent_mm=_TEXTURE_MM, pixels=_TEXTURE_PX, palette=palette)
+
+
+def wall(scene: Scene) -> dict[str, Any]:
+    """Mitsuba's dictionary of the wall, for the variant that `load_mitsuba` has set."""
+    import mitsuba as mi
+
+    if scene.phantom.wall == "uniform":
+        reflectance = {"type": "rgb", "value": scene.phantom.reflectance}
+    else:
+        on_wall = _on_sphere if scene.phantom.kind == "eyeball" else _texture
+        texture = on_wall(scene.phantom)
+        reflectance = {
+            "type": "bitmap",
+            # Mitsuba puts row 0 at v = 0, the map has it at +Y.
+            "bitmap": mi.Bitmap(np.ascontiguousarray(texture[::-1], dtype=np.float32)),
+            "raw": True,
+            "wrap_mode": "clamp",
+        }
+    surface = _surface(scene, reflectance)
+    if scene.phantom.kind == "plane":
+        pole = geometry.wall(scene).frame_at(eccentricity=0.0, azimuth=0.0)
+        place = geometry.rigid_transform(np.asarray(pole.origin), -np.asarray(pole.outward))
+        half = np.diag([_TEXTURE_MM / 2, _TEXTURE_MM / 2, 1.0, 1.0])
+        return {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f(place @ half),
+            "bsdf": surface,
+        }
+    if "bitmap" in reflectance:
+        reflectance["to_uv"] = _longitude_latitude_to_uv(radius=scene.phantom.radius_mm)
+    return {
+        "type": "sphere",
+        "radius": scene.phantom.radius_mm,
+        "flip_normals": True,
+        "to_world": mi.ScalarTransform4f(_EQUATOR_AT_POLE),
+        "bsdf": surface,
+    }
+
+
+def _surface(scene: Scene, reflectance: dict[str, Any]) -> dict[str, Any]:
+    medium = optics.MEDIA[scene.source.medium]
+    index, roughness = _COATS.get(scene.phantom.coat, (medium, 0.0))
+    if index == medium:  # no coat, or water on a wall under water
+        return {"type": "diffuse", "reflectance": reflectance}
+    return {
+        "type": "roughplastic",
+        "diffuse_reflectance": reflectance,
+        "int_ior": index,
+        "ext_ior": medium,
+        "alpha": roughness,
+    }
+
+
+# Mitsuba's sphere has its coordinate poles on its own z axis, where a map is pinched, and the seam
+# of its longitude at +x. Turned so that its -x axis points to the retinal pole and its -z axis
+# along Y, the middle of the map lies on the retina.
+_EQUATOR_AT_POLE = np.array(
+    [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+
+
+def _on_sphere(phantom: Phantom) -> np.ndarray:
+    """The picture, azimuthal-equidistant about the pole, on longitude and latitude."""
+    texture, radius = _texture(phantom), phantom.radius_mm
+    half = 0.5 * _TEXTURE_MM / radius
+    centres = half * ((np.arange(_TEXTURE_PX) + 0.5) / _TEXTURE_PX * 2 - 1)
+    longitude, latitude = centres, -centres[:, None]
+    x = np.cos(latitude) * np.sin(longitude)
+    y = np.sin(latitude)
+    aside = np.hypot(x, y)
+    arc = np.arctan2(aside, np.cos(latitude) * np.cos(longitude))
+    stretch = radius * arc / np.maximum(aside, 1e-12)
+    # From mm about the pole to pixels of the picture, whose rows go down.
+    per_mm, middle = _TEXTURE_PX / _TEXTURE_MM, (_TEXTURE_PX - 1) / 2
+    columns, rows = middle + per_mm * x * stretch, middle - per_mm * y * stretch
+    return np.asarray(
+        cv2.remap(
+            texture,
+            columns.astype(np.float32),
+            rows.astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+    )
+
+
+def _longitude_latitude_to_uv(*, radius: float) -> Any:
+    """Maps the sphere's (longitude/2pi, colatitude/pi) so that the texture covers its extent."""
+    import mitsuba as mi
+
+    extent = _TEXTURE_MM / radius
+    scale_u, scale_v = 2 * math.pi / extent, math.pi / extent
+    return mi.ScalarTransform3f(
+        [[scale_u, 0.0, 0.5 - 0.5 * scale_u], [0.0, scale_v, 0.5 - 0.5 * scale_v], [0.0, 0.0, 1.0]]
+    )

@@ -1,0 +1,10 @@
+"""Stacks on disk.
+
+check    What only a computation tells of a scene: whether it can be rendered
+preview  One small frame of a scene, to look at before it is rendered
+stack    From a scene to a labelled stack on disk, and from a stack to one exposed anew
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,77 @@
+"""One small frame of a scene, to look at before it is rendered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from scenes.camera import expose, fixed_patterns
+from scenes.description import Scene
+from scenes.rendering import Images
+from scenes.world import labels, photometry
+
+_SHRINK = 4
+
+
+def write_preview(scene: Scene, path: Path, *, variant: str = "llvm_ad_rgb") -> None:
+    """Render `preview` into a PNG file; one that is there is replaced."""
+    image = preview(scene, variant=variant)
+    _, encoded = cv2.imencode(".png", image[..., ::-1])
+    partial = path.with_name(f"{path.name}.part")
+    partial.write_bytes(encoded.tobytes())
+    partial.replace(path)
+
+
+def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
+    """The frame in the middle of the motion at a quarter of its size, with one sample a pixel.
+
+    It has the fixed exposure of the `paper` frames and the sensor's noise, but no blur and no JPEG.
+    A spot that leaves the window, which a stack may not have, is shown as it is.
+
+    Args:
+        scene: the scene.
+        variant: of Mitsuba.
+
+    Returns:
+        H/4 x W/4 x 3 (R, G, B), uint8 or uint16.
+
+    Raises:
+        SceneError: the tip touches the wall, or the exposure outlasts a frame.
+        RendererUnavailable: Mitsuba cannot run that variant here.
+    """
+    motion, times = labels.timeline(scene)
+    (tip,), (axis,) = motion.at(times[[times.size // 2]])
+    images = Images(_small(scene), variant=variant)
+    radiance, _ = images.at(tip=tip, axis=axis, seed=0)
+    camera, exposures = scene.camera, scene.exposures
+    seconds = photometry.paper_exposure(scene, images.table, wall_colour=images.wall_colour)
+    height, width, _ = radiance.shape
+    shape = camera.sensor_shape(height=height, width=width)
+    return expose(
+        radiance,
+        exposure=seconds * exposures.sensitivity_mm2_sr_mj,
+        settings=camera,
+        rng=np.random.default_rng(scene.seed),
+        patterns=fixed_patterns(settings=camera, shape=shape, seed=scene.seed),
+    )
+
+
+def _small(scene: Scene) -> Scene:
+    """The same field of view in fewer pixels; even numbers of them, for Bayer's mosaic."""
+    large = scene.microscope
+    width, height = (
+        max(16, size // _SHRINK // 2 * 2) for size in (large.width_px, large.height_px)
+    )
+    scale = large.scale_mm_px * max(large.width_px / width, large.height_px / height)
+    x, y = large.window_offset_px
+    fewer = large.scale_mm_px / scale
+    small = {
+        "width_px": width,
+        "height_px": height,
+        "scale_mm_px": scale,
+        "window_offset_px": (fewer * x, fewer * y),
+        "samples": 1,
+    }
+    return scene.model_copy(update={"microscope": large.model_copy(update=small)})

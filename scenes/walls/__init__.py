@@ -1,0 +1,10 @@
+"""Pictures of the wall.
+
+fundus_image  A retina from a seed: the reflectance of disc, macula, vessels and choroid as a map
+              for a wall
+image_file    The wall's picture from a user's image file
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

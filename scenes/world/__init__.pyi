@@ -1,0 +1,14 @@
+from . import geometry as geometry
+from . import labels as labels
+from . import motion as motion
+from . import photometry as photometry
+from .geometry import Cone as Cone
+from .geometry import cone as cone
+from .geometry import contact_distance as contact_distance
+from .geometry import lens_table as lens_table
+from .geometry import wall as wall
+from .labels import spot_labels as spot_labels
+from .light_cache import lens_light as lens_light
+from .motion import frame_count as frame_count
+from .motion import frame_times as frame_times
+from .motion import trajectory as trajectory

@@ -1,0 +1,282 @@
+"""Where the tip is at any moment: the kinds of motion, and the clocks that sample them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import optics
+from estimator.files import read_poses
+from scenes.description import Hand, Recorded, Scan, Scene, SceneError, Withdrawal
+from scenes.world import geometry
+
+_TREMOR_HZ = (8.0, 12.0)
+"""Band of physiological tremor in microsurgery (Wells et al. 2013)."""
+_VOLUNTARY_HZ = (0.3, 1.2)
+"""Slow motion, inside the 2 Hz that hold 99 % of voluntary power (Riviere et al. 1997)."""
+_LINES = 64  # sinusoids a band: enough for a random walk of phases, few enough to sum exactly
+_STEP_S = 1e-6  # for speeds: a tremor's changes by 1e-4 of itself
+_FINE_S = 1e-3  # for the top speed: a hundredth of a tremor's period
+_MARGIN_S = 0.1  # the robot's poses begin before the first frame and end after the last
+
+
+class Poses(NamedTuple):
+    """Tip and axis at several moments, eye frame.
+
+    Attributes:
+        tip: n x 3, mm.
+        axis: n x 3, unit vectors from the tip towards the wall.
+    """
+
+    tip: NDArray[np.float64]
+    axis: NDArray[np.float64]
+
+
+PosesAt = Callable[[NDArray[np.float64]], Poses]
+"""Poses at moments in s."""
+
+
+class Trajectory(NamedTuple):
+    """A motion.
+
+    Attributes:
+        moments: when the camera's frames are due, s; the first is 0.
+        at: poses at any moments (s); before its beginning and after its end a motion rests, but
+            for a hand's.
+    """
+
+    moments: NDArray[np.float64]
+    at: PosesAt
+
+    def speed(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Speed of the tip, mm/s; where it jumps, as at a start from rest, the larger."""
+        before, now, after = (self.at(times + step).tip for step in (-_STEP_S, 0.0, _STEP_S))
+        steps = np.maximum(
+            np.linalg.norm(now - before, axis=1), np.linalg.norm(after - now, axis=1)
+        )
+        return steps / _STEP_S
+
+
+def trajectory(scene: Scene) -> Trajectory:
+    """The scene's motion.
+
+    Raises:
+        SceneError: it cannot be made, or its file cannot be read; the message names what to change.
+    """
+    match scene.motion:
+        case Withdrawal():
+            at = _withdrawal(scene, scene.motion)
+        case Scan():
+            at = _scan(scene, scene.motion)
+        case Hand():
+            at = _hand(scene, scene.motion)
+        case Recorded():
+            at = _recorded(scene.motion)
+    return Trajectory(_moments(scene), at)
+
+
+def frame_count(scene: Scene) -> int:
+    """Number of frames that a scene has of each kind of exposure.
+
+    Raises:
+        SceneError: a recorded motion cannot be read.
+    """
+    return _moments(scene).size
+
+
+def _moments(scene: Scene) -> NDArray[np.float64]:
+    """When the camera's frames are due, s."""
+    match scene.motion:
+        case Withdrawal() as motion:
+            travelled = np.linspace(0.0, motion.travel_mm, motion.frames)
+            return travelled / motion.speed_mm_s
+        case Scan() as motion:
+            duration = motion.length_mm / motion.speed_mm_s
+        case Hand() as motion:
+            duration = motion.duration_s
+        case Recorded() as motion:
+            duration = float(_recording(motion)[0][-1])
+    # A motion that ends on a frame, but for rounding, has that frame.
+    count = math.floor(duration * scene.clocks.camera_hz + 1e-6) + 1
+    return np.arange(count) / scene.clocks.camera_hz
+
+
+def frame_times(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
+    """Middle of each frame's exposure on the camera's clock, s."""
+    jitter = np.random.default_rng([scene.clocks.seed, 1]).standard_normal(motion.moments.size)
+    return motion.moments + scene.clocks.camera_jitter_s * jitter
+
+
+def longest_exposure(scene: Scene) -> float:
+    """Time between the camera's frames, s; a withdrawal, which is slow, may stop for each."""
+    return math.inf if isinstance(scene.motion, Withdrawal) else 1 / scene.clocks.camera_hz
+
+
+def kinematics(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
+    """What the robot's controller reports: rows of time stamp, tip and axis.
+
+    Stamps are those of its own clock: they lead the camera's by the offset and scatter about it.
+    A report never overtakes the one before it.
+
+    Returns:
+        n x 7: s, mm, unit vector; from a little before the first frame to a little after the last.
+    """
+    clocks = scene.clocks
+    count = math.ceil((motion.moments[-1] + 2 * _MARGIN_S) * clocks.kinematics_hz) + 1
+    times = np.arange(count) / clocks.kinematics_hz - _MARGIN_S
+    jitter = np.random.default_rng([scene.clocks.seed, 2]).standard_normal(count)
+    stamps = times + clocks.kinematics_offset_s + clocks.kinematics_jitter_s * jitter
+    poses = motion.at(times)
+    return np.column_stack([np.maximum.accumulate(stamps), poses.tip, poses.axis])
+
+
+def _withdrawal(scene: Scene, motion: Withdrawal) -> PosesAt:
+    spot, axis = _aim(scene)
+    start = motion.start_mm
+    if isinstance(start, str):
+        start = geometry.contact_distance(scene)
+
+    def at(times: NDArray[np.float64]) -> Poses:
+        distance = start + np.clip(motion.speed_mm_s * times, 0.0, motion.travel_mm)
+        return Poses(spot - distance[:, None] * axis, np.broadcast_to(axis, (distance.size, 3)))
+
+    return at
+
+
+def _scan(scene: Scene, motion: Scan) -> PosesAt:
+    spot, axis = _aim(scene)
+    wall = geometry.wall(scene)
+    frame = geometry.wall_frame(scene)
+    outward, meridional, azimuthal = (np.asarray(v) for v in frame[1:])
+    direction = math.radians(motion.direction_deg)
+    along = math.cos(direction) * meridional + math.sin(direction) * azimuthal
+
+    def at(times: NDArray[np.float64]) -> Poses:
+        gone = np.clip(motion.speed_mm_s * times, 0.0, motion.length_mm)
+        path = (gone - motion.length_mm / 2)[:, None]
+        if isinstance(wall, optics.Sphere):
+            r = float(wall.radius)
+            place = r * (np.cos(path / r) * outward + np.sin(path / r) * along)
+        else:
+            place = spot + path * along
+        pointing = _unit((place - spot) / motion.trocar_mm + axis)
+        return Poses(place - motion.distance_mm * pointing, pointing)
+
+    return at
+
+
+def _hand(scene: Scene, motion: Hand) -> PosesAt:
+    spot, axis = _aim(scene)
+    rng = np.random.default_rng(motion.seed)
+    tremor = _Band.random(rng, _TREMOR_HZ, rms=(1 - motion.damping) * motion.tremor_rms_mm)
+    slow = _Band.random(rng, _VOLUNTARY_HZ, rms=1.0)
+    last = _moments(scene)[-1]
+    fine = np.linspace(0.0, last, 1 + math.ceil(last / _FINE_S))
+    size = _scale_to_speed(slow.velocity(fine), tremor.velocity(fine), motion.top_speed_mm_s)
+    home = spot - motion.distance_mm * axis
+    lever = motion.trocar_mm - motion.distance_mm
+    if lever <= 0:
+        raise SceneError(
+            f"motion.trocar_mm must exceed motion.distance_mm; got {motion.trocar_mm:g} mm with "
+            f"{motion.distance_mm:g} mm. Raise trocar_mm."
+        )
+
+    def at(times: NDArray[np.float64]) -> Poses:
+        aside = size * slow.position(times) + tremor.position(times)
+        return Poses(home + aside, _unit(aside / lever + axis))
+
+    return at
+
+
+def _recorded(motion: Recorded) -> PosesAt:
+    stamps, rows = _recording(motion)
+
+    def at(times: NDArray[np.float64]) -> Poses:
+        row = np.column_stack([np.interp(times, stamps, column) for column in rows.T])
+        return Poses(row[:, :3], _unit(row[:, 3:]))
+
+    return at
+
+
+def _recording(motion: Recorded) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times from the first on, s, and rows of tip (mm) and axis."""
+    try:
+        found = list(read_poses(Path(motion.file)))
+    except ValueError as error:
+        raise SceneError(f"motion.file: {error}") from error
+    stamps = np.array([pose.time_s for pose in found])
+    if len(found) < 2 or np.any(np.diff(stamps) <= 0):
+        raise SceneError(
+            f"motion.file: {motion.file} must hold at least two poses, no two of one time_s."
+        )
+    stamps -= stamps[0]
+    return stamps, np.array([[*pose.position_mm, *pose.axis] for pose in found])
+
+
+def _aim(scene: Scene) -> Poses:
+    """The wall point of [spot], and the direction of the beam there."""
+    spot = scene.spot
+    beam = optics.beam_at_spot(
+        geometry.wall(scene),
+        eccentricity=spot.eccentricity_mm,
+        azimuth=math.radians(spot.azimuth_deg),
+        incidence=math.radians(spot.incidence_deg),
+        incidence_azimuth=math.radians(spot.incidence_azimuth_deg),
+        distance=0.0,
+        half_angle=0.0,
+        apex_offset=0.0,
+    )
+    return Poses(np.asarray(beam.tip), np.asarray(beam.axis))
+
+
+class _Band(NamedTuple):
+    """Random motion in three dimensions with its frequencies in a band.
+
+    A sum of sinusoids, so it is known exactly at any moment. Its RMS, over all time, is that
+    of the three coordinates together.
+    """
+
+    rate: NDArray[np.float64]  # n, rad/s
+    cosine: NDArray[np.float64]  # n x 3, mm
+    sine: NDArray[np.float64]  # n x 3, mm
+
+    @classmethod
+    def random(cls, rng: np.random.Generator, band_hz: tuple[float, float], *, rms: float) -> _Band:
+        """Lines drawn uniformly from a band, of random phase and direction."""
+        rate = 2 * math.pi * rng.uniform(*band_hz, _LINES)
+        cosine, sine = rng.standard_normal((2, _LINES, 3))
+        size = rms / math.sqrt(np.sum(cosine**2 + sine**2) / 2)
+        return cls(rate, size * cosine, size * sine)
+
+    def position(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        phase = times[:, None] * self.rate
+        return np.cos(phase) @ self.cosine + np.sin(phase) @ self.sine
+
+    def velocity(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        phase = times[:, None] * self.rate
+        return (np.cos(phase) * self.rate) @ self.sine - (np.sin(phase) * self.rate) @ self.cosine
+
+
+def _scale_to_speed(
+    slow: NDArray[np.float64], fast: NDArray[np.float64], top_speed: float
+) -> float:
+    """The factor g >= 0 at which |g slow + fast| peaks at the top speed."""
+    own = np.linalg.norm(fast, axis=1).max()
+    if own >= top_speed:
+        raise SceneError(
+            f"motion.top_speed_mm_s must exceed the tremor's own {own:.2f} mm/s; got "
+            f"{top_speed:g} mm/s. Raise it, or damping."
+        )
+    # Every moment's g solves |g slow + fast|^2 = top^2; the first to get there decides.
+    square, mixed = np.sum(slow**2, axis=1), np.sum(slow * fast, axis=1)
+    rest = top_speed**2 - np.sum(fast**2, axis=1)
+    return float(np.min((np.sqrt(mixed**2 + square * rest) - mixed) / square))
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -1,0 +1,134 @@
+"""The rooms of the house: faces, maps, and no circles among them."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+HOME = Path(__file__).resolve().parents[1]
+PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(HOME).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {
+    module_of(path): path for package in PACKAGES for path in sorted((HOME / package).rglob("*.py"))
+}
+ROOMS = sorted(module for module, path in MODULES.items() if path.name == "__init__.py")
+
+
+def room_of(module: str) -> str:
+    return module if module in ROOMS else module.rpartition(".")[0]
+
+
+def imported_names(path: Path) -> Iterator[tuple[str, str, int]]:
+    """Module, name and line of each import of ours, late ones and those for types included."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in PACKAGES:
+            assert node.module and not node.level
+            yield from ((node.module, alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.split(".")[0] in PACKAGES:
+                    yield alias.name, "", node.lineno
+
+
+def face(room: str) -> dict[str, str]:
+    """The public names of a room, each with the module or room that it comes from."""
+    stub = MODULES[room].with_suffix(".pyi")
+    found = {}
+    for node in ast.parse(stub.read_text(encoding="utf-8")).body if stub.exists() else ():
+        assert isinstance(node, ast.ImportFrom), f"{stub}: a face only imports"
+        for alias in node.names:
+            found[alias.name] = f"{room}.{node.module or alias.name}"
+    return found
+
+
+FACES = {room: face(room) for room in ROOMS}
+
+
+def home_of(module: str, name: str) -> str:
+    """The module in which an imported name is defined, looked up through the faces."""
+    while name in FACES.get(module, {}):
+        module = FACES[module][name]
+    return f"{module}.{name}" if f"{module}.{name}" in MODULES else module
+
+
+def test_a_room_is_entered_through_its_face_only():
+    broken = []
+    for module, path in MODULES.items():
+        for source, name, line in imported_names(path):
+            inside = room_of(module) == room_of(source)
+            if not inside and source not in ROOMS:
+                broken.append(f"{module}:{line} imports from {source}, not from its room's face")
+            elif not inside and name and name not in FACES[source]:
+                if f"{source}.{name}" not in ROOMS:
+                    broken.append(f"{module}:{line}: {source} does not offer {name}")
+    assert not broken, "\n".join(broken)
+
+
+def test_what_a_face_offers_is_there_and_not_hidden_by_a_module_of_the_same_name():
+    broken = []
+    for room, names in FACES.items():
+        for name, home in names.items():
+            if home not in MODULES:
+                broken.append(f"{room} offers {name} from {home}, which does not exist")
+            elif home != f"{room}.{name}" and f"{room}.{name}" in MODULES:
+                broken.append(f"{room}.{name} is a module and a name of the face")
+            elif name.startswith("_"):
+                broken.append(f"{room} offers {name}, which is private")
+    assert not broken, "\n".join(broken)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_module_imports_itself_by_way_of_others(package):
+    graph = defaultdict(set)
+    for module, path in MODULES.items():
+        if module.split(".")[0] == package:
+            homes = {home_of(source, name) for source, name, _ in imported_names(path)}
+            graph[module] = {home for home in homes if home.split(".")[0] == package} - {module}
+    assert not _circle(graph)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_room_imports_itself_by_way_of_others(package):
+    graph: dict[str, set[str]] = defaultdict(set)
+    for module, path in MODULES.items():
+        if module.split(".")[0] == package and module not in ROOMS:
+            for source, name, _ in imported_names(path):
+                other = room_of(home_of(source, name))
+                if other.split(".")[0] == package and other != room_of(module):
+                    graph[room_of(module)].add(other)
+    assert not _circle(graph)
+
+
+def _circle(graph: dict[str, set[str]]) -> list[str]:
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_map_of_a_room_is_true(room):
+    """The docstring of each `__init__` has a line for every file and folder, and no other."""
+    path = MODULES[room]
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    mapped = set(re.findall(r"^ {0,4}([a-z_0-9]+)/? {2,}\S", text, flags=re.MULTILINE))
+    there = {
+        entry.stem
+        for entry in path.parent.iterdir()
+        if (entry.suffix == ".py" and entry.stem != "__init__")
+        or (entry.is_dir() and (entry / "__init__.py").exists())
+    }
+    assert mapped == there
