@@ -16,7 +16,7 @@ from calibration import Prior, fit_cone
 from calibration.recordings.trials import LogBook, read_recording
 from estimator import Spot, SpotRecord, open_source, read_poses, write_spots
 from estimator.files.calibration import read_calibration
-from estimator.sources.bags import write_bag
+from estimator.sources import write_bag
 
 K, B, SCALE = 20.0, -5.117, 0.0067
 RIM = 0.25 * np.tan(np.radians(30.0))

@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.bench.estimator_frames import Scene, Truth, frame_of
 from estimator import Reader, Spot, SubpixelSettings, track
-from estimator.files.poses import Pose, PoseTrack, read_poses, turned
+from estimator.files import POSE_TOPIC, Pose, PoseTrack, read_poses, turned
 from estimator.run.offline import Ended, track_source
-from estimator.sources.bags import IMAGE_TOPIC, POSE_TOPIC, read_frames, write_bag
+from estimator.sources import IMAGE_TOPIC, read_frames, write_bag
 from estimator.sources.opening import open_source
 from estimator.sources.ros_images import frame_of_message
 from estimator.sources.source import Frame

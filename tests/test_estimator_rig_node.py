@@ -28,13 +28,13 @@ from rosbags.typesys import Stores, get_typestore
 from estimator import LiteralSettings, Spot, SubpixelSettings, track
 from estimator.distance.range import RangeFlag
 from estimator.distance.ranger import Ranger
+from estimator.files import Pose, PoseTrack, read_poses
 from estimator.files.calibration import Calibration, read_calibration, write_calibration
 from estimator.files.microscope import read_microscope
-from estimator.files.poses import Pose, PoseTrack, read_poses
 from estimator.files.stack import read_stack
 from estimator.rig import node as rig_node
 from estimator.rig.messages import Parameters, Rig
-from estimator.sources.bags import write_bag
+from estimator.sources import write_bag
 from estimator.sources.opening import Frame, open_source
 
 HOME = Path(__file__).resolve().parents[1]

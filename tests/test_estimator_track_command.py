@@ -39,7 +39,7 @@ from estimator.files.microscope import read_microscope
 from estimator.files.poses import Pose
 from estimator.image.camera import Camera
 from estimator.run.overlay import annotated
-from estimator.sources.bags import write_bag
+from estimator.sources import write_bag
 from estimator.sources.source import Frame
 
 EYESPOT = Path(sys.executable).with_name("eyespot")

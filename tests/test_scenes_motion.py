@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 import optics
 from estimator import Spot, SubpixelSettings, TrackState, measure
-from estimator.files.poses import read_poses
+from estimator.files import read_poses
 from scenes import (
     Renderer,
     Scene,

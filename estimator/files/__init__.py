@@ -6,7 +6,10 @@ microscope        What is known of a microscope: the stack's microscope.json, or
                   file of OpenCV
 model_parameters  Parameters of the models: which each of them has, in which unit and range
 opencv            Camera calibrations as OpenCV and ROS write them
-poses             Poses of the robot: where the instrument's tip was, and which way it pointed
+pose_files        Reads the robot's poses from a CSV file or a ROS bag
+poses             Poses of the robot: where the instrument's tip was, and in which direction it
+                  pointed
+ros_bags          ROS 1 and ROS 2 bags, opened without ROS: their topics and messages
 spots             The spots file: CSV or Parquet, one line a frame, of what was measured and what
                   came of it
 stack             Stack folder: frames, masks, one line of labels a frame, the scene as run,

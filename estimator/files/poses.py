@@ -1,20 +1,15 @@
-"""Poses of the robot: where the instrument's tip was, and which way it pointed."""
+"""Poses of the robot: where the instrument's tip was, and in which direction it pointed."""
 
 from __future__ import annotations
 
 import bisect
-import csv
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Self
 
 import numpy as np
 
-_POSITION = ("x_mm", "y_mm", "z_mm")
-_QUATERNION = ("qx", "qy", "qz", "qw")
-_AXIS = ("axis_x", "axis_y", "axis_z")
 _UNIT = 0.01  # that a length may be off 1: files round
 
 Vector = tuple[float, float, float]
@@ -122,68 +117,3 @@ class PoseTrack:
             return None
         pose = self._poses[following - 1]
         return pose, time_s - pose.time_s
-
-
-def read_poses(path: str | Path, *, topic: str | None = None) -> PoseTrack:
-    """Read the robot's poses from a CSV file or a ROS bag.
-
-    The CSV file's header names its columns: `time_s, x_mm, y_mm, z_mm`, and either a quaternion
-    `qx, qy, qz, qw` or the tool's axis `axis_x, axis_y, axis_z`; others are passed over.
-
-    Args:
-        path: of the CSV file or the bag.
-        topic: of the poses in a bag; None takes the one there is, see `bags.read_poses`.
-
-    Raises:
-        ValueError: not readable, or without poses; the message names the file and the line.
-    """
-    from estimator.sources import bags  # which reads poses of this module's kind
-
-    path = Path(path)
-    if not path.exists():
-        raise ValueError(f"{path}: there is no such file. Check the path of the poses.")
-    poses = bags.read_poses(path, topic=topic) if bags.is_bag(path) else _from_csv(path)
-    track = PoseTrack(poses)
-    if not len(track):
-        raise ValueError(f"{path} holds no poses.")
-    return track
-
-
-def _from_csv(path: Path) -> list[Pose]:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.DictReader(file, strict=True)
-            names = rows.fieldnames or ()
-            direction = _QUATERNION if set(_QUATERNION) <= set(names) else _AXIS
-            missing = [name for name in ("time_s", *_POSITION, *direction) if name not in names]
-            if missing:
-                raise ValueError(
-                    f"{path}, line 1: no poses: column {missing[0]!r} is missing. Name the columns"
-                    f" time_s, {', '.join(_POSITION)}, and {', '.join(_QUATERNION)} or"
-                    f" {', '.join(_AXIS)}."
-                )
-            return [_pose(row, direction, f"{path}, line {rows.line_num}") for row in rows]
-    except OSError as error:
-        raise ValueError(f"{path} could not be read: {error.strerror}.") from error
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not a CSV file of poses: {error}.") from error
-
-
-def _pose(row: dict[str, str], direction: tuple[str, ...], where: str) -> Pose:
-    def number(name: str) -> float:
-        try:
-            return float(row[name])
-        except (TypeError, ValueError):
-            raise ValueError(f"{where}: {name} must be a number; got {row[name]!r}.") from None
-
-    time_s = number("time_s")
-    x, y, z = map(number, _POSITION)
-    towards = [number(name) for name in direction]
-    try:
-        if direction is _AXIS:
-            ax, ay, az = towards
-            return Pose.along((ax, ay, az), time_s=time_s, position_mm=(x, y, z))
-        qx, qy, qz, qw = towards
-        return Pose(time_s=time_s, position_mm=(x, y, z), rotation=(qx, qy, qz, qw))
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from estimator.files import Pose, PoseTrack
+from estimator.files import POSE_TOPIC, Pose, PoseTrack
 from estimator.image import Spot
 from estimator.run import Options, Reading
-from estimator.sources import IMAGE_TOPIC, POSE_TOPIC, frame_of_message
+from estimator.sources import IMAGE_TOPIC, frame_of_message
 
 POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node sooner
 

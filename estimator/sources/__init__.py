@@ -1,6 +1,7 @@
 """Where frames come from: stacks, images, videos, cameras, ROS bags.
 
-bags        ROS 1 and ROS 2 bags, read and written without ROS
+bag_images  The images of ROS 1 and ROS 2 bags as a source, read without ROS
+bag_writer  Writes ROS 1 and ROS 2 bags with the rig's topics, without ROS
 images      Image files as sources: a folder of them, one of them, the pages of a TIFF
 opening     Opens whatever frames come from: a stack, images, a video, a camera or a bag
 ros_images  Images of ROS messages as frames, and back; for bags and for a live node alike

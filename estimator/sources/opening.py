@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.files import read_stack
+from estimator.files import is_bag, read_stack
 from estimator.image import checked_frame
-from estimator.sources import bags
+from estimator.sources.bag_images import open_bag
 from estimator.sources.images import IMAGES, TIFF, open_folder, open_image, open_tiff
 from estimator.sources.source import Frame, Source
 from estimator.sources.videos import open_camera, open_video
@@ -25,7 +25,7 @@ def open_source(
         source: a stack folder, a folder of images (in natural order of their names), an image, a
             multi-page TIFF, a video, a ROS 1 or ROS 2 bag, or the number of a camera.
         exposure: of a stack that holds more than one, such as "paper" or "metered".
-        image_topic: of a bag, see `bags.read_frames`.
+        image_topic: of a bag, see `bag_images.read_frames`.
 
     Raises:
         ValueError: there is no such thing, it cannot be read, it is empty, or the exposure or the
@@ -41,8 +41,8 @@ def open_source(
         raise ValueError(f"{path} may not be read. Change its permissions.")
     elif (path / "stack.toml").is_file():
         return _stack(path, exposure)
-    elif bags.is_bag(path):
-        opened = bags.open_bag(path, topic=image_topic)
+    elif is_bag(path):
+        opened = open_bag(path, topic=image_topic)
     elif path.is_dir():
         opened = open_folder(path)
     elif path.suffix.lower() in TIFF:
