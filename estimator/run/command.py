@@ -5,20 +5,19 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from estimator.detector import SubpixelSettings
 from estimator.files import SpotRecord, pyarrow, read_poses, write_spots
 from estimator.run.offline import Ended, track_source
 from estimator.run.options import Options
 from estimator.run.overlay import RIG_RATE_HZ, check_overlay_path, overlay
+from estimator.run.progress_bar import progress
 from estimator.run.summary import summary_of, table_of
-from estimator.sources import Source, open_source
+from estimator.sources import open_source
 
 
 def run(
@@ -105,8 +104,15 @@ def run(
                     camera=settings.camera if isinstance(settings, SubpixelSettings) else None,
                 )
             )
-        advance = stack.enter_context(_progress(source, console))
-        tracking = track_source(source, reader, poses=poses, draw=draw, progress=advance)
+        advance = stack.enter_context(progress("Tracking", total=source.length))
+        spots = 0
+
+        def measured(record: SpotRecord) -> None:
+            nonlocal spots
+            spots += bool(record.result)
+            advance(note=f"{spots} spots")
+
+        tracking = track_source(source, reader, poses=poses, draw=draw, progress=measured)
     seconds = time.perf_counter() - began
     write_spots(out, tracking.records)
     summary = summary_of(tracking, source, mode, seconds) | {
@@ -145,26 +151,3 @@ def _check_results(out: Path, overlay_path: Path | None) -> None:
             raise ValueError(
                 f"{path.parent} is no folder. Make it, or write {path.name} elsewhere."
             )
-
-
-@contextmanager
-def _progress(source: Source, console: Console) -> Iterator[Callable[[SpotRecord], None]]:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[spots]} spots"),
-        TimeRemainingColumn(),
-    )
-    spots = 0
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as progress:
-        task = progress.add_task("Tracking", total=source.length, spots=0)
-
-        def advance(record: SpotRecord) -> None:
-            nonlocal spots
-            spots += bool(record.result)
-            progress.update(task, advance=1, spots=spots)
-
-        yield advance

@@ -1,0 +1,93 @@
+"""Progress of a long command: a bar on a terminal, else a plain line now and then."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from typing import Protocol
+
+SECONDS_BETWEEN_LINES = 30.0
+"""Without a terminal, so that a log stays short and still shows that the command is alive."""
+
+
+class Advance(Protocol):
+    """Reports that some of the steps are done."""
+
+    def __call__(self, steps: int = 1, *, note: str = "") -> None:
+        """Add to the steps done; a note is shown beside their number."""
+
+
+@contextmanager
+def progress(what: str, *, total: int | None) -> Iterator[Advance]:
+    """Show the progress of a loop on stderr: steps done, their total, the remaining time.
+
+        with progress("Measuring", total=len(frames)) as advance:
+            for frame in frames:
+                measure(frame)
+                advance()
+
+    Args:
+        what: the activity, such as "Rendering".
+        total: number of steps; None if unknown.
+
+    Yields:
+        A function to call after each step.
+    """
+    shown = _bar if sys.stderr.isatty() else _lines
+    with shown(what, total) as advance:
+        yield advance
+
+
+@contextmanager
+def _bar(what: str, total: int | None) -> Iterator[Advance]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=total, note="")
+
+        def advance(steps: int = 1, *, note: str = "") -> None:
+            bar.update(task, advance=steps, note=note)
+
+        yield advance
+
+
+@contextmanager
+def _lines(what: str, total: int | None) -> Iterator[Advance]:
+    began = last = time.monotonic()
+    done = 0
+
+    def advance(steps: int = 1, *, note: str = "") -> None:
+        nonlocal done, last
+        done += steps
+        now = time.monotonic()
+        if now - last < SECONDS_BETWEEN_LINES:
+            return
+        last = now
+        said = f"{what}: {done} done"
+        if total is not None:
+            left = (total - done) / done * (now - began) if done else 0.0
+            said = f"{what}: {done} of {total} done, {_clock(left)} left"
+        print(f"{said}{', ' if note else ''}{note}.", file=sys.stderr, flush=True)
+
+    yield advance
+
+
+def _clock(seconds: float) -> str:
+    return str(timedelta(seconds=round(max(seconds, 0.0))))
