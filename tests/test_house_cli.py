@@ -78,6 +78,27 @@ def test_version_is_that_of_the_distribution(run):
     assert run("version").out.strip() == importlib.metadata.version("eyespot")
 
 
+def test_the_list_of_commands_is_read_without_importing_any(run):
+    root = run_process("--help")
+    assert root.code == 0
+    for group in ("", *eyespot.GROUPS):
+        listed = run(*filter(None, [group, "--help"])).out
+        for words, function in eyespot.COMMANDS.items():
+            if words.rpartition(" ")[0] == group:
+                assert words.rpartition(" ")[2] in listed
+                assert eyespot.summary(function)
+
+
+@pytest.mark.parametrize("words", eyespot.COMMANDS)
+def test_every_option_of_every_command_is_explained_in_a_sentence(words):
+    command = eyespot.loaded(eyespot.COMMANDS[words])
+    for option in command.params:
+        if option.name != "help":
+            assert option.help, f"{words} {option.name}"
+            assert option.help[0].isupper() or option.help.startswith("microscope.json")
+            assert option.help.endswith("."), f"{words} {option.name}: {option.help}"
+
+
 def test_an_unknown_option_is_bad_input(run):
     assert run("version", "--colour").code == 2
 

@@ -155,3 +155,51 @@ def test_an_import_leaves_heavy_libraries_alone(module, unwanted):
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOME
     )
     assert not set(unwanted) & set(child.stdout.split())
+
+
+HEAVY = {"jax", "mitsuba", "drjit", "cv2", "matplotlib", "distributed"}
+
+# Which heavy libraries a command may load to do its work; with --help it loads none of them.
+MAY_LOAD = {
+    ("version",): set(),
+    ("scene", "init", "{new}"): set(),
+    ("scene", "schema"): set(),
+    ("dataset", "verify", "{folder}"): {"cv2"},
+    ("export", "{folder}", "--to", "hdf5", "--out", "{new}"): {"cv2"},
+    ("track", "{folder}", "--out", "{new}.csv"): {"cv2"},
+}
+
+
+def loaded_by(*words: str) -> set[str]:
+    """The heavy libraries that a run of the command has loaded when it ends, well or not."""
+    code = (
+        f"import sys; sys.argv = {['eyespot', *words]}\n"
+        "import eyespot\n"
+        "try: eyespot.main()\n"
+        "finally: print('LOADED', *sys.modules)"
+    )
+    child = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=HOME
+    )
+    *_, loaded = child.stdout.rpartition("LOADED")
+    assert loaded, child.stderr
+    return HEAVY & set(loaded.split())
+
+
+@pytest.mark.parametrize(("words", "allowed"), MAY_LOAD.items(), ids=lambda w: "-".join(w)[:14])
+def test_a_command_loads_only_what_it_uses(words, allowed, tmp_path):
+    (tmp_path / "folder").mkdir()
+    places = {"folder": tmp_path / "folder", "new": tmp_path / "new"}
+    assert loaded_by(*(word.format(**places) for word in words)) <= allowed
+
+
+def test_no_help_loads_a_heavy_library():
+    code = (
+        "import sys, eyespot\n"
+        "for function in eyespot.COMMANDS.values(): eyespot.loaded(function)\n"
+        "print(*sys.modules)"
+    )
+    child = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOME
+    )
+    assert not HEAVY & set(child.stdout.split())

@@ -1,4 +1,10 @@
 from . import run_folder as run_folder
+from .command import Changes as Changes
+from .command import LightSource as LightSource
+from .command import OutputFolder as OutputFolder
+from .command import Quick as Quick
+from .command import Seed as Seed
+from .command import StartingScene as StartingScene
 from .run_folder import published as published
 from .run_folder import save_figure as save_figure
 from .run_folder import versions as versions

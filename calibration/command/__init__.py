@@ -1,8 +1,8 @@
 """`eyespot fit`.
 
-command       The command `eyespot fit`: recordings in; a report, a table and a calibration file
-              out
+command       The command `eyespot fit`
 fitted        What every model of `eyespot fit` takes, and what its fit comes to
+fitting       A fit from start to end: recordings in; a report, a table and a calibration file out
 goodness      Whether a fit may be called good: convergence, bounds, chi squared, runs of
               residuals
 models        The models that `eyespot fit` knows: recordings in, one kind of result out

@@ -1,1 +1,1 @@
-from . import command as command
+from .command import fit as fit

@@ -1,6 +1,8 @@
 """The scene file: what a person may write, validated.
 
 camera_settings  The table [camera] of the scene file
+command          The commands `eyespot scene init` and `scene schema`, and the options that scenes
+                 are read with
 motion_settings  The tables [motion] and [clocks] of the scene file
 scene_file       The scene file (TOML): read with errors for people, written, explained, and its
                  JSON schema

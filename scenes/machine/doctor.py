@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+import typer
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from rich.console import Console
@@ -64,11 +65,10 @@ class Finding:
     remedy: str = ""
 
 
-def report() -> int:
-    """Prints the findings as a table.
+def doctor() -> None:
+    """Check what this machine can do, and say how to install what is missing.
 
-    Returns:
-        The exit code: 0, or 1 where something that the main job needs is missing.
+    The exit code is 1 if something that the main job needs is missing.
     """
     table = Table(title="eyespot doctor")
     for heading in ("", "found", "", "what to do"):
@@ -81,7 +81,7 @@ def report() -> int:
         table.add_row(Text(finding.what), Text(finding.found), state, Text(finding.remedy))
         something_missing |= finding.state is State.MISSING
     Console().print(table)
-    return int(something_missing)
+    raise typer.Exit(int(something_missing))
 
 
 def examine() -> Iterator[Finding]:

@@ -1,6 +1,7 @@
 """Stacks on disk.
 
 check    What only a computation tells of a scene: whether it can be rendered
+command  The commands `eyespot render` and `eyespot scene check`
 preview  One small frame of a scene, to look at before it is rendered
 stack    From a scene to a labelled stack on disk, and from a stack to one exposed anew
 """

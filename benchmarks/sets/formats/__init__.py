@@ -3,7 +3,8 @@
 bags        ROS bags: SPLIT/STACK/EXPOSURE.bag (ROS 1) or SPLIT/STACK/EXPOSURE/ (ROS 2), labels
             beside it
 coco        COCO: the frames as SPLIT/STACK/000000.png, annotations/SPLIT.json for each split
-export      The command `eyespot export`: a set, or a stack by itself, in another format
+command     The command `eyespot export`
+export      A set, or a stack by itself, written in another format
 hdf5        HDF5: one file, a group SPLIT/STACK for each stack
 ome_tiff    OME-TIFF: SPLIT/STACK/EXPOSURE.ome.tif, one file a recording, labels beside it
 webdataset  WebDataset: tar shards SPLIT-000000.tar; a sample is an image, its mask and its labels

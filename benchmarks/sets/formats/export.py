@@ -1,4 +1,4 @@
-"""The command `eyespot export`: a set, or a stack by itself, in another format."""
+"""A set, or a stack by itself, written in another format."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Literal
-
-from rich.console import Console
-from rich.progress import Progress
 
 from benchmarks.sets.read import SetStack, set_files, stacks_of
 from estimator.files import written_whole
@@ -51,17 +48,6 @@ def export(
         write(stacks, whole, partial(progress, images))
         for path in set_files(stacks) if to != "hdf5" else ():
             shutil.copyfile(path, whole / path.name)
-
-
-def run(folder: Path, *, to: Format, out: Path) -> None:
-    """Export with a progress bar; see `export`."""
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("Exporting", total=None)
-        export(
-            folder, to=to, out=out, progress=lambda total: bar.update(task, advance=1, total=total)
-        )
-    print(f"Wrote {out}.")
 
 
 def _checked(entry: SetStack) -> int:

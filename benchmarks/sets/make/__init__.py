@@ -3,7 +3,7 @@
 card      The data card and the label tables of a set, from what its stacks hold
 cluster   Dask workers for whole stacks: a local cluster, one core a worker, or a scheduler that
           runs
-command   What `eyespot dataset` does with its arguments
+command   The commands `eyespot dataset make` and `eyespot dataset verify`
 estimate  Frames, size and time of a set before it is made, from a few of its frames rendered now
 generate  Makes a set: renders the stacks that are missing on Dask workers, then finishes it
 manifest  Whether a set is whole: its manifest, written last, and what a folder lacks against it

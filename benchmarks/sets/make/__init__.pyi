@@ -1,3 +1,2 @@
-from . import command as command
 from .cluster import local_workers as local_workers
 from .generate import make_set as make_set

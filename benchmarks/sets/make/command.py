@@ -1,52 +1,76 @@
-"""What `eyespot dataset` does with its arguments."""
+"""The commands `eyespot dataset make` and `eyespot dataset verify`."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from datetime import timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from rich.filesize import decimal
-from rich.progress import Progress
+import typer
 
-from benchmarks.sets.make import cluster
-from benchmarks.sets.make.estimate import Estimate, estimate
-from benchmarks.sets.make.generate import WHOLE, Shard, make_set
-from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.spec import load_spec, plan
+from scenes.description import Changes
+
+if TYPE_CHECKING:
+    from benchmarks.sets.make.estimate import Estimate
+    from benchmarks.sets.make.generate import Shard
 
 
 def make(
-    source: str,
-    *,
-    out: Path | None,
-    workers: int | None,
-    scheduler: str | None,
-    shard: str | None,
-    changes: Sequence[str],
-    dry_run: bool,
+    spec: Annotated[
+        str,
+        typer.Argument(
+            metavar="SPEC",
+            help="Spec file (TOML), or static-v1, eccentricity-v1, dynamic-v1 or adverse-v1.",
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder of the set; not needed for a dry run."),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(help="Worker processes on this machine (default: one per core).", min=1),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask scheduler whose workers render the set; see docs/datasets.md.",
+        ),
+    ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(metavar="I/N", help="Render only part I of N; for job arrays of a cluster."),
+    ] = None,
+    changes: Changes = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run", help="Print the number of frames, size and time; render nothing."
+        ),
+    ] = False,
 ) -> None:
-    """Make a set, or say what it would take.
+    """Render a labelled set: splits of stacks, a data card and a manifest.
 
-    Args:
-        source: path of a spec, or the name of one that comes with the software.
-        out: the set's folder; not needed for a dry run.
-        workers: of a local cluster; None for one a core.
-        scheduler: address of a running one, instead of a local cluster.
-        shard: "i/n".
-        changes: "table.key = value" of the spec's [scene].
-        dry_run: only estimate.
-
-    Raises:
-        ValueError: of the arguments, the spec or the folder; the message says what to change.
+    A run that was stopped continues where it was if it gets the same folder.
     """
-    spec, part = load_spec(source, changes), _shard(shard)
+    from rich.progress import Progress
+
+    from benchmarks.sets.make import cluster
+    from benchmarks.sets.make.estimate import estimate
+    from benchmarks.sets.make.generate import make_set
+    from benchmarks.sets.spec import load_spec, plan
+
+    settings, part = load_spec(spec, changes or ()), _shard(shard)
     if scheduler is not None and workers is not None:
-        raise ValueError("--workers counts those on this machine; --scheduler has its own.")
+        raise ValueError(
+            "--workers is the number of processes on this machine, and --scheduler has its own "
+            "workers. Give one of the two."
+        )
     count = workers or cluster.cores()
     if dry_run:
-        _say(estimate(part.of(plan(spec))), workers=count)
+        _print(estimate(part.of(plan(settings))), workers=count)
         return
     if out is None:
         raise ValueError("--out DIR is missing: the folder for the set.")
@@ -58,7 +82,7 @@ def make(
     with Progress(transient=True) as progress:
         task = progress.add_task("Stacks")
         labelled = make_set(
-            spec,
+            settings,
             out,
             workers=hired,
             shard=part,
@@ -70,16 +94,18 @@ def make(
         print(f"Wrote the set {out}: {len(labelled.stacks)} stacks.")
 
 
-def verify(folder: Path) -> None:
-    """Say that a set is whole.
+def verify(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the set.")],
+) -> None:
+    """Compare a set with its manifest, and name every file that is missing or changed."""
+    from benchmarks.sets.make.manifest import verify_set
 
-    Raises:
-        SetError: it is not; the message says what is missing or changed.
-    """
     print(f"{folder}: whole, {verify_set(folder)} files as the manifest says.")
 
 
 def _shard(text: str | None) -> Shard:
+    from benchmarks.sets.make.generate import WHOLE, Shard
+
     if text is None:
         return WHOLE
     if match := re.fullmatch(r"(\d+)/(\d+)", text):
@@ -89,7 +115,9 @@ def _shard(text: str | None) -> Shard:
     raise ValueError(f"--shard is i/n, with i from 1 to n; got {text!r}.")
 
 
-def _say(found: Estimate, *, workers: int) -> None:
+def _print(found: Estimate, *, workers: int) -> None:
+    from rich.filesize import decimal
+
     processor, wall = (
         timedelta(seconds=round(seconds))
         for seconds in (found.processor_s, found.processor_s / workers)

@@ -1,1 +1,1 @@
-from . import command as command
+from .command import score as score

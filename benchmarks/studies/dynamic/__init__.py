@@ -1,5 +1,6 @@
 """The error while the tip moves.
 
+command  The command `eyespot study dynamic`
 figures  Pictures of the dynamic study
 measure  From stacks to rows of dynamic_error.csv: calibrate at rest, read frames, split the
          errors

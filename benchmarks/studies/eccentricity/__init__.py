@@ -3,6 +3,7 @@
 causes       The error of every model split by cause, so that the parts sum to the whole
 chain        The chain from a distance to a spot's size and back, each link of which can be real
              or ideal
+command      The command `eyespot study eccentricity`
 conclusions  What the study of eccentricity found, in sentences whose numbers are this run's
 figures      Pictures of the study of eccentricity
 limits       At which c a model leaves a limit, with the true c and with c fitted as the paper

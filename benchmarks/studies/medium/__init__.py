@@ -1,5 +1,6 @@
 """Calibrated in air, used in vitreous.
 
+command   The command `eyespot study medium`
 light     What a medium makes of a lens's half-maximum radius, in closed form from the lens's
           light
 rendered  The rendered part: calibrated on a plane in air, used in an eyeball full of another

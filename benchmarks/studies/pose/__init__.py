@@ -1,6 +1,7 @@
 """Tip and axis from one spot and from three.
 
 analytic  The analytic part: exact contours with noise, over the working volume
+command   The command `eyespot study pose`
 errors    Rows of pose_error.csv, how priors are drawn, and what many rows amount to
 figures   Pictures of the study of poses: errors beside their bounds and the best reported figures
 rendered  The rendered part: frames of an even wall, spots by the estimator, poses by its exact

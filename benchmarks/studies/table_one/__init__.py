@@ -2,6 +2,7 @@
 
 causes       What makes trials of one lens differ: each cause's own mark on delta k, b and
              -b/delta k
+command      The command `eyespot study table-one`
 conclusions  What the study of Table I found, in sentences whose numbers are this run's
 figure       The figure on Table I: which lenses fit, and spots of some of them against distance
 moments      What the printed figures of Table I say of the distances behind them, by arithmetic

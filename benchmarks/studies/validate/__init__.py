@@ -1,6 +1,7 @@
 """The main job: the paper's static experiment on rendered images.
 
 analysis     Questions of yes or no that the report answers, as functions of the findings
+command      The command `eyespot validate`
 conclusions  What was found, in sentences whose numbers and verdicts are computed from the
              findings
 figures      The report's figures but for the strip of frames, drawn from the rows of `tables`

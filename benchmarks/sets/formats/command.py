@@ -1,0 +1,36 @@
+"""The command `eyespot export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+
+def export(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Labelled set or stack.")],
+    to: Annotated[
+        Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"],
+        typer.Option(help="Format to write; benchmarks/sets/formats describes each."),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="PATH", help="File (hdf5) or folder to write; must not exist."
+        ),
+    ],
+) -> None:
+    """Write a labelled set, or one stack, in another format."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from benchmarks.sets.formats.export import export as write
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("Exporting", total=None)
+        write(
+            folder, to=to, out=out, progress=lambda total: bar.update(task, advance=1, total=total)
+        )
+    print(f"Wrote {out}.")

@@ -1,0 +1,156 @@
+"""Reads or measures spots of a set, scores them, prints tables and writes them."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+import matplotlib
+from rich.console import Console
+from rich.progress import Progress
+
+from benchmarks.evaluation import VISIBLE_ENOUGH
+from benchmarks.reporting import save_figure, versions, write_json
+from benchmarks.sets.read import stacks_of
+from benchmarks.sets.score.conditions import circumstances_of
+from benchmarks.sets.score.figure import score_figure
+from benchmarks.sets.score.groups import Score, score
+from benchmarks.sets.score.measures import Counts, Errors
+from benchmarks.sets.score.outcomes import Against, Outcome
+from benchmarks.sets.score.spots_of_set import Mode, read_set_spots, track_set
+from benchmarks.sets.score.table import tables
+from benchmarks.studies.validate import STYLE
+from estimator import SpotRecord, write_spots
+from estimator.files import fingerprint, written_whole
+
+_SCHEMA = 1
+
+
+def run(
+    folder: Path,
+    spots_files: Sequence[Path],
+    *,
+    mode: Mode | Literal["both"] | None = None,
+    against: Against = "half_max",
+    out: Path | None = None,
+) -> None:
+    """Score spots files, and our own estimator's modes, on a set.
+
+    Args:
+        folder: a set or a stack.
+        spots_files: as `read_set_spots` takes them; an estimator is named as its file.
+        mode: of our estimator, measured now.
+        against: which of the two ellipses is the truth.
+        out: new folder for score.json, score.csv, score.png, score.svg, and MODE.csv, the spots
+            that were measured; None prints the tables only.
+
+    Raises:
+        ValueError: bad input.
+    """
+    folder = Path(folder)
+    modes: tuple[Mode, ...] = ("literal", "subpixel")
+    modes = modes if mode == "both" else (mode,) if mode else ()
+    files = {_estimator(path): path for path in spots_files}
+    _check([*map(_estimator, spots_files), *modes], out)
+    stacks = stacks_of(folder)
+    images = circumstances_of(stacks)
+    spots = {name: read_set_spots(path, stacks, images) for name, path in files.items()}
+    measured: dict[str, list[SpotRecord]] = {}
+    console = Console(stderr=True)
+    with _tracking(console, len(images) * len(modes)) as advance:
+        for mode in modes:
+            measured[mode] = track_set(stacks, mode, progress=advance)
+            spots[mode] = {record.file_name: record for record in measured[mode]}
+    result = score(images, spots, against=against)
+    for table in tables(result):
+        Console().print(table)
+    if out is not None:
+        with written_whole(out) as whole:
+            whole.mkdir()
+            _write(result, whole, folder)
+            for name, records in measured.items():
+                write_spots(whole / f"{name}.csv", records)
+        print(f"Wrote {out}.")
+
+
+def _estimator(spots: Path) -> str:
+    """The name of whoever made a spots file, or a folder of them."""
+    return spots.stem if spots.suffix else spots.resolve().name
+
+
+def _check(names: Sequence[str], out: Path | None) -> None:
+    if not names:
+        raise ValueError("nothing to score: name spots files, or a --mode to measure with.")
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise ValueError(f"two estimators are named {twice[0]}. Rename the spots file of one.")
+    if out is not None and out.exists():
+        raise ValueError(f"{out} exists already. Choose another name; nothing is written over.")
+
+
+@contextmanager
+def _tracking(console: Console, frames: int) -> Iterator[Callable[[], None]]:
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("Tracking", total=frames, visible=frames > 0)
+        yield lambda: progress.update(task, advance=1)
+
+
+def _write(result: Score, out: Path, folder: Path) -> None:
+    write_json(out / "score.json", _summary(result, folder))
+    with (out / "score.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(
+            ["estimator", "against", "condition", "group", *Counts._fields, *Errors._fields]
+        )
+        for group in result.groups:
+            about = [group.estimator, result.against, group.condition, group.group, *group.counts]
+            for errors in group.errors:
+                writer.writerow([*about, *map(_cell, errors)])
+            if not group.errors:
+                writer.writerow(about + [""] * len(Errors._fields))
+    with matplotlib.rc_context(STYLE):
+        save_figure(score_figure(result), out / "score")
+
+
+def _cell(value: object) -> object:
+    return "" if isinstance(value, float) and math.isnan(value) else value
+
+
+def _summary(result: Score, folder: Path) -> dict[str, object]:
+    """Content of score.json."""
+    manifest = folder / "manifest.json"
+    return {
+        "schema": _SCHEMA,
+        "set": folder.resolve().name,
+        "manifest": fingerprint(manifest) if manifest.is_file() else None,
+        "against": result.against,
+        "visible_from_fraction": VISIBLE_ENOUGH,
+        "outcomes": {
+            name: Counter(image.outcome.value for image in judged)
+            for name, judged in result.judged.items()
+        },
+        "reasons_of_misses": {
+            name: Counter(
+                image.record.reason if image.record else "no line"
+                for image in judged
+                if image.outcome is Outcome.MISSED
+            )
+            for name, judged in result.judged.items()
+        },
+        "left_out": result.left_out,
+        "groups": [
+            {
+                "estimator": group.estimator,
+                "condition": group.condition,
+                "group": group.group,
+                **group.counts._asdict(),
+                "errors": [errors._asdict() for errors in group.errors],
+            }
+            for group in result.groups
+        ],
+        "versions": versions(),
+    }

@@ -1,0 +1,22 @@
+"""The command `eyespot study pose`."""
+
+from __future__ import annotations
+
+from benchmarks.reporting import Changes, OutputFolder, Quick, Seed, StartingScene
+
+
+def pose(
+    out: OutputFolder,
+    scene: StartingScene = None,
+    changes: Changes = None,
+    quick: Quick = False,
+    seed: Seed = None,
+) -> None:
+    """Estimate the tool's tip and axis from one spot and from three, beside their bounds.
+
+    A run that was stopped continues where it was if it gets the same folder.
+    """
+    from benchmarks.reporting import Request
+    from benchmarks.studies.pose.run import run
+
+    run(Request(out=out, scene=scene, changes=tuple(changes or ()), quick=quick, seed=seed))

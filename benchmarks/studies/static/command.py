@@ -1,0 +1,22 @@
+"""The command `eyespot study static`."""
+
+from __future__ import annotations
+
+from benchmarks.reporting import Changes, OutputFolder, Quick, Seed, StartingScene
+
+
+def static(
+    out: OutputFolder,
+    scene: StartingScene = None,
+    changes: Changes = None,
+    quick: Quick = False,
+    seed: Seed = None,
+) -> None:
+    """Repeat the paper's Tables I and II many times, and split their error by cause.
+
+    A run that was stopped continues where it was if it gets the same folder.
+    """
+    from benchmarks.reporting import Request
+    from benchmarks.studies.static.run import run
+
+    run(Request(out=out, scene=scene, changes=tuple(changes or ()), quick=quick, seed=seed))

@@ -1,0 +1,22 @@
+"""The command `eyespot study table-one`."""
+
+from __future__ import annotations
+
+from benchmarks.reporting import Changes, OutputFolder, Quick, Seed, StartingScene
+
+
+def table_one(
+    out: OutputFolder,
+    scene: StartingScene = None,
+    changes: Changes = None,
+    quick: Quick = False,
+    seed: Seed = None,
+) -> None:
+    """Find the lenses that give the paper's Table I, and why its trials differ.
+
+    A run that was stopped continues where it was if it gets the same folder.
+    """
+    from benchmarks.reporting import Request
+    from benchmarks.studies.table_one.run import run
+
+    run(Request(out=out, scene=scene, changes=tuple(changes or ()), quick=quick, seed=seed))

@@ -1,0 +1,61 @@
+"""The commands `eyespot render` and `eyespot scene check`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import typer
+
+from scenes.description import Changes, OutputFolder, SceneFile
+
+
+def render(
+    scene: SceneFile,
+    out: OutputFolder,
+    preview: Annotated[
+        bool, typer.Option("--preview", help="Render one small frame only, into the image DIR.png.")
+    ] = False,
+    changes: Changes = None,
+    variant: Annotated[
+        Literal["llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb"],
+        typer.Option(
+            help="Mitsuba variant: for the processor (llvm_ad_rgb), for an NVIDIA GPU "
+            "(cuda_ad_rgb), or without LLVM (scalar_rgb; ideal cones only, a minute per frame)."
+        ),
+    ] = "llvm_ad_rgb",
+) -> None:
+    """Render a scene file to an image stack with labels.
+
+    A run that was stopped continues where it was if it gets the same folder.
+    """
+    from rich.progress import Progress
+
+    from scenes.description import load_scene
+    from scenes.stacks.preview import write_preview
+    from scenes.stacks.stack import render_stack
+    from scenes.world import frame_count
+
+    settings = load_scene(scene, changes or ())
+    if preview:
+        # Beside the stack's folder, which does not exist before the stack is whole.
+        image = out.with_name(f"{out.name}.png")
+        write_preview(settings, image, variant=variant)
+        typer.echo(f"Wrote {image}.")
+        return
+    with Progress(transient=True) as progress:
+        task = progress.add_task("Rendering", total=frame_count(settings))
+        render_stack(settings, out, variant=variant, progress=lambda: progress.advance(task))
+    typer.echo(f"Wrote the stack {out}.")
+
+
+def check(scene: SceneFile, changes: Changes = None) -> None:
+    """Check whether a scene file can be rendered."""
+    from scenes.description import load_scene
+    from scenes.stacks.check import check_scene
+
+    settings = load_scene(scene, changes or ())
+    # The keys may be valid one by one and the spot still leave the window.
+    check_scene(settings)
+    typer.echo(f"{scene}: fine.")
+    for approximation in settings.approximations:
+        typer.echo(f"Approximate: {approximation}.")
