@@ -14,4 +14,5 @@ from .stacks import check_scene as check_scene
 from .stacks import expose_again as expose_again
 from .stacks import render_stack as render_stack
 from .stacks import write_preview as write_preview
+from .world import World as World
 from .world import frame_count as frame_count

@@ -23,7 +23,7 @@ from benchmarks.studies.dynamic.trials import COMPARED, LATENCIES_S, LITERAL, MO
 from benchmarks.studies.validate.conclusions import Conclusion
 from estimator import MicroscopeFile, Pose, PoseTrack
 from scenes import SceneError
-from scenes.world import motion
+from scenes.world import World
 
 R = 11.5
 SPHERE = optics.Sphere(R)
@@ -123,8 +123,7 @@ def test_every_trial_moves_at_its_speed_at_the_cameras_rate_about_one_distance(w
     found = trials_of.trials(SCENE, way, sensitivity=30.0, speeds=SPEEDS, run=1)
     assert {trial.motion for trial in found} == set(MOTIONS)
     for trial in found:
-        path = motion.trajectory(trial.moving)
-        times = motion.frame_times(trial.moving, path)
+        path, times = World(trial.moving).motion, World(trial.moving).times
         assert np.diff(times) == pytest.approx(1 / SCENE.clocks.camera_hz)
         inner = times[1:-1]
         speed = path.speed(inner)

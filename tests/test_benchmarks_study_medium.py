@@ -19,7 +19,7 @@ from benchmarks.studies.medium.light import (
     Curve,
     Regression,
 )
-from scenes.world.geometry import Cone
+from scenes.world import Cone
 
 DISTANCE = np.linspace(0.05, 8.0, 1600)
 ASKED = np.linspace(0.5, 6.0, 12)

@@ -26,8 +26,7 @@ from benchmarks.studies.pose.tool import (
     one_spot,
     three_spots,
 )
-from scenes.world.geometry import Cone
-from scenes.world.motion import trajectory
+from scenes.world import Cone, World
 
 CONE = Cone(math.atan(1 / 20), -5.117)
 ONE, THREE = one_spot(CONE), three_spots(CONE)
@@ -171,7 +170,7 @@ def test_the_tool_stands_still_while_the_camera_exposes(tmp_path):
     still = scenes.changed(
         scene, pose_rendered.STILL | {"motion": {"kind": "recorded", "file": str(file)}}
     )
-    motion = trajectory(still)
+    motion = World(still).motion
     # A spot and three more of either pose.
     assert motion.moments.tolist() == list(range(8))
     for aside in (-0.4, 0.4):

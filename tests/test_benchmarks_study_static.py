@@ -20,7 +20,7 @@ from benchmarks.studies.static.causes import ALL, CAUSES, NONE
 from benchmarks.studies.table_one import causes, moments, scan
 from benchmarks.studies.table_one import run as table_one
 from benchmarks.studies.table_one.scan import AT_SCALE, Choice, Family, Isophotes
-from scenes.world import labels
+from scenes.world import World
 
 K, B = 20.0, -5.117
 PLANE = scenes.changed(scenes.load_scene(None, ()), {"phantom.kind": "plane"})
@@ -103,8 +103,8 @@ def test_the_plane_tilts_under_an_instrument_that_keeps_its_direction(tilt):
     def axis(tilt: int) -> np.ndarray:
         place = paper_trials(source="lens", quick=True, seed=0)[1]
         scene = static.plane(PLANE, place, texture=EVEN, tilt=tilt, frames=2)
-        trajectory, times = labels.timeline(scene)
-        return trajectory.at(times)[1][0]
+        world = World(scene)
+        return world.motion.at(world.times)[1][0]
 
     # Rounding.
     assert axis(tilt) == pytest.approx(axis(0), abs=1e-9)

@@ -36,7 +36,7 @@ from estimator.image.frames import Response
 from scenes import Renderer, Scene, render_stack
 from scenes.camera.exposure import expose
 from scenes.description.camera_settings import CameraSettings
-from scenes.world import geometry
+from scenes.world import World
 
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
 START = {"half_angle": 1.3 * HALF_ANGLE, "b": 0.7 * B}
@@ -67,9 +67,7 @@ def seen(settings: Scene) -> WallPixels:
     """The wall behind the pixels of a scene with a cone or lens over an eyeball."""
     v, u = np.mgrid[: settings.microscope.height_px, : settings.microscope.width_px]
     pixels = jnp.stack([jnp.asarray(u.ravel(), float), jnp.asarray(v.ravel(), float)], axis=-1)
-    return wall_pixels(
-        pixels, microscope=geometry.microscope(settings), surface=geometry.wall(settings)
-    )
+    return wall_pixels(pixels, microscope=World(settings).microscope, surface=World(settings).wall)
 
 
 VALUES = {"power": 1.0, "reflectance": 0.5, "illumination": 0.05, "eye_radius": 11.5}
@@ -86,7 +84,7 @@ def test_model_image_of_a_cone_is_the_renderers(pinhole):
     wall = seen(settings)
     cone = Cone(jnp.asarray(HALF_ANGLE), jnp.asarray(B), None)
     for frame in range(2):
-        beam = renderer.truth.beam
+        beam = renderer.world.truth.beam
         image = radiance(
             wall, VALUES, source=cone, tip=beam.tip[frame], axis=beam.axis[frame], eyeball=True
         )
@@ -127,7 +125,7 @@ def test_model_image_of_a_lens_is_the_renderers(medium, scale):
     )
     lens = Lens(lens_table(values, ("sag",), medium_index=index, sampling=sampling))
     for frame in range(2):
-        beam = renderer.truth.beam
+        beam = renderer.world.truth.beam
         image = radiance(
             wall, VALUES, source=lens, tip=beam.tip[frame], axis=beam.axis[frame], eyeball=True
         )
@@ -306,14 +304,14 @@ def test_hidden_pixels_are_those_in_which_the_renderer_sees_the_instrument():
     renderer = Renderer(settings)
     instrument = Instrument(0.25, 6.0)
     v, u = np.mgrid[:128, :128]
-    sight = geometry.microscope(settings).ray(jnp.stack([u, v], axis=-1).astype(float))
+    sight = World(settings).microscope.ray(jnp.stack([u, v], axis=-1).astype(float))
     for frame in range(2):
         seen_wall = renderer.render(frame).wall
         hidden = instrument.hides(
             np.asarray(seen(settings).point).reshape(128, 128, 3),
             np.asarray(sight[1]),
-            tip=np.asarray(renderer.truth.beam.tip[frame]),
-            axis=np.asarray(renderer.truth.beam.axis[frame]),
+            tip=np.asarray(renderer.world.truth.beam.tip[frame]),
+            axis=np.asarray(renderer.world.truth.beam.axis[frame]),
             margin=0.0,
         )
         # Where a pixel is cut, its centre may lie on either side.
@@ -426,7 +424,7 @@ def ideal_withdrawal(folder: Path) -> tuple[Footage, np.ndarray, dict[str, float
     """Frames without noise, exact as no renderer's samples are, their camera, and the truth."""
     settings = scene(instrument={"visible": False}, microscope={"samples": 4})
     stack = render_stack(settings, folder / "stack")
-    footage, beam = read_footage(stack), Renderer(settings).truth.beam
+    footage, beam = read_footage(stack), Renderer(settings).world.truth.beam
     wall, cone = seen(settings), Cone(jnp.asarray(HALF_ANGLE), jnp.asarray(B), None)
     light = [
         radiance(wall, VALUES, source=cone, tip=tip, axis=axis, eyeball=True)

@@ -17,7 +17,7 @@ import scipy.interpolate
 import scipy.stats
 
 import optics
-from benchmarks.bench.photon_fit import glass_images, in_spline_pixels
+from benchmarks.bench.photon_fit import in_spline_pixels
 from calibration.bridge.render_bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
 from calibration.solvers.levenberg_marquardt import least_squares
 from scenes import Scene, SceneError, load_mitsuba
@@ -252,6 +252,8 @@ def _spline_pixels(profile: np.ndarray) -> np.ndarray:
 def test_images_are_those_of_mitsuba_s_own_glass(tmp_path):
     """Blocks of pixels by Welch's t over seeds; nothing is scaled to fit."""
     load_mitsuba()
+    from scenes.rendering import glass_images
+
     inside = scene(DEEP_DOME, tmp_path, spot={"eccentricity_mm": 2.0})
     seeds, per_pixel = 16, 64
     glass = glass_images(inside, frame=0, photons_per_pixel=per_pixel, seeds=range(seeds))

@@ -37,7 +37,7 @@ def indirect_radiance(renderer: Renderer, frame: int) -> np.ndarray:
     from scenes.rendering import build
 
     renderer.render(frame)
-    content = build.mitsuba_dict(renderer.scene, table=renderer.table, uniform=np.zeros(3))
+    content = build.mitsuba_dict(renderer.world, uniform=np.zeros(3))
     integrator = mi.load_dict({**content["integrator"], "direct": False})
     return np.array(mi.render(renderer.mitsuba_scene, integrator=integrator, seed=1))[..., :3]
 

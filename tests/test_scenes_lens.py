@@ -30,16 +30,18 @@ def test_mitsuba_looks_the_table_up_as_optics_does(renderer):
 
     rng = np.random.default_rng(0)
     distance, share, turn = np.exp(rng.uniform(-4.0, 3.0, 500)), *rng.uniform(0, 1, (2, 500))
-    radius = share * np.asarray(renderer.table.envelope(distance))
+    radius = share * np.asarray(renderer.world.table.envelope(distance))
     turn = 2 * np.pi * turn
     emitter = renderer.mitsuba_scene.emitters()[0]
-    tip, axis = (np.asarray(a[0]) for a in (renderer.truth.beam.tip, renderer.truth.beam.axis))
+    tip, axis = (
+        np.asarray(a[0]) for a in (renderer.world.truth.beam.tip, renderer.world.truth.beam.axis)
+    )
     renderer.render(0)
     first, second = (np.asarray(a) for a in optics.perpendicular_frame(axis))
     around = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
     points = tip + distance[:, None] * axis + radius[:, None] * around
     vector = np.array(emitter.vector_irradiance(mi.Point3f(points.T.astype(np.float32)))).T
-    lateral, axial = renderer.table(radius=radius, distance=distance)
+    lateral, axial = renderer.world.table(radius=radius, distance=distance)
     expected = 2.0 * (np.asarray(lateral)[:, None] * around + np.asarray(axial)[:, None] * axis)
     peak = np.linalg.norm(expected, axis=1).max()
     inside = share < 0.99  # a step at the envelope may fall on either side in float32
@@ -50,7 +52,7 @@ def test_mitsuba_looks_the_table_up_as_optics_does(renderer):
 
 def test_radiance_at_the_spot_is_that_of_the_vector_irradiance(renderer):
     frame = renderer.render(1)
-    _, axial = renderer.table(radius=0.0, distance=2.5)
+    _, axial = renderer.world.table(radius=0.0, distance=2.5)
     expected = 2.0 * float(axial) * np.cos(np.radians(20.0)) * 0.5 / np.pi
     # Bilinear cells and the pixel's 0.0067 mm of a bell 0.5 mm wide: 1e-3.
     np.testing.assert_allclose(frame.radiance[240, 320], expected, rtol=2e-3)
@@ -61,7 +63,7 @@ def test_half_maximum_label_is_the_half_maximum_contour_of_the_pixels(renderer):
         image = renderer.render(frame).radiance[..., 0]
         contour = max(find_contours(image, image.max() / 2), key=len)[:-1, ::-1]
         found = optics.ellipse_of_contour(jnp.asarray(contour))
-        truth = renderer.truth.half_max
+        truth = renderer.world.truth.half_max
         np.testing.assert_allclose(found.centre, truth.centre[frame], atol=0.05)
         np.testing.assert_allclose(found.semi_major, truth.semi_major[frame], atol=0.05)
         np.testing.assert_allclose(found.semi_minor, truth.semi_minor[frame], atol=0.05)
@@ -69,8 +71,8 @@ def test_half_maximum_label_is_the_half_maximum_contour_of_the_pixels(renderer):
 
 def test_power_on_a_plane_is_what_leaves_the_cap(renderer):
     lens = optics.load_lens("dome")
-    radius = np.linspace(0.0, float(renderer.table.envelope(2.0)), 4001)
-    _, axial = renderer.table(radius=radius, distance=np.full_like(radius, 2.0))
+    radius = np.linspace(0.0, float(renderer.world.table.envelope(2.0)), 4001)
+    _, axial = renderer.world.table(radius=radius, distance=np.full_like(radius, 2.0))
     flux = np.trapezoid(np.asarray(axial) * 2 * np.pi * radius, radius)
     # The table is good to 1e-3 of the peak.
     np.testing.assert_allclose(flux, optics.transmitted_power(lens, medium_index=1.0), rtol=2e-3)

@@ -20,9 +20,8 @@ from scenes import (
     render_stack,
     scene_template,
 )
-from scenes.world import labels as scene_labels
-from scenes.world.geometry import wall
-from scenes.world.motion import frame_times, kinematics, trajectory
+from scenes.world import World
+from scenes.world.motion import frame_times, kinematics
 
 SMALL = {"width_px": 160, "height_px": 120, "scale_mm_px": 0.0268}
 
@@ -52,15 +51,15 @@ def test_a_withdrawal_keeps_axis_and_spot_and_goes_at_its_speed(kind):
         phantom={"kind": kind},
         motion={"start_mm": 1.0, "travel_mm": 2.0, "frames": 5, "speed_mm_s": 0.5},
     )
-    moments = scene_labels.moments(settings, None)
-    np.testing.assert_allclose(moments.times, [0.0, 1.0, 2.0, 3.0, 4.0])
-    np.testing.assert_allclose(moments.spots.distance, [1.0, 1.5, 2.0, 2.5, 3.0], rtol=1e-12)
-    np.testing.assert_allclose(moments.spots.eccentricity, 2.0, rtol=1e-12)
-    np.testing.assert_allclose(np.degrees(moments.spots.azimuth), 20.0, rtol=1e-12)
-    np.testing.assert_allclose(np.degrees(moments.spots.incidence), 30.0, rtol=1e-12)
-    np.testing.assert_allclose(np.degrees(moments.spots.incidence_azimuth), 60.0, rtol=1e-12)
+    world = World(settings)
+    np.testing.assert_allclose(world.times, [0.0, 1.0, 2.0, 3.0, 4.0])
+    np.testing.assert_allclose(world.truth.distance, [1.0, 1.5, 2.0, 2.5, 3.0], rtol=1e-12)
+    np.testing.assert_allclose(world.truth.eccentricity, 2.0, rtol=1e-12)
+    np.testing.assert_allclose(np.degrees(world.truth.azimuth), 20.0, rtol=1e-12)
+    np.testing.assert_allclose(np.degrees(world.truth.incidence), 30.0, rtol=1e-12)
+    np.testing.assert_allclose(np.degrees(world.truth.incidence_azimuth), 60.0, rtol=1e-12)
     # A difference over 1e-6 s of coordinates of 10 mm: 1e-15 / 1e-6.
-    np.testing.assert_allclose(moments.speed, 0.5, rtol=1e-6)
+    np.testing.assert_allclose(world.speed, 0.5, rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["eyeball", "plane"])
@@ -69,9 +68,9 @@ def test_a_scan_keeps_its_distance_and_its_trocar_while_the_spot_moves_evenly(ki
         phantom={"kind": kind},
         motion={"kind": "scan", "length_mm": 1.0, "speed_mm_s": 0.5, "direction_deg": 40.0},
     )
-    moments = scene_labels.moments(settings, None)
-    spots = moments.spots
-    assert moments.times[-1] == pytest.approx(2.0)
+    world = World(settings)
+    spots = world.truth
+    assert world.times[-1] == pytest.approx(2.0)
     np.testing.assert_allclose(spots.distance, 3.0, rtol=1e-12)
     steps = np.linalg.norm(np.diff(np.asarray(spots.origin), axis=0), axis=1)
     # Chords of 0.05 mm are shorter than their arcs by s^2/24r^2 = 1e-6.
@@ -85,7 +84,7 @@ def test_a_scan_keeps_its_distance_and_its_trocar_while_the_spot_moves_evenly(ki
 def test_the_hands_tremor_has_its_amplitude_and_band_and_the_tip_its_top_speed():
     settings = scene(motion=hand(damping=0.5, top_speed_mm_s=20.0, trocar_mm=float("inf")))
     times = np.arange(0.0, 400.0, 0.005)
-    tip = trajectory(settings).at(times).tip
+    tip = World(settings).motion.at(times).tip
     frequency = np.fft.rfftfreq(times.size, 0.005)
     power = np.sum(np.abs(np.fft.rfft(tip - tip.mean(axis=0), axis=0)) ** 2, axis=1)
     # A finite record leaks out of a band by the 1/T of its lines, 0.0025 Hz.
@@ -94,7 +93,7 @@ def test_the_hands_tremor_has_its_amplitude_and_band_and_the_tip_its_top_speed()
     rms = np.sqrt(2 * power[tremor].sum()) / times.size
     # 64 lines 4 Hz / 64 apart: over 400 s their products average out to 1e-2.
     assert rms == pytest.approx(0.09, rel=0.02)
-    own = trajectory(settings)
+    own = World(settings).motion
     speed = own.speed(np.linspace(0.0, own.moments[-1], 20001))
     # Sought among moments 1 ms apart: 1 - cos(2 pi 12 Hz 0.5 ms) = 1e-3.
     assert speed.max() == pytest.approx(20.0, rel=1e-3)
@@ -102,18 +101,18 @@ def test_the_hands_tremor_has_its_amplitude_and_band_and_the_tip_its_top_speed()
 
 def test_two_seeds_are_two_hands_and_one_is_one():
     first, again, other = (
-        trajectory(scene(motion=hand(seed=seed))).at(np.arange(5.0)).tip for seed in (1, 1, 2)
+        World(scene(motion=hand(seed=seed))).motion.at(np.arange(5.0)).tip for seed in (1, 1, 2)
     )
     assert np.array_equal(first, again)
     assert not np.allclose(first, other)
 
 
 def test_labels_of_any_beam_lead_back_to_the_beam():
-    moments = scene_labels.moments(scene(motion=hand()), None)
-    for frame in range(0, moments.times.size, 5):
-        spots = moments.spots
+    world = World(scene(motion=hand()))
+    for frame in range(0, world.times.size, 5):
+        spots = world.truth
         beam = optics.beam_at_spot(
-            wall(scene()),
+            World(scene()).wall,
             eccentricity=spots.eccentricity[frame],
             azimuth=spots.azimuth[frame],
             incidence=spots.incidence[frame],
@@ -128,7 +127,7 @@ def test_labels_of_any_beam_lead_back_to_the_beam():
 
 def test_a_spot_on_the_axis_has_an_azimuth_that_its_direction_counts_from():
     settings = scene(spot={"eccentricity_mm": 0.0}, motion={"frames": 1, "start_mm": 2.0})
-    spots = scene_labels.moments(settings, None).spots
+    spots = World(settings).truth
     assert float(spots.azimuth[0]) == 0.0
     # The scene counts 60 deg from its own azimuth of 20 deg.
     assert np.degrees(float(spots.incidence_azimuth[0])) == pytest.approx(80.0)
@@ -139,7 +138,7 @@ def test_a_recorded_motion_repeats_the_poses_of_its_file(tmp_path):
     first = render_stack(settings, tmp_path / "first")
     file = first.folder / "kinematics.csv"
     again = scene(motion={"kind": "recorded", "file": str(file)})
-    own, other = trajectory(settings), trajectory(again)
+    own, other = World(settings).motion, World(again).motion
     stamps = np.arange(0.0, 0.1, 0.005)
     found = other.at(stamps + 0.1)  # the robot reports from 0.1 s before the first frame
     expected = own.at(stamps)
@@ -168,13 +167,13 @@ def test_a_broken_recording_is_named_by_file_and_line(tmp_path, text, message):
     file = tmp_path / "poses.csv"
     file.write_text(text)
     with pytest.raises(SceneError, match=f"poses.csv.*{message}"):
-        trajectory(scene(motion={"kind": "recorded", "file": str(file)}))
+        World(scene(motion={"kind": "recorded", "file": str(file)})).motion  # noqa: B018
 
 
 def test_the_robots_clock_is_ahead_late_and_in_order():
     clocks = {"kinematics_offset_s": 0.25, "kinematics_jitter_s": 0.004, "camera_jitter_s": 0.002}
     settings = scene(motion=hand(duration_s=20.0), clocks=clocks)
-    motion = trajectory(settings)
+    motion = World(settings).motion
     rows = kinematics(settings, motion)
     late = rows[:, 0] - (np.arange(len(rows)) / 200 - 0.1)
     assert np.all(np.diff(rows[:, 0]) >= 0)
@@ -185,7 +184,9 @@ def test_the_robots_clock_is_ahead_late_and_in_order():
     # The standard error of a standard deviation of 201 numbers is 5 %.
     assert jitter.std() == pytest.approx(0.002, rel=0.15)
     still = scene(motion=hand())
-    np.testing.assert_array_equal(frame_times(still, trajectory(still)), trajectory(still).moments)
+    np.testing.assert_array_equal(
+        frame_times(still, World(still).motion), World(still).motion.moments
+    )
 
 
 @pytest.mark.parametrize(
@@ -206,7 +207,7 @@ def test_the_robots_clock_is_ahead_late_and_in_order():
 )
 def test_an_impossible_motion_is_refused_with_its_moment(parts, message):
     with pytest.raises(SceneError, match=message):
-        scene_labels.moments(scene(**parts), None)
+        World(scene(**parts)).truth  # noqa: B018
 
 
 def test_a_motion_knows_its_own_keys_only(tmp_path):
@@ -238,7 +239,7 @@ def test_the_template_shows_every_motion_ready_to_be_put_in_place(kind, tmp_path
 @pytest.mark.parametrize("motion", [hand(), {"kind": "scan", "length_mm": 1.0}])
 def test_every_label_of_a_moving_spot_is_found_again_in_the_pixels(motion):
     renderer = Renderer(scene(motion=motion, microscope={"samples": 64}))
-    truth = renderer.truth.half_max
+    truth = renderer.world.truth.half_max
     for frame in (0, 7):
         image = renderer.render(frame).radiance
         spot, _ = measure(image / image.max() * 0.8, TrackState(), SubpixelSettings())
@@ -255,7 +256,7 @@ def test_doubling_the_sub_frames_changes_no_pixel_by_more_than_the_noise():
         instrument={"visible": True},
     )
     renderer = Renderer(settings)
-    frame = int(np.argmax(renderer.moments.speed))
+    frame = int(np.argmax(renderer.world.speed))
     duration = 0.01  # 80 % of full scale at the spot's peak, as metered below
     sharp = renderer.render(frame)
     exposed = renderer.exposed(frame, sharp, exposure_s=duration)

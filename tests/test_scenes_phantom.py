@@ -9,7 +9,7 @@ import pytest
 import scipy.ndimage
 
 from scenes import Renderer, Scene, SceneError
-from scenes.world import geometry
+from scenes.world import World
 
 
 def scene(**parts) -> Scene:
@@ -70,7 +70,7 @@ def test_dots_of_an_image_lie_where_their_arcs_from_the_pole_end(tmp_path, kind,
     points = np.stack(
         [across * np.cos(angle), across * np.sin(angle), -11.5 * np.cos(polar)], axis=-1
     )
-    expected = np.asarray(geometry.microscope(settings).project(jnp.asarray(points)))
+    expected = np.asarray(World(settings).microscope.project(jnp.asarray(points)))
     away = np.linalg.norm(found[:, None, ::-1] - expected, axis=-1).min(axis=0)
     # Pixels above the half of a dot of 15 px across, counted whole, have their mean within 0.1 px;
     # dots of the coarsest file are sampled at 10 px across. A map of 0.012 mm adds nothing.
@@ -102,7 +102,7 @@ def test_an_images_grey_is_the_reflectance_that_srgb_makes_of_it(tmp_path):
                 }
             )
         )
-        np.testing.assert_allclose(renderer.wall_colour, 0.4 * 0.5029, rtol=1e-4)
+        np.testing.assert_allclose(renderer.world.wall_colour, 0.4 * 0.5029, rtol=1e-4)
         image = renderer.render(0).radiance
         np.testing.assert_allclose(image, 0.4 * 0.5029 * 0.05 / np.pi, rtol=1e-4)
 
@@ -112,7 +112,7 @@ def test_the_second_tool_is_seen_on_the_line_from_its_tip_to_its_trocar():
     tool = {"visible": True, "tip_mm": tip, "trocar_azimuth_deg": 200.0, "gauge": 25}
     settings = scene(second_tool=tool, microscope={"pinhole_height_mm": 200.0})
     seen = Renderer(settings).render(0).wall < 0.5
-    microscope = geometry.microscope(settings)
+    microscope = World(settings).microscope
     polar, azimuth = np.radians(48.0), np.radians(200.0)
     trocar = 11.5 * np.array(
         [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
@@ -186,10 +186,10 @@ def test_a_shifted_window_sees_its_part_of_the_larger_one_and_cuts_the_spot():
     expected = all_of_it.radiance[80:180, 190:390]
     changed = np.abs(seen.radiance - expected).max(axis=-1) > 1e-4 * expected.max()
     assert changed.mean() < 2e-3
-    place = np.asarray(part.truth.contour_px) - np.asarray(whole.truth.contour_px)
+    place = np.asarray(part.world.truth.contour_px) - np.asarray(whole.world.truth.contour_px)
     np.testing.assert_allclose(place, np.broadcast_to([-190.0, -80.0], place.shape), atol=1e-9)
     # The spot's middle is 10 px inside of the left border: a little over half of it is seen.
-    radius = np.ptp(np.asarray(part.truth.contour_px)[0, :, 0]) / 2
+    radius = np.ptp(np.asarray(part.world.truth.contour_px)[0, :, 0]) / 2
     seen_part = 1 - np.arccos(9.5 / radius) / np.pi
     assert all_of_it.visible_fraction == 1.0
     assert seen.visible_fraction == pytest.approx(seen_part, abs=2 / 128)

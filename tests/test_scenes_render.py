@@ -18,8 +18,7 @@ from scenes import (
     write_preview,
 )
 from scenes.camera.output import after_jpeg
-from scenes.world import geometry
-from scenes.world.labels import moments
+from scenes.world import World
 
 
 def scene(**parts) -> Scene:
@@ -50,21 +49,21 @@ LENS = (-0.2, 0.3, 0.02, -0.03, 0.5)
 def test_mitsubas_camera_is_the_microscope_of_the_labels(kind, height, distortion):
     mi = load_mitsuba()
     from scenes.rendering import build
-    from scenes.world import geometry
+    from scenes.world import World
 
     settings = scene(
         phantom={"kind": kind},
         spot={"eccentricity_mm": 4.0, "azimuth_deg": 50.0},
         microscope={"pinhole_height_mm": height, "distortion": distortion},
     )
-    loaded = mi.load_dict(build.mitsuba_dict(settings, table=None, uniform=np.zeros(3)))
+    loaded = mi.load_dict(build.mitsuba_dict(World(settings), uniform=np.zeros(3)))
     pixels = np.array([[0.0, 0.0], [639.0, 0.0], [320.0, 240.0], [100.0, 479.0]])
     u, v = ((pixels + 0.5) / [640, 480]).T
     ray, _ = loaded.sensors()[0].sample_ray(
         0.0, 0.5, mi.Point2f(mi.Float(u), mi.Float(v)), mi.Point2f(0.5)
     )
     points = jnp.asarray(np.array(loaded.ray_intersect(ray).p).T)
-    seen = np.asarray(geometry.microscope(settings).project(points))
+    seen = np.asarray(World(settings).microscope.project(points))
     # float32 at 12 mm is 1e-6 mm = 1.5e-4 px; a few operations.
     np.testing.assert_allclose(seen, pixels, atol=2e-3)
 
@@ -94,7 +93,7 @@ def test_every_label_is_found_again_in_the_pixels(kind, distortion):
         image = renderer.render(frame).radiance
         spot, _ = measure(image / image.max() * 0.8, TrackState(), SubpixelSettings())
         assert isinstance(spot, Spot)
-        truth = renderer.truth.cone
+        truth = renderer.world.truth.cone
         found = (spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px)
         expected = (
             *truth.centre[frame],
@@ -145,7 +144,7 @@ def test_the_instrument_hides_the_spot_that_the_labels_say_it_hides():
     fractions = [renderer.render(frame).visible_fraction for frame in range(2)]
     assert fractions[0] < 0.75 < fractions[1]
     mask = renderer.mask(0, renderer.render(0))
-    ellipse = renderer.truth.half_max
+    ellipse = renderer.world.truth.half_max
     whole = np.pi * float(ellipse.semi_major[0] * ellipse.semi_minor[0])
     assert mask.sum() < 0.7 * whole
 
@@ -214,8 +213,8 @@ def test_labels_of_a_distorting_microscope_are_those_of_opencv(height):
         spot={"eccentricity_mm": 4.0, "azimuth_deg": 50.0},
         microscope={"pinhole_height_mm": height, "distortion": LENS},
     )
-    microscope = geometry.microscope(settings)
-    points = np.asarray(moments(settings, None).spots.origin)
+    microscope = World(settings).microscope
+    points = np.asarray(World(settings).truth.origin)
     # OpenCV's camera: x right, y down, z away, at the pinhole.
     seen = (points - [0.0, 0.0, height]) * [1.0, -1.0, -1.0]
     matrix = np.asarray(microscope.camera_matrix())
@@ -279,4 +278,4 @@ def test_ambient_light_shows_the_instrument_and_coaxial_light_falls_off_with_the
 )
 def test_an_impossible_microscope_is_refused(microscope, message):
     with pytest.raises(ValueError, match=message):
-        moments(scene(microscope=microscope, spot={"eccentricity_mm": 5.0}), None)
+        World(scene(microscope=microscope, spot={"eccentricity_mm": 5.0})).truth  # noqa: B018

@@ -8,7 +8,7 @@ import pytest
 
 from scenes import Scene, load_mitsuba
 from scenes.rendering.images import Images
-from scenes.world.labels import timeline
+from scenes.world import World
 from scenes.world.light_cache import _kept
 
 
@@ -46,10 +46,10 @@ def scene(**parts: Any) -> Scene:
     ids=["plain", "square", "second tool", "telecentric plane", "distorted hand"],
 )
 def test_a_frame_of_which_only_the_changes_are_rendered_is_the_whole_frame(settings):
-    images = Images(settings, variant="llvm_ad_rgb")
-    motion, times = timeline(settings)
+    world = World(settings)
+    images = Images(world, variant="llvm_ad_rgb")
     seen = []
-    for tip, axis in zip(*motion.at(times), strict=True):
+    for tip, axis in zip(*world.motion.at(world.times), strict=True):
         radiance, wall = images.at(tip=tip, axis=axis, seed=0)
         # Mitsuba's own loop over all pixels, with the tip where it is now.
         whole = np.array(load_mitsuba().render(images.mitsuba_scene))

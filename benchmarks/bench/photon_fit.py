@@ -18,11 +18,9 @@ from rich.console import Console
 from rich.table import Table
 from scipy.ndimage import gaussian_filter1d
 
-import optics
 from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
 from calibration.solvers import least_squares
 from scenes import Scene, load_mitsuba
-from scenes.world import frame_times, trajectory
 
 _LENS = "dome"
 _FRAMES, _HEIGHT, _WIDTH = 2, 48, 64
@@ -127,6 +125,8 @@ def _data(scene: Scene) -> np.ndarray:
     """Mitsuba's images of every frame, frames x seeds x H x W."""
     seeds = range(100, 100 + _DATA_SEEDS)
     settings: Any = {"photons_per_pixel": _PHOTONS_PER_PIXEL, "seeds": seeds}
+    from scenes.rendering import glass_images  # Mitsuba's plugins need the variant
+
     frames = [glass_images(scene, frame=frame, **settings) for frame in range(_FRAMES)]
     return in_spline_pixels(np.stack(frames))
 
@@ -167,34 +167,6 @@ def _scene(medium: str) -> Scene:
         },
     }
     return Scene.model_validate(content)
-
-
-def glass_images(
-    scene: Scene, *, frame: int, photons_per_pixel: int, seeds: Iterable[int]
-) -> np.ndarray:
-    """Images of a frame by Mitsuba's particle tracer and its own glass, seeds x H x W.
-
-    Args:
-        scene: of kind "photons", with a uniform wall.
-        frame: of its motion.
-        photons_per_pixel: leaving the core.
-        seeds: of independent images.
-    """
-    mi = load_mitsuba()
-    from scenes.rendering import build, photon_image
-
-    # Photons know nothing of the table, which takes half a minute to make.
-    index = jnp.asarray(optics.MEDIA[scene.source.medium])
-    empty = optics.IrradianceTable(jnp.zeros((2, 2, 2)), index, jnp.zeros(()), jnp.zeros(()))
-    loaded = mi.load_dict(build.mitsuba_dict(scene, table=empty, uniform=np.zeros(3)))
-    motion = trajectory(scene)
-    pose = motion.at(frame_times(scene, motion)[frame : frame + 1])
-    parameters = mi.traverse(loaded)
-    parameters.update(
-        build.pose_parameters(scene, tip=pose.tip[0], axis=pose.axis[0], apex=pose.tip[0])
-    )
-    images = [photon_image(loaded, photons_per_pixel=photons_per_pixel, seed=s) for s in seeds]
-    return np.stack(images)[..., 0]
 
 
 def in_spline_pixels(images: np.ndarray) -> np.ndarray:

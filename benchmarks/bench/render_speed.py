@@ -21,7 +21,7 @@ from rich.table import Table
 
 from estimator import StackWriter
 from scenes import Renderer, Scene, frame_count, load_mitsuba, render_stack
-from scenes.camera import expose, fixed_patterns, metered_exposure
+from scenes.camera import Camera
 from scenes.world import spot_labels
 
 _SEEDS, _REPEATS = 4, 10
@@ -183,16 +183,11 @@ def _to_wanted_noise(way: Measured) -> float:
 def _steps() -> Table:
     """Where the time of one labelled frame goes, each step alone."""
     scene = Scene.model_validate({"schema": 1, "motion": {"frames": 20}})
-    renderer, camera = Renderer(scene), scene.camera
+    renderer, camera = Renderer(scene), Camera(scene)
     linear = renderer.render(_FRAME)
     mask = renderer.mask(_FRAME, linear)
-    gain = metered_exposure(linear.radiance, settings=camera, mask=mask)
-    patterns = fixed_patterns(settings=camera, shape=linear.radiance.shape, seed=0)
-
-    def photograph() -> np.ndarray:
-        rng = np.random.default_rng(0)
-        return expose(linear.radiance, exposure=gain, settings=camera, rng=rng, patterns=patterns)
-
+    meter = partial(camera.metered_s, linear.radiance, mask)
+    photograph = partial(camera.raw, linear.radiance, exposure_s=meter(), noise_seed=[0])
     image = photograph()
     table = Table("step", "CPU ms", title="a 640 x 480 image, step by step")
     with tempfile.TemporaryDirectory() as folder:
@@ -202,9 +197,9 @@ def _steps() -> Table:
             steps: dict[str, Callable[[], object]] = {
                 "render": partial(renderer.render, _FRAME),
                 "mask": partial(renderer.mask, _FRAME, linear),
-                "meter": partial(metered_exposure, linear.radiance, settings=camera, mask=mask),
+                "meter": meter,
                 "camera noise": photograph,
-                "labels": partial(spot_labels, scene, renderer.moments, _FRAME),
+                "labels": partial(spot_labels, renderer.world, _FRAME),
                 "PNG files of frame and mask": partial(
                     writer.add, image, row, np.uint8(255) * mask
                 ),
@@ -220,7 +215,7 @@ def _steps() -> Table:
     table.add_section()
     whole = _cpu_seconds(partial(_image, renderer.mitsuba_scene))
     table.add_row("the whole frame by mi.render", f"{1e3 * whole:.1f}")
-    (tip,), (axis,) = renderer.moments.motion.at(renderer.moments.times[[_FRAME]])
+    (tip,), (axis,) = renderer.world.motion.at(renderer.world.times[[_FRAME]])
     assert renderer.images.reach is not None  # nothing in the default scene is random
     changed = renderer.images.reach.pixels(tip=tip, axis=axis).size / mask.size
     table.add_row("part of the frame that is rendered anew", f"{changed:.0%}")

@@ -13,7 +13,7 @@ import optics
 from estimator import Calibration
 from estimator.files import LENS_PARAMETERS
 from scenes import Scene
-from scenes.world import geometry
+from scenes.world import World
 
 
 def calibration(
@@ -49,7 +49,7 @@ def calibration(
 def true_calibration(scene: Scene) -> Calibration:
     """The scene's own lens, or its ideal cone for `exact`: what a fit would give at best."""
     if scene.source.kind == "cone":
-        half_angle, apex_offset = geometry.cone(scene, None)
+        half_angle, apex_offset = World(scene).cone
         model, values = "exact", {"half_angle": half_angle, "b": apex_offset}
     else:
         lens = optics.load_lens(scene.source.lens)

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.evaluation.tracking import VISIBLE_ENOUGH, WAYS, Way
 from estimator import LiteralSettings, Spot, Stack, track
 from scenes import Scene
-from scenes.camera import after_jpeg, expose, fixed_patterns
+from scenes.camera import Camera
 from scenes.description import CameraSettings
 
 LITERAL = next(way for way in WAYS if way.exposure == "paper")
@@ -76,19 +76,14 @@ class Photographer:
         )
 
     def _images(self, way: Way, shot: Shot, light: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
-        camera = self.scene.camera if shot.seed is not None else _noise_free(self.scene.camera)
-        view, seed = self.scene.microscope, shot.seed or 0
-        shape = camera.sensor_shape(height=view.height_px, width=view.width_px)
-        patterns = fixed_patterns(settings=camera, shape=shape, seed=seed)
+        quiet = None if shot.seed is not None else _noise_free(self.scene.camera)
+        seed = shot.seed or 0
+        camera = Camera(self.scene, seed=seed, settings=quiet)
         for row, linear in zip(self.stack.exposed(way.exposure), light, strict=True):
-            image = expose(
-                linear,
-                exposure=shot.light * row.exposure_s * self.scene.exposures.sensitivity_mm2_sr_mj,
-                settings=camera,
-                rng=np.random.default_rng([seed, row.frame]),
-                patterns=patterns,
+            raw = camera.raw(
+                linear, exposure_s=shot.light * row.exposure_s, noise_seed=[seed, row.frame]
             )
-            yield after_jpeg(image, quality=camera.jpeg_quality) if camera.jpeg_quality else image
+            yield camera.written(raw)
 
 
 def _noise_free(camera: CameraSettings) -> CameraSettings:

@@ -1,5 +1,6 @@
 """From linear frames to the numbers that a camera writes.
 
+camera    Camera: one sensor of a scene, which photographs linear frames
 exposure  The camera: noise-free light in, digital numbers out, after EMVA 1288 (release 4.0,
           linear)
 output    What a camera makes of its raw frame: colours from a Bayer mosaic, and JPEG

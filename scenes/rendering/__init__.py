@@ -3,10 +3,13 @@
 build           The scene as a Mitsuba dictionary, and how its moving parts are set for a moment
 differentiable  Photons through the glue lens onto the film, as a function of the lens and its
                 pose
+glass           Images by photons through the lens as real glass, which know nothing of its
+                irradiance table
 images          Images of a scene without the camera's noise, for any pose of the tip
 photons         The glue lens as real glass: where Mitsuba's photons leave its cap, and in which
                 direction
 pixels          Some pixels of an image, sampled on a regular grid
+placement       Where things stand in a Mitsuba scene
 plugins         Mitsuba plugins: the lens and the cone as emitters, and an integrator without
                 noise
 reach           Which pixels a moving instrument can change: those that see it, or what its beam

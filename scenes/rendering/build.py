@@ -9,12 +9,12 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-import optics
 import scenes.rendering.plugins
 import scenes.rendering.sensor  # noqa: F401
 from scenes.description import GAUGE_DIAMETER_MM, Scene
-from scenes.rendering.wall import wall, wall_colour
-from scenes.world import geometry
+from scenes.rendering.placement import rigid_transform
+from scenes.rendering.wall import wall
+from scenes.world import World
 
 _SHAFT_MM = 40.0
 _NEAR_MM = 0.01
@@ -24,17 +24,14 @@ _FIBRE_REFLECTANCE, _SHAFT_REFLECTANCE = 0.15, 0.3
 _FACE_GAP_MM = 0.003
 
 
-def mitsuba_dict(
-    scene: Scene, *, table: optics.IrradianceTable | None, uniform: np.ndarray
-) -> dict[str, Any]:
+def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
     """Everything that Mitsuba needs for a scene.
 
     Args:
-        scene: the scene.
-        table: vector irradiance of the lens, or None for the cone.
+        world: what the scene means.
         uniform: indirect irradiance per colour channel, mW/mm2.
     """
-    microscope = geometry.microscope(scene)
+    scene = world.scene
     photons = scene.source.kind == "photons"
     on_a_grid = {
         "type": "stratified",
@@ -48,18 +45,18 @@ def mitsuba_dict(
     ambient = 0.0 if coaxial else scene.microscope.illumination_mw_mm2
     return {
         "type": "scene",
-        "wall": wall(scene),
+        "wall": wall(world),
         **(_instrument(scene) if scene.instrument.visible else {}),
         **(_second_tool(scene) if scene.second_tool.visible else {}),
-        "source": _source(scene, table),
-        "sensor": _sensor(scene, microscope, on_a_grid),
+        "source": _source(world),
+        "sensor": _sensor(world, on_a_grid),
         # A second one for photons that come to it, with as many of them a pixel as samples.
-        **({"photon_camera": _sensor(scene, microscope, at_random)} if photons else {}),
+        **({"photon_camera": _sensor(world, at_random)} if photons else {}),
         "integrator": {
             "type": "eyespot_spot",
             # Photons bring the direct light in a pass of their own.
             "direct": not photons,
-            "bounces": _traced_bounces(scene),
+            "bounces": _traced_bounces(world),
             "uniform": mi.ScalarColor3f(uniform + ambient),
             "coaxial": scene.microscope.illumination_mw_mm2 if coaxial else 0.0,
             "pinhole_height": scene.microscope.pinhole_height_mm,
@@ -93,17 +90,18 @@ def pose_parameters(scene: Scene, *, tip: Any, axis: Any, apex: Any) -> dict[str
     tip, axis, apex = np.asarray(tip), np.asarray(axis), np.asarray(apex)
     values: dict[str, Any] = {}
     if scene.instrument.visible:
-        values["instrument.to_world"] = mi.Transform4f(geometry.rigid_transform(tip, axis))
+        values["instrument.to_world"] = mi.Transform4f(rigid_transform(tip, axis))
     values["source.tip"], values["source.axis"] = mi.Point3f(tip), mi.Vector3f(axis)
     if scene.source.kind == "cone":
-        values["source.light.to_world"] = mi.Transform4f(geometry.rigid_transform(apex, axis))
+        values["source.light.to_world"] = mi.Transform4f(rigid_transform(apex, axis))
     return values
 
 
-def _source(scene: Scene, table: optics.IrradianceTable | None) -> dict[str, Any]:
+def _source(world: World) -> dict[str, Any]:
+    scene, table = world.scene, world.table
     placed = {"tip": mi.ScalarPoint3f(0, 0, 0), "axis": mi.ScalarVector3f(0, 0, 1)}
     if table is None:
-        half_angle = geometry.cone(scene, None).half_angle
+        half_angle = world.cone.half_angle
         intensity = scene.source.power_mw / (2 * math.pi * (1 - math.cos(half_angle)))
         light = {
             "type": "spot",
@@ -122,7 +120,7 @@ def _source(scene: Scene, table: optics.IrradianceTable | None) -> dict[str, Any
         "farthest": float(table.farthest),
         "power": scene.source.power_mw,
         "lens": scene.source.lens,
-        "medium_index": optics.MEDIA[scene.source.medium],
+        "medium_index": world.medium_index,
     }
 
 
@@ -153,7 +151,7 @@ def _second_tool(scene: Scene) -> dict[str, Any]:
         [across * math.cos(azimuth), across * math.sin(azimuth), math.cos(polar)]
     )
     inwards = np.array(tool.tip_mm) - trocar
-    place = geometry.rigid_transform(np.array(tool.tip_mm), inwards / np.linalg.norm(inwards))
+    place = rigid_transform(np.array(tool.tip_mm), inwards / np.linalg.norm(inwards))
     radius = GAUGE_DIAMETER_MM[tool.gauge] / 2
     return {
         "tool_shapes": _rods(("tool", radius, -_SHAFT_MM, 0.0, _SHAFT_REFLECTANCE)),
@@ -188,7 +186,8 @@ def _rods(*rods: tuple[str, float, float, float, float]) -> dict[str, Any]:
     return shapes
 
 
-def _sensor(scene: Scene, microscope: optics.Microscope, sampler: dict[str, Any]) -> dict[str, Any]:
+def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
+    scene, microscope = world.scene, world.microscope
     # Mitsuba's pixel i spans [i, i + 1), hence the half.
     u0, v0 = np.asarray(microscope.principal_point) + 0.5
     names = ("k1", "k2", "p1", "p2", "k3")
@@ -200,7 +199,7 @@ def _sensor(scene: Scene, microscope: optics.Microscope, sampler: dict[str, Any]
         "inverse_working_distance": float(microscope.inverse_working_distance),
         "pole_height": -scene.phantom.radius_mm,
         "principal_point": mi.ScalarPoint2f(u0, v0),
-        "entry_height": _inside_the_eye(scene, microscope),
+        "entry_height": _inside_the_eye(world),
         "vignetting": scene.microscope.vignetting,
         "aperture_slope": _aperture_slope(scene),
         "focus_height": scene.microscope.focus_mm - scene.phantom.radius_mm,
@@ -223,23 +222,24 @@ def _film(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _traced_bounces(scene: Scene) -> int:
+def _traced_bounces(world: World) -> int:
     """Reflections that traced indirect light takes, so that less than 0.1 % of it is missing."""
-    if scene.phantom.indirect != "traced":
+    if world.scene.phantom.indirect != "traced":
         return 0
-    return math.ceil(math.log(1e-3) / math.log(max(wall_colour(scene).max(), 1e-3)))
+    return math.ceil(math.log(1e-3) / math.log(max(world.wall_colour.max(), 1e-3)))
 
 
-def _inside_the_eye(scene: Scene, microscope: optics.Microscope) -> float:
+def _inside_the_eye(world: World) -> float:
     """Height at which every line of sight of the window is inside the eyeball.
 
     A microscope above the eye looks through the pupil; rays start below the wall's upper half.
     """
+    scene = world.scene
     settings, r = scene.microscope, scene.phantom.radius_mm
     if scene.phantom.kind == "plane":
         return 3 * r if math.isinf(settings.pinhole_height_mm) else settings.pinhole_height_mm
-    border = geometry.border(settings)
-    point, direction = (np.asarray(a) for a in microscope.ray(border))
+    border = world.window_border
+    point, direction = (np.asarray(a) for a in world.microscope.ray(border))
     if slope := _aperture_slope(scene):
         # The outermost lines of sight that a thin lens adds cross these in the plane in focus.
         aside = slope * np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])

@@ -28,7 +28,7 @@ import optics
 from scenes.description import Scene, SceneError
 from scenes.rendering import build
 from scenes.rendering.smooth_lens import check_lens, leave_cap
-from scenes.world import frame_times, trajectory
+from scenes.world import World
 
 LENS = (
     "core_radius",
@@ -251,8 +251,8 @@ def _refuse_occluders(scene: Scene) -> None:
 def _parameters(scene: Scene, frame: int) -> tuple[dict[str, float], optics.GlueLens]:
     """The scene's values of all that can be free, and its lens."""
     lens = optics.load_lens(scene.source.lens)
-    motion = trajectory(scene)
-    pose = motion.at(frame_times(scene, motion)[frame : frame + 1])
+    world = World(scene)
+    pose = world.motion.at(world.times[frame : frame + 1])
     values = {name: float(getattr(lens, name)) for name in LENS}
     values |= zip(POSE, map(float, (*pose.tip[0], *pose.axis[0])), strict=True)
     return values | {"power": scene.source.power_mw}, lens
@@ -271,7 +271,7 @@ def _wall_and_sensor(scene: Scene) -> tuple[Any, Any]:
             "microscope": scene.microscope.model_copy(update=film),
         }
     )
-    content = build.mitsuba_dict(bare, table=None, uniform=np.zeros(3))
+    content = build.mitsuba_dict(World(bare), uniform=np.zeros(3))
     return mi.load_dict({"type": "scene", "wall": content["wall"]}), mi.load_dict(content["sensor"])
 
 

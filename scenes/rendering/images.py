@@ -6,7 +6,7 @@ import numpy as np
 
 from scenes.description import Scene, SceneError
 from scenes.machine import load_mitsuba
-from scenes.world import geometry, photometry
+from scenes.world import World, uniform_irradiance
 
 # Far below the eye and turned away: hidden by the wall, and its beam is lost.
 _PARKED_MM, _DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
@@ -16,13 +16,11 @@ class Images:
     """One scene, loaded once into Mitsuba; the tip moves, and what it cannot change stays.
 
     Args:
-        scene: the scene.
+        world: what the scene means.
         variant: of Mitsuba.
 
     Attributes:
-        scene: as given.
-        table: vector irradiance of the lens, or None for the cone.
-        wall_colour: mean reflectance of the wall per channel.
+        world: as given.
         mitsuba_scene: for other integrators on the same scene.
         random: whether light is sampled at random, so that no two images are the same anywhere.
         reach: which pixels a pose changes; None where all are rendered each time.
@@ -32,16 +30,14 @@ class Images:
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
 
-    def __init__(self, scene: Scene, *, variant: str) -> None:
+    def __init__(self, world: World, *, variant: str) -> None:
+        scene = world.scene
         _refuse_slow_light(scene, variant)
         self._mi = load_mitsuba(variant)
-        from scenes.rendering import build, reach, wall  # Mitsuba's plugins need the variant
+        from scenes.rendering import build, reach  # Mitsuba's plugins need the variant
 
-        self.scene = scene
-        self.table = geometry.lens_table(scene)
-        self.wall_colour = wall.wall_colour(scene)
-        uniform = photometry.uniform_irradiance(scene, wall_colour=self.wall_colour)
-        content = build.mitsuba_dict(scene, table=self.table, uniform=uniform)
+        self.world = world
+        content = build.mitsuba_dict(world, uniform=uniform_irradiance(world))
         self.mitsuba_scene = self._mi.load_dict(content)
         self._move = build.mover(scene, self.mitsuba_scene)
         self.random = (
@@ -56,7 +52,7 @@ class Images:
             self._move(_PARKED_MM, _DOWN)
             radiance, seen = self._pixels(np.arange(height * width, dtype=np.uint32))
             self._still = radiance.reshape(height, width, 3), seen.reshape(height, width)
-            self.reach = reach.Reach.of(scene, self.mitsuba_scene, self.table, wall=self._still[1])
+            self.reach = reach.Reach.of(world, self.mitsuba_scene, wall=self._still[1])
 
     def at(self, *, tip: np.ndarray, axis: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Image of one pose.
@@ -80,16 +76,16 @@ class Images:
     def _pixels(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         from scenes.rendering.pixels import pixel_means
 
-        return pixel_means(self.mitsuba_scene, pixels, samples=self.scene.microscope.samples)
+        return pixel_means(self.mitsuba_scene, pixels, samples=self.world.scene.microscope.samples)
 
     def _whole_image(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
         image = np.array(self._mi.render(self.mitsuba_scene, seed=seed))
-        if self.scene.source.kind == "photons":
+        if self.world.scene.source.kind == "photons":
             from scenes.rendering.photons import photon_image
 
             image[..., :3] += photon_image(
                 self.mitsuba_scene,
-                photons_per_pixel=self.scene.source.photons_per_pixel,
+                photons_per_pixel=self.world.scene.source.photons_per_pixel,
                 seed=seed,
             )
         return image[..., :3], image[..., 3]

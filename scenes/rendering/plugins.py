@@ -12,7 +12,7 @@ import mitsuba as mi
 
 import optics
 from scenes.rendering.photons import Glass
-from scenes.world import geometry
+from scenes.rendering.placement import wall_shape
 
 # Two wall points nearer than this see each other at an angle that float32 does not resolve; in the
 # smallest spot, of 0.25 mm, 0.2 % of the first reflection onto itself is lost.
@@ -167,7 +167,7 @@ class SpotIntegrator(mi.SamplingIntegrator):
             lit = valid & (dr.max(reflected) > 0)
             lit = dr.select(scene.ray_test(si.spawn_ray_to(ds.p), lit), False, lit)
             radiance += dr.select(lit, reflected, 0)
-        wall = si.shape == geometry.wall_shape(scene)
+        wall = si.shape == wall_shape(scene)
         return dr.select(valid, radiance, 0), valid, [dr.select(valid & wall, mi.Float(1), 0)]
 
     @dr.syntax

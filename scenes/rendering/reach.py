@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import mitsuba as mi
 import numpy as np
 
-import optics
 from scenes.description import GAUGE_DIAMETER_MM, Scene
-from scenes.world import geometry
+from scenes.rendering.placement import wall_shape
+from scenes.world import World
 
 _TILE_PX = 16
 # A tile's piece of the curved wall reaches past the sphere about its corners by less than this, as
@@ -45,18 +45,16 @@ class Reach(NamedTuple):
     @classmethod
     def of(
         cls,
-        scene: Scene,
+        world: World,
         mitsuba_scene: Any,
-        table: optics.IrradianceTable | None,
         *,
         wall: np.ndarray,
     ) -> Reach:
         """Tiles of a scene.
 
         Args:
-            scene: the scene.
+            world: what the scene means.
             mitsuba_scene: made of it, with the instrument away.
-            table: vector irradiance of the lens, or None for the cone.
             wall: part of each pixel in which the wall is seen then, H x W.
         """
         height, width = wall.shape
@@ -71,7 +69,7 @@ class Reach(NamedTuple):
         corners, sight = (
             np.array(a, float).T.reshape(rows + 1, columns + 1, 3) for a in (seen.p, ray.d)
         )
-        bare = np.array(seen.shape == geometry.wall_shape(mitsuba_scene))
+        bare = np.array(seen.shape == wall_shape(mitsuba_scene))
         bare = bare.reshape(rows + 1, columns + 1)
         four = np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, :-1], corners[1:, 1:]])
         centre = four.mean(axis=0)
@@ -79,14 +77,16 @@ class Reach(NamedTuple):
         # The beam may light what stands before the wall.
         always = np.bincount(tile[wall < 1], minlength=rows * columns) > 0
         always |= ~(bare[:-1, :-1] & bare[:-1, 1:] & bare[1:, :-1] & bare[1:, 1:]).ravel()
+        table = world.table
         if table is None:
-            cone = geometry.cone(scene, None)
-            slope = math.tan(cone.half_angle)
-            envelope = -cone.apex_offset * slope, slope
+            slope = math.tan(world.cone.half_angle)
+            envelope = -world.cone.apex_offset * slope, slope
         else:
             envelope = float(table.contact_radius), float(table.slope)
         towards = sight[:-1, :-1].reshape(-1, 3)
-        return cls(scene, envelope, centre.reshape(-1, 3), radius.ravel(), towards, tile, always)
+        return cls(
+            world.scene, envelope, centre.reshape(-1, 3), radius.ravel(), towards, tile, always
+        )
 
     def pixels(self, *, tip: np.ndarray, axis: np.ndarray) -> np.ndarray:
         """Numbers of the pixels that a pose can change, counted along rows from the top left."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from scenes.description import Scene
 from scenes.rendering.images import Images
-from scenes.world import geometry, labels
+from scenes.world import World
 
 # A contour that shifts by less is blurred by 0.25 px / sqrt(12) = 0.07 px, in squares against the
 # pixel's own 0.3 px. The tip's edges, which nobody measures, may shift by a pixel.
@@ -57,11 +57,8 @@ class Renderer:
 
     Attributes:
         scene: as given.
+        world: what the scene means, the truth of all frames included.
         images: of any pose of the tip.
-        table: vector irradiance of the lens, or None for the cone.
-        moments: what is true of every frame.
-        truth: of the spots of all frames.
-        wall_colour: mean reflectance of the wall per channel.
         mitsuba_scene: for other integrators on the same scene.
 
     Raises:
@@ -71,16 +68,14 @@ class Renderer:
 
     def __init__(self, scene: Scene, *, variant: str = "llvm_ad_rgb") -> None:
         self.scene = scene
-        self.images = Images(scene, variant=variant)
-        self.mitsuba_scene, self.wall_colour = self.images.mitsuba_scene, self.images.wall_colour
-        self.table = self.images.table
-        self.moments = labels.moments(scene, self.table)
-        self.truth = self.moments.spots
-        self._microscope = geometry.microscope(scene)
+        self.world = World(scene)
+        self.images = Images(self.world, variant=variant)
+        self.mitsuba_scene = self.images.mitsuba_scene
+        self.world.truth  # noqa: B018 - a scene that cannot be is refused before a frame is rendered
 
     def render(self, frame: int) -> LinearFrame:
         """Linear frame of one moment."""
-        (tip,), (axis,) = self.moments.motion.at(self.moments.times[[frame]])
+        (tip,), (axis,) = self.world.motion.at(self.world.times[[frame]])
         radiance, wall = self.images.at(tip=tip, axis=axis, seed=frame)
         return LinearFrame(radiance, wall, self._visible_fraction(frame, wall))
 
@@ -118,27 +113,27 @@ class Renderer:
     ) -> np.ndarray:
         """Mean radiance at the middles of some of `count` equal parts of a frame's exposure."""
         times = exposure_s * ((np.array(parts) + 0.5) / count - 0.5)
-        poses = self.moments.motion.at(self.moments.times[frame] + times)
+        poses = self.world.motion.at(self.world.times[frame] + times)
         total = np.zeros(1)
         for part, tip, axis in zip(parts, *poses, strict=True):
             # Light that is sampled at random needs numbers of its own in every sub-frame.
-            seed = frame + (count + part) * self.moments.times.size
+            seed = frame + (count + part) * self.world.times.size
             total = total + self.images.at(tip=tip, axis=axis, seed=seed)[0]
         return total / np.float32(len(parts))
 
     def _shift(self, frame: int, exposure_s: float) -> tuple[float, float]:
         """How far the spot's contour and the tip's image move in an exposure, px."""
-        times = self.moments.times[frame] + exposure_s * np.array([-0.5, 0.0, 0.5])
-        tip, axis = self.moments.motion.at(times)
-        scale, camera = self.scene.microscope.scale_mm_px, self._microscope
+        times = self.world.times[frame] + exposure_s * np.array([-0.5, 0.0, 0.5])
+        tip, axis = self.world.motion.at(times)
+        scale, camera = self.scene.microscope.scale_mm_px, self.world.microscope
         depth = 1 - float(camera.inverse_working_distance) * (tip[:, 2] - float(camera.pole_height))
         tip_px = np.linalg.norm(np.diff(tip[:, :2] / (scale * depth[:, None]), axis=0), axis=1)
         # O moves with the tip and with the lever d, seen along the beam, and the spot grows.
         steps, turns, beam = np.diff(tip, axis=0), np.diff(axis, axis=0), axis[1]
-        aside = steps + float(self.truth.distance[frame]) * turns
+        aside = steps + float(self.world.truth.distance[frame]) * turns
         across = np.linalg.norm(aside - (aside @ beam)[:, None] * beam, axis=1)
-        moved = across / math.cos(float(self.truth.incidence[frame]))
-        grown = np.abs(steps @ beam) * math.tan(float(self.truth.beam.half_angle[frame]))
+        moved = across / math.cos(float(self.world.truth.incidence[frame]))
+        grown = np.abs(steps @ beam) * math.tan(float(self.world.truth.beam.half_angle[frame]))
         return float(np.sum(moved + grown)) / scale, float(np.sum(tip_px))
 
     def _change_over_noise(self, old: np.ndarray, new: np.ndarray, exposure_s: float) -> float:
@@ -153,11 +148,11 @@ class Renderer:
         """Pixels whose centre lies inside the half-maximum contour and sees the wall."""
         from skimage.draw import polygon2mask
 
-        contour = np.asarray(self.truth.contour_px)[frame, :, ::-1]
+        contour = np.asarray(self.world.truth.contour_px)[frame, :, ::-1]
         return polygon2mask(linear.wall.shape, contour) & (linear.wall > 0.5)
 
     def _visible_fraction(self, frame: int, wall: np.ndarray) -> float:
-        column, row = np.rint(np.asarray(self.truth.contour_px)[frame]).astype(int).T
+        column, row = np.rint(np.asarray(self.world.truth.contour_px)[frame]).astype(int).T
         height, width = wall.shape
         inside = (0 <= row) & (row < height) & (0 <= column) & (column < width)
         return float(np.sum(wall[row[inside], column[inside]]) / inside.size)

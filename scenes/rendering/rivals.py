@@ -16,7 +16,7 @@ import optics
 from scenes.description import Scene
 from scenes.rendering import build
 from scenes.rendering.render import Renderer
-from scenes.world import photometry
+from scenes.world import uniform_irradiance
 
 
 class CapEmitter(mi.Emitter):
@@ -57,8 +57,7 @@ mi.register_emitter("eyespot_cap", CapEmitter)
 def randomly_sampled_scene(scene: Scene) -> Any:
     """Our scene with points at random in each pixel in place of a grid, at the first frame."""
     renderer = Renderer(scene)
-    uniform = photometry.uniform_irradiance(scene, wall_colour=renderer.wall_colour)
-    content = build.mitsuba_dict(scene, table=renderer.table, uniform=uniform)
+    content = build.mitsuba_dict(renderer.world, uniform=uniform_irradiance(renderer.world))
     content["sensor"]["sampler"] = {
         "type": "independent",
         "sample_count": scene.microscope.samples,
@@ -74,7 +73,7 @@ def particle_tracer_scene(scene: Scene, *, reconstruction: str) -> Any:
         reconstruction: the film's filter.
     """
     renderer = Renderer(scene)
-    content = build.mitsuba_dict(scene, table=renderer.table, uniform=np.zeros(3))
+    content = build.mitsuba_dict(renderer.world, uniform=np.zeros(3))
     content["photon_camera"]["film"]["rfilter"] = {"type": reconstruction}
     return _placed(content, scene, renderer)
 
@@ -90,8 +89,8 @@ def cap_scene(scene: Scene) -> Any:
         raise ValueError("only a flat end without glue is a disc of uniform light")
     index = optics.MEDIA[scene.source.medium]
     renderer = Renderer(scene)
-    content = build.mitsuba_dict(scene, table=renderer.table, uniform=np.zeros(3))
-    beam = renderer.truth.beam
+    content = build.mitsuba_dict(renderer.world, uniform=np.zeros(3))
+    beam = renderer.world.truth.beam
     tip, axis = np.asarray(beam.tip[0]), np.asarray(beam.axis[0])
     radius, aperture = float(lens.face_radius), float(lens.numerical_aperture)
     place = mi.ScalarTransform4f().look_at(tip, tip + axis, _across(axis))
@@ -114,7 +113,7 @@ def cap_scene(scene: Scene) -> Any:
 def _placed(content: dict[str, Any], scene: Scene, renderer: Renderer) -> Any:
     loaded = mi.load_dict(content)
     parameters = mi.traverse(loaded)
-    tip, axis = renderer.truth.beam.tip[0], renderer.truth.beam.axis[0]
+    tip, axis = renderer.world.truth.beam.tip[0], renderer.world.truth.beam.axis[0]
     for name, value in build.pose_parameters(scene, tip=tip, axis=axis, apex=tip).items():
         if name in parameters:
             parameters[name] = value

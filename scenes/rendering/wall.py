@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import math
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,48 +10,23 @@ import numpy as np
 
 import optics
 from scenes.description import Phantom, Scene
-from scenes.walls import fundus, wall_image
-from scenes.world import geometry
+from scenes.rendering.placement import rigid_transform
+from scenes.walls import PICTURE_MM, PICTURE_PX, wall_picture
+from scenes.world import World
 
-_TEXTURE_MM, _TEXTURE_PX = 24.0, 2048
 _COATS = {"wet": (optics.MEDIA["water"], 0.05), "glossy": (1.5, 0.2)}
 """Refractive index, and Beckmann's roughness (an assumption)."""
 
 
-def wall_colour(scene: Scene) -> np.ndarray:
-    """Mean linear reflectance of the wall per colour channel."""
-    if scene.phantom.wall == "uniform":
-        return np.full(3, scene.phantom.reflectance)
-    return _texture(scene.phantom).mean(axis=(0, 1), dtype=float)
-
-
-def _texture(phantom: Phantom) -> np.ndarray:
-    """The wall's picture on a plane about the pole."""
-    if phantom.wall != "image":
-        return _fundus(phantom.texture_seed, phantom.wall)
-    return wall_image(
-        Path(phantom.wall_image),
-        width_mm=phantom.wall_image_mm,
-        white=phantom.reflectance,
-        extent_mm=_TEXTURE_MM,
-        pixels=_TEXTURE_PX,
-    )
-
-
-@functools.lru_cache(maxsize=2)
-def _fundus(seed: int, palette: Any) -> np.ndarray:
-    # All trials of a run share one wall.
-    return fundus(seed=seed, extent_mm=_TEXTURE_MM, pixels=_TEXTURE_PX, palette=palette)
-
-
-def wall(scene: Scene) -> dict[str, Any]:
+def wall(world: World) -> dict[str, Any]:
     """Mitsuba's dictionary of the wall, for the variant that `load_mitsuba` has set."""
     import mitsuba as mi
 
+    scene = world.scene
     if scene.phantom.wall == "uniform":
         reflectance = {"type": "rgb", "value": scene.phantom.reflectance}
     else:
-        on_wall = _on_sphere if scene.phantom.kind == "eyeball" else _texture
+        on_wall = _on_sphere if scene.phantom.kind == "eyeball" else wall_picture
         texture = on_wall(scene.phantom)
         reflectance = {
             "type": "bitmap",
@@ -64,9 +37,9 @@ def wall(scene: Scene) -> dict[str, Any]:
         }
     surface = _surface(scene, reflectance)
     if scene.phantom.kind == "plane":
-        pole = geometry.wall(scene).frame_at(eccentricity=0.0, azimuth=0.0)
-        place = geometry.rigid_transform(np.asarray(pole.origin), -np.asarray(pole.outward))
-        half = np.diag([_TEXTURE_MM / 2, _TEXTURE_MM / 2, 1.0, 1.0])
+        pole = world.wall.frame_at(eccentricity=0.0, azimuth=0.0)
+        place = rigid_transform(np.asarray(pole.origin), -np.asarray(pole.outward))
+        half = np.diag([PICTURE_MM / 2, PICTURE_MM / 2, 1.0, 1.0])
         return {
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f(place @ half),
@@ -107,9 +80,9 @@ _EQUATOR_AT_POLE = np.array(
 
 def _on_sphere(phantom: Phantom) -> np.ndarray:
     """The picture, azimuthal-equidistant about the pole, on longitude and latitude."""
-    texture, radius = _texture(phantom), phantom.radius_mm
-    half = 0.5 * _TEXTURE_MM / radius
-    centres = half * ((np.arange(_TEXTURE_PX) + 0.5) / _TEXTURE_PX * 2 - 1)
+    texture, radius = wall_picture(phantom), phantom.radius_mm
+    half = 0.5 * PICTURE_MM / radius
+    centres = half * ((np.arange(PICTURE_PX) + 0.5) / PICTURE_PX * 2 - 1)
     longitude, latitude = centres, -centres[:, None]
     x = np.cos(latitude) * np.sin(longitude)
     y = np.sin(latitude)
@@ -117,7 +90,7 @@ def _on_sphere(phantom: Phantom) -> np.ndarray:
     arc = np.arctan2(aside, np.cos(latitude) * np.cos(longitude))
     stretch = radius * arc / np.maximum(aside, 1e-12)
     # From mm about the pole to pixels of the picture, whose rows go down.
-    per_mm, middle = _TEXTURE_PX / _TEXTURE_MM, (_TEXTURE_PX - 1) / 2
+    per_mm, middle = PICTURE_PX / PICTURE_MM, (PICTURE_PX - 1) / 2
     columns, rows = middle + per_mm * x * stretch, middle - per_mm * y * stretch
     return np.asarray(
         cv2.remap(
@@ -134,7 +107,7 @@ def _longitude_latitude_to_uv(*, radius: float) -> Any:
     """Maps the sphere's (longitude/2pi, colatitude/pi) so that the texture covers its extent."""
     import mitsuba as mi
 
-    extent = _TEXTURE_MM / radius
+    extent = PICTURE_MM / radius
     scale_u, scale_v = 2 * math.pi / extent, math.pi / extent
     return mi.ScalarTransform3f(
         [[scale_u, 0.0, 0.5 - 0.5 * scale_u], [0.0, scale_v, 0.5 - 0.5 * scale_v], [0.0, 0.0, 1.0]]

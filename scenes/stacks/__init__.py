@@ -1,9 +1,12 @@
 """Stacks on disk.
 
-check    What only a computation tells of a scene: whether it can be rendered
-command  The commands `eyespot render` and `eyespot scene check`
-preview  One small frame of a scene, to look at before it is rendered
-stack    From a scene to a labelled stack on disk, and from a stack to one exposed anew
+again        A stack photographed anew from its noise-free frames, without rendering
+check        What only a computation tells of a scene: whether it can be rendered
+command      The commands `eyespot render` and `eyespot scene check`
+photography  How the frames of a stack are photographed: exposures chosen, images and labels
+             written
+preview      One small frame of a scene, to look at before it is rendered
+stack        From a scene to a labelled stack on disk
 """
 
 import lazy_loader

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from scenes.description import Scene
-from scenes.rendering import wall_colour
-from scenes.world import geometry, labels, photometry
+from scenes.world import World, paper_exposure
 
 
 def check_scene(scene: Scene) -> None:
@@ -14,6 +13,6 @@ def check_scene(scene: Scene) -> None:
         SceneError: the tip touches the wall, the spot leaves the window, the fixed exposure
             outlasts a frame, or a file that the scene names cannot be read.
     """
-    table = geometry.lens_table(scene)
-    labels.moments(scene, table)
-    photometry.paper_exposure(scene, table, wall_colour=wall_colour(scene))
+    world = World(scene)
+    world.truth  # noqa: B018 - deriving it is the check
+    paper_exposure(world)

@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from scenes.camera import expose, fixed_patterns
+from scenes.camera import Camera
 from scenes.description import Scene
 from scenes.rendering import Images
-from scenes.world import labels, photometry
+from scenes.world import World, paper_exposure
 
 _SHRINK = 4
 
@@ -41,20 +41,12 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
         SceneError: the tip touches the wall, or the exposure outlasts a frame.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
-    motion, times = labels.timeline(scene)
-    (tip,), (axis,) = motion.at(times[[times.size // 2]])
-    images = Images(_small(scene), variant=variant)
-    radiance, _ = images.at(tip=tip, axis=axis, seed=0)
-    camera, exposures = scene.camera, scene.exposures
-    seconds = photometry.paper_exposure(scene, images.table, wall_colour=images.wall_colour)
-    height, width, _ = radiance.shape
-    shape = camera.sensor_shape(height=height, width=width)
-    return expose(
-        radiance,
-        exposure=seconds * exposures.sensitivity_mm2_sr_mj,
-        settings=camera,
-        rng=np.random.default_rng(scene.seed),
-        patterns=fixed_patterns(settings=camera, shape=shape, seed=scene.seed),
+    world = World(scene)
+    (tip,), (axis,) = world.motion.at(world.times[[world.times.size // 2]])
+    small = World(_small(scene))
+    radiance, _ = Images(small, variant=variant).at(tip=tip, axis=axis, seed=0)
+    return Camera(small.scene).raw(
+        radiance, exposure_s=paper_exposure(world), noise_seed=[scene.seed]
     )
 
 

@@ -3,6 +3,7 @@
 fundus_image  A retina from a seed: the reflectance of disc, macula, vessels and choroid as a map
               for a wall
 image_file    The wall's picture from a user's image file
+picture       The picture on a phantom's wall, from a seed or a file, and its mean colour
 """
 
 import lazy_loader

@@ -1,2 +1,5 @@
 from .fundus_image import fundus as fundus
-from .image_file import wall_image as wall_image
+from .picture import PICTURE_MM as PICTURE_MM
+from .picture import PICTURE_PX as PICTURE_PX
+from .picture import wall_colour as wall_colour
+from .picture import wall_picture as wall_picture

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import optics
 from estimator.files import read_poses
 from scenes.description import Hand, Recorded, Scan, Scene, SceneError, Withdrawal
-from scenes.world import geometry
+from scenes.world.geometry import Geometry
 
 _TREMOR_HZ = (8.0, 12.0)
 """Band of physiological tremor in microsurgery (Wells et al. 2013)."""
@@ -62,21 +62,25 @@ class Trajectory(NamedTuple):
         return steps / _STEP_S
 
 
-def trajectory(scene: Scene) -> Trajectory:
+def trajectory(geometry: Geometry) -> Trajectory:
     """The scene's motion.
+
+    Args:
+        geometry: of the scene.
 
     Raises:
         SceneError: it cannot be made, or its file cannot be read; the message names what to change.
     """
+    scene = geometry.scene
     match scene.motion:
-        case Withdrawal():
-            at = _withdrawal(scene, scene.motion)
-        case Scan():
-            at = _scan(scene, scene.motion)
-        case Hand():
-            at = _hand(scene, scene.motion)
-        case Recorded():
-            at = _recorded(scene.motion)
+        case Withdrawal() as motion:
+            at = _withdrawal(geometry, motion)
+        case Scan() as motion:
+            at = _scan(geometry, motion)
+        case Hand() as motion:
+            at = _hand(geometry, motion)
+        case Recorded() as motion:
+            at = _recorded(motion)
     return Trajectory(_moments(scene), at)
 
 
@@ -135,11 +139,11 @@ def kinematics(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
     return np.column_stack([np.maximum.accumulate(stamps), poses.tip, poses.axis])
 
 
-def _withdrawal(scene: Scene, motion: Withdrawal) -> PosesAt:
-    spot, axis = _aim(scene)
+def _withdrawal(geometry: Geometry, motion: Withdrawal) -> PosesAt:
+    spot, axis = geometry.aim
     start = motion.start_mm
     if isinstance(start, str):
-        start = geometry.contact_distance(scene)
+        start = geometry.contact_distance
 
     def at(times: NDArray[np.float64]) -> Poses:
         distance = start + np.clip(motion.speed_mm_s * times, 0.0, motion.travel_mm)
@@ -148,11 +152,10 @@ def _withdrawal(scene: Scene, motion: Withdrawal) -> PosesAt:
     return at
 
 
-def _scan(scene: Scene, motion: Scan) -> PosesAt:
-    spot, axis = _aim(scene)
-    wall = geometry.wall(scene)
-    frame = geometry.wall_frame(scene)
-    outward, meridional, azimuthal = (np.asarray(v) for v in frame[1:])
+def _scan(geometry: Geometry, motion: Scan) -> PosesAt:
+    spot, axis = geometry.aim
+    wall = geometry.wall
+    outward, meridional, azimuthal = (np.asarray(v) for v in geometry.spot_frame[1:])
     direction = math.radians(motion.direction_deg)
     along = math.cos(direction) * meridional + math.sin(direction) * azimuthal
 
@@ -170,12 +173,12 @@ def _scan(scene: Scene, motion: Scan) -> PosesAt:
     return at
 
 
-def _hand(scene: Scene, motion: Hand) -> PosesAt:
-    spot, axis = _aim(scene)
+def _hand(geometry: Geometry, motion: Hand) -> PosesAt:
+    spot, axis = geometry.aim
     rng = np.random.default_rng(motion.seed)
     tremor = _Band.random(rng, _TREMOR_HZ, rms=(1 - motion.damping) * motion.tremor_rms_mm)
     slow = _Band.random(rng, _VOLUNTARY_HZ, rms=1.0)
-    last = _moments(scene)[-1]
+    last = _moments(geometry.scene)[-1]
     fine = np.linspace(0.0, last, 1 + math.ceil(last / _FINE_S))
     size = _scale_to_speed(slow.velocity(fine), tremor.velocity(fine), motion.top_speed_mm_s)
     home = spot - motion.distance_mm * axis
@@ -216,22 +219,6 @@ def _recording(motion: Recorded) -> tuple[NDArray[np.float64], NDArray[np.float6
         )
     stamps -= stamps[0]
     return stamps, np.array([[*pose.position_mm, *pose.axis] for pose in found])
-
-
-def _aim(scene: Scene) -> Poses:
-    """The wall point of [spot], and the direction of the beam there."""
-    spot = scene.spot
-    beam = optics.beam_at_spot(
-        geometry.wall(scene),
-        eccentricity=spot.eccentricity_mm,
-        azimuth=math.radians(spot.azimuth_deg),
-        incidence=math.radians(spot.incidence_deg),
-        incidence_azimuth=math.radians(spot.incidence_azimuth_deg),
-        distance=0.0,
-        half_angle=0.0,
-        apex_offset=0.0,
-    )
-    return Poses(np.asarray(beam.tip), np.asarray(beam.axis))
 
 
 class _Band(NamedTuple):

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 import optics
-from scenes.description import CameraSettings, Scene, SceneError
-from scenes.world import geometry, motion
-from scenes.world.light_cache import lens_light
+from scenes.description import CameraSettings, SceneError
+from scenes.world.motion import longest_exposure
+from scenes.world.world import World
 
 _GREY = np.array([0.299, 0.587, 0.114])
 """Luma weights of ITU-R BT.601, which OpenCV's grey conversion uses."""
@@ -17,52 +17,46 @@ _PAPER_THRESHOLD_DN = 200.0
 """The paper's segmentation threshold for 8-bit images (Zhou et al. 2020, section III-B)."""
 
 
-def uniform_irradiance(scene: Scene, *, wall_colour: np.ndarray) -> np.ndarray:
+def uniform_irradiance(world: World) -> np.ndarray:
     """Indirect irradiance per colour channel, mW/mm2, by the closed form; zero on a plane.
 
     Zero too where it is off, or traced by the integrator.
 
     Args:
-        scene: the scene.
-        wall_colour: mean reflectance of the wall per channel.
+        world: what the scene means.
     """
+    scene = world.scene
     if scene.phantom.kind == "plane" or scene.phantom.indirect != "closed form":
         return np.zeros(3)
-    share = 1.0
-    if scene.source.kind != "cone":
-        share = lens_light(scene.source.lens, optics.MEDIA[scene.source.medium]).transmitted
+    share = 1.0 if world.light is None else world.light.transmitted
     return np.asarray(
         optics.indirect_irradiance(
             flux=share * scene.source.power_mw,
-            reflectance=wall_colour,
+            reflectance=world.wall_colour,
             eye_radius=scene.phantom.radius_mm,
             pupil_radius=scene.phantom.pupil_radius_mm,
         )
     )
 
 
-def peak_irradiance(
-    scene: Scene, table: optics.IrradianceTable | None, *, distance: float
-) -> float:
+def peak_irradiance(world: World, *, distance: float) -> float:
     """Largest irradiance on a plane square to the beam, mW/mm2.
 
     Args:
-        scene: the scene.
-        table: vector irradiance of the lens, or None for the cone.
+        world: what the scene means.
         distance: from the tip, mm.
     """
+    power, table = world.scene.source.power_mw, world.table
     if table is None:
-        cone = geometry.cone(scene, None)
+        cone = world.cone
         solid_angle = 2 * math.pi * (1 - math.cos(cone.half_angle))
-        return scene.source.power_mw / solid_angle / (distance - cone.apex_offset) ** 2
+        return power / solid_angle / (distance - cone.apex_offset) ** 2
     radii = np.linspace(0.0, float(table.envelope(distance)), 512)
     _, axial = table(radius=radii, distance=np.full_like(radii, distance))
-    return scene.source.power_mw * float(np.max(np.asarray(axial)))
+    return power * float(np.max(np.asarray(axial)))
 
 
-def paper_exposure(
-    scene: Scene, table: optics.IrradianceTable | None, *, wall_colour: np.ndarray
-) -> float:
+def paper_exposure(world: World) -> float:
     """The fixed exposure time of the `paper` frames, s.
 
     Chosen so that the wall's mean colour, lit with `paper_level` of the beam's peak at
@@ -70,22 +64,20 @@ def paper_exposure(
     saturate below that level are clipped first, as in the camera.
 
     Args:
-        scene: the scene.
-        table: vector irradiance of the lens, or None for the cone.
-        wall_colour: mean reflectance of the wall per channel.
+        world: what the scene means.
 
     Raises:
         SceneError: there are to be such frames, and the exposure outlasts the time between them.
     """
-    exposures = scene.exposures
-    peak = peak_irradiance(scene, table, distance=exposures.paper_distance_mm)
-    radiance = wall_colour / math.pi * exposures.paper_level * peak
+    scene, exposures = world.scene, world.scene.exposures
+    peak = peak_irradiance(world, distance=exposures.paper_distance_mm)
+    radiance = world.wall_colour / math.pi * exposures.paper_level * peak
     low, high = 0.0, 4.0 / (radiance.min() * exposures.sensitivity_mm2_sr_mj)
     for _ in range(60):
         middle = 0.5 * (low + high)
         grey = _GREY @ _digital(radiance * exposures.sensitivity_mm2_sr_mj * middle, scene.camera)
         low, high = (middle, high) if grey < _PAPER_THRESHOLD_DN else (low, middle)
-    longest = motion.longest_exposure(scene)
+    longest = longest_exposure(scene)
     if "paper" in exposures.kinds and high > longest:
         raise SceneError(
             f"the paper exposure takes {high:.3f} s, and clocks.camera_hz leaves {longest:.3f} s a "

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import scenes
 from benchmarks.sets.read import SetError
 from benchmarks.sets.spec import PlannedStack
-from scenes.world import geometry, labels
+from scenes.world import World
 
 _TIMED = 5  # frames of a stack that is tried
 
@@ -107,12 +107,13 @@ def image_counts(planned: Sequence[PlannedStack]) -> dict[tuple[str, str], int]:
     found, problems = {}, []
     for stack in planned:
         try:
-            moments = labels.moments(stack.scene, geometry.lens_table(stack.scene))
+            world = World(stack.scene)
+            world.truth  # noqa: B018 - deriving it refuses what cannot be rendered
         except scenes.SceneError as error:
             problems.append(f"{stack.split}/{stack.name}: {error}")
             continue
         exposures = len(stack.scene.exposures.kinds)
-        found[stack.split, stack.name] = moments.times.size * exposures
+        found[stack.split, stack.name] = world.times.size * exposures
     if problems:
         raise SetError("\n".join(problems))
     return found

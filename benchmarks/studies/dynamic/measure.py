@@ -24,7 +24,7 @@ from estimator import (
     read_poses,
 )
 from scenes import Scene
-from scenes.world import geometry
+from scenes.world import World
 
 _SAME_FRAME = (0.0, 0.0, 0.0, 1.0)  # the rendered robot reports in the eye's frame
 
@@ -93,7 +93,7 @@ def errors(trial: Trial, *, moving: Stack, frozen: Stack, ranger: Ranger) -> Ite
     Those stand at the ends of the motion, where half of an exposure sees a tip at rest.
     """
     poses = read_poses(moving.folder / "kinematics.csv")
-    wall = geometry.wall(trial.moving)
+    wall = World(trial.moving).wall
     seen, still = (list(_readings(stack, trial.way, ranger, poses)) for stack in (moving, frozen))
     labels = moving.exposed(trial.way.exposure)
     for n in range(1, len(labels) - 1):

@@ -16,7 +16,7 @@ from benchmarks.studies.eccentricity import causes
 from benchmarks.studies.eccentricity.causes import Part, Shift
 from benchmarks.studies.eccentricity.limits import Refit, refitted
 from scenes import Scene
-from scenes.world import cone, lens_table
+from scenes.world import World
 
 _FINER = 2
 """Pixels of a noise-free frame for one of the camera's, along each side."""
@@ -114,7 +114,7 @@ def measure(study: Study, every: Sequence[Trial]) -> Rendered:
 
 def geometry_of(scene: Scene) -> Geometry:
     """What the models are told of a scene."""
-    half_angle, b = cone(scene, lens_table(scene))
+    half_angle, b = World(scene).cone
     return Geometry(
         scale=scene.microscope.scale_mm_px,
         pinhole_height=scene.microscope.pinhole_height_mm,

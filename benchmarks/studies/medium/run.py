@@ -17,7 +17,7 @@ from benchmarks.studies.medium import light, rendered
 from benchmarks.studies.medium.light import AIR, VITREOUS, Curve, MediumError
 from calibration import PlaneFit
 from scenes import Scene, SceneError
-from scenes.world import cone
+from scenes.world import World
 
 _LENSES = ("paper-candidate", "dome")
 """A flat end and a round cap: the two kinds of drop."""
@@ -61,7 +61,7 @@ def run(request: Request) -> Findings:
         curves = {(n, m): light.lens_curve(n, m) for n in lenses for m in (AIR, VITREOUS)}
     ideal = scenes.changed(scene, {"source.kind": light.CONE})
     for medium in (AIR, VITREOUS):
-        curves[light.CONE, medium] = light.cone_curve(cone(ideal, None), medium)
+        curves[light.CONE, medium] = light.cone_curve(World(ideal).cone, medium)
     distances = np.linspace(light.NEAREST_MM, light.FARTHEST_MM, 23 if quick else 111)
     rows = [
         row

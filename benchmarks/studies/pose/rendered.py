@@ -47,7 +47,7 @@ from estimator import (
 )
 from estimator import measure as measured
 from scenes import Scene
-from scenes.world import cone, wall
+from scenes.world import World
 
 STILL = {
     "phantom.wall": "uniform",
@@ -68,7 +68,7 @@ _POINTS = 128
 
 def places_at(scene: Scene, *, c: float, poses: int) -> list[Place]:
     """Poses with their axis through one point of the wall, at several distances and incidences."""
-    surface = wall(scene)
+    surface = World(scene).wall
     assert isinstance(surface, optics.Sphere)  # the study's check
     return [
         place_at(
@@ -92,7 +92,7 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[Po
         eccentricities: c of the wall points, mm.
         poses: at each of them.
     """
-    given = cone(study.scene, None)
+    given = World(study.scene).cone
     tools = (one_spot(given), three_spots(given))
     trials, every = {}, {}
     for c in eccentricities:

@@ -17,7 +17,7 @@ from benchmarks.studies.pose import analytic, rendered
 from benchmarks.studies.pose.errors import PoseError
 from benchmarks.studies.pose.tool import one_spot, three_spots
 from scenes import Scene, SceneError
-from scenes.world import cone, wall
+from scenes.world import World
 
 LARGEST_C_MM = 5.0
 """Of the rendered spots."""
@@ -82,9 +82,9 @@ def check(scene: Scene) -> None:
 def _analytic(study: Study, *, one: int, three: int) -> list[PoseError]:
     """With the scene's pinhole and with a microscope's."""
     scene = study.scene
-    surface = wall(scene)
+    surface = World(scene).wall
     assert isinstance(surface, optics.Sphere)  # by `check`
-    given = cone(scene, None)
+    given = World(scene).cone
     rows = []
     for height in dict.fromkeys((scene.microscope.pinhole_height_mm, MICROSCOPE_MM)):
         view = optics.microscope(

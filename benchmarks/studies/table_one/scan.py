@@ -21,7 +21,7 @@ from benchmarks.evaluation import TABLE_I, Lines, fit_lines
 from benchmarks.studies.validate import reproduction
 from estimator import LiteralSettings
 from scenes import Scene
-from scenes.world import contact_distance
+from scenes.world import World
 
 LEVELS = np.geomspace(0.1, 2.0, 31)
 """Thresholds, as parts of the peak irradiance at `exposures.paper_distance_mm`."""
@@ -118,7 +118,7 @@ class Isophotes:
         return cls(
             family,
             light,
-            contact=contact_distance(scene),
+            contact=World(scene).contact_distance,
             incidence=math.radians(scene.spot.incidence_deg),
             peak=float(jnp.max(light(radius=radius, distance=at)[1])),
         )

@@ -44,7 +44,7 @@ from benchmarks.evaluation import (
 from benchmarks.reporting import run_folder
 from calibration import PlaneFit, SphereFit, fit_eccentricity, fit_plane
 from estimator import Stack
-from scenes.world import lens_table
+from scenes.world import World
 
 _RUN_SCHEMA = 1
 _ALL_PLANES = "all planes"
@@ -147,7 +147,7 @@ def _render_and_measure(
     )
     # Lens trials come last: their table takes seconds, beside the trials that need none.
     ordered = sorted(trials, key=lambda trial: trial.source == "lens")
-    table = beside.submit(lens_table, ordered[-1].scene)
+    table = beside.submit(lambda: World(ordered[-1].scene).light)
     with Progress(*columns) as progress:
         total = sum(scenes.frame_count(trial.scene) for trial in trials)
         task = progress.add_task("rendering", total=total)

@@ -1,0 +1,70 @@
+"""How the frames of a stack are photographed: exposures chosen, images and labels written."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from estimator.files import FrameLabels, StackWriter
+from scenes.camera import Camera
+from scenes.world import World, longest_exposure, paper_exposure
+
+
+def file_name(world: World, frame: int, order: int) -> str:
+    """Name of a frame's image of the order-th kind of exposure, in the stack's folder."""
+    return f"frames/{frame * len(world.scene.exposures.kinds) + order:06d}.png"
+
+
+class Photography:
+    """Exposes and writes the frames of one stack.
+
+    Args:
+        world: what the stack's scene means.
+
+    Attributes:
+        paper_exposure_s: the fixed exposure of the `paper` frames.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._camera = Camera(world.scene)
+        self.paper_exposure_s = paper_exposure(world)
+
+    def exposure_s(self, kind: str, light: np.ndarray, mask: np.ndarray) -> float:
+        """Duration of an exposure; a `metered` one depends on the light within the mask.
+
+        No exposure is longer than the time between two frames; a metered one is dark then.
+        """
+        if kind == "paper":
+            return self.paper_exposure_s
+        return min(self._camera.metered_s(light, mask), longest_exposure(self._world.scene))
+
+    def write(
+        self,
+        writer: StackWriter,
+        light: np.ndarray,
+        *,
+        order: int,
+        exposure_s: float,
+        mask: np.ndarray,
+        labels: dict[str, Any],
+    ) -> None:
+        """Expose a frame in the order-th way and write it with its labels."""
+        scene, frame = self._world.scene, labels["frame"]
+        raw = self._camera.raw(light, exposure_s=exposure_s, noise_seed=[scene.seed, frame, order])
+        saturated = np.any(raw[mask] >= scene.camera.full_scale_dn, axis=-1)
+        row = FrameLabels(
+            file_name=file_name(self._world, frame, order),
+            mask_file_name=f"masks/{frame:06d}.png",
+            exposure=scene.exposures.kinds[order],
+            exposure_s=exposure_s,
+            saturated_fraction=float(saturated.mean()) if saturated.size else 0.0,
+            **labels,
+        )
+        writer.add(
+            self._camera.written(raw),
+            row,
+            np.uint8(255) * mask if order == 0 else None,
+            light if scene.exposures.keep_linear else None,
+        )

@@ -1,0 +1,103 @@
+"""What a scene may not do: enter the wall, leave the window, fold the image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import optics
+from scenes.description import SceneError
+from scenes.world.geometry import Geometry
+
+_UNDISTORTED_PX = 1e-3
+"""A fiftieth of what labels promise."""
+
+_CONTACT_MM = 1e-6
+"""Depth in the wall that is rounding."""
+
+
+def check_poses(
+    geometry: Geometry, *, times: np.ndarray, tip: np.ndarray, axis: np.ndarray
+) -> None:
+    """Refuse a motion that the wall stops.
+
+    The rim of a visible fibre may touch the wall but not enter it; without a visible instrument the
+    same holds for the tip alone.
+
+    Args:
+        geometry: of the scene.
+        times: n moments, s.
+        tip: n x 3, mm.
+        axis: n x 3, unit vectors.
+
+    Raises:
+        SceneError: with the first moment at which the wall is entered, and what to change.
+    """
+    instrument = geometry.scene.instrument
+    rim = instrument.fibre_diameter_mm / 2 if instrument.visible else 0.0
+    wall = geometry.wall
+    if isinstance(wall, optics.Sphere):
+        ahead = np.sum(tip * axis, axis=1)
+        aside = np.linalg.norm(tip - ahead[:, None] * axis, axis=1)
+        clearance = float(wall.radius) - np.hypot(ahead, aside + rim)
+        leaving = ahead < 0
+    else:
+        inward = np.asarray(wall.inward)
+        square = axis @ inward
+        clearance = (tip - np.asarray(wall.point)) @ inward - rim * np.sqrt(1 - square**2)
+        leaving = np.zeros(len(tip), bool)
+        if np.any(square >= 0):
+            time = times[np.argmax(square >= 0)]
+            raise SceneError(f"at {time:.3f} s the beam points away from the plane. Turn its axis.")
+    if np.any(clearance < -_CONTACT_MM):
+        first = int(np.argmax(clearance < -_CONTACT_MM))
+        place = ", ".join(f"{x:.3f}" for x in tip[first])
+        where = f"at {times[first]:.3f} s the tip, at ({place}) mm,"
+        if leaving[first]:
+            raise SceneError(f"{where} leaves the eye. Let [motion] withdraw or reach less far.")
+        raise SceneError(
+            f"{where} is {-clearance[first]:.3f} mm deep in the wall. Let [motion] keep more "
+            "distance."
+        )
+
+
+def check_window(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray) -> None:
+    """Refuse a scene whose spot leaves the window, unless window_offset_px asks for that.
+
+    Args:
+        geometry: of the scene.
+        times: n moments, s.
+        contours: image points of the spot's contour, n x points x 2, px.
+
+    Raises:
+        SceneError: with the first moment, how far the spot reaches and what to change; or the
+            lens's distortion folds the image.
+    """
+    _check_distortion(geometry)
+    settings = geometry.scene.microscope
+    width, height = settings.width_px, settings.height_px
+    inside = (contours >= 0) & (contours <= (width - 1, height - 1))  # false for NaN too
+    if inside.all() or any(settings.window_offset_px):
+        return
+    first = int(np.argmin(inside.all(axis=(1, 2))))
+    low, high = contours[first].min(axis=0), contours[first].max(axis=0)
+    raise SceneError(
+        f"at {times[first]:.3f} s the spot leaves the {width} x {height} px window: it reaches "
+        f"from ({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}) px. Lower the reach "
+        "of [motion], or raise microscope.width_px and height_px or scale_mm_px."
+    )
+
+
+def _check_distortion(geometry: Geometry) -> None:
+    """Refuse a lens that images two points at one place of the window, or none."""
+    distortion = geometry.scene.microscope.distortion
+    if not any(distortion):
+        return
+    camera, edge = geometry.microscope, geometry.window_border
+    point, _ = camera.ray(edge)
+    error = np.abs(np.asarray(camera.project(point)) - edge).max()
+    # False for NaN too: where a lens folds the image, the steps of its inverse do not settle.
+    if not error < _UNDISTORTED_PX:
+        raise SceneError(
+            f"microscope.distortion = {list(distortion)} folds the image within the window. Lower "
+            "it, or spot.eccentricity_mm, or raise pinhole_height_mm."
+        )

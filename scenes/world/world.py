@@ -1,0 +1,113 @@
+"""World: everything that a scene means, each part derived once and handed down from here."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+import optics
+from scenes.walls import wall_colour
+from scenes.world.geometry import Geometry
+from scenes.world.light_cache import LensLight, lens_light
+from scenes.world.limits import check_poses, check_window
+from scenes.world.motion import Trajectory, frame_times, trajectory
+
+_CALIBRATED_RANGE_MM = (0.5, 6.0)
+"""Distances over which a lens's effective cone is fitted: those of the paper's trials."""
+
+
+class Cone(NamedTuple):
+    """Geometric cone of the source: half-angle in rad, apex offset b in mm."""
+
+    half_angle: float
+    apex_offset: float
+
+
+class World(Geometry):
+    """A scene's wall, microscope, light, motion and truth.
+
+    A part that is known already may be set instead, before it is derived: `world.light = ...`.
+
+    Args:
+        scene: the scene.
+    """
+
+    @cached_property
+    def wall_colour(self) -> np.ndarray:
+        """Mean linear reflectance of the wall per colour channel."""
+        return wall_colour(self.scene.phantom)
+
+    @cached_property
+    def light(self) -> LensLight | None:
+        """The glue lens's light in its medium, per unit power; None for the ideal cone."""
+        source = self.scene.source
+        return None if source.kind == "cone" else lens_light(source.lens, self.medium_index)
+
+    @property
+    def medium_index(self) -> float:
+        """Refractive index of the medium between tip and wall."""
+        return float(optics.MEDIA[self.scene.source.medium])
+
+    @property
+    def table(self) -> optics.IrradianceTable | None:
+        """Vector irradiance of the glue lens, per unit power; None for the ideal cone."""
+        return None if self.light is None else self.light.table
+
+    @cached_property
+    def cone(self) -> Cone:
+        """The ideal cone as given, or the lens's effective one (`optics.effective_cone`)."""
+        if self.table is None:
+            source = self.scene.source
+            return Cone(math.atan(1.0 / source.cone_k), source.cone_apex_offset_mm)
+        nearest, farthest = _CALIBRATED_RANGE_MM
+        effective = optics.effective_cone(self.table, from_distance=nearest, to_distance=farthest)
+        return Cone(float(effective.half_angle), float(effective.b))
+
+    @cached_property
+    def motion(self) -> Trajectory:
+        """Where the tip is at any moment.
+
+        Raises:
+            SceneError: the motion cannot be made; the message names the key to change.
+        """
+        return trajectory(self)
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """Middle of each frame's exposure, s, of a motion that keeps out of the wall.
+
+        Raises:
+            SceneError: the tip enters the wall or leaves the eye; the message names the moment.
+        """
+        times = frame_times(self.scene, self.motion)
+        # Between frames, too, the tip must keep out of the wall.
+        often = np.arange(0.0, times.max(), 1 / self.scene.clocks.kinematics_hz)
+        both = np.union1d(often, times)
+        check_poses(self, times=both, **self.motion.at(both)._asdict())
+        return times
+
+    @cached_property
+    def truth(self) -> optics.SpotTruth:
+        """What is true of the spot in the middle of every frame's exposure.
+
+        Raises:
+            SceneError: as for `times`; or the spot leaves the window.
+        """
+        truth = optics.spot_truth(
+            self.wall,
+            self.microscope,
+            self.table,
+            **self.motion.at(self.times)._asdict(),
+            half_angle=self.cone.half_angle,
+            apex_offset=self.cone.apex_offset,
+        )
+        check_window(self, times=self.times, contours=np.asarray(truth.contour_px))
+        return truth
+
+    @cached_property
+    def speed(self) -> np.ndarray:
+        """Speed of the tip in the middle of every frame's exposure, mm/s."""
+        return self.motion.speed(self.times)
