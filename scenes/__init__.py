@@ -2,6 +2,7 @@
 
 camera/       From linear frames to the numbers that a camera writes
 description/  The scene file: what a person may write, validated
+drawn/        Frames drawn by formula instead of rendered: their spots are known exactly
 machine/      Mitsuba and the libraries that it needs on this machine
 rendering/    From a scene to linear frames, with Mitsuba
 stacks/       Stacks on disk

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench.estimator_frames import Scene, Truth, frame_of
 from estimator import FrameLabels, StackWriter
 from scenes import load_scene
+from scenes.drawn import Drawing, Truth, frame_of
 
 SHAPE = (120, 160)
 STACKS = {"train": ("a", "b"), "adverse": ("shadow-0000",)}
@@ -88,7 +88,7 @@ def write_stack(folder: Path, labels: Sequence[FrameLabels], *, seed: int = 0) -
                 angle=row.half_max_angle_rad,
             )
             amplitude = 180.0 if row.visible_fraction else 0.0
-            scene = Scene(truth=truth, amplitude=amplitude)
+            scene = Drawing(truth=truth, amplitude=amplitude)
             silent = replace(scene, noise=0.0, ambient=0.0)
             seen = frame_of(silent, rng, SHAPE).max(axis=2) > amplitude / 2
             mask = np.where(seen & (amplitude > 0), 255, 0).astype(np.uint8)

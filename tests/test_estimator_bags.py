@@ -15,7 +15,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from benchmarks.bench.estimator_frames import Scene, Truth, frame_of
 from estimator import Reader, Spot, SubpixelSettings, track
 from estimator.files import POSE_TOPIC, Pose, PoseTrack, read_poses, turned
 from estimator.run.offline import Ended, track_source
@@ -23,6 +22,7 @@ from estimator.sources import IMAGE_TOPIC, read_frames, write_bag
 from estimator.sources.opening import open_source
 from estimator.sources.ros_images import frame_of_message
 from estimator.sources.source import Frame
+from scenes.drawn import Drawing, Truth, frame_of
 
 EPOCH_S = 1.6e9
 CLOCK_S = 2.4e-7  # what float64 resolves of a time in s since 1970
@@ -39,7 +39,7 @@ def frames() -> list[Frame]:
             index=k,
             file_name="",
             time_s=EPOCH_S + k / 10,
-            image=frame_of(Scene(truth=truth), rng, (160, 200)),
+            image=frame_of(Drawing(truth=truth), rng, (160, 200)),
         )
         for k, truth in enumerate(truths)
     ]

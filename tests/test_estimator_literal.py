@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.bench.estimator_frames import Scene, Truth, erf_edge, frame_of
 from estimator import LiteralSettings, NoSpot, Reason, Spot, TrackState, measure, track
 from estimator.detector.literal import patch_check
+from scenes.drawn import Drawing, Truth, erf_edge, frame_of
 
 _TRUTH = Truth(x=320.3, y=241.6, semi_major=66, semi_minor=60, angle=0.5)
-_SCENE = Scene(truth=_TRUTH, amplitude=235, ambient=10, noise=1.0)
+_SCENE = Drawing(truth=_TRUTH, amplitude=235, ambient=10, noise=1.0)
 
 
 @given(

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.bench.estimator_frames import SHAPE, Scene, Truth, bell, frame_of
 from estimator import NoSpot, Spot, SubpixelSettings, TrackState, measure
+from scenes.drawn import SHAPE, Drawing, Truth, bell, frame_of
 
 _TRUTH = Truth(x=321.3, y=238.8, semi_major=66, semi_minor=60, angle=0.7)
 _MIDDLE = TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2))
 
 
-def _measured(scene: Scene, seed: int) -> Spot:
+def _measured(scene: Drawing, seed: int) -> Spot:
     frame = frame_of(scene, np.random.default_rng(seed))
     spot, _ = measure(frame, _MIDDLE, SubpixelSettings())
     assert isinstance(spot, Spot), spot
@@ -25,7 +25,7 @@ def test_a_spot_that_moved_by_half_a_diameter_is_measured_in_the_middle_of_its_p
     heading: float,
 ) -> None:
     path = 60 * math.cos(heading), 60 * math.sin(heading)
-    spot = _measured(Scene(truth=_TRUTH, path_px=path), seed=1)
+    spot = _measured(Drawing(truth=_TRUTH, path_px=path), seed=1)
     # The requirement is an RMSE of 0.15 px, with texture; the stated error is that of an even wall.
     assert np.abs(_TRUTH.errors(spot)).max() < 3 * 0.15
     assert 3 * spot.sigma_semi_minor_px < 0.5
@@ -36,12 +36,12 @@ def test_a_spot_that_moved_by_half_a_diameter_is_measured_in_the_middle_of_its_p
 def test_a_moving_spot_is_measured_past_a_glint() -> None:
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
     glint = np.where(np.hypot(u - 300, v - 190) < 5, 250.0, 0.0)
-    spot = _measured(Scene(truth=_TRUTH, path_px=(40.0, 20.0), glints=glint), seed=2)
+    spot = _measured(Drawing(truth=_TRUTH, path_px=(40.0, 20.0), glints=glint), seed=2)
     assert np.abs(_TRUTH.errors(spot)).max() < 3 * 0.15
 
 
 def test_a_still_bell_is_not_taken_for_a_moving_disc() -> None:
-    scene = Scene(truth=_TRUTH, profile=bell)
+    scene = Drawing(truth=_TRUTH, profile=bell)
     still, elongated = _measured(scene, seed=3), replace(_TRUTH, semi_major=90)
     # A Gaussian that is half at b has the slope of a blurred step of 0.58 b.
     assert still.edge_width_px > 0.4 * _TRUTH.semi_minor
@@ -54,6 +54,8 @@ def test_a_moving_spot_whose_ends_are_hidden_is_a_spot_or_a_failure(reach: int) 
     # Two tools leave no ray along the path to tell its length by.
     u = np.arange(SHAPE[1])[None, :] * np.ones((SHAPE[0], 1))
     seen = (np.abs(u - _TRUTH.x) < reach).astype(float)
-    frame = frame_of(Scene(truth=_TRUTH, path_px=(60.0, 0.0), seen=seen), np.random.default_rng(4))
+    frame = frame_of(
+        Drawing(truth=_TRUTH, path_px=(60.0, 0.0), seen=seen), np.random.default_rng(4)
+    )
     result, _ = measure(frame, _MIDDLE, SubpixelSettings())
     assert isinstance(result, Spot | NoSpot)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import tifffile
 
-from benchmarks.bench.estimator_frames import Scene, Truth, frame_of
 from estimator import (
     FrameLabels,
     NoSpot,
@@ -25,6 +24,7 @@ from estimator import (
 from estimator.run.offline import Ended, track_source
 from estimator.sources.opening import open_source
 from estimator.sources.source import Frame, Source
+from scenes.drawn import Drawing, Truth, frame_of
 
 SHAPE = (160, 200)
 GONE = 4  # the frame without a spot
@@ -43,7 +43,7 @@ def truths() -> list[Truth]:
 def images() -> list[np.ndarray]:
     rng = np.random.default_rng(0)
     return [
-        frame_of(Scene(truth=truth, amplitude=0.0 if k == GONE else 180.0), rng, SHAPE)
+        frame_of(Drawing(truth=truth, amplitude=0.0 if k == GONE else 180.0), rng, SHAPE)
         for k, truth in enumerate(truths())
     ]
 
@@ -191,7 +191,7 @@ def test_the_hidden_labels_of_a_stack_are_met(tmp_path, images):
 
 def test_typed_failures_are_counted_by_their_reason(tmp_path, images):
     clipped = Truth(x=0, y=80, semi_major=33, semi_minor=30)
-    frame = frame_of(Scene(truth=clipped), np.random.default_rng(1), SHAPE)
+    frame = frame_of(Drawing(truth=clipped), np.random.default_rng(1), SHAPE)
     folder = write_folder(tmp_path / "folder", [*images, frame, images[GONE]])
     tracking = track_source(open_source(folder), Reader(SubpixelSettings()))
     by_hand = [r.result.reason.value for r in tracking.records if isinstance(r.result, NoSpot)]

@@ -11,10 +11,21 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from skimage.measure import EllipseModel, find_contours
 
-from benchmarks.bench.estimator_frames import (
+from estimator import (
+    Camera,
+    LiteralSettings,
+    NoSpot,
+    Reason,
+    Response,
+    Spot,
+    SubpixelSettings,
+    TrackState,
+    measure,
+)
+from scenes.drawn import (
     SHAPE,
+    Drawing,
     Profile,
-    Scene,
     Truth,
     any_truth,
     any_wall,
@@ -28,17 +39,6 @@ from benchmarks.bench.estimator_frames import (
     with_quarter_in_shadow,
     with_shaft,
 )
-from estimator import (
-    Camera,
-    LiteralSettings,
-    NoSpot,
-    Reason,
-    Response,
-    Spot,
-    SubpixelSettings,
-    TrackState,
-    measure,
-)
 
 _MIDDLE = TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2))
 _TRUTH = Truth(x=321.3, y=238.8, semi_major=66, semi_minor=60, angle=0.7)
@@ -50,7 +50,7 @@ def _measured(frame: np.ndarray, settings: SubpixelSettings | None = None) -> Sp
     return spot
 
 
-def _errors(make: Callable[[np.random.Generator], Scene], number: int) -> np.ndarray:
+def _errors(make: Callable[[np.random.Generator], Drawing], number: int) -> np.ndarray:
     """Errors of x, y, semi-major and semi-minor axis of as many frames, (number, 4)."""
     rng = np.random.default_rng(11)
     rows = []
@@ -62,13 +62,13 @@ def _errors(make: Callable[[np.random.Generator], Scene], number: int) -> np.nda
 
 @pytest.mark.parametrize("semi_minor", [20, 60, 150])
 def test_an_even_spot_is_measured_without_bias(semi_minor: float) -> None:
-    errors = _errors(lambda rng: Scene(truth=any_truth(rng, semi_minor)), 12)
+    errors = _errors(lambda rng: Drawing(truth=any_truth(rng, semi_minor)), 12)
     # The requirement; noise of 12 means is below 0.003 px.
     assert np.abs(errors.mean(axis=0)).max() < 0.02
 
 
 def test_noise_of_an_even_spot_is_within_twice_the_bound() -> None:
-    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60)), 40)
+    errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60)), 40)
     grey_noise = 3 * math.hypot(0.299, 0.587, 0.114)
     bound = grey_noise / 180 * math.sqrt(3 * 2 / (math.sqrt(math.pi) * 60))
     # A standard deviation of 40 samples is known to 11 %.
@@ -77,25 +77,25 @@ def test_noise_of_an_even_spot_is_within_twice_the_bound() -> None:
 
 @pytest.mark.parametrize("sigma", [1.0, 4.0, 8.0])
 def test_blur_does_not_move_the_contour(sigma: float) -> None:
-    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), profile=erf_edge(sigma)), 6)
+    errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60), profile=erf_edge(sigma)), 6)
     assert np.abs(errors.mean(axis=0)).max() < 0.1
 
 
 @pytest.mark.parametrize("amplitude", [90, 220])
 def test_exposure_does_not_move_the_contour(amplitude: float) -> None:
-    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), amplitude=amplitude), 6)
+    errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60), amplitude=amplitude), 6)
     assert np.abs(errors.mean(axis=0)).max() < 0.05
 
 
 @pytest.mark.parametrize("drop", [0.2, 0.4])
 def test_a_dome_is_measured_at_half_of_its_peak(drop: float) -> None:
-    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), profile=domed_edge(2, drop)), 6)
+    errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60), profile=domed_edge(2, drop)), 6)
     # The requirement. Half of the rim would lie 0.6 px further out already at a drop of 0.2.
     assert np.abs(errors[:, 2:].mean(axis=0)).max() < 0.1
 
 
 def test_a_bell_is_measured_at_half_of_its_peak() -> None:
-    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), profile=bell), 6)
+    errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60), profile=bell), 6)
     assert np.abs(errors[:, 2:]).max() < 0.003 * 66 + 3 * 0.05
 
 
@@ -109,7 +109,7 @@ def test_sigma_of_a_bell_covers_a_background_that_is_out_of_view(profile: Profil
     rng = np.random.default_rng(1)
     for semi_minor in (85, 95, 105):
         truth = Truth(x=320, y=240, semi_major=1.15 * semi_minor, semi_minor=semi_minor, angle=0.4)
-        spot = _measured(frame_of(Scene(truth=truth, profile=profile), rng))
+        spot = _measured(frame_of(Drawing(truth=truth, profile=profile), rng))
         assert abs(spot.semi_minor_px - semi_minor) < 2 * spot.sigma_semi_minor_px
         # In view is what lies within 2.3 to 3 radii, where such bells have 0 to 9 % left.
         assert spot.sigma_semi_minor_px < 0.03 * semi_minor
@@ -119,7 +119,7 @@ def test_sigma_of_a_bell_covers_a_background_that_is_out_of_view(profile: Profil
 def test_a_sloping_plateau_is_measured_at_half_of_its_highest_point(width: float) -> None:
     u = np.arange(SHAPE[1])
     slope = np.broadcast_to(1 + 0.1 * (u - _TRUTH.x) / _TRUTH.semi_major, SHAPE)
-    scene = Scene(truth=_TRUTH, profile=flank(width), lit=slope, amplitude=150)
+    scene = Drawing(truth=_TRUTH, profile=flank(width), lit=slope, amplitude=150)
     light = light_of(replace(scene, noise=0.0))[..., 0] - scene.ambient
     contour = max(find_contours(light, light.max() / 2), key=len)
     model = EllipseModel.from_estimate(contour[:, ::-1])
@@ -133,7 +133,7 @@ def test_a_sloping_plateau_is_measured_at_half_of_its_highest_point(width: float
 
 
 def test_texture_hardly_moves_the_contour() -> None:
-    errors = _errors(lambda rng: Scene(truth=any_truth(rng, 60), wall=any_wall(rng)), 15)
+    errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60), wall=any_wall(rng)), 15)
     # Three of the standard deviations of 0.05 px that the walls' vessels and disc cause.
     assert np.median(np.abs(errors[:, 3])) < 0.05
     assert np.abs(errors[:, 3]).max() < 0.4
@@ -143,7 +143,7 @@ def test_a_reference_frame_takes_the_texture_out() -> None:
     rng = np.random.default_rng(5)
     errors = []
     for _ in range(5):
-        scene = Scene(truth=any_truth(rng, 60), profile=bell, wall=any_wall(rng))
+        scene = Drawing(truth=any_truth(rng, 60), profile=bell, wall=any_wall(rng))
         dark = replace(scene, amplitude=0.0)
         reference = np.mean([frame_of(dark, rng) for _ in range(8)], axis=0)
         settings = SubpixelSettings(
@@ -157,20 +157,20 @@ def test_a_reference_frame_takes_the_texture_out() -> None:
 def test_a_reference_of_another_shape_is_refused() -> None:
     settings = SubpixelSettings(reference=np.ones((10, 10), np.uint8))
     with pytest.raises(ValueError, match=r"reference.*shape"):
-        measure(frame_of(Scene(truth=_TRUTH), np.random.default_rng(0)), _MIDDLE, settings)
+        measure(frame_of(Drawing(truth=_TRUTH), np.random.default_rng(0)), _MIDDLE, settings)
 
 
 def test_angle_is_from_right_towards_down() -> None:
     for angle in (-1.2, 0.3, 1.5):
         truth = replace(_TRUTH, angle=angle, semi_major=80)
-        spot = _measured(frame_of(Scene(truth=truth), np.random.default_rng(0)))
+        spot = _measured(frame_of(Drawing(truth=truth), np.random.default_rng(0)))
         # std of the angle: 0.005 px over the axes' difference of 20 px
         assert spot.angle_rad == pytest.approx(angle, abs=2e-3)
 
 
 def test_edge_width_is_the_blur() -> None:
     for sigma in (0.8, 1.5, 4.0):
-        scene = Scene(truth=_TRUTH, profile=erf_edge(sigma))
+        scene = Drawing(truth=_TRUTH, profile=erf_edge(sigma))
         spot = _measured(frame_of(scene, np.random.default_rng(0)))
         # Bilinear sampling (a triangle of variance 1/6) adds to the blur in quadrature. The width
         # is a mean over the contour's local scale, which differs by 10 %; noise: 1 %.
@@ -180,7 +180,7 @@ def test_edge_width_is_the_blur() -> None:
 
 @pytest.mark.parametrize("curve", ["srgb", "gamma"])
 def test_the_response_curve_is_taken_into_account(curve: str) -> None:
-    linear = light_of(Scene(truth=_TRUTH, profile=erf_edge(4.0), noise=0.0)) / 255
+    linear = light_of(Drawing(truth=_TRUTH, profile=erf_edge(4.0), noise=0.0)) / 255
     if curve == "srgb":
         encoded = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     else:
@@ -200,7 +200,7 @@ def test_the_response_curve_is_taken_into_account(curve: str) -> None:
 
 
 def test_integer_and_float_frames_agree() -> None:
-    image = light_of(Scene(truth=_TRUTH, noise=0.0))
+    image = light_of(Drawing(truth=_TRUTH, noise=0.0))
     spots = [
         _measured(np.rint(image).astype(np.uint8)),
         _measured(np.rint(image * 257).astype(np.uint16)),
@@ -216,7 +216,7 @@ def test_integer_and_float_frames_agree() -> None:
 
 def test_a_saturated_edge_is_measured_by_its_visible_flank_and_flagged() -> None:
     for amplitude in (300, 430):
-        scene = Scene(truth=_TRUTH, amplitude=amplitude)
+        scene = Drawing(truth=_TRUTH, amplitude=amplitude)
         spot = _measured(frame_of(scene, np.random.default_rng(1)))
         assert spot.saturated > 0.8
         assert np.abs(_TRUTH.errors(spot)).max() < 0.3
@@ -224,29 +224,29 @@ def test_a_saturated_edge_is_measured_by_its_visible_flank_and_flagged() -> None
 
 def test_one_unsaturated_channel_is_enough() -> None:
     wall = np.broadcast_to(np.array([1.0, 0.5, 0.25]), (*SHAPE, 3))
-    scene = Scene(truth=_TRUTH, amplitude=600, wall=wall)
+    scene = Drawing(truth=_TRUTH, amplitude=600, wall=wall)
     spot = _measured(frame_of(scene, np.random.default_rng(1)))
     assert spot.saturated == 0
     assert np.abs(_TRUTH.errors(spot)).max() < 0.05
 
 
 def test_a_spot_saturated_beyond_half_of_its_peak_is_refused() -> None:
-    scene = Scene(truth=_TRUTH, amplitude=900)
+    scene = Drawing(truth=_TRUTH, amplitude=900)
     result, _ = measure(frame_of(scene, np.random.default_rng(1)), _MIDDLE, SubpixelSettings())
     assert result == NoSpot(Reason.SATURATED)
 
 
 @pytest.mark.parametrize("reach", [0.6, -0.3, -3.0])
 def test_a_shaft_hides_contour_without_bending_it(reach: float) -> None:
-    def scene(rng: np.random.Generator) -> Scene:
-        return with_shaft(Scene(truth=any_truth(rng, 70)), rng, reach, 75)
+    def scene(rng: np.random.Generator) -> Drawing:
+        return with_shaft(Drawing(truth=any_truth(rng, 70)), rng, reach, 75)
 
     errors = _errors(scene, 8)
     assert math.sqrt((errors[:, 3] ** 2).mean()) < 0.15
 
 
 def test_coverage_is_the_visible_part_of_the_contour() -> None:
-    scene = Scene(truth=replace(_TRUTH, semi_major=60))
+    scene = Drawing(truth=replace(_TRUTH, semi_major=60))
     rng = np.random.default_rng(2)
     open_spot = _measured(frame_of(scene, rng))
     hidden = _measured(frame_of(with_shaft(scene, rng, 0.3, 75), rng))
@@ -258,11 +258,11 @@ def test_coverage_is_the_visible_part_of_the_contour() -> None:
 
 
 def test_a_quarter_in_shadow_and_glints_are_left_out() -> None:
-    def shadowed(rng: np.random.Generator) -> Scene:
-        return with_quarter_in_shadow(Scene(truth=any_truth(rng, 60)), rng)
+    def shadowed(rng: np.random.Generator) -> Drawing:
+        return with_quarter_in_shadow(Drawing(truth=any_truth(rng, 60)), rng)
 
-    def glaring(rng: np.random.Generator) -> Scene:
-        return with_glints(Scene(truth=any_truth(rng, 60)), rng, on_edge=True)
+    def glaring(rng: np.random.Generator) -> Drawing:
+        return with_glints(Drawing(truth=any_truth(rng, 60)), rng, on_edge=True)
 
     for make in (shadowed, glaring):
         errors = _errors(make, 8)
@@ -272,8 +272,8 @@ def test_a_quarter_in_shadow_and_glints_are_left_out() -> None:
 def test_a_reflex_that_outshines_the_spot_is_not_taken_for_it() -> None:
     rng = np.random.default_rng(4)
     wide = replace(_TRUTH, x=360.0, y=250.0, semi_major=150, semi_minor=140)
-    reflex = light_of(Scene(truth=wide, profile=bell, amplitude=150, noise=0.0))
-    spot = light_of(Scene(truth=_TRUTH, amplitude=40, ambient=0, noise=0.0))
+    reflex = light_of(Drawing(truth=wide, profile=bell, amplitude=150, noise=0.0))
+    spot = light_of(Drawing(truth=_TRUTH, amplitude=40, ambient=0, noise=0.0))
     frame = np.clip(np.rint(reflex + spot + rng.normal(0, 3, reflex.shape)), 0, 255)
     result, _ = measure(frame.astype(np.uint8), TrackState(), SubpixelSettings())
     assert result == NoSpot(Reason.AMBIGUOUS)
@@ -282,7 +282,9 @@ def test_a_reflex_that_outshines_the_spot_is_not_taken_for_it() -> None:
 def test_vessels_under_a_bell_are_no_reflex() -> None:
     rng = np.random.default_rng(6)
     for _ in range(8):
-        _measured(frame_of(Scene(truth=any_truth(rng, 60), profile=bell, wall=any_wall(rng)), rng))
+        _measured(
+            frame_of(Drawing(truth=any_truth(rng, 60), profile=bell, wall=any_wall(rng)), rng)
+        )
 
 
 @pytest.mark.parametrize("cut", [0, 4, 8, 12])
@@ -298,7 +300,7 @@ def test_half_a_disc_is_no_spot_of_half_its_size(cut: int) -> None:
 
 def test_less_than_half_of_the_contour_is_no_spot() -> None:
     rng = np.random.default_rng(3)
-    scene = Scene(truth=replace(_TRUTH, semi_minor=60, semi_major=60))
+    scene = Drawing(truth=replace(_TRUTH, semi_minor=60, semi_major=60))
     wide = with_shaft(scene, rng, -0.3, 130)
     result, _ = measure(frame_of(wide, rng), _MIDDLE, SubpixelSettings())
     assert result == NoSpot(Reason.OCCLUDED)
@@ -308,7 +310,7 @@ def test_less_than_half_of_the_contour_is_no_spot() -> None:
 
 
 def test_size_limits_are_reasons() -> None:
-    frame = frame_of(Scene(truth=_TRUTH), np.random.default_rng(0))
+    frame = frame_of(Drawing(truth=_TRUTH), np.random.default_rng(0))
     small, _ = measure(frame, _MIDDLE, SubpixelSettings(min_semi_minor_px=65))
     large, _ = measure(frame, _MIDDLE, SubpixelSettings(max_semi_major_px=50))
     assert small == NoSpot(Reason.TOO_SMALL)
@@ -324,7 +326,7 @@ def test_stated_covariance_is_that_of_the_errors(semi_minor: float, textured: bo
     for _ in range(_SEEDS):
         truth = any_truth(rng, semi_minor, axis_ratio=1.15)
         spot = _measured(
-            frame_of(Scene(truth=truth, wall=any_wall(rng) if textured else None), rng)
+            frame_of(Drawing(truth=truth, wall=any_wall(rng) if textured else None), rng)
         )
         error = np.array([*truth.errors(spot), _turn(spot.angle_rad - truth.angle)])
         chi_square.append(error @ np.linalg.solve(spot.covariance, error))
@@ -350,7 +352,7 @@ def test_lens_distortion_is_taken_out() -> None:
         distortion=np.array([-0.35, 0.1, 0, 0]),
     )
     truth = Truth(x=470, y=330, semi_major=66, semi_minor=60, angle=0.7)
-    ideal = light_of(Scene(truth=truth, noise=0.0)).astype(np.float32)
+    ideal = light_of(Drawing(truth=truth, noise=0.0)).astype(np.float32)
     # A pixel of the distorted camera sees what the ideal one sees at the undistorted place.
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
     places = camera.undistorted(np.stack([u.ravel(), v.ravel()], axis=1)).astype(np.float32)
@@ -370,7 +372,7 @@ def test_lens_distortion_is_taken_out() -> None:
 
 
 def test_both_modes_agree_where_the_threshold_is_the_half_level() -> None:
-    scene = Scene(truth=_TRUTH, amplitude=120, ambient=70, noise=1.0)
+    scene = Drawing(truth=_TRUTH, amplitude=120, ambient=70, noise=1.0)
     frame = frame_of(scene, np.random.default_rng(0))
     literal, _ = measure(frame, _MIDDLE, LiteralSettings(threshold=130))
     assert isinstance(literal, Spot)

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.bench.estimator_frames import SHAPE, Scene, Truth, any_wall, frame_of, with_shaft
 from benchmarks.bench.estimator_spotless import false_spots
 from estimator import (
     LiteralSettings,
@@ -23,9 +22,10 @@ from estimator import (
     measure,
     track,
 )
+from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of, with_shaft
 
 _TRUTH = Truth(x=330, y=230, semi_major=66, semi_minor=60, angle=0.3)
-_SCENE = Scene(truth=_TRUTH)
+_SCENE = Drawing(truth=_TRUTH)
 _NOTHING = replace(_SCENE, amplitude=0.0)
 
 
@@ -126,21 +126,21 @@ def test_a_tracked_spot_is_not_exchanged_for_a_brighter_one() -> None:
     assert all(_near(result, left) for result in results)
 
 
-def _shafted(scene: Scene, rng: np.random.Generator) -> Scene:
+def _shafted(scene: Drawing, rng: np.random.Generator) -> Drawing:
     return with_shaft(scene, rng, 0.3, 75)
 
 
-def _textured(scene: Scene, rng: np.random.Generator) -> Scene:
+def _textured(scene: Drawing, rng: np.random.Generator) -> Drawing:
     return replace(scene, wall=any_wall(rng))
 
 
-def _red(scene: Scene, rng: np.random.Generator) -> Scene:
+def _red(scene: Drawing, rng: np.random.Generator) -> Drawing:
     """Red is saturated, blue is not."""
     wall = np.broadcast_to(np.array([1.0, 0.6, 0.5]), (*SHAPE, 3))
     return replace(scene, wall=wall, amplitude=1.7 * 255 - 15)
 
 
-_KINDS: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
+_KINDS: dict[str, Callable[[Drawing, np.random.Generator], Drawing]] = {
     "even": lambda scene, rng: scene,
     "retina": _textured,
     "saturated": lambda scene, rng: replace(scene, amplitude=430.0),

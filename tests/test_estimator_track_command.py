@@ -18,7 +18,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import eyespot
-from benchmarks.bench.estimator_frames import Scene, Truth, frame_of
 from estimator import (
     FrameLabels,
     LiteralSettings,
@@ -41,6 +40,7 @@ from estimator.image.camera import Camera
 from estimator.run.overlay import annotated
 from estimator.sources import write_bag
 from estimator.sources.source import Frame
+from scenes.drawn import Drawing, Truth, frame_of
 
 EYESPOT = Path(sys.executable).with_name("eyespot")
 SHAPE = (160, 200)
@@ -76,7 +76,7 @@ def truth(k: int) -> Truth:
 @pytest.fixture(scope="module")
 def images() -> list[np.ndarray]:
     rng = np.random.default_rng(0)
-    scenes = [Scene(truth=truth(k), amplitude=0.0 if k == GONE else 180.0) for k in range(8)]
+    scenes = [Drawing(truth=truth(k), amplitude=0.0 if k == GONE else 180.0) for k in range(8)]
     return [frame_of(scene, rng, SHAPE) for scene in scenes]
 
 

@@ -8,8 +8,6 @@ dataset_speed       How fast labelled sets are made: workers beside one process,
                     beside one
 estimator_accuracy  Figures of the estimator, each beside the one asked, on ground truth that is
                     made here
-estimator_beams     Light of a glue lens as a profile for synthetic frames
-estimator_frames    Frames with spots that are known exactly: the estimator's ground truth
 estimator_lines     The frames on which the estimator is judged, and the figures asked of it there
 estimator_methods   What is compared: both modes of the estimator, and peers on the same crops
 estimator_pupil     The peer `pupil-detectors` in an environment of its own: it pulls in another
@@ -27,7 +25,6 @@ geometry_speed      A million exact spots (128-point contour, ellipse, distance)
                     inverse takes
 image_fit           Figures of the fit to all pixels, on rendered stacks whose labels it does not
                     read
-optics_figures      The figures of docs/optics.md: `python -m benchmarks.bench.optics_figures`
                     draws them
 photon_fit          A lens fitted through its own glass: photons behind the bridge, Levenberg-
                     Marquardt in front

@@ -22,7 +22,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
-from benchmarks.bench.estimator_frames import SHAPE, Scene, Truth, frame_of
 from benchmarks.bench.estimator_lines import Line, cramer_rao_bound, lines
 from benchmarks.bench.estimator_methods import METHODS, View, available
 from benchmarks.bench.estimator_pupil import PACKAGE, why_unavailable
@@ -30,6 +29,7 @@ from benchmarks.bench.estimator_renders import ASKED, RENDERS, rendered
 from benchmarks.bench.estimator_speed import Times, frame_times
 from benchmarks.bench.estimator_spotless import false_spots, frames_until_found
 from estimator.image import GREY_WEIGHTS
+from scenes.drawn import SHAPE, Drawing, Truth, frame_of
 
 _WRONG_PX = 0.5  # error that must not go without a flag
 _FRAMES, _FRAMES_FULL = 20, 200
@@ -116,7 +116,7 @@ def _views(name: str, number: int, rng: np.random.Generator) -> Iterator[tuple[V
         yield View(image, at, _half_level(scene), reference), scene.truth
 
 
-def _half_level(scene: Scene) -> float:
+def _half_level(scene: Drawing) -> float:
     wall = 1.0 if scene.wall is None else float(scene.wall.mean(axis=(0, 1)) @ GREY_WEIGHTS)
     return wall * (scene.ambient + scene.amplitude / 2)
 

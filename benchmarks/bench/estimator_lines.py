@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.bench.estimator_beams import lens_profile
-from benchmarks.bench.estimator_frames import (
+from scenes.drawn import (
+    Drawing,
     Profile,
-    Scene,
     any_truth,
     any_wall,
     bell,
@@ -19,12 +18,13 @@ from benchmarks.bench.estimator_frames import (
     erf_edge,
     flank,
     frame_of,
+    lens_profile,
     with_glints,
     with_quarter_in_shadow,
     with_shaft,
 )
 
-Make = Callable[[np.random.Generator], Scene]
+Make = Callable[[np.random.Generator], Drawing]
 
 SIZES = (20, 40, 60, 100, 150)
 _SHAFT_PX = 75.0
@@ -53,7 +53,7 @@ class Line:
     reference: bool = False
     blur_px: float | None = None
 
-    def reference_of(self, scene: Scene, rng: np.random.Generator) -> np.ndarray | None:
+    def reference_of(self, scene: Drawing, rng: np.random.Generator) -> np.ndarray | None:
         """The mean of some frames without the spot."""
         if not self.reference:
             return None
@@ -62,7 +62,7 @@ class Line:
         return np.rint(mean).astype(np.uint8)
 
 
-def cramer_rao_bound(semi_minor: float, blur_px: float, scene: Scene) -> float:
+def cramer_rao_bound(semi_minor: float, blur_px: float, scene: Drawing) -> float:
     """Least standard deviation (px) of the semi-minor axis of a near-circle on an even wall.
 
     (s / D) sqrt(3 w / (sqrt(pi) B)) with the grey mean's noise s, the step D, the edge's blur w and
@@ -103,7 +103,7 @@ def lines() -> dict[str, Line]:
 
 
 def _even(semi_minor: float, **changes: object) -> Make:
-    return lambda rng: replace(Scene(truth=any_truth(rng, semi_minor)), **changes)  # type: ignore[arg-type]
+    return lambda rng: replace(Drawing(truth=any_truth(rng, semi_minor)), **changes)  # type: ignore[arg-type]
 
 
 def _retina(semi_minor: float, **changes: object) -> Make:
@@ -130,7 +130,7 @@ def _bell_lines(name: str, profile: Profile) -> dict[str, Line]:
 
 
 def _saturated() -> dict[str, Line]:
-    def coloured(rng: np.random.Generator) -> Scene:
+    def coloured(rng: np.random.Generator) -> Drawing:
         wall = np.broadcast_to(np.array([1.0, 0.6, 0.5]), (480, 640, 3))
         return replace(_even(60, amplitude=1.7 * 255 - 15)(rng), wall=wall)
 
@@ -153,13 +153,13 @@ def _adverse() -> dict[str, Line]:
     def shafted(reach: float) -> Make:
         return lambda rng: with_shaft(_retina(80)(rng), rng, reach, _SHAFT_PX)
 
-    def shadowed(rng: np.random.Generator) -> Scene:
+    def shadowed(rng: np.random.Generator) -> Drawing:
         return with_quarter_in_shadow(_retina(60)(rng), rng)
 
     def glinting(on_edge: bool) -> Make:
         return lambda rng: with_glints(_retina(60)(rng), rng, on_edge=on_edge)
 
-    def clipped(rng: np.random.Generator) -> Scene:
+    def clipped(rng: np.random.Generator) -> Drawing:
         scene = _retina(60)(rng)
         return replace(scene, truth=replace(scene.truth, x=0.4 * scene.truth.semi_minor))
 
@@ -179,7 +179,7 @@ def _adverse() -> dict[str, Line]:
 
 
 def _moving(make: Make) -> Make:
-    def moving(rng: np.random.Generator) -> Scene:
+    def moving(rng: np.random.Generator) -> Drawing:
         scene, heading = make(rng), rng.uniform(0, 2 * math.pi)
         length = scene.truth.semi_minor
         return replace(scene, path_px=(length * math.cos(heading), length * math.sin(heading)))

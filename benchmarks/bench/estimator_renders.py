@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.bench.estimator_frames import Truth
 from benchmarks.bench.estimator_lines import CLEAN
 from benchmarks.bench.estimator_methods import View
+from scenes.drawn import Truth
 
 RENDERS = {"rendered cone, incidence 30°": 30.0, "rendered cone behind its shaft, 12°": 12.0}
 """Incidence of the beam (deg) by the name of the line."""

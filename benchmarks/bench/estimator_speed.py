@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.bench.estimator_frames import SHAPE, Scene, Truth, any_wall, frame_of
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
+from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
 
 _WARM = 20
 _JUMP_EVERY = 50  # frames; a jump is a loss, and what follows a recovery
@@ -38,7 +38,7 @@ def frame_times(number: int) -> list[Times]:
             here = Truth(x=230, y=230, semi_major=66, semi_minor=60, angle=0.5)
             ways = [
                 [
-                    frame_of(Scene(truth=start.moved(*step), wall=wall), rng, shape)
+                    frame_of(Drawing(truth=start.moved(*step), wall=wall), rng, shape)
                     for step in _STEPS_PX
                 ]
                 for start in (here, here.moved(_JUMP_PX, 0))

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.bench.estimator_frames import (
+from estimator import NoSpot, Reason, Spot, SubpixelSettings, TrackState, measure
+from scenes.drawn import (
     SHAPE,
-    Scene,
+    Drawing,
     Truth,
     any_truth,
     any_wall,
@@ -16,7 +17,6 @@ from benchmarks.bench.estimator_frames import (
     with_glints,
     with_shaft,
 )
-from estimator import NoSpot, Reason, Spot, SubpixelSettings, TrackState, measure
 
 _LOST_FRAMES = 3
 _LONGEST = 10  # frames within which a spot is found or never
@@ -24,7 +24,7 @@ _LONGEST = 10  # frames within which a spot is found or never
 
 def spotless_frame(rng: np.random.Generator) -> np.ndarray:
     """A retina under any ambient light, with glints or a shaft or neither, and no spot."""
-    scene = Scene(
+    scene = Drawing(
         truth=any_truth(rng, 60),
         amplitude=0.0,
         ambient=rng.uniform(3, 180),
@@ -57,7 +57,7 @@ def frames_until_found(number: int, seed: int) -> list[int]:
     counts = []
     for _ in range(number):
         wall, first = any_wall(rng), any_truth(rng, rng.uniform(30, 90))
-        scene = Scene(truth=first, wall=wall)
+        scene = Drawing(truth=first, wall=wall)
         state = TrackState()
         dark = [replace(scene, amplitude=0.0)] * _LOST_FRAMES
         for shown in (scene, scene, *dark):

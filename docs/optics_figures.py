@@ -1,4 +1,4 @@
-"""The figures of docs/optics.md: `python -m benchmarks.bench.optics_figures` draws them."""
+"""The figures of docs/optics.md: `python docs/optics_figures.py` draws them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from benchmarks.studies.validate import (
     VERMILION,
 )
 
-_FOLDER = Path(__file__).resolve().parents[2] / "docs" / "optics"
+_FOLDER = Path(__file__).resolve().parent / "optics"
 _WIDTH_IN = 8.0
 _MEDIA = {medium: optics.MEDIA[medium] for medium in ("air", "vitreous")}
 _EYE, _K, _APEX = 11.5, 20.0, -5.117

@@ -1,0 +1,17 @@
+from .drawing import SHAPE as SHAPE
+from .drawing import Drawing as Drawing
+from .drawing import Truth as Truth
+from .drawing import frame_of as frame_of
+from .drawing import light_of as light_of
+from .ingredients import any_truth as any_truth
+from .ingredients import any_wall as any_wall
+from .ingredients import behind_shaft as behind_shaft
+from .ingredients import with_glints as with_glints
+from .ingredients import with_quarter_in_shadow as with_quarter_in_shadow
+from .ingredients import with_shaft as with_shaft
+from .profiles import Profile as Profile
+from .profiles import bell as bell
+from .profiles import domed_edge as domed_edge
+from .profiles import erf_edge as erf_edge
+from .profiles import flank as flank
+from .profiles import lens_profile as lens_profile

@@ -1,0 +1,148 @@
+"""Frames with spots that are known exactly: the estimator's ground truth.
+
+A frame is what a camera would give of wall * (light + ambient), seen past what is in the way. The
+truth is the ellipse on which the light, without the wall's texture, is half of its peak.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from scenes.drawn.profiles import Profile, erf_edge
+
+SHAPE = (480, 640)
+
+_SHAFT_LEVEL = 5.0
+_SOFT_DISC = erf_edge(2.0)
+
+
+class MeasuredEllipse(Protocol):
+    """What an estimator measured, such as `estimator.Spot`: centre and semi-axes, px."""
+
+    @property
+    def x_px(self) -> float:
+        """Centre, u."""
+
+    @property
+    def y_px(self) -> float:
+        """Centre, v."""
+
+    @property
+    def semi_major_px(self) -> float:
+        """Longer semi-axis."""
+
+    @property
+    def semi_minor_px(self) -> float:
+        """Shorter semi-axis."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """A spot's half-maximum ellipse, px and rad."""
+
+    x: float
+    y: float
+    semi_major: float
+    semi_minor: float
+    angle: float = 0.0
+
+    def moved(self, dx: float, dy: float) -> Truth:
+        """The same ellipse elsewhere."""
+        return replace(self, x=self.x + dx, y=self.y + dy)
+
+    def errors(self, spot: MeasuredEllipse) -> tuple[float, float, float, float]:
+        """Estimate less truth of x, y, semi-major and semi-minor axis, px."""
+        return (
+            spot.x_px - self.x,
+            spot.y_px - self.y,
+            spot.semi_major_px - self.semi_major,
+            spot.semi_minor_px - self.semi_minor,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drawing:
+    """What a synthetic frame shows; levels are of the brightest channel, full scale 255.
+
+    Attributes:
+        truth: the spot's ellipse.
+        profile: of its light.
+        amplitude: of the light at its peak on the mean wall.
+        ambient: light everywhere, on the mean wall.
+        noise: standard deviation of each channel's value.
+        wall: (H, W, 3) reflectance, 1 on average in the brightest channel; None for an even wall.
+        lit: (H, W) part of the spot's light that arrives, 1 without a shadow.
+        seen: (H, W) part of the wall that is seen, 1 without a shaft.
+        glints: (H, W) light that is added to every channel.
+        path_px: (x, y) of the straight way that the spot moves during the exposure, evenly; the
+            truth is the ellipse in the middle of it.
+    """
+
+    truth: Truth
+    profile: Profile = _SOFT_DISC
+    amplitude: float = 180.0
+    ambient: float = 15.0
+    noise: float = 3.0
+    wall: np.ndarray | None = None
+    lit: np.ndarray | None = None
+    seen: np.ndarray | None = None
+    glints: np.ndarray | None = None
+    path_px: tuple[float, float] | None = None
+
+
+def light_of(drawing: Drawing, shape: tuple[int, int] = SHAPE) -> np.ndarray:
+    """Noise-free values of the three channels, neither clipped nor rounded, (H, W, 3)."""
+    if drawing.amplitude == 0:
+        spot = np.zeros(shape)
+    else:
+        spot = drawing.amplitude * drawing.profile(*_radius_and_distance(drawing.truth, shape))
+    if drawing.path_px is not None:
+        spot = _moved(spot, *drawing.path_px)
+    if drawing.lit is not None:
+        spot = spot * drawing.lit
+    image = np.repeat((spot + drawing.ambient)[..., None], 3, axis=2)
+    if drawing.wall is not None:
+        image *= drawing.wall
+    if drawing.seen is not None:
+        image = _SHAFT_LEVEL + (image - _SHAFT_LEVEL) * drawing.seen[..., None]
+    if drawing.glints is not None:
+        image += drawing.glints[..., None]
+    return image
+
+
+def frame_of(
+    drawing: Drawing, rng: np.random.Generator, shape: tuple[int, int] = SHAPE
+) -> np.ndarray:
+    """The camera's 8-bit RGB frame."""
+    image = light_of(drawing, shape)
+    noise = rng.standard_normal(image.shape, dtype=np.float32)
+    noise *= drawing.noise
+    image += noise
+    np.clip(np.rint(image, out=image), 0, 255, out=image)
+    return image.astype(np.uint8)
+
+
+def _radius_and_distance(truth: Truth, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Elliptical radius and signed distance; the latter is exact to first order at the contour."""
+    v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
+    c, s = math.cos(truth.angle), math.sin(truth.angle)
+    x = ((u - truth.x) * c + (v - truth.y) * s) / truth.semi_major
+    y = ((v - truth.y) * c - (u - truth.x) * s) / truth.semi_minor
+    t = np.maximum(np.hypot(x, y), 1e-9)
+    gradient = np.hypot(x / truth.semi_major, y / truth.semi_minor) / t
+    return t, (t - 1) / np.maximum(gradient, 1e-9)
+
+
+def _moved(light: np.ndarray, x: float, y: float) -> np.ndarray:
+    """Mean over a straight path about the middle: a box, which is a sinc in the spectrum.
+
+    Exact for what the pixels resolve; the light must not reach the image's border.
+    """
+    along_y = np.fft.fftfreq(light.shape[0])[:, None] * y
+    along_x = np.fft.rfftfreq(light.shape[1]) * x
+    spectrum = np.fft.rfft2(light) * np.sinc(along_x + along_y)
+    return np.fft.irfft2(spectrum, s=light.shape)
