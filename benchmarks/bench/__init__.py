@@ -25,7 +25,6 @@ geometry_speed      A million exact spots (128-point contour, ellipse, distance)
                     inverse takes
 image_fit           Figures of the fit to all pixels, on rendered stacks whose labels it does not
                     read
-                    draws them
 photon_fit          A lens fitted through its own glass: photons behind the bridge, Levenberg-
                     Marquardt in front
 render_speed        How fast frames are made: from scene to disk, and beside the usual ways to
