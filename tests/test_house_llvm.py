@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
 
 import pytest
-from pydantic_core import _pydantic_core
 
 from scenes.machine.llvm import ENVIRONMENT_VARIABLE, Llvm, NoLlvm, find_llvm
 
@@ -100,7 +100,9 @@ def test_a_file_that_is_no_library_is_refused_in_the_words_of_the_loader(tmp_pat
 
 def test_a_library_that_cannot_tell_its_version_counts_as_too_old(tmp_path):
     # An extension module is a library that loads and has no LLVMGetVersion, like LLVM 15.
-    (tmp_path / "libLLVM.so").symlink_to(_pydantic_core.__file__)
+    extension = importlib.util.find_spec("_ctypes")
+    assert extension is not None and extension.origin is not None
+    (tmp_path / "libLLVM.so").symlink_to(extension.origin)
     assert "older than LLVM 16" in find_in(tmp_path).refused[0].reason
 
 

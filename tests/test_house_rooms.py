@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
@@ -132,3 +134,10 @@ def test_the_map_of_a_room_is_true(room):
         or (entry.is_dir() and (entry / "__init__.py").exists())
     }
     assert mapped == there
+
+
+def test_every_import_is_declared_and_every_dependency_is_used():
+    found = subprocess.run(
+        [sys.executable, "-m", "deptry", "."], cwd=HOME, capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 0, found.stderr
