@@ -6,7 +6,8 @@ import pytest
 from estimator.detector.censored import hidden_edge
 from estimator.detector.ellipse import Ellipse
 from estimator.detector.levels import Levels
-from estimator.detector.unwrap import RAYS, Patch
+from estimator.detector.tuning import RAYS
+from estimator.detector.unwrap import Patch
 
 
 @pytest.mark.parametrize(("radius", "grey"), [(9.5, 0.3), (11.75, 0.85), (13.5, 0.85)])

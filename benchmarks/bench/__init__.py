@@ -17,6 +17,7 @@ estimator_renders   Frames rendered by Mitsuba, with the labels that their scene
 estimator_speed     Time of a frame, both modes on the same frames in the same run
 estimator_spotless  Frames without a spot: how often one is seen, and how soon a lost spot is
                     found again
+estimator_tuning    What 20 % more or less of each constant of the detector changes
 fit_speed           A thousand of the paper's fits as one batch, beside SciPy and NumPy one after
                     the other
 frame_pose          Tip and axis from single rendered frames by all their pixels: a cone's, and a

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.bench.estimator_pupil import PupilDetector, why_unavailable
 from estimator import LiteralSettings, Spot, SubpixelSettings, TrackState, measure
-from estimator.detector import EdgeFit, Region, contour_points, regions_in
+from estimator.detector import EdgeFit, Region, contour_of, contour_points, regions_in
 from estimator.image import Window
 
 CROP_PX = 200
@@ -75,7 +75,7 @@ def ellipse_on_edges(view: View) -> Measured:
     """scikit-image's EllipseModel through our edge points, those that we trim included."""
     window = Window.around(*view.at, CROP_PX, CROP_PX, view.image)
     for region in regions_in(view.image, window, _settings(view)):
-        fit = region.contour() if isinstance(region, Region) else None
+        fit = contour_of(region) if isinstance(region, Region) else None
         if isinstance(fit, EdgeFit):
             return _ellipse_model(contour_points(fit.ellipse, fit.offsets)[fit.found])
     return _MISSED

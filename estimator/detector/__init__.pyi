@@ -1,3 +1,4 @@
+from .contour import contour_of as contour_of
 from .edges import EdgeFit as EdgeFit
 from .ellipse import Ellipse as Ellipse
 from .literal import LiteralSettings as LiteralSettings

@@ -1,4 +1,4 @@
-"""A band of profiles along a contour: the mean profile, each ray's shift against it."""
+"""A band of profiles along a contour: the mean profile, and each ray's shift against it."""
 
 from __future__ import annotations
 
@@ -11,22 +11,9 @@ import numpy as np
 
 from estimator.detector.ellipse import Ellipse
 from estimator.detector.levels import Levels
+from estimator.detector.tuning import Rays, Refine
 from estimator.detector.unwrap import DESIGN, Patch, ring_variances
 
-FURTHEST = 0.1
-"""Largest error, in units of the radius, of a sharp edge that belongs to an ellipse."""
-
-LONG_WAVES = slice(4, 13)
-"""Harmonics of the contour by which an ellipse's errors are told.
-
-An ellipse has 0 to 2, and the outline of a round beam on a curved wall the third, which is shape.
-"""
-
-_SAMPLING = 0.7  # px between samples
-_SHORT_WAVES = slice(25, 73)  # harmonics at which noise exceeds texture ...
-_NOISE_AT_MOST = 6.0  # ... and its ratio of long to short waves, as rays share pixels
-_FEWEST = 8  # rays that make a mean profile
-_INTERPOLATED = 1 / 6  # px^2, variance of the blur that linear interpolation makes on average
 _CUBIC = np.arange(4)
 
 
@@ -37,12 +24,12 @@ class Refined:
     Attributes:
         ellipse: px.
         move: how far the contour moved at most, units of the radius.
-        size_variance: of the contour's common offset, beyond what the offsets' scatter shows.
-        levels: sharpened by what the refinement saw.
+        size_variance: of the contour's common offset, in addition to the scatter of the offsets.
+        levels: improved by the refinement.
         offsets: (RAYS,) radial distance of each ray's edge from the ellipse, units of the radius.
         found: (RAYS,) rays with an edge.
         inliers: (RAYS,) rays whose edge belongs to the ellipse.
-        band: that showed them.
+        band: from which they were measured.
     """
 
     ellipse: Ellipse
@@ -63,9 +50,9 @@ class Band:
         ellipse: px.
         from_edge: (n,) radius offsets of the samples, units of the radius.
         profiles: (RAYS, n) signal; 0 on rays that leave the frame.
-        whole: (RAYS,) rays that do not.
+        whole: (RAYS,) rays that stay in the frame.
         inside: (RAYS,) rays whose contour point lies in the frame.
-        inliers: (RAYS,) rays that make the mean profile.
+        inliers: (RAYS,) rays of which the mean profile is made.
         mean: (n,) mean profile.
         slope: (n,) its derivative.
     """
@@ -83,8 +70,9 @@ class Band:
     def along(
         cls, patch: Patch, ellipse: Ellipse, inliers: np.ndarray, reach: float
     ) -> Band | None:
-        """The band that reaches so far (radii) on either side; None with too few rays in it."""
-        side = min(max(int(reach * ellipse.axes()[1] / _SAMPLING), 5), 16)
+        """The band that reaches so far (radii) on either side; None if too few rays lie in it."""
+        side = int(reach * ellipse.axes()[1] / Refine.SAMPLING_PX)
+        side = min(max(side, Refine.FEWEST_SAMPLES), Refine.MOST_SAMPLES)
         from_edge = np.arange(-side, side + 1) * (reach / side)
         profiles = patch.unwrapped(ellipse, 1 + from_edge)
         if patch.holds(ellipse.scaled(1 + reach)):
@@ -95,7 +83,7 @@ class Band:
             profiles = np.nan_to_num(profiles, nan=0.0)
             inliers = inliers & whole
         number = np.count_nonzero(inliers)
-        if number < _FEWEST:
+        if number < Rays.FEWEST:
             return None
         mean = inliers.astype(np.float32) @ profiles / np.float32(number)
         slope = _derivative(mean, reach / side)
@@ -114,20 +102,22 @@ class Band:
 
     @property
     def texture(self) -> float:
-        """Part of the rays' uneven brightness that is the wall's, not noise."""
-        long, short = ring_variances(self.inliers * (self.gain - 1), LONG_WAVES, _SHORT_WAVES)
-        return max(0.0, 1 - _NOISE_AT_MOST * short / max(long, 1e-30))
+        """Part of the variance of the rays' brightness that is the wall's texture, not noise."""
+        long, short = ring_variances(
+            self.inliers * (self.gain - 1), Refine.LONG_WAVES, Refine.SHORT_WAVES
+        )
+        return max(0.0, 1 - Refine.NOISE_AT_MOST * short / max(long, 1e-30))
 
     def shifts(self, disturbances: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Outward shift of each ray's profile against the mean, and the variance left, (RAYS,).
 
-        A ray differs from the mean by its shift, times minus the slope, and by disturbances. These
-        are random with the variances that the rays show beyond the noise, and the shift is
-        estimated by generalised least squares (Aitken 1935): its signature counts as far as the
-        disturbances, in the strength in which they occur, do not imitate it.
+        A ray differs from the mean by -slope * shift, by disturbances and by noise. The
+        disturbances are random, with the variances that the rays show beyond the noise. The shift
+        is estimated by generalised least squares (Aitken 1935): the more a disturbance of its
+        actual strength resembles a shift, the less that part of a profile counts.
 
         Args:
-            disturbances: (n,) each.
+            disturbances: profiles, (n,) each.
         """
         residual = self.profiles - self.mean
         basis = np.array([*disturbances, -self.slope], float).T
@@ -148,7 +138,7 @@ class Band:
         return parts @ (filtered / (filtered @ pure)), rough
 
     def half_crossing(self, level: float, span: float) -> float | None:
-        """Offset at which the mean profile falls to a level, by a cubic through so wide a part."""
+        """Offset where the mean profile falls to a level, by a cubic over `span` on either side."""
         from_edge, heights = self.from_edge, self.mean.tolist()
         falls = [k for k in range(len(heights) - 1) if heights[k] >= level > heights[k + 1]]
         if not falls:
@@ -157,20 +147,20 @@ class Band:
         spacing = float(from_edge[1] - from_edge[0])
         share = (heights[k] - level) / (heights[k] - heights[k + 1])
         middle = float(from_edge[k]) + spacing * share
-        span = max(span, 2.6 * spacing)
+        span = max(span, Refine.NARROWEST_CUBIC * spacing)
         first = max(math.ceil((middle - span) / spacing) + len(heights) // 2, 0)
         last = math.floor((middle + span) / spacing) + len(heights) // 2 + 1
         x = ((from_edge[first:last] - middle) / span)[:, None]
-        if len(x) < 5:
+        if len(x) < Refine.FEWEST_SAMPLES:
             return None
-        # A weight that ends smoothly: no sample joins or leaves with a jump of the result.
+        # The weight ends smoothly, so that a sample that enters or leaves moves nothing abruptly.
         weight = 1 - x * x
         rise = (self.mean[first:last, None] - level) * weight
         _, cubic = cv2.solve(x**_CUBIC * weight, rise, flags=cv2.DECOMP_QR)
         c0, c1, c2, c3 = cubic[:, 0].tolist()
-        # What interpolation blurred: half its variance times the Laplacian is taken off.
+        # Undo the blur by interpolation: subtract half its variance times the Laplacian.
         semi_major, semi_minor, _ = self.ellipse.axes()
-        half_blur = _INTERPOLATED / (2 * span**2 * semi_major * semi_minor)
+        half_blur = Refine.INTERPOLATION_PX2 / (2 * span**2 * semi_major * semi_minor)
         c0 -= half_blur * (2 * c2 + span * c1)
         c1 -= half_blur * (6 * c3 + span * 2 * c2)
         c2 -= half_blur * span * 3 * c3
@@ -199,8 +189,8 @@ class Band:
     ) -> Refined:
         """The ellipse moved by a fitted step (see `robust_step`) and to the half level's offset.
 
-        All of the contour moves with the half level, by sqrt(pi / 2) widths for a relative unit, so
-        that the variance of peak and background is the size's.
+        The whole contour moves with the half level, by sqrt(pi / 2) widths for a relative change
+        of 1, so the variance of peak and background adds to the variance of the size.
         """
         step, inliers = fitted
         level_variance = math.pi / 2 * levels.width**2 * (levels.variance + levels.tail**2 / 4)
@@ -230,8 +220,8 @@ def _derivative(values: np.ndarray, spacing: float) -> np.ndarray:
 def _differences(number: int) -> np.ndarray:
     """Compact differences of fourth order (Lele 1992), as a matrix for samples at unit spacing.
 
-    A sharp edge takes three samples. Central differences would show it 20 % less steep, and shifts
-    and their errors that much larger.
+    A sharp edge is three samples wide. Central differences would make it 20 % less steep, and
+    shifts and their errors 20 % larger.
     """
     implicit = np.eye(number) + (np.eye(number, k=1) + np.eye(number, k=-1)) / 4
     explicit = 0.75 * (np.eye(number, k=1) - np.eye(number, k=-1))

@@ -1,4 +1,4 @@
-"""The edge of a saturated spot, from the part of its flank that is not at full scale."""
+"""The edge of a saturated spot, from the part of its flank that is below full scale."""
 
 from __future__ import annotations
 
@@ -9,16 +9,8 @@ import numpy as np
 
 from estimator.detector.ellipse import Ellipse
 from estimator.detector.levels import Levels
-from estimator.detector.unwrap import RAYS, Patch
-
-READABLE = 0.95
-"""Part of full scale up to which noise does not reach it and a mean value can be believed."""
-
-_BRIGHTEST = 2 * READABLE  # times full scale: peak of which half can be read
-_VAGUEST = 0.02  # standard error, radii, of an edge that is seen at all
-_BIN_PX = 0.25
-_STEPS = 25
-_SMALLEST_STEP = 1e-5
+from estimator.detector.tuning import RAYS, Saturated
+from estimator.detector.unwrap import Patch
 
 
 def hidden_edge(
@@ -34,30 +26,30 @@ def hidden_edge(
     Args:
         patch: signal round the spot.
         ellipse: about which the contour is averaged.
-        inliers: rays that see it.
+        inliers: rays that show it.
         levels: of the spot, the peak unknown.
         reach: of the profile, units of the radius.
 
     Returns:
-        None where the flank does not show half of the peak.
+        None if the flank below full scale does not contain half of the peak.
     """
     x, mean, number = _pixel_profile(patch, ellipse, inliers, reach)
-    bright = np.flatnonzero(mean > READABLE * patch.ceiling)
+    bright = np.flatnonzero(mean > Saturated.READABLE * patch.ceiling)
     first = int(bright[-1]) + 1 if bright.size else 0
     x, y = x[first:], (mean[first:] - levels.background) / patch.ceiling
     root = np.sqrt(number[first:])
-    if x.size < 8:
+    if x.size < Saturated.FEWEST_BINS:
         return None
     start = np.array([math.log(1.4), float(x[0]), math.log(levels.width)])
     try:
         fitted, covariance = _flank(start, x, y, root)
-    except np.linalg.LinAlgError:  # too little of the flank to tell height, place and width apart
+    except np.linalg.LinAlgError:  # too little of the flank to separate height, place and width
         return None
     peak, variance = (
         levels.background + patch.ceiling * math.exp(fitted[0]),
         float(covariance[1, 1]),
     )
-    if not (peak < _BRIGHTEST * patch.ceiling and 0 <= variance < _VAGUEST**2):
+    if not (peak < Saturated.BRIGHTEST * patch.ceiling and 0 <= variance < Saturated.VAGUEST**2):
         return None
     return replace(levels, peak=peak, width=math.exp(fitted[2])), float(fitted[1]), variance
 
@@ -73,7 +65,7 @@ def _flank(
     fitted = start
     residual, jacobian = _linearised(fitted, x, y, root)
     damping = 1e-3
-    for _ in range(_STEPS):
+    for _ in range(Saturated.STEPS):
         gram = jacobian.T @ jacobian
         gram.flat[::4] *= 1 + damping
         step = np.clip(np.linalg.solve(gram, jacobian.T @ residual), -0.5, 0.5)
@@ -83,7 +75,7 @@ def _flank(
             damping /= 4
         else:
             damping *= 8
-        if np.abs(step).max() < _SMALLEST_STEP:
+        if np.abs(step).max() < Saturated.SMALLEST_STEP:
             break
     noise = float(residual @ residual) / (x.size - 3)
     return fitted, noise * np.linalg.inv(jacobian.T @ jacobian)
@@ -103,7 +95,7 @@ def _pixel_profile(
     band = np.abs(offset) < reach
     ray = np.rint(np.arctan2(sin[band], cos[band]) * (RAYS / (2 * math.pi))).astype(int) % RAYS
     offset, signal = offset[band][inliers[ray]], patch.signal[band][inliers[ray]]
-    bins = max(int(2 * reach * ellipse.axes()[1] / _BIN_PX), 8)
+    bins = max(int(2 * reach * ellipse.axes()[1] / Saturated.BIN_PX), Saturated.FEWEST_BINS)
     index = np.minimum(((offset + reach) * (bins / (2 * reach))).astype(int), bins - 1)
     number = np.bincount(index, minlength=bins)
     sums = np.bincount(index, offset, bins), np.bincount(index, signal, bins)

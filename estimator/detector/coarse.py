@@ -1,4 +1,4 @@
-"""Bright regions of a subsampled window, and the ellipses that they may be parts of."""
+"""Bright regions of a subsampled window, and the ellipses of which they may be parts."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ import cv2
 import numpy as np
 
 from estimator.detector.ellipse import Ellipse
-
-_PEELS = 4  # regions sought in one window
-_FAINTEST_STEP = 4  # levels of 255 between peak and background that are not noise
-_SMALLEST_PIECE = 0.1  # of the largest piece's area
+from estimator.detector.tuning import Search
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +49,7 @@ class Candidate:
     Attributes:
         ellipse: in the frame, px.
         peak: typical signal of the region.
-        background: typical signal of what is not bright.
+        background: typical signal of the rest of the window.
         mask: of the region's pixels in the coarse window.
     """
 
@@ -79,10 +76,10 @@ def bright_regions(
     """Bright regions, brightest first, each as its possible readings.
 
     A region exceeds the half level between the bright and the dark part of the window (after a
-    median filter). Its ellipse goes through the vertices of its convex hull: where something convex
-    hides part of an ellipse, the hull's vertices still lie on the ellipse, and the hidden part is
-    bridged by a chord without vertices. A spot that a shaft splits in two is read as the whole
-    region and as its largest piece alone. What was offered is painted over and the next sought.
+    median filter). Its ellipse is fitted to the vertices of its convex hull: if something convex
+    hides part of an ellipse, the hull's vertices still lie on the ellipse, because a chord without
+    vertices bridges the hidden part. A spot that a shaft splits in two has two readings: all of its
+    pieces, and the largest alone. A region that was offered is painted over before the next search.
 
     Args:
         coarse: the window.
@@ -90,16 +87,16 @@ def bright_regions(
         min_area: least area of a region, px^2.
     """
     smooth = cv2.medianBlur(coarse.levels, 3)
-    for _ in range(_PEELS):
+    for _ in range(Search.REGIONS):
         count = cv2.calcHist([smooth], [0], None, [256], [0, 256]).ravel().astype(int)
         below = np.cumsum(count)
         split = _otsu_level(count, below)
         dark, pixels = int(below[split]), int(below[-1])
         background, peak = np.searchsorted(below, [dark / 2, (dark + pixels) / 2]).tolist()
-        if peak - background < max(min_contrast * background, _FAINTEST_STEP):
+        if peak - background < max(min_contrast * background, Search.FAINTEST_STEP):
             return
         if 2 * dark < pixels:
-            # What is dark is a shaft before a bright wall: the wall is the background.
+            # The dark part is a shaft in front of a bright wall: the wall is the background.
             smooth = np.maximum(smooth, np.uint8(peak))
             continue
         mask = (smooth > (peak + background) // 2).view(np.uint8)
@@ -116,7 +113,7 @@ def bright_regions(
             pieces = [
                 c
                 for c, area in zip(contours, areas, strict=True)
-                if area > _SMALLEST_PIECE * areas[largest]
+                if area > Search.SMALLEST_PIECE * areas[largest]
             ]
             readings = [np.concatenate(pieces)] if len(pieces) > 1 else []
             ellipses = [_hull_ellipse(points, coarse) for points in [*readings, contours[largest]]]
@@ -132,7 +129,7 @@ def bright_regions(
 
 
 def _otsu_level(count: np.ndarray, cumulative: np.ndarray) -> int:
-    """Level that splits a histogram best in two, by Otsu 1979; small glints hardly move it."""
+    """Level that divides a histogram best (Otsu 1979); small glints hardly move it."""
     below, sums = cumulative[:-1], np.cumsum(count * np.arange(len(count)))
     above = cumulative[-1] - below
     sum_below = sums[:-1]

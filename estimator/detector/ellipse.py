@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from estimator.detector.tuning import Rays, Refine, Trimming
+
 
 @dataclass(frozen=True, eq=False)
 class Ellipse:
     """The image of the unit circle under n -> centre + shape @ n.
 
-    The shape matrix, unlike axes and angle, changes smoothly through a circle.
+    Unlike axes and angle, the shape matrix changes smoothly when the ellipse becomes a circle.
 
     Attributes:
         centre: (x, y), px.
@@ -52,9 +54,10 @@ class Ellipse:
         return Ellipse.from_axes(x, y, *self.axes())
 
     def upright(self) -> Ellipse:
-        """The same ellipse with a symmetric shape: n points in the same direction in the image.
+        """The same ellipse with a symmetric shape matrix.
 
-        So its rays meet the same pixels, whatever the shape's history was.
+        Of all shape matrices of an ellipse it is unique, so the rays meet the same pixels however
+        the ellipse was reached.
         """
         (p, q), (r, s) = self.shape.tolist()
         area = abs(p * s - q * r)
@@ -100,14 +103,14 @@ def robust_step(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Least-squares step through the offsets that belong to one ellipse.
 
-    Trimming from the start mask first; if it keeps less than `_FEW` of what is seen, random samples
-    of five offsets (RANSAC, Fischler and Bolles 1981; fixed seed) vote for another start.
+    Trimming starts from the start mask. If it keeps less than `Trimming.MOST` of the edges, random
+    samples of five offsets (RANSAC, Fischler and Bolles 1981; fixed seed) vote for another start.
 
     Args:
         design: (n, 5), see `offset_design`.
         offsets: (n,) radial offsets of the edges.
         seen: (n,) whether there is an edge.
-        start: (n,) edges thought to belong.
+        start: (n,) edges that are assumed to belong.
         tolerance: error of an offset that always belongs, in units of the radius.
         limit: error of an offset that never belongs.
 
@@ -115,15 +118,15 @@ def robust_step(
         The step and the mask of the offsets that belong; None with fewer than 8 of them.
     """
     plain = _trimmed(design, offsets, seen, start & seen, tolerance, limit)
-    if plain is not None and np.count_nonzero(plain[1]) > _FEW * np.count_nonzero(seen):
+    if plain is not None and np.count_nonzero(plain[1]) > Trimming.MOST * np.count_nonzero(seen):
         return plain
     candidates = np.flatnonzero(seen)
-    if candidates.size < _SAMPLE_BASE:
+    if candidates.size < Trimming.POSITIONS:
         return plain
-    chosen = candidates[(_SAMPLES * candidates.size) // _SAMPLE_BASE]
+    chosen = candidates[(_SAMPLES * candidates.size) // Trimming.POSITIONS]
     steps = np.linalg.solve(design[chosen] + _JITTER, offsets[chosen][..., None])[..., 0]
     errors = np.abs(design[candidates] @ steps.T - offsets[candidates, None])
-    plausible = np.abs(steps).max(axis=1) < 0.5
+    plausible = np.abs(steps).max(axis=1) < Refine.LARGEST_STEP
     votes = (errors < 2 * tolerance).sum(axis=0) * plausible
     best = int(np.argmax(votes))
     elected = np.zeros(seen.size, bool)
@@ -134,10 +137,9 @@ def robust_step(
     return voted
 
 
-_FEW = 0.6
-_THIRD = 0.4307  # standard deviations that a third of normal errors stay within
-_SAMPLE_BASE = 32
-_SAMPLES = np.stack([np.random.default_rng(k).permutation(_SAMPLE_BASE)[:5] for k in range(96)])
+_SAMPLES = np.stack(
+    [np.random.default_rng(k).permutation(Trimming.POSITIONS)[:5] for k in range(Trimming.SAMPLES)]
+)
 _JITTER = 1e-9 * np.eye(5)
 
 
@@ -149,9 +151,9 @@ def _trimmed(
     tolerance: float,
     limit: float,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    for _ in range(8):
+    for _ in range(Trimming.STEPS):
         number = int(np.count_nonzero(inliers))
-        if number < 8:
+        if number < Rays.FEWEST:
             return None
         weighted = design.T * inliers
         normal = weighted @ design
@@ -159,8 +161,8 @@ def _trimmed(
         # Four times as fast as np.linalg.solve at this size.
         _, step = cv2.solve(normal, weighted @ offsets[:, None])
         errors = np.abs(offsets - design @ step[:, 0])
-        spread = np.partition(errors[inliers], number // 3)[number // 3] / _THIRD
-        kept = seen & (errors < min(max(3.5 * spread, tolerance), limit))
+        spread = np.partition(errors[inliers], number // 3)[number // 3] / Trimming.THIRD
+        kept = seen & (errors < min(max(Trimming.BELONGS * spread, tolerance), limit))
         if (kept == inliers).all():
             break
         inliers = kept

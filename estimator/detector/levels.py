@@ -10,30 +10,27 @@ import numpy as np
 
 from estimator.detector.coarse import Candidate, Coarse
 from estimator.detector.ellipse import Ellipse
-from estimator.detector.unwrap import RAYS, Patch
+from estimator.detector.tuning import RAYS, HalfLevel, Rays, WideView
+from estimator.detector.unwrap import Patch
 
-RADII = np.linspace(0.05, 1.6, 48)
+RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
 """Radii of the wide view, in units of the ellipse."""
 RADIUS_STEP = float(RADII[1] - RADII[0])
+"""Distance between two of them."""
 
 _EVEN_POWERS = RADII[:, None] ** np.array([0, 2, 4])
-_NEAR_EDGE = np.abs(RADII[1:-1] - 1) < 0.35
-_DOUBT = 13.0  # variances that a dome must exceed to count
-_FAR_ENOUGH = 0.9  # part of the radius where the background begins that must be in view
-_TAILED = 0.3  # width, in radii, from which an edge is a bell's, with tails ...
-_LEFT = 0.005  # ... of which so much of its peak is left ...
-_TAIL = 4.4  # ... from here, in radii
-_BACKGROUND_RADII = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+_NEAR_EDGE = np.abs(RADII[1:-1] - 1) < HalfLevel.NEAR_EDGE
+_BACKGROUND_RADII = np.array(HalfLevel.RINGS)
 
 
 @dataclass(frozen=True)
 class Levels:
-    """What a spot's half level is made of.
+    """The quantities that determine a spot's half level.
 
     Attributes:
-        peak: signal of the spot's brightest part, noise and texture taken out.
+        peak: signal of the spot's brightest part, without noise and texture.
         dome: signal over the peak's, a polynomial in the squared radius.
-        variance: of the peak, relative, from what texture leaves open.
+        variance: of the peak, relative, due to texture.
         background: signal around the spot.
         background_radius: where it was taken, units of the radius.
         width: of the edge in units of the radius (see `Spot.edge_width_px`).
@@ -60,21 +57,21 @@ class Levels:
 
     @property
     def sees_background(self) -> bool:
-        """Whether the background was taken where the spot's light no longer reaches the wall."""
+        """Whether the background was taken beyond the spot's light."""
         return _dark_at(self.background_radius, self.width)
 
     @property
     def tail(self) -> float:
-        """Light that a bell may have left where the background was taken, over its amplitude."""
+        """A bell's light that may remain where the background was taken, over its amplitude."""
         return _tail(self.width, self.background_radius)
 
     def before(self, background: float, radius: float) -> Levels:
-        """The levels with a background taken there, less half of what a bell may have left."""
+        """The levels with a background taken there, less half of a bell's light that may remain."""
         background = _without_tail(background, self.peak, self.width, radius)
         return replace(self, background=background, background_radius=radius)
 
     def in_units_of(self, radius: float) -> Levels:
-        """The same levels about an ellipse that is so many times as large."""
+        """The same levels in units of an ellipse that is so many times as large."""
         c0, c1, c2 = self.dome
         return replace(
             self,
@@ -100,16 +97,16 @@ def levels_of(
         profiles: (n, len(RADII)) of the rays whose edge belongs to the spot; 0 outside the frame.
         coarse: shows the background.
         ellipse: of the spot, to a px or two.
-        candidate: the levels that the spot was found with.
+        candidate: the levels with which the spot was found.
 
     Returns:
-        The levels; None where the profiles do not fall, or fall on from something brighter.
+        The levels; None if the profiles do not fall, or if they are the halo of something brighter.
     """
     mean = profiles.sum(axis=0) / len(profiles)
     steepest = float((mean[:-2] - mean[2:])[_NEAR_EDGE].max()) / (2 * RADIUS_STEP)
     height = candidate.peak - candidate.background
     width = height / (math.sqrt(2 * math.pi) * steepest) if steepest > 0 else math.inf
-    if width > 2:
+    if width > HalfLevel.WIDEST:
         return None
     background, radius = background_of(coarse, ellipse, width) or (candidate.background, 1.0)
     dark = (candidate.peak + candidate.background) / 2
@@ -137,40 +134,40 @@ def _falling_through(mean: np.ndarray, level: float) -> float:
 def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float, float] | None:
     """Median signal on rings outside an edge of that width, and the radius where they begin.
 
-    The rings lie nearer where the window does not show them; None if it shows none.
+    If the window does not contain the rings, nearer ones are used; None if it contains none.
     """
     levels = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
     radius = dark_radius(width)
-    for _ in range(6):
+    for _ in range(HalfLevel.TRIES):
         ring = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII, every=2).ravel()
-        if not levels.holds(ellipse.scaled(radius + 0.4)):
+        if not levels.holds(ellipse.scaled(radius + HalfLevel.RINGS[-1])):
             ring = ring[~np.isnan(ring)]
         if ring.size > RAYS // 2:
             return float(np.partition(ring, ring.size // 2)[ring.size // 2]) * coarse.unit, radius
-        radius = 1 + 0.75 * (radius - 1)
+        radius = 1 + HalfLevel.NEARER * (radius - 1)
     return None
 
 
 def dark_radius(width: float) -> float:
-    """Radius from which a spot's light no longer reaches the wall, by its edge's width in radii."""
-    near = 1 + 4 * width
+    """Radius at which a spot's light has ended, from the width of its edge in radii."""
+    near = 1 + HalfLevel.BACKGROUND * width
     # The tails of a lens's bell reach further than a Gaussian's of the same flank.
-    return near if width < _TAILED else max(near, _TAIL)
+    return near if width < HalfLevel.TAILED else max(near, HalfLevel.TAIL_END)
 
 
 def _dark_at(radius: float, width: float) -> bool:
-    return radius > _FAR_ENOUGH * dark_radius(width)
+    return radius > HalfLevel.FAR_ENOUGH * dark_radius(width)
 
 
 def _tail(width: float, radius: float) -> float:
-    """Light that a bell of that edge width may have left at a radius, over its amplitude."""
-    if width < _TAILED or _dark_at(radius, width):
+    """Light of a bell of that edge width that may remain at a radius, over its amplitude."""
+    if width < HalfLevel.TAILED or _dark_at(radius, width):
         return 0.0
-    return 0.5 * (2 * _LEFT) ** ((radius - 1) / (_TAIL - 1))
+    return 0.5 * (2 * HalfLevel.TAIL_LEFT) ** ((radius - 1) / (HalfLevel.TAIL_END - 1))
 
 
 def _without_tail(background: float, peak: float, width: float, radius: float) -> float:
-    """A background taken at a radius, less half of what a bell may have left there."""
+    """A background taken at a radius, less half of a bell's light that may remain there."""
     return background - _tail(width, radius) / 2 * (peak - background)
 
 
@@ -179,9 +176,9 @@ def _top(
 ) -> tuple[float, tuple[float, float, float], float]:
     """Peak, the dome under it (see `Levels`), and the variance of the dome's height.
 
-    An even polynomial through the rings' means over what is neither dark (a shaft) nor glaring. A
-    wall's texture looks like a dome too, so the dome counts only as far as it exceeds what the
-    rays' scatter explains (the garrote of Breiman 1995).
+    An even polynomial is fitted to the means of rings, over samples that are neither dark (a shaft)
+    nor glaring. A wall's texture looks like a dome too, so the dome counts only as far as it
+    exceeds what the scatter of the rays explains (the garrote of Breiman 1995).
     """
     outermost = min(max(1 - 3 * width, 0.5), 0.9)
     rings = slice(0, max(int((outermost - RADII[0]) / RADIUS_STEP) + 1, 8), 2)
@@ -198,13 +195,15 @@ def _top(
     top, plateau = float(curve.max()), float(curve[-1, 0])
     height = top / plateau - 1 if plateau > dark / 2 else 0.0
     whole = inner[seen.all(axis=1)]
-    if len(whole) < 8 or not height > 0:
+    if len(whole) < Rays.FEWEST or not height > 0:
         return plateau, (1.0, 0.0, 0.0), 0.0
     sums = whole.sum(axis=1)
     sums -= sums.sum() / len(sums)
     variance = float(sums @ sums) / len(sums) / (plateau * len(radii)) ** 2
-    kept = max(0.0, 1 - (_DOUBT * variance / height**2) ** 2)
+    kept = max(0.0, 1 - (HalfLevel.DOME_DOUBT * variance / height**2) ** 2)
     c0, c1, c2 = (coefficients[:, 0] / top).tolist()
     dome = (1 - kept + kept * c0, kept * c1, kept * c2)
-    doubt = kept * variance + kept * (1 - kept) * height**2  # the dome is there or not
+    doubt = (
+        kept * variance + kept * (1 - kept) * height**2
+    )  # variance of a dome that exists with probability `kept`
     return plateau / (1 - kept + kept * plateau / top), dome, doubt

@@ -1,8 +1,9 @@
 """The ellipse in the middle of the exposure, of a spot that moved during it.
 
-A moving spot leaves the mean of its ellipse over its path: along the path its edge is smeared,
-across it is not, and the half-maximum contour is no ellipse. So the ellipse, its path and its edge
-are fitted to the pixels together. It takes some 0.1 s, and only what shows the signs is fitted so.
+The image of a moving spot is the mean of its ellipse over its path: its edge is smeared along the
+path and not across it, and the half-maximum contour is not an ellipse. So the ellipse, its path and
+its edge are fitted to the pixels together. This takes about 0.1 s, and is done only for spots whose
+edge is wide in one direction and narrow across.
 """
 
 from __future__ import annotations
@@ -17,34 +18,18 @@ import numpy as np
 from estimator.detector.edges import EdgeFit
 from estimator.detector.ellipse import Ellipse
 from estimator.detector.levels import RADII, RADIUS_STEP
+from estimator.detector.tuning import Motion
 from estimator.detector.unwrap import Patch, normals_of
 
-SMEARED = 0.08
-"""Edge width, radii, from which a smear may bend the contour; less is symmetric."""
-
-_UNEVEN = 0.2  # amplitude of the width's logarithm over the direction, beyond a wall's texture
-_SHARP = 0.3  # radii that an edge takes at most beside the path; a bell's takes 0.6 and more
-_ALONG = 0.85  # cosine to the path of normals whose edges are smeared by nearly all of it
-_BESIDE = 0.25  # cosine to the path of normals whose edges it hardly smears
-_SIDE = 100  # pixels along a side that are fitted: larger patches are averaged down
-_WALL = 2.0  # pixels of that size: the wall's texture is taken to be longer than what this passes
-_SURE = 3.0  # standard deviations by which a path must differ from none
-_NODES_PER_WIDTH = 1.2  # places on the path at which the ellipse is summed, per edge width
-_STEPS = 12
-_SETTLED = 2e-4  # radii
-_OUTLYING = 3.0  # typical residuals at which a pixel counts half
-_BLOCK = 8  # pixels along a side of what counts as one observation
-_FURTHEST = 4.0  # edge widths beyond which an edge is flat
-
-_GRID = np.linspace(-_FURTHEST, _FURTHEST, 1601)
-_PER_WIDTH = (len(_GRID) - 1) / (2 * _FURTHEST)
+_GRID = np.linspace(-Motion.FLAT, Motion.FLAT, 1601)
+_PER_WIDTH = (len(_GRID) - 1) / (2 * Motion.FLAT)
 _INSIDE = np.array([NormalDist().cdf(-d) for d in _GRID], np.float32)
 _DENSITY = np.exp(-0.5 * _GRID**2, dtype=np.float32) / np.float32(math.sqrt(2 * math.pi))
 
 
 @dataclass(frozen=True, eq=False)
 class _Moving:
-    """An evenly lit ellipse with a Gaussian-blurred edge on its way; lengths in px."""
+    """An evenly lit ellipse with a Gaussian-blurred edge that moves along a path; lengths in px."""
 
     ellipse: Ellipse
     path: np.ndarray
@@ -53,7 +38,7 @@ class _Moving:
     background: float
 
     def stepped(self, step: np.ndarray) -> _Moving:
-        """Moved by five parameters of `Ellipse.stepped`, path (2), and three logarithms."""
+        """Changed by five parameters of `Ellipse.stepped`, the path (2), and three logarithms."""
         growth = np.exp(np.clip(step[7:], -0.5, 0.5)).tolist()
         longest = 0.25 * self.ellipse.axes()[1]
         return _Moving(
@@ -67,9 +52,9 @@ class _Moving:
     def linearised(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signal at pixels, and the relative derivatives by the parameters of `stepped`, (10, …).
 
-        The mean over the path is a sum over places that lie closer than the edge is wide.
+        The mean over the path is a sum over places closer together than the edge is wide.
         """
-        number = 3 + math.ceil(_NODES_PER_WIDTH * math.hypot(*self.path) / self.width)
+        number = 3 + math.ceil(Motion.NODES * math.hypot(*self.path) / self.width)
         (a, b), (c, d) = np.linalg.inv(self.ellipse.shape).astype(np.float32)
         lit = np.zeros(np.broadcast(u, v).shape, np.float32)
         derivatives = np.zeros((10, *lit.shape), np.float32)
@@ -81,7 +66,7 @@ class _Moving:
             normal_x, normal_y = cos * a + sin * c, cos * b + sin * d
             per_px = np.hypot(normal_x, normal_y)
             distance = (radius - 1) / (per_px * np.float32(self.width))
-            inside = np.clip((distance + _FURTHEST) * _PER_WIDTH, 0, len(_GRID) - 1).astype(int)
+            inside = np.clip((distance + Motion.FLAT) * _PER_WIDTH, 0, len(_GRID) - 1).astype(int)
             lit += _INSIDE[inside]
             density = _DENSITY[inside] / np.float32(self.width)
             by_radius = density / per_px
@@ -100,11 +85,11 @@ class _Moving:
 
 
 def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
-    """The fit with the ellipse in the middle of the path, if the spot moved; else as it is.
+    """The fit with the ellipse in the middle of the path if the spot moved, else the fit unchanged.
 
-    Weighted least squares by Gauss-Newton steps on the signal over the model's, both less their
-    local mean: a wall's texture is strongest at long waves (`_WALL`). The covariance is that of
-    White 1980, of blocks of pixels that share texture.
+    Weighted least squares by Gauss-Newton steps on the ratio of signal and model, both without
+    their local mean, because a wall's texture is strongest at long waves (`Motion.LONG_WAVES`). The
+    covariance is White's (1980), from blocks of pixels that share texture.
 
     Args:
         patch: signal round the spot.
@@ -114,7 +99,7 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
     if path is None:
         return fit
     levels = fit.levels
-    shrink = max(round(max(patch.signal.shape) / _SIDE), 1)
+    shrink = max(round(max(patch.signal.shape) / Motion.SIDE), 1)
     height, width = (length // shrink for length in patch.signal.shape)
     whole = patch.signal[: height * shrink, : width * shrink]
     signal = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
@@ -122,12 +107,12 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
     v = patch.y0 + shrink * (np.arange(height, dtype=np.float32)[:, None] + 0.5) - 0.5
     background = max(levels.background, 0.01 * levels.peak)
     moving = _Moving(fit.ellipse, path, float(shrink), levels.amplitude, background)
-    for _ in range(_STEPS):
+    for _ in range(Motion.STEPS):
         model, derivatives = moving.linearised(u, v)
         residual = _passed(signal / model - 1)
         columns = np.stack([_passed(row) for row in derivatives], axis=-1)
         typical = 1.48 * float(np.median(np.abs(residual))) + 1e-9
-        weight = 1 / (1 + (residual / (_OUTLYING * typical)) ** 2)
+        weight = 1 / (1 + (residual / (Motion.OUTLYING * typical)) ** 2)
         pull = columns * (weight * residual)[..., None]
         flat = columns.reshape(-1, 10)
         gram = (flat.T * weight.ravel()).astype(float) @ flat
@@ -138,12 +123,12 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         sane = shrink / 4 < moving.width < semi_minor and semi_major < 2 * fit.ellipse.axes()[0]
         if not (sane and math.hypot(*moving.path) < 4 * semi_minor):
             return fit
-        if np.abs(step[:5]).max() < _SETTLED:
+        if np.abs(step[:5]).max() < Motion.SETTLED:
             break
     covariance = _covariance(gram, pull)
     length = math.hypot(*moving.path)
     heading = moving.path / length
-    if length < _SURE * math.sqrt(heading @ covariance[5:7, 5:7] @ heading):
+    if length < Motion.SURE * math.sqrt(heading @ covariance[5:7, 5:7] @ heading):
         return fit
     return replace(
         fit,
@@ -171,26 +156,28 @@ def _path(patch: Patch, fit: EdgeFit) -> np.ndarray | None:
     cos, sin = normals[:, seen]
     double = np.stack([np.ones_like(cos), cos * cos - sin * sin, 2 * cos * sin], axis=1)
     _, along, across = np.linalg.lstsq(double, np.log(lengths * per_px[seen]), rcond=None)[0]
-    if math.hypot(along, across) < _UNEVEN:
+    if math.hypot(along, across) < Motion.UNEVEN:
         return None
     heading = math.atan2(across, along) / 2
     towards = np.array([math.cos(heading), math.sin(heading)])
     along_path = np.abs(towards @ normals[:, seen])
-    beside, ahead = lengths[along_path < _BESIDE], lengths[along_path > _ALONG]
-    # Beside its path the edge of a sharp spot stays sharp; a bell, which texture or a slanted beam
-    # makes uneven too, is broad all round.
-    if not (beside.size and ahead.size) or np.median(beside) > _SHARP * fit.ellipse.axes()[1]:
+    beside, ahead = lengths[along_path < Motion.BESIDE], lengths[along_path > Motion.ALONG]
+    # The edge of a sharp spot stays sharp beside its path. A bell, whose width texture or a slanted
+    # beam makes uneven too, is broad all round.
+    if not (beside.size and ahead.size) or np.median(beside) > Motion.SHARP * fit.ellipse.axes()[1]:
         return None
     return min(float(np.median(ahead)), fit.ellipse.axes()[1]) * towards
 
 
 def _passed(values: np.ndarray) -> np.ndarray:
-    return values - cv2.GaussianBlur(values, (0, 0), _WALL)
+    return values - cv2.GaussianBlur(values, (0, 0), Motion.LONG_WAVES)
 
 
 def _covariance(gram: np.ndarray, pull: np.ndarray) -> np.ndarray:
-    height, width = (length // _BLOCK * _BLOCK for length in pull.shape[:2])
-    blocks = pull[:height, :width].reshape(height // _BLOCK, _BLOCK, width // _BLOCK, _BLOCK, 10)
+    height, width = (length // Motion.BLOCK * Motion.BLOCK for length in pull.shape[:2])
+    blocks = pull[:height, :width].reshape(
+        height // Motion.BLOCK, Motion.BLOCK, width // Motion.BLOCK, Motion.BLOCK, 10
+    )
     scores = blocks.sum(axis=(1, 3)).reshape(-1, 10).astype(float)
     inverse = np.linalg.pinv(gram)
     return inverse @ (scores.T @ scores) @ inverse

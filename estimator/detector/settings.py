@@ -1,15 +1,15 @@
-"""Sub-pixel mode: the half-maximum contour of the linearised signal.
+"""Settings of the sub-pixel mode: the half-maximum contour of the linearised signal.
 
-The edge of a spot is where its light falls to the middle between the spot's own peak and the
-background around it: the peak of a bell, the plateau of a disc, the highest point of a dome or of a
-plateau that slopes. It does not move with exposure nor, where the edge is symmetric about its
-middle, with blur. The wall's reflectance is taken out as far as the frame shows it, and altogether
-by a reference frame without the spot.
+The edge of a spot is where its light falls to the middle between the spot's peak and the background
+around it. The peak is that of a bell, the plateau of a disc, or the highest point of a dome or of a
+sloping plateau. The edge does not move with exposure nor, if it is symmetric about its middle, with
+blur. The wall's reflectance is removed as far as the frame shows it, and completely with a
+reference frame without the spot.
 
 Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), which has the least
-noise, unless one channel is clearly brighter in the spot, where texture is weaker (on a retina red,
-in which vessels hardly show), or a channel is saturated: then on the least saturated one. Of broad
-edges the texture that differs from colour to colour is taken out first (`texture.py`).
+noise. If one channel is clearly brighter in the spot, texture is weaker there, and that channel is
+used (on a retina red, which hardly shows vessels). If a channel is saturated, the least saturated
+one is used. Texture that differs between colours is removed from broad edges first (`texture.py`).
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ class SubpixelSettings:
     """Settings of the sub-pixel mode.
 
     Attributes:
-        response: how values follow from light.
-        reference: a frame of the same view without the spot, under the light that stays; takes the
-            wall's texture out. None where there is none.
-        camera: whose lens distortion is taken out of the edge, so that spots are in the image of an
+        response: relation of a frame's values to light.
+        reference: a frame of the same view without the spot, under the remaining light; it removes
+            the wall's texture. None if there is none.
+        camera: whose lens distortion is removed from the edge, so that spots are in the image of an
             ideal pinhole. None measures in the image as it is.
         search_half_width_px: half side of the square searched round the last position.
         min_semi_minor_px: smaller spots are `too_small`.
         max_semi_major_px: larger spots are `too_large`.
-        max_axis_ratio: of semi-major to semi-minor; more elongated regions are no spots (2: a
-            beam at 60 degrees).
-        min_contrast: least (peak - background) / background; must exceed what texture alone shows.
+        max_axis_ratio: largest ratio of semi-major to semi-minor axis of a spot (2: a beam at 60
+            degrees).
+        min_contrast: least (peak - background) / background; must exceed that of texture alone.
         min_coverage: fraction of the contour below which a spot is `occluded` or `clipped`.
         max_jump_px: furthest move between frames; a spot further away must be seen twice.
         max_growth: largest ratio of the semi-minor axes of two frames, either way.
@@ -80,10 +80,10 @@ class SubpixelSettings:
 
     @cached_property
     def meter(self) -> LightMeter:
-        """What turns frames into light under these settings."""
+        """Converts frames into light under these settings."""
         return LightMeter(self.response, self.reference)
 
     @property
     def stride(self) -> int:
-        """Subsampling of the search: the smallest spot still spans seven pixels."""
+        """Subsampling of the search, px: the smallest spot still spans seven pixels."""
         return max(1, min(4, int(self.min_semi_minor_px / 3.5)))

@@ -1,4 +1,4 @@
-"""Shape of a spot's profile: a plateau, a bell, or what lies between."""
+"""Shape of a spot's profile: plateau, bell, or something in between."""
 
 from __future__ import annotations
 
@@ -7,21 +7,20 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.detector.ellipse import Ellipse
-from estimator.detector.unwrap import RAYS, Patch
+from estimator.detector.tuning import SpotProfile
+from estimator.detector.unwrap import Patch
 from estimator.image import GREY, Camera, LightMeter, Response, Spot, Window, checked_frame
 
-LEVELS = (0.25, 0.5, 0.75)
-"""Of the peak above the background."""
+LEVELS = SpotProfile.LEVELS
+"""Levels of the isophotes, as fractions of the peak above the background."""
 
-_PROFILE_RADII = np.linspace(0.0, 3.0, 121)  # in units of the spot's ellipse
-_BACKGROUND = _PROFILE_RADII >= 2.5
-_CORE = np.linspace(0.0, 0.9, 10)
-_TOP = 95  # percentile of the core: a few glints do not make a channel useless
-_FEWEST_RAYS = RAYS // 4
+_PROFILE_RADII = np.linspace(0.0, SpotProfile.OUTERMOST, SpotProfile.SAMPLES)
+_BACKGROUND = _PROFILE_RADII >= SpotProfile.BACKGROUND
+_CORE = np.linspace(0.0, SpotProfile.CORE, SpotProfile.CORE_SAMPLES)
 
 
 class Shape(NamedTuple):
-    """What a frame tells of a spot beyond its ellipse.
+    """Shape and brightness of a spot's profile.
 
     Attributes:
         ratios: radii at a quarter and at three quarters of the peak over the half-maximum radius.
@@ -35,7 +34,7 @@ class Shape(NamedTuple):
 def spot_shape(
     frame: np.ndarray, spot: Spot, *, response: Response, camera: Camera | None
 ) -> Shape | None:
-    """Shape and peak of a spot, of the median profile over its rays.
+    """Shape and peak of a spot, from the median profile over its rays.
 
     Args:
         frame: in which the spot was measured; as `estimator.measure` takes it.
@@ -44,7 +43,7 @@ def spot_shape(
         camera: with which the spot was measured.
 
     Returns:
-        None where the peak is saturated, the wall round the spot out of view, or no spot there.
+        None if the peak is saturated, the wall round the spot is out of view, or there is no spot.
     """
     frame = checked_frame(frame)
     x, y = spot.x_px, spot.y_px
@@ -60,19 +59,19 @@ def spot_shape(
         rays = patch.unwrapped(ellipse, radii)
         return rays[~np.isnan(rays).any(axis=1)]
 
-    # A channel at full scale has lost its peak; the brightest that is not says most.
+    # A saturated channel has lost its peak; the brightest of the others has the least noise.
     channels = np.atleast_3d(values)
     cores = [profiles_of(channels[:, :, c], _CORE) for c in range(channels.shape[2])]
-    if len(cores[0]) < _FEWEST_RAYS:
+    if len(cores[0]) < SpotProfile.FEWEST_RAYS:
         return None
-    tops = np.percentile(cores, _TOP, axis=(1, 2))
+    tops = np.percentile(cores, SpotProfile.TOP, axis=(1, 2))
     whole = tops < full_scale
     if not whole.any():
         return None
     channel = GREY if whole.all() else int(np.argmax(np.where(whole, tops, -1.0)))
     light = LightMeter(response, None).light(values, window, channel, full_scale)
     profiles = profiles_of(light, _PROFILE_RADII)
-    if len(profiles) < _FEWEST_RAYS:
+    if len(profiles) < SpotProfile.FEWEST_RAYS:
         return None
     profile = np.median(profiles, axis=0)
     profile = profile - np.median(profile[_BACKGROUND])

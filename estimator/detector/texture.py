@@ -1,9 +1,10 @@
-"""The wall's texture told from its colours.
+"""The wall's texture, estimated from its colours.
 
-Blood and pigment take more of one colour than of another, while light from one source falls off
-alike in all. Of the products of the channels' powers with exponents that sum to one, which leave
-such light as it is, the one that varies least over short distances shows the least of the wall: the
-beamformer of Capon (1969) on the logarithms. It cannot take out what is as dark in every colour.
+Blood and pigment absorb some colours more than others, while light from one source falls off alike
+in all. A product of powers of the channels, with exponents that sum to one, leaves such light
+unchanged. Of these products, the one that varies least over short distances shows least of the
+wall: the beamformer of Capon (1969) on the logarithms. Texture that is equally dark in every colour
+remains.
 """
 
 from __future__ import annotations
@@ -14,16 +15,12 @@ import cv2
 import numpy as np
 
 from estimator.detector.ellipse import Ellipse
+from estimator.detector.tuning import Texture
 from estimator.detector.unwrap import Patch
-
-_CELLS = 16  # across a semi-minor axis: finer texture averages out round a contour
-_SHORT = 2.4  # cells that short distances are below
-_BY_CHANCE = 1.25  # rise of the variance round rings that other texture may make
-_LIFT = 0.1  # of a channel's bright level, added to it: the logarithm of the dark is noise
 
 
 def without_texture(patch: Patch, colours: np.ndarray, ellipse: Ellipse) -> Patch:
-    """The patch over the texture that its colours tell.
+    """The patch divided by the texture that its colours show.
 
     Args:
         patch: light of the channel or the grey mean to be measured in, at full resolution.
@@ -32,15 +29,16 @@ def without_texture(patch: Patch, colours: np.ndarray, ellipse: Ellipse) -> Patc
     """
     light = patch.signal
     height, width = light.shape
-    cell = max(ellipse.axes()[1] / _CELLS, 1.0)
+    cell = max(ellipse.axes()[1] / Texture.CELLS, 1.0)
     cells = max(round(width / cell), 1), max(round(height / cell), 1)
     channels = cv2.resize(np.dstack([colours, light]), cells, interpolation=cv2.INTER_AREA)
     channels = np.maximum(channels.reshape(-1, 4), 0)
     bright = channels[:, 3:]
-    # Of each channel the same part, so that light that falls off alike in all still does.
-    lift = _LIFT * (channels * bright).sum(axis=0) / max(bright.sum(), 1e-30) + 1e-30
+    # The same fraction of each channel, so that light that falls off alike in all still does.
+    lift = Texture.LIFT * (channels * bright).sum(axis=0) / max(bright.sum(), 1e-30) + 1e-30
     logarithms = cv2.log(channels + lift)
-    # Twice, as the logarithm of a bell is curved, and of another colour than the rest's light.
+    # Twice, because the logarithm of a bell is curved, and the bell's colour differs from that of
+    # the other light.
     short = _without_long_waves(_without_long_waves(logarithms.reshape(*cells[::-1], 4)))
     short = bright * short.reshape(-1, 4)[:, :3]
     varying = short.T @ short
@@ -50,7 +48,7 @@ def without_texture(patch: Patch, colours: np.ndarray, ellipse: Ellipse) -> Patc
     both = np.stack([logarithms[:, 3], logarithms[:, 3] - texture], axis=1)
     uneven = bright * _round_rings(both, _rings(patch, ellipse, cells))
     before, after = np.square(uneven).sum(axis=0)
-    if after > _BY_CHANCE * before:  # wide patches of another pigment than the fine texture
+    if after > Texture.BY_CHANCE * before:  # wide patches of another pigment
         return patch
     texture = cv2.exp((texture - np.median(texture)).astype(np.float32)).reshape(cells[::-1])
     texture = cv2.resize(texture, (width, height), interpolation=cv2.INTER_LINEAR)
@@ -58,7 +56,7 @@ def without_texture(patch: Patch, colours: np.ndarray, ellipse: Ellipse) -> Patc
 
 
 def _without_long_waves(image: np.ndarray) -> np.ndarray:
-    return image - cv2.GaussianBlur(image, (0, 0), _SHORT)
+    return image - cv2.GaussianBlur(image, (0, 0), Texture.SHORT_WAVES)
 
 
 def _rings(patch: Patch, ellipse: Ellipse, cells: tuple[int, int]) -> np.ndarray:
@@ -68,11 +66,11 @@ def _rings(patch: Patch, ellipse: Ellipse, cells: tuple[int, int]) -> np.ndarray
     y = (np.arange(cells[1]) + 0.5) * (height / cells[1]) - 0.5 + patch.y0 - ellipse.centre[1]
     (a, b), (c, d) = np.linalg.inv(ellipse.shape).tolist()
     radius = np.hypot(a * x + b * y[:, None], c * x + d * y[:, None])
-    return np.rint(radius * _CELLS).astype(int).ravel()
+    return np.rint(radius * Texture.CELLS).astype(int).ravel()
 
 
 def _round_rings(values: np.ndarray, rings: np.ndarray) -> np.ndarray:
-    """Values (n, k) less the means of their rings: what varies with the radius is the light's."""
+    """Values (n, k) less the means of their rings: variation with the radius is the light's."""
     number = np.maximum(np.bincount(rings), 1)
     sums = [np.bincount(rings, column) for column in values.T]
     return values - (np.stack(sums, axis=1) / number[:, None])[rings]

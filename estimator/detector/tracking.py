@@ -1,32 +1,31 @@
-"""From frame to frame: where to look, and what may be believed."""
+"""From frame to frame: where the spot is looked for, and which of the spots found is it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from estimator.detector.levels import dark_radius
 from estimator.detector.literal import LiteralSettings, measure_literal
-from estimator.detector.regions import Region, Sighting, region_of, regions_in
+from estimator.detector.regions import Region, region_at, regions_in
 from estimator.detector.settings import SubpixelSettings
+from estimator.detector.tuning import Verdict
+from estimator.detector.verdict import Sighting, continues, is_part_of, one_of, sighting_in
 from estimator.image import NoSpot, Reason, Spot, Window, checked_frame
-
-_RIVAL = 0.5  # area of a second spot, relative to the first's, that makes the choice ambiguous
-_LESS_SEEN = 0.1  # of its contour, from which a search may see more of the spot
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackState:
-    """What a frame hands to the next: where the spot is looked for, and what it was like.
+    """What one frame passes on to the next: where to look for the spot, and what it was like.
 
     Attributes:
         at_px: (x, y) where to look; None searches the whole frame.
-        spot: last spot, None before the first and after a loss.
-        sighting: what is looked for first: the last spot's contour, or after a leap that of what is
-            to be seen again. Without it the same is found, but later.
+        spot: the last spot; None before the first and after a loss.
+        sighting: the contour that is looked for first: the last spot's, or after a jump that of the
+            new spot. Without it the same spot is found, but later.
     """
 
     at_px: tuple[float, float] | None = None
@@ -41,8 +40,8 @@ def measure(
 
     Literal mode looks in the patch round the last ellipse (or the click) and nowhere else. The
     sub-pixel mode looks for the last contour, then round the last position, then in the whole
-    frame. A spot that it finds further off or of another size than the settings allow is
-    `ambiguous` in that frame and accepted in the next one if it is still there.
+    frame. A spot further away or of another size than the settings allow is `ambiguous` in that
+    frame, and accepted in the next one if it is still there.
 
     Args:
         frame: grey (H, W) or RGB (H, W, 3); uint8, uint16, float32 or float64.
@@ -53,7 +52,7 @@ def measure(
         The spot, or why there is none; and the state for the next frame.
 
     Raises:
-        ValueError: the frame is not an image, see `frames.checked_frame`.
+        ValueError: the frame is not an image, see `image.checked_frame`.
     """
     frame = checked_frame(frame)
     if isinstance(settings, LiteralSettings):
@@ -85,32 +84,30 @@ def track(
 def _measure_subpixel(
     frame: np.ndarray, state: TrackState, settings: SubpixelSettings
 ) -> tuple[Spot | NoSpot, TrackState]:
-    near = _again(frame, state.sighting, settings) or _near(frame, state, settings)
-    if near:
-        return near.spot, _following(near, settings)
-    result = _searched(frame, settings)
-    if isinstance(result, NoSpot):
-        return result, TrackState()
-    found = _following(result, settings)
-    if state.spot is not None and not _continues(result.spot, state.spot, settings):
-        return NoSpot(Reason.AMBIGUOUS), replace(found, spot=None)
-    return result.spot, found
-
-
-def _following(sighting: Sighting, settings: SubpixelSettings) -> TrackState:
-    spot = sighting.spot
-    at = spot.x_px, spot.y_px
+    found = (
+        _at_last_contour(frame, state.sighting, settings)
+        or _near(frame, state, settings)
+        or _anywhere(frame, settings)
+    )
+    if isinstance(found, NoSpot):
+        return found, TrackState()
+    spot = found.spot
+    at = (spot.x_px, spot.y_px)
     at = settings.camera.distorted(*at) if settings.camera else at
-    return TrackState(at_px=at, spot=spot, sighting=sighting)
+    if state.spot is not None and not continues(spot, state.spot, settings):
+        return NoSpot(Reason.AMBIGUOUS), TrackState(at_px=at, sighting=found)
+    return spot, TrackState(at_px=at, spot=spot, sighting=found)
 
 
-def _again(frame: np.ndarray, last: Sighting | None, settings: SubpixelSettings) -> Sighting | None:
-    """What was seen last, if it hardly changed; the rest is left to a search."""
-    region = region_of(last, frame, settings) if last else None
-    now = region.measured() if region else None
-    if not (last and now and _continues(now.spot, last.spot, settings)):
+def _at_last_contour(
+    frame: np.ndarray, last: Sighting | None, settings: SubpixelSettings
+) -> Sighting | None:
+    """The last sighting if it has hardly changed; all else needs a search."""
+    region = region_at(last.fit, last.channel, frame, settings) if last else None
+    now = sighting_in(region) if region else None
+    if not (last and now and continues(now.spot, last.spot, settings)):
         return None
-    return now if now.spot.coverage > last.spot.coverage - _LESS_SEEN else None
+    return now if now.spot.coverage > last.spot.coverage - Verdict.LESS_SEEN else None
 
 
 def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> Sighting | None:
@@ -119,75 +116,38 @@ def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> S
         return None
     half, last = float(settings.search_half_width_px), state.spot
     if last is not None:
-        # The background is where a bell's tails end, round wherever it moved to.
+        # The background begins where a bell's tails end, round wherever the spot moved.
         reach = last.semi_major_px * dark_radius(last.edge_width_px / last.semi_minor_px)
         reach += settings.max_jump_px
         half = max(half, reach)
     for region in regions_in(frame, Window.around(*state.at_px, half, half, frame), settings):
-        if isinstance(region, Region) and (
-            last is None or _in_reach(region, state.at_px, settings)
-        ):
-            result = region.measured()
-            if result and (last is None or _continues(result.spot, last, settings)):
-                return result
+        if isinstance(region, NoSpot):
+            continue
+        if last is not None and not _in_reach(region, state.at_px, settings):
+            continue
+        sighting = sighting_in(region)
+        if sighting and (last is None or continues(sighting.spot, last, settings)):
+            return sighting
     return None
 
 
 def _in_reach(region: Region, at: tuple[float, float], settings: SubpixelSettings) -> bool:
     """Whether a region's spot may lie within a jump: its centre is good to a radius."""
-    ellipse = region.readings[0].ellipse
+    ellipse = region.ellipse
     return math.dist(ellipse.centre.tolist(), at) < settings.max_jump_px + ellipse.axes()[0]
 
 
-def _continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
-    growth = spot.semi_minor_px / last.semi_minor_px
-    jump = math.hypot(spot.x_px - last.x_px, spot.y_px - last.y_px)
-    return jump <= settings.max_jump_px and 1 / settings.max_growth <= growth <= settings.max_growth
-
-
-def _searched(frame: np.ndarray, settings: SubpixelSettings) -> Sighting | NoSpot:
-    """The one spot of the whole frame, unless there is another much like it."""
+def _anywhere(frame: np.ndarray, settings: SubpixelSettings) -> Sighting | NoSpot:
+    """The one spot of the whole frame."""
     seen: list[Sighting] = []
-    failures = [NoSpot(Reason.NONE_FOUND)]
+    failures: list[NoSpot] = []
     for region in regions_in(frame, Window.whole(frame), settings):
         if isinstance(region, NoSpot):
             failures.append(region)
-        elif not any(_is_rest_of(region, sighting.spot) for sighting in seen):
-            result = region.measured()
-            if isinstance(result, NoSpot):
-                failures.append(result)
+        elif not any(is_part_of(region, sighting) for sighting in seen):
+            sighting = sighting_in(region)
+            if isinstance(sighting, NoSpot):
+                failures.append(sighting)
             else:
-                seen.append(result)
-    if not seen:
-        return max(failures, key=_told)
-    seen.sort(key=lambda sighting: _area(sighting.spot), reverse=True)
-    if len(seen) > 1 and _area(seen[1].spot) > _RIVAL * _area(seen[0].spot):
-        return NoSpot(Reason.AMBIGUOUS)
-    return seen[0]
-
-
-_TOLD = (
-    Reason.NONE_FOUND,
-    Reason.TOO_SMALL,
-    Reason.TOO_LARGE,
-    Reason.CLIPPED,
-    Reason.OCCLUDED,
-    Reason.SATURATED,
-    Reason.AMBIGUOUS,
-)
-
-
-def _told(failure: NoSpot) -> int:
-    """How much a failure tells: how near to a spot it came."""
-    return _TOLD.index(failure.reason)
-
-
-def _area(spot: Spot) -> float:
-    return math.pi * spot.semi_major_px * spot.semi_minor_px
-
-
-def _is_rest_of(region: Region, spot: Spot) -> bool:
-    """Whether a region is too small for a rival, or the halo or a severed part of a spot."""
-    x, y = region.readings[0].ellipse.centre.tolist()
-    near = math.hypot(x - spot.x_px, y - spot.y_px) < 1.5 * spot.semi_major_px
-    return near or region.area_px < _RIVAL / 2 * _area(spot)
+                seen.append(sighting)
+    return one_of(seen, failures)

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from estimator.detector.ellipse import Ellipse, offset_design
+from estimator.detector.tuning import RAYS
 
-RAYS = 192
 _ANGLES = 2 * np.pi * np.arange(RAYS) / RAYS
 _COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
 _ACROSS = np.stack([_COS, _SIN])
@@ -83,7 +83,7 @@ def normals_of(ellipse: Ellipse) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shares_of_contour(ellipse: Ellipse, *masks: np.ndarray) -> list[float]:
-    """Fraction of the contour's length that the rays in each mask stand for."""
+    """Fraction of the contour's length that belongs to the rays in each mask."""
     steps = np.hypot(*(ellipse.shape @ _ALONG))
     length = float(steps.sum())
     return [float(steps @ mask) / length for mask in masks]
@@ -92,8 +92,8 @@ def shares_of_contour(ellipse: Ellipse, *masks: np.ndarray) -> list[float]:
 def ring_variance(values: np.ndarray, harmonics: slice) -> float:
     """Variance per ray of values round the ring, at the wavelengths of the harmonics.
 
-    Neighbouring rays share pixels and texture, so that their plain scatter understates what is left
-    in a mean over the ring; the spectrum at long wavelengths does not.
+    Neighbouring rays share pixels and texture, so their plain scatter underestimates the error of a
+    mean over the ring; the spectrum at long wavelengths does not.
     """
     return ring_variances(values, harmonics)[0]
 

@@ -1,0 +1,117 @@
+"""What 20 % more or less of each constant of the detector changes: `estimator.detector.tuning`.
+
+    python -m benchmarks.bench.estimator_tuning
+
+Prints the largest change of a spot's semi-axes on drawn frames, and the number of frames whose
+outcome changes. A constant without effect here matters elsewhere or not at all.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.bench.estimator_frames import frame_of
+from benchmarks.bench.estimator_lines import lines
+from benchmarks.bench.estimator_spotless import spotless_frame
+from estimator import NoSpot, SubpixelSettings, TrackState, measure
+from estimator.detector import tuning
+
+CHANGE = 0.2
+SPOTLESS_FRAMES = 20
+
+
+class Effect(NamedTuple):
+    """What a changed constant does.
+
+    Attributes:
+        largest_px: change of a semi-axis.
+        outcomes: frames in which a spot appears or vanishes, or the reason changes.
+    """
+
+    largest_px: float
+    outcomes: int
+
+
+def constants() -> list[tuple[type, str]]:
+    """Every number of the table that is read when a frame is measured, with its class."""
+    return [
+        (stage, name)
+        for _, stage in inspect.getmembers(tuning, inspect.isclass)
+        if stage.__module__ == tuning.__name__
+        for name, value in vars(stage).items()
+        if not name.startswith("_") and isinstance(value, int | float)
+    ]
+
+
+def drawn() -> list[np.ndarray]:
+    """One frame of each kind, and some without a spot."""
+    frames = []
+    for line in lines().values():
+        rng = np.random.default_rng(2020)
+        frames.append(frame_of(line.make(rng), rng))
+    rng = np.random.default_rng(2020)
+    return [*frames, *(spotless_frame(rng) for _ in range(SPOTLESS_FRAMES))]
+
+
+def outcomes_of(frames: list[np.ndarray]) -> list[tuple[str, float, float]]:
+    """Reason or "spot", and both semi-axes, of each frame."""
+    found = []
+    for frame in frames:
+        result, _ = measure(frame, TrackState(), SubpixelSettings())
+        if isinstance(result, NoSpot):
+            found.append((result.reason.value, math.nan, math.nan))
+        else:
+            found.append(("spot", result.semi_major_px, result.semi_minor_px))
+    return found
+
+
+def effect_of(
+    stage: type, name: str, factor: float, frames: list[np.ndarray], usual: list
+) -> Effect:
+    """Measure the frames with one constant changed."""
+    value = getattr(stage, name)
+    changed = value * factor
+    if isinstance(value, int):  # at least by one
+        changed = math.ceil(changed) if factor > 1 else math.floor(changed)
+    setattr(stage, name, changed)
+    try:
+        now = outcomes_of(frames)
+    finally:
+        setattr(stage, name, value)
+    moved = [
+        max(abs(a[1] - b[1]), abs(a[2] - b[2]))
+        for a, b in zip(now, usual, strict=True)
+        if a[0] == b[0] == "spot"
+    ]
+    others = sum(a[0] != b[0] for a, b in zip(now, usual, strict=True))
+    return Effect(max(moved, default=0.0), others)
+
+
+def main() -> None:
+    """Print the table."""
+    frames = drawn()
+    usual = outcomes_of(frames)
+    table = Table(title=f"{len(frames)} drawn frames")
+    for heading in ("constant", "value", "-20 %: px", "outcomes", "+20 %: px", "outcomes"):
+        table.add_column(heading, justify="left" if heading == "constant" else "right")
+    for stage, name in constants():
+        cells = []
+        for factor in (1 - CHANGE, 1 + CHANGE):
+            try:
+                effect = effect_of(stage, name, factor, frames, usual)
+            except (ValueError, IndexError, np.linalg.LinAlgError):
+                cells += ["fails", ""]
+            else:
+                cells += [f"{effect.largest_px:.3f}", f"{effect.outcomes}"]
+        table.add_row(f"{stage.__name__}.{name}", f"{getattr(stage, name):g}", *cells)
+    Console(width=100).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,487 @@
+"""Every constant of the sub-pixel mode, in one table.
+
+A class is a stage of the measurement; an entry has a name, a value, and below it
+
+    unit | meaning | origin
+
+Units: "radii" are radii of the spot's ellipse in the same direction, "edge widths" are
+`Spot.edge_width_px`, and "-" is a plain number. The origin is one of three:
+
+- derived: it follows from something else, which is named.
+- fitted: it was measured on frames, which are named.
+- set by hand, for a purpose. `python -m benchmarks.bench.estimator_tuning` shows what 20 % more or
+  less of each such value changes.
+
+What a user may want to change is in `settings.SubpixelSettings` instead.
+"""
+
+from __future__ import annotations
+
+RAYS = 192
+"""- | rays round a contour | set by hand: 2 px apart on a contour of 60 px, as far as pixels that
+bilinear samples share
+"""
+
+
+class Rays:
+    """The rays of an ellipse, along which profiles are sampled (`unwrap`)."""
+
+    FEWEST = 8
+    """rays | least number that determines an ellipse or a mean profile | derived: five parameters
+    and three degrees of freedom for their scatter
+    """
+
+
+class WideView:
+    """Samples along a ray from near the centre to well outside the edge (`levels`, `edges`)."""
+
+    INNERMOST = 0.05
+    """radii | first sample | set by hand: the rays of the very centre show the same pixels"""
+    OUTERMOST = 1.6
+    """radii | last sample | set by hand: contains a first ellipse that is a third too small"""
+    SAMPLES = 48
+    """- | samples on a ray | set by hand: 2 px apart at a radius of 60 px"""
+
+
+class Search:
+    """Bright regions of a window (`coarse`, `regions`)."""
+
+    REGIONS = 4
+    """- | regions offered from one window | set by hand for glints and reflections brighter than
+    the spot, of drawn frames
+    """
+    FAINTEST_STEP = 4
+    """1/255 of the window's maximum | least difference of peak and background that is not noise |
+    set by hand
+    """
+    SMALLEST_PIECE = 0.1
+    """- | area of a part of a divided spot, over its largest part's | set by hand"""
+    SMALLEST_AREA = 0.7
+    """- | area of a region over the smallest spot's | set by hand: only the bright part of a bell
+    exceeds the search's level
+    """
+    SMALLEST_WINDOW = 5
+    """px of the subsampled window | least side of a window that is searched | derived: the 3x3
+    median filter needs neighbours
+    """
+    AROUND = 0.6
+    """radii | width of the ring of background that is looked at round the last contour | set by
+    hand
+    """
+    LIKE_LAST = 0.5
+    """- | relative difference of area up to which a region may be the last frame's spot | set by
+    hand: larger changes are left to a search
+    """
+    UNHIDDEN = 0.1
+    """- | relative difference of area up to which a region's centroid is the spot's centre | set by
+    hand
+    """
+
+
+class Channel:
+    """The colour channel to measure in (`channel`)."""
+
+    SATURATED = 0.02
+    """- | fraction of a spot's pixels at full scale that changes its half level | set by hand"""
+    BRIGHTER = 1.2
+    """- | channel's brightness over grey's from which its weaker texture outweighs its noise | set
+    by hand for retinas, where red shows vessels least
+    """
+    FAINTEST = 0.1
+    """full scale | least brightness of a channel that may replace grey | set by hand"""
+
+
+class Capture:
+    """First fit: crossings of the candidate's half level (`edges`)."""
+
+    REACH = 1.75
+    """radii of the candidate | furthest edge | derived: beyond `WideView.OUTERMOST`"""
+    EVERY = 2
+    """- | one of so many rays is used | set by hand for speed"""
+    REPEATS = 3
+    """- | most captures of one candidate | set by hand"""
+    STEPS = 3
+    """- | most steps of one capture | set by hand"""
+    NEAR_ENOUGH = 0.1
+    """radii | step, or distance of the half level, after which a capture is not repeated | set by
+    hand: a refinement bridges it
+    """
+    NEARNESS = 0.1
+    """radii | of several crossings the nearest counts; nearer ones than this are almost equal | set
+    by hand
+    """
+    LARGEST_STEP = 0.7
+    """radii | a larger step has lost the candidate | set by hand"""
+    TOLERANCE_PX = 1.5
+    """px | error of a crossing that always belongs to the ellipse | set by hand: noise and pixel
+    grid
+    """
+    TOLERANCE = 0.02
+    """radii | the same for large spots | set by hand for retinas"""
+    FURTHEST = 0.2
+    """radii | error of a crossing that never belongs | set by hand: twice `Refine.FURTHEST`"""
+
+
+class Refine:
+    """Refinement of the captured ellipse (`edges`, `band`, `sharp`, `broad`)."""
+
+    BROAD = 0.17
+    """radii | edge width from which an edge is a broad flank | set by hand between a disc of 60 px
+    blurred by 8 px (0.13) and a Gaussian bell (0.58)
+    """
+    REPEATS = 3
+    """- | most refinements | set by hand"""
+    SETTLED = 0.1
+    """edge widths | move after which the ellipse is not refined again | set by hand"""
+    SETTLED_BROAD = 0.005
+    """radii | the same for broad flanks | set by hand"""
+    EXCHANGED_RAYS = 6
+    """rays | changes of the inliers up to which an ellipse is settled | set by hand: 3 % of all"""
+    SAME_WIDTH = 0.7
+    """- | edge width over the former one, below which the ellipse is refined again | set by hand"""
+    LARGEST_STEP = 0.5
+    """radii | a larger step has lost the edge | set by hand"""
+    FURTHEST = 0.1
+    """radii | error of a sharp edge that never belongs to the ellipse | set by hand for shafts and
+    shadows of drawn frames
+    """
+    DARKEST_GAIN = 0.5
+    """- | brightness of a ray over the mean ray's: darker rays are hidden | set by hand for shafts
+    """
+    BRIGHTEST_GAIN = 2.0
+    """- | the same: brighter rays show a glint | derived: 1 / DARKEST_GAIN"""
+    SAMPLING_PX = 0.7
+    """px | distance of the samples on a ray | set by hand: less than the pixel grid resolves"""
+    FEWEST_SAMPLES = 5
+    """- | least number of samples on either side of the edge | derived: a cubic and one more"""
+    MOST_SAMPLES = 16
+    """- | most samples on either side of the edge | set by hand: speed"""
+    LONG_WAVES = slice(4, 13)
+    """harmonics round the contour | waves whose amplitude gives the ellipse's errors | derived: an
+    ellipse has 0 to 2, and the outline of a round beam on a curved wall the third, which is shape
+    """
+    LONG_WAVES_BROAD = slice(3, 7)
+    """harmonics round the contour | the same for broad flanks | set by hand: texture is strongest
+    next to the harmonics that are fitted
+    """
+    SHORT_WAVES = slice(25, 73)
+    """harmonics round the contour | waves in which noise exceeds texture | set by hand for retinas
+    """
+    NOISE_AT_MOST = 6.0
+    """- | ratio of long to short waves, in variance, that noise alone can have | set by hand:
+    neighbouring rays share pixels, so that noise falls with the harmonic
+    """
+    INTERPOLATION_PX2 = 1 / 6
+    """px^2 | variance of the blur by linear interpolation | derived: t (1 - t) on average over a
+    pixel
+    """
+    NARROWEST_CUBIC = 2.6
+    """samples | half length of the part of a profile through which a cubic is fitted | derived: it
+    contains at least five samples
+    """
+    MIDDLE_ALONE = 2.7
+    """- | variance of the half level's place over that of the whole flank | set by hand: the cubic
+    uses only `Sharp.MIDDLE` of the `Sharp.REACH`
+    """
+
+
+class Sharp:
+    """Refinement of a sharp edge (`sharp`)."""
+
+    REACH = 3.0
+    """edge widths | profile on either side | derived: beyond three standard deviations a Gaussian
+    edge has 0.1 % of its step left
+    """
+    REACH_PX = 2.5
+    """px | the same for edges narrower than the pixel grid | derived: pixel and interpolation"""
+    MIDDLE = 0.8
+    """edge widths | half length of the cubic through the half level | derived: a Gaussian edge
+    differs from its Taylor cubic there by 0.3 % of the step
+    """
+    BRIGHTEST_INSIDE = 1.5
+    """edge widths | from the edge to where a sloping plateau is brightest | set by hand: blur has
+    taken 7 %
+    """
+    PLATEAU = 2.6
+    """edge widths | from the edge to where its blur no longer shows | derived: 0.5 % of the step"""
+    SLOPE_DOUBT = 100.0
+    """- | variance of texture's longest wave over that of the next ones | set by hand for retinas
+    """
+    SLOPE_SHOWS = 0.02
+    """radii | edge width from which the light's slope begins to count | set by hand: below, it
+    moves the half level by less than texture does
+    """
+    FORGIVEN = 0.1
+    """edge widths | shift of an edge by texture, which always belongs | set by hand for retinas"""
+    SPOILED_RAYS = 3
+    """rays | neighbours of a ray without an edge that are not used | set by hand for rims of shafts
+    """
+    ROUGH = 5.0
+    """- | variance left in a profile over the typical one: something else is in view | set by hand
+    for glints on the edge
+    """
+
+
+class Broad:
+    """Refinement of a broad flank (`broad`)."""
+
+    FLANK = 0.9
+    """edge widths | flank on either side of the half level | set by hand"""
+    WIDEST = 0.5
+    """radii | the same, at most | derived: the top begins inside"""
+    FORGIVEN = 0.3
+    """edge widths | shift of an edge by texture, which always belongs | set by hand for bells on
+    retinas
+    """
+    SHOULDER = 1.25
+    """edge widths | from the edge to where a plateau begins to fall | set by hand for linear flanks
+    """
+    SMALLEST_TOP = 0.35
+    """radii | least part of a spot's top that is looked at | set by hand for bells"""
+    LARGEST_TOP = 0.9
+    """radii | largest part | derived: inside the edge"""
+    TOP_DOUBT = 4.0
+    """- | variances that a top's shape must exceed to count | set by hand for bells on retinas"""
+    POWERS = 5
+    """- | coefficients of the polynomial in the radius through a top | set by hand for light of
+    glue lenses
+    """
+    TOP_OVER_CONTOUR = 18.0
+    """- | variance of the texture under the top over that of the contour's longest waves | set by
+    hand for retinas
+    """
+
+
+class ErrorGrowth:
+    """How much larger an ellipse's errors are than the contour's shorter waves show (`edges`).
+
+    A variance of long waves is 1 + factor * texture times that of the shorter ones, in sharp edges
+    1 + factor * RISE * texture * edge width.
+    """
+
+    CENTRE_BROAD = 6.0
+    """- | factor for the centre, broad flanks | fitted to printed retinas, to a factor of two"""
+    SHAPE_BROAD = 1.0
+    """- | factor for the difference of the axes and the angle, broad flanks | fitted as
+    CENTRE_BROAD
+    """
+    RISE = 25.0
+    """1 / radii | rise with the edge width, sharp edges | fitted as CENTRE_BROAD"""
+    SIZE = 4.0
+    """- | factor for the size, sharp edges | fitted as CENTRE_BROAD"""
+    CENTRE = 2.0
+    """- | factor for the centre, sharp edges | fitted as CENTRE_BROAD"""
+    SHAPE = 1.0
+    """- | factor for the difference of the axes and the angle, sharp edges | fitted as CENTRE_BROAD
+    """
+
+
+class Saturated:
+    """The edge of a saturated spot (`censored`)."""
+
+    READABLE = 0.95
+    """full scale | mean value up to which noise does not reach full scale | derived: noise of 3 of
+    255 levels, four standard deviations
+    """
+    BRIGHTEST = 2 * READABLE
+    """full scale | peak of which half is still readable | derived"""
+    VAGUEST = 0.02
+    """radii | standard error of an edge that is visible at all | set by hand"""
+    BIN_PX = 0.25
+    """px | bins of the profile of pixels | set by hand: less than the pixel grid resolves"""
+    FEWEST_BINS = 8
+    """- | least number of bins | derived: three parameters and five degrees of freedom"""
+    STEPS = 25
+    """- | most steps of the fit | set by hand"""
+    SMALLEST_STEP = 1e-5
+    """- | step of the logarithms and radii after which the fit ends | set by hand: a 1e-3 of a px
+    """
+
+
+class HalfLevel:
+    """Peak, background and edge width (`levels`)."""
+
+    NEAR_EDGE = 0.35
+    """radii | from the ellipse to where the steepest fall may be | set by hand"""
+    WIDEST = 2.0
+    """radii | widest edge of a spot | set by hand: more than three times a Gaussian bell's"""
+    DOME_DOUBT = 13.0
+    """- | variances that a dome must exceed to count | set by hand for retinas, domes of 20 and 40
+    %
+    """
+    FAR_ENOUGH = 0.9
+    """- | part of the radius where the background begins that must be in view | set by hand"""
+    BACKGROUND = 4.0
+    """edge widths | from the edge to where the background begins | derived: a Gaussian edge has
+    3e-5 of its step left
+    """
+    TAILED = 0.3
+    """radii | edge width from which an edge is a bell's, with tails | set by hand: linear flanks
+    have none, the light of glue lenses has
+    """
+    TAIL_END = 4.4
+    """radii | where a bell's tail ends | set by hand for light of glue lenses"""
+    TAIL_LEFT = 0.005
+    """peak | what is left there | set by hand for light of glue lenses"""
+    RINGS = (0.0, 0.1, 0.2, 0.3, 0.4)
+    """radii | rings of the background, from where it begins | set by hand"""
+    NEARER = 0.75
+    """- | the rings' distance from the edge times this, if they are out of view | set by hand"""
+    TRIES = 6
+    """- | how often | derived: 0.75^5 brings them to a quarter of the distance"""
+
+
+class Texture:
+    """The wall's texture from its colours (`texture`)."""
+
+    CELLS = 16
+    """- | cells on a semi-minor axis | set by hand: finer texture averages out round a contour"""
+    SHORT_WAVES = 2.4
+    """cells | blur beyond which waves are long | set by hand for bells on retinas"""
+    BY_CHANCE = 1.25
+    """- | rise of the variance round rings that other texture may make | set by hand for retinas"""
+    LIFT = 0.1
+    """bright level | light added to each channel | set by hand: the logarithm of the dark is noise
+    """
+
+
+class Motion:
+    """A spot that moved during the exposure (`motion_blur`)."""
+
+    SMEARED = 0.08
+    """radii | edge width from which a smear bends the contour | set by hand for moving drawn frames
+    """
+    UNEVEN = 0.2
+    """- | amplitude of the edge width's logarithm over the direction, beyond texture's | set by
+    hand for retinas at rest
+    """
+    SHARP = 0.3
+    """radii | widest edge beside the path | derived: a bell's is 0.58"""
+    ALONG = 0.85
+    """- | cosine to the path of normals whose edges are smeared by nearly all of it | set by hand
+    """
+    BESIDE = 0.25
+    """- | cosine to the path of normals whose edges are hardly smeared | set by hand"""
+    SIDE = 100
+    """px | side to which larger patches are reduced | set by hand: 0.1 s"""
+    LONG_WAVES = 2.0
+    """px of the reduced patch | blur beyond which the wall's texture is taken out | set by hand for
+    moving spots on retinas
+    """
+    SURE = 3.0
+    """standard deviations | length of a path that differs from none | set by hand"""
+    NODES = 1.2
+    """1 / edge widths | places on the path at which the ellipse is summed | set by hand: closer
+    than the edge is wide
+    """
+    STEPS = 12
+    """- | most steps of the fit | set by hand"""
+    SETTLED = 2e-4
+    """radii | step after which the fit ends | set by hand: 0.01 px at a radius of 60 px"""
+    OUTLYING = 3.0
+    """typical residuals | where a pixel counts half | set by hand"""
+    BLOCK = 8
+    """px of the reduced patch | side of a block that counts as one observation | derived: four
+    times LONG_WAVES
+    """
+    FLAT = 4.0
+    """edge widths | beyond which an edge is flat | derived: 3e-5 of its step are left"""
+
+
+class Reflection:
+    """A wet wall's specular reflection with the spot on it (`reflex`)."""
+
+    SIDE = 64
+    """px | side to which the bell is reduced | set by hand: speed"""
+    POWERS = 5
+    """- | powers of either coordinate in the surface of a bell within its half level | set by hand
+    for rendered wet walls
+    """
+    SMALLEST = 0.02
+    """- | area of what stands out, over the bell's | set by hand"""
+    SHARPEST = 0.05
+    """radii | widest rim of a spot on a reflection | set by hand for rendered wet walls"""
+    SMOOTHEST = 0.008
+    """radii | scatter of that rim: more is the wall's texture | set by hand for bells on retinas"""
+    SEEN = 0.5
+    """- | fraction of that rim that is visible | set by hand"""
+
+
+class Verdict:
+    """Spot or not (`verdict`)."""
+
+    SAME_EDGE = 0.5
+    """edge widths | from the ellipse within which an edge is the spot's, texture or not | set by
+    hand
+    """
+    ROUGHEST = 0.05
+    """radii | scatter of the sharp edges of an ellipse | set by hand for spotless frames"""
+    VAGUEST = 0.006
+    """radii | standard error of the size of an ellipse that is seen in part | set by hand for
+    shafts
+    """
+    WHOLE = 0.96
+    """- | coverage from which an ellipse is seen as a whole | set by hand"""
+    SHORTEST_ARC = 0.3
+    """- | fraction of a contour that identifies an ellipse | set by hand for spotless frames"""
+    FILLED = 0.75
+    """- | area of a region over its ellipse's, below which something hides a part | set by hand"""
+    RIVAL = 0.5
+    """- | area of a second spot over the first's that makes the choice ambiguous | set by hand"""
+    NEAR_SPOT = 1.5
+    """semi-major axes | from a spot within which another region is a part of it or its halo | set
+    by hand
+    """
+    LESS_SEEN = 0.1
+    """- | loss of coverage from which the whole frame is searched for a better view | set by hand
+    """
+
+
+class Trimming:
+    """Robust fit of an ellipse to offsets (`ellipse`)."""
+
+    MOST = 0.6
+    """- | fraction of the edges that the plain fit must keep, or random samples vote | set by hand:
+    more than half, so that no other ellipse has as many
+    """
+    SAMPLES = 96
+    """- | random samples of five edges | derived: with half of the edges on the ellipse, 95 % of
+    runs have one pure sample
+    """
+    POSITIONS = 32
+    """- | places round the contour that a sample's edges are drawn from | set by hand: they lie
+    apart
+    """
+    STEPS = 8
+    """- | most repetitions of the trimming | set by hand"""
+    BELONGS = 3.5
+    """standard deviations | error up to which an edge belongs | derived: 0.05 % of normal errors
+    are larger
+    """
+    THIRD = 0.4307
+    """standard deviations | error that a third of normal errors stay below | derived:
+    NormalDist().inv_cdf(2 / 3)
+    """
+
+
+class SpotProfile:
+    """Shape of a spot's profile (`shape`)."""
+
+    LEVELS = (0.25, 0.5, 0.75)
+    """peak above background | isophotes whose radii are compared | set by hand"""
+    OUTERMOST = 3.0
+    """radii | last sample of the profile | derived: the background begins at BACKGROUND"""
+    SAMPLES = 121
+    """- | samples of the profile | set by hand: 0.025 radii apart"""
+    BACKGROUND = 2.5
+    """radii | where the background begins | set by hand"""
+    CORE = 0.9
+    """radii | inner part of the spot that may be saturated | set by hand"""
+    CORE_SAMPLES = 10
+    """- | samples of the core | set by hand"""
+    TOP = 95
+    """percentile | of the core's values that must be below full scale | set by hand: a few glints
+    do not make a channel useless
+    """
+    FEWEST_RAYS = 48
+    """rays | least number that lies in the frame | derived: a quarter of `RAYS`"""

@@ -1,0 +1,150 @@
+"""Spot or not: every reason to reject what was fitted, in one place.
+
+`sighting_in` judges a region by itself, `continues` a spot beside the last frame's, and `one_of`
+the spots of a whole frame beside each other.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.detector.contour import contour_of, patch_round
+from estimator.detector.edges import EdgeFit
+from estimator.detector.ellipse import covariance_of_axes, refitted
+from estimator.detector.motion_blur import at_mid_exposure
+from estimator.detector.reflex import bears_spot
+from estimator.detector.regions import Region
+from estimator.detector.settings import SubpixelSettings
+from estimator.detector.tuning import Motion, Refine, Verdict
+from estimator.detector.unwrap import contour_points, shares_of_contour
+from estimator.image import NoSpot, Reason, Spot
+
+
+class Sighting(NamedTuple):
+    """A spot and the contour from which it was measured.
+
+    Attributes:
+        spot: what was measured.
+        fit: half-maximum contour.
+        channel: in which it was measured: 0, 1, 2 or `image.GREY`.
+    """
+
+    spot: Spot
+    fit: EdgeFit
+    channel: int
+
+    @property
+    def area_px(self) -> float:
+        """Of the spot's ellipse."""
+        return math.pi * self.spot.semi_major_px * self.spot.semi_minor_px
+
+
+def sighting_in(region: Region) -> Sighting | NoSpot:
+    """The spot that a region shows, or why it shows none."""
+    contour = contour_of(region)
+    if isinstance(contour, NoSpot):
+        return contour
+    fit = contour
+    if fit.levels.width > Motion.SMEARED:
+        fit = at_mid_exposure(patch_round(region, fit.ellipse, fit.levels.width), fit)
+    spot = _spot_of(fit, region.settings, region.saturated[region.channel])
+    if isinstance(spot, NoSpot):
+        return spot
+    smallest = region.settings.min_semi_minor_px
+    if fit.levels.width > Refine.BROAD and bears_spot(
+        patch_round(region, fit.ellipse), fit, smallest
+    ):
+        return NoSpot(Reason.AMBIGUOUS)
+    return Sighting(spot, contour, region.channel)
+
+
+def continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
+    """Whether a spot may be the last frame's: neither too far away nor too different in size."""
+    growth = spot.semi_minor_px / last.semi_minor_px
+    jump = math.hypot(spot.x_px - last.x_px, spot.y_px - last.y_px)
+    return jump <= settings.max_jump_px and 1 / settings.max_growth <= growth <= settings.max_growth
+
+
+def one_of(seen: list[Sighting], failures: list[NoSpot]) -> Sighting | NoSpot:
+    """The largest sighting, unless another is much like it; without one, the best reason.
+
+    Args:
+        seen: all sightings in a frame.
+        failures: why other regions are no spots.
+    """
+    if not seen:
+        return max(failures, key=lambda f: _NEARNESS.index(f.reason), default=_NOTHING)
+    first, *others = sorted(seen, key=lambda sighting: sighting.area_px, reverse=True)
+    if others and others[0].area_px > Verdict.RIVAL * first.area_px:
+        return NoSpot(Reason.AMBIGUOUS)
+    return first
+
+
+def is_part_of(region: Region, sighting: Sighting) -> bool:
+    """Whether a region is too small for a rival of a spot, or its halo or a severed part of it."""
+    spot = sighting.spot
+    x, y = region.ellipse.centre.tolist()
+    distance = math.hypot(x - spot.x_px, y - spot.y_px)
+    near = distance < Verdict.NEAR_SPOT * spot.semi_major_px
+    return near or region.area_px < Verdict.RIVAL / 2 * sighting.area_px
+
+
+_NOTHING = NoSpot(Reason.NONE_FOUND)
+_NEARNESS = (
+    Reason.NONE_FOUND,
+    Reason.TOO_SMALL,
+    Reason.TOO_LARGE,
+    Reason.CLIPPED,
+    Reason.OCCLUDED,
+    Reason.SATURATED,
+    Reason.AMBIGUOUS,
+)
+"""Reasons by how near to a spot a region came: the last that occurs in a frame is reported."""
+
+
+def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:
+    semi_major, semi_minor, angle = fit.ellipse.axes()
+    levels = fit.levels
+    # A ray roughened by texture counts as seen if its edge lies within half an edge width of the
+    # ellipse.
+    on_ellipse = np.abs(fit.offsets) < Verdict.SAME_EDGE * levels.width
+    seen = fit.inliers | (fit.found & on_ellipse)
+    coverage, belonging, in_frame = shares_of_contour(fit.ellipse, seen, fit.inliers, fit.inside)
+    coherent = fit.scatter < Verdict.ROUGHEST * (1 + levels.width / Refine.BROAD)
+    if not coherent or belonging < Verdict.SHORTEST_ARC:
+        return NoSpot(Reason.NONE_FOUND)
+    if semi_major > settings.max_axis_ratio * semi_minor:
+        return NoSpot(Reason.NONE_FOUND)
+    if levels.amplitude < settings.min_contrast * levels.background:
+        return NoSpot(Reason.NONE_FOUND)
+    if semi_minor < settings.min_semi_minor_px:
+        return NoSpot(Reason.TOO_SMALL)
+    if semi_major > settings.max_semi_major_px:
+        return NoSpot(Reason.TOO_LARGE)
+    if coverage < settings.min_coverage:
+        return NoSpot(Reason.CLIPPED if in_frame < settings.min_coverage else Reason.OCCLUDED)
+    ellipse = fit.ellipse
+    if settings.camera is not None:
+        edges = contour_points(ellipse, fit.offsets)[fit.inliers]
+        ellipse = refitted(ellipse, settings.camera.undistorted(edges))
+        semi_major, semi_minor, angle = ellipse.axes()
+    covariance = covariance_of_axes(ellipse, fit.step_covariance)
+    vague = covariance[3, 3] > (Verdict.VAGUEST * semi_minor) ** 2
+    if vague and coverage < Verdict.WHOLE and levels.width < Refine.BROAD:
+        return NoSpot(Reason.OCCLUDED)
+    x, y = ellipse.centre.tolist()
+    return Spot(
+        x_px=x,
+        y_px=y,
+        semi_major_px=semi_major,
+        semi_minor_px=semi_minor,
+        angle_rad=angle,
+        covariance=covariance,
+        edge_width_px=levels.width * math.sqrt(semi_major * semi_minor),
+        coverage=coverage,
+        inlier_fraction=float(np.count_nonzero(fit.inliers) / max(fit.found.sum(), 1)),
+        saturated=saturated,
+    )
