@@ -1,7 +1,7 @@
 # Everything from a fresh clone; each target sets up what it needs, once.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup validate test test-slow check bench constraints
+.PHONY: help setup validate test test-slow test-wheel check bench constraints
 
 # Empty files inside .venv remember what was set up, and vanish with it.
 PACKAGES := .venv/.packages-installed
@@ -21,6 +21,9 @@ test: $(LIBRARIES) ## run the tests
 
 test-slow: $(LIBRARIES) ## run the tests that the default run leaves out
 	.venv/bin/pytest -m 'slow and not gpu'
+
+test-wheel: $(PACKAGES) ## build the wheel, install it in a fresh environment, run it there
+	.venv/bin/pytest -m wheel
 
 check: $(PACKAGES) ## lint, format, types
 	.venv/bin/ruff check

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.wheel
+
 HOME = Path(__file__).resolve().parents[1]
 PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
 
