@@ -16,11 +16,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.bench.estimator_frames import frame_of
 from benchmarks.bench.estimator_lines import lines
 from benchmarks.bench.estimator_spotless import spotless_frame
 from estimator import NoSpot, SubpixelSettings, TrackState, measure
 from estimator.detector import tuning
+from scenes.drawn import frame_of
 
 CHANGE = 0.2
 SPOTLESS_FRAMES = 20

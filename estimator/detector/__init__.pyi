@@ -1,3 +1,4 @@
+from . import tuning as tuning
 from .contour import contour_of as contour_of
 from .edges import EdgeFit as EdgeFit
 from .ellipse import Ellipse as Ellipse
