@@ -102,8 +102,8 @@ def test_a_change_leaves_all_other_keys_alone():
     [
         ("motion.travel=3", "--set motion.travel=3: unknown key 'motion.travel'; did you mean"),
         ("spot.eccentricity_mm=far", "spot.eccentricity_mm: .* got 'far'"),
-        ("seed", "a change is written table.key=value; got 'seed'"),
-        ("=3", "a change is written table.key=value; got '=3'"),
+        ("seed", "a change must have the form table.key=value; got 'seed'"),
+        ("=3", "a change must have the form table.key=value; got '=3'"),
         ("spot=3", "spot: .* got 3"),
     ],
 )

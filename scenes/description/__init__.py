@@ -1,13 +1,10 @@
-"""The scene file: what a person may write, validated.
+"""The scene file: its keys, their validation, and how it is read and written.
 
-camera_settings  The table [camera] of the scene file
-command          The commands `eyespot scene init` and `scene schema`, and the options that scenes
-                 are read with
-motion_settings  The tables [motion] and [clocks] of the scene file
-scene_file       The scene file (TOML): read with errors for people, written, explained, and its
-                 JSON schema
-settings         A scene: every key with its unit and default, validated before anything is
-                 rendered
+camera_settings  The table [camera]
+command          The commands `eyespot scene init` and `scene schema`, and options for scenes
+motion_settings  The tables [motion] and [clocks]
+scene_file       Scene files (TOML): reading, changing, writing, template and JSON schema
+settings         All other tables, and the rules that a whole scene must meet
 """
 
 import lazy_loader

@@ -11,41 +11,50 @@ _Positive = Annotated[float, Field(gt=0)]
 
 
 class CameraSettings(BaseModel):
-    """What a data sheet after EMVA 1288 says of a camera, and how it writes its images.
+    """The camera: its data sheet (EMVA 1288) and its image format.
 
-    The defaults are a USB microscope of 8 bits whose small pixels hold 5,000 electrons: temporal
-    noise is 3 DN a channel at 180 DN.
+    The defaults describe an 8-bit USB microscope with a full well of 5,000 electrons. Its temporal
+    noise is 3 DN per channel at 180 DN.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    full_well_e: _Positive = Field(default=5000.0, description="Electrons at full scale.")
+    full_well_e: _Positive = Field(
+        default=5000.0, description="Full well: electrons at full scale."
+    )
     read_noise_e: _NonNegative = Field(
-        default=10.0, description="Standard deviation of a dark pixel over frames, electrons."
+        default=10.0,
+        description="Read noise: temporal standard deviation of a dark pixel, electrons.",
     )
     dark_signal_e: _NonNegative = Field(
-        default=0.0, description="Mean thermal electrons of a pixel in one exposure."
+        default=0.0, description="Dark signal: mean thermal electrons per pixel and exposure."
     )
     prnu: float = Field(
-        default=0.0, ge=0, lt=1, description="Standard deviation of the pixels' gain over its mean."
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="PRNU: standard deviation of the pixels' gain, relative to its mean.",
     )
     dsnu_e: _NonNegative = Field(
-        default=0.0, description="Standard deviation of the pixels' dark values, electrons."
+        default=0.0, description="DSNU: standard deviation of the pixels' dark signal, electrons."
     )
     black_level_dn: _NonNegative = Field(
-        default=4.0, description="Mean of a dark image before the response curve, DN."
+        default=4.0, description="Mean value of a dark image before the response curve, DN."
     )
-    bit_depth: int = Field(default=8, ge=8, le=16, description="Bits of a sample in the file.")
+    bit_depth: int = Field(default=8, ge=8, le=16, description="Bits per channel in the file.")
     response: Literal["linear", "srgb"] | _Positive = Field(
         default="linear",
-        description='"linear", "srgb" (IEC 61966-2-1), or g for the curve x^(1/g).',
+        description='Response curve: "linear", "srgb" (IEC 61966-2-1), or a number g for x^(1/g).',
     )
     bayer: Literal["none", "RGGB", "BGGR", "GRBG", "GBRG"] = Field(
         default="none",
-        description="Colour filters of the first two rows; the other colours are interpolated.",
+        description="Bayer filter: colours of the first two rows. Other colours are interpolated.",
     )
     jpeg_quality: int = Field(
-        default=0, ge=0, le=100, description="Of JPEG with 4:2:2 colour, as in USB video; 0: off."
+        default=0,
+        ge=0,
+        le=100,
+        description="JPEG quality, with 4:2:2 colour as in USB video; 0: no JPEG.",
     )
 
     @model_validator(mode="after")
@@ -70,7 +79,7 @@ class CameraSettings(BaseModel):
 
     @property
     def full_scale_dn(self) -> int:
-        """Largest digital number."""
+        """Largest digital number (DN)."""
         return (1 << self.bit_depth) - 1
 
     @property
@@ -79,5 +88,5 @@ class CameraSettings(BaseModel):
         return (self.full_scale_dn - self.black_level_dn) / self.full_well_e
 
     def sensor_shape(self, *, height: int, width: int) -> tuple[int, ...]:
-        """Shape of its raw frames: one value a pixel behind a Bayer filter, else three."""
+        """Shape of the raw frames: one value per pixel with a Bayer filter, otherwise three."""
         return (height, width, 3) if self.bayer == "none" else (height, width)

@@ -1,4 +1,4 @@
-"""The commands `eyespot scene init` and `scene schema`, and the options that scenes are read with.
+"""The commands `eyespot scene init` and `scene schema`, and the options for reading scenes.
 
 eyespot scene init     writes a scene file with every key, its unit and its default
 eyespot scene schema   prints the JSON schema of scene files
@@ -14,23 +14,23 @@ import typer
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
 OutputFolder = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="Folder for the results; made if missing.")
+    Path, typer.Option("--out", metavar="DIR", help="Output folder; created if missing.")
 ]
 Changes = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change a value of the scene, such as camera.bit_depth=12. Repeatable.",
+        help="Change a value of the scene, for example camera.bit_depth=12. Repeatable.",
     ),
 ]
 
 SCHEMA_FILE = "scene.schema.json"
-"""Name under which `eyespot scene init` looks for what `eyespot scene schema` prints."""
+"""File name under which `eyespot scene init` looks for the JSON schema."""
 
 
 def init(
-    path: Annotated[Path, typer.Argument(help="File to write; must not exist.")] = Path(
+    path: Annotated[Path, typer.Argument(help="File to write; it must not exist yet.")] = Path(
         "scene.toml"
     ),
 ) -> None:
@@ -46,7 +46,7 @@ def init(
 def schema() -> None:
     """Print the JSON schema of scene files, for editors.
 
-    Save it as scene.schema.json: every scene file that `scene init` writes beside it names it.
+    Save it as scene.schema.json: scene files written by `scene init` in that folder refer to it.
     """
     from scenes.description.scene_file import scene_schema
 

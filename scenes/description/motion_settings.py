@@ -15,69 +15,76 @@ class Withdrawal(_Settings):
     """The tip withdraws along the beam at constant speed."""
 
     kind: Literal["withdrawal"] = Field(
-        "withdrawal", description="'withdrawal' | 'scan' | 'hand' | 'recorded', as below."
+        "withdrawal",
+        description="'withdrawal' | 'scan' | 'hand' | 'recorded'; the others follow below.",
     )
     start_mm: float | Literal["contact"] = Field(
-        "contact", description="First distance along the beam; contact: the tip's rim touches."
+        "contact",
+        description="First distance along the beam; 'contact': the tip's rim touches the wall.",
     )
-    travel_mm: float = Field(6.0, gt=0)
-    frames: int = Field(61, ge=1, description="Evenly spaced over the travel.")
-    speed_mm_s: float = Field(0.1, gt=0)
+    travel_mm: float = Field(6.0, gt=0, description="Distance that the tip withdraws.")
+    frames: int = Field(61, ge=1, description="Number of frames, evenly spaced over the travel.")
+    speed_mm_s: float = Field(0.1, gt=0, description="Speed of the tip.")
 
 
 class _NamedMotion(_Settings):
-    """A motion that a scene names; only a withdrawal is meant where `kind` is missing."""
+    """A motion that needs the key `kind`; without that key the motion is a withdrawal."""
 
     model_config = ConfigDict(json_schema_extra={"required": ["kind"]})
 
 
 _TROCAR = (
-    "From the spot back along the beam to the point that the instrument pivots about; inf: its "
-    "direction stays."
+    "Distance along the beam from the spot to the point about which the instrument pivots; inf: "
+    "the beam keeps its direction."
 )
 
 
 class Scan(_NamedMotion):
-    """The spot moves along the wall, straight through the place of [spot], at constant distance."""
+    """The spot moves along the wall in a line through [spot], at constant distance."""
 
     kind: Literal["scan"] = "scan"
-    distance_mm: float = Field(3.0, gt=0, description="Along the beam.")
-    length_mm: float = Field(1.5, gt=0, description="Of the spot's path.")
-    direction_deg: float = Field(0.0, description="0: towards growing eccentricity.")
-    speed_mm_s: float = Field(1.0, gt=0, description="Of the spot.")
+    distance_mm: float = Field(3.0, gt=0, description="Distance along the beam.")
+    length_mm: float = Field(1.5, gt=0, description="Length of the spot's path.")
+    direction_deg: float = Field(
+        0.0, description="Direction of the path; 0: towards larger eccentricity."
+    )
+    speed_mm_s: float = Field(1.0, gt=0, description="Speed of the spot.")
     trocar_mm: float = Field(20.0, gt=0, description=_TROCAR)
 
 
 class Hand(_NamedMotion):
-    """Synthetic: a hand drives the robot about a place, with what is left of its tremor.
+    """A synthetic hand moves the tip near [spot]; the robot damps its tremor.
 
-    Tremor: 0.18 mm RMS in all (Singh and Riviere 2002) at 8-12 Hz, the band that Wells et al. 2013
-    give for it. Voluntary motion lies below 2 Hz (99 % of its power; Riviere, Rader and Khosla
-    1997). How much of the tremor the robot takes away is an assumption.
+    Tremor: 0.18 mm RMS in total (Singh and Riviere 2002) at 8-12 Hz (Wells et al. 2013). Voluntary
+    motion: 99 % of its power lies below 2 Hz (Riviere, Rader and Khosla 1997). The damping by the
+    robot is an assumption.
     """
 
     kind: Literal["hand"] = "hand"
-    distance_mm: float = Field(3.0, gt=0, description="Mean, along the beam.")
-    duration_s: float = Field(6.0, gt=0)
+    distance_mm: float = Field(3.0, gt=0, description="Mean distance along the beam.")
+    duration_s: float = Field(6.0, gt=0, description="Duration of the trial.")
     top_speed_mm_s: float = Field(
-        5.0, gt=0, description="The slow motion is as large as makes this the tip's top speed."
+        5.0, gt=0, description="Highest speed of the tip; the slow motion is scaled to reach it."
     )
-    tremor_rms_mm: float = Field(0.18, ge=0, description="Before the robot's damping.")
+    tremor_rms_mm: float = Field(0.18, ge=0, description="Tremor before the robot damps it.")
     damping: float = Field(
-        0.95, ge=0, le=1, description="Part of the tremor that the robot takes away; assumed."
+        0.95,
+        ge=0,
+        le=1,
+        description="Fraction of the tremor that the robot removes (an assumption).",
     )
     trocar_mm: float = Field(20.0, gt=0, description=_TROCAR)
-    seed: int = Field(0, ge=0, description="Of the motion.")
+    seed: int = Field(0, ge=0, description="Random seed of the motion.")
 
 
 class Recorded(_NamedMotion):
-    """The tip follows a file: CSV, or a ROS bag in the eye's frame."""
+    """The tip follows recorded poses: a CSV file, or a ROS bag in the eye's frame."""
 
     kind: Literal["recorded"] = "recorded"
     file: str = Field(
         "kinematics.csv",
-        description="Columns time_s, x_mm, y_mm, z_mm of the tip, axis_x, axis_y, axis_z; eye "
-        "frame.",
+        description="File with the columns time_s, x_mm, y_mm, z_mm (tip), axis_x, axis_y, axis_z "
+        "in the eye's frame.",
     )
 
 
@@ -90,7 +97,7 @@ MOTIONS: dict[str, type[_Settings]] = {
 
 
 def _kind_of_motion(motion: Any) -> str:
-    """A withdrawal unless the scene says otherwise."""
+    """The kind of a motion: a withdrawal if none is given."""
     found = motion.get("kind", "withdrawal") if isinstance(motion, dict) else motion.kind
     return str(found)
 
@@ -105,19 +112,19 @@ Motion = Annotated[
 
 
 class Clocks(_Settings):
-    """When frames are taken, and what the robot's clock says; time counts on the camera's."""
+    """Clocks of the camera and of the robot. Times are those of the camera's clock."""
 
     camera_hz: float = Field(
-        10.0, gt=0, description="Frames a second; a withdrawal has its own number of frames."
+        10.0, gt=0, description="Frame rate; a withdrawal sets its own number of frames."
     )
     camera_jitter_s: float = Field(
-        0.0, ge=0, description="Standard deviation of a frame's moment about its turn."
+        0.0, ge=0, description="Standard deviation of the times at which frames are taken."
     )
-    kinematics_hz: float = Field(200.0, gt=0, description="Poses a second.")
+    kinematics_hz: float = Field(200.0, gt=0, description="Poses per second from the robot.")
     kinematics_offset_s: float = Field(
-        0.0, description="What the robot's clock is ahead of the camera's."
+        0.0, description="Time by which the robot's clock is ahead of the camera's."
     )
     kinematics_jitter_s: float = Field(
-        0.0, ge=0, description="Standard deviation of a pose's time stamp."
+        0.0, ge=0, description="Standard deviation of the time stamps of poses."
     )
-    seed: int = Field(0, ge=0, description="Of both jitters.")
+    seed: int = Field(0, ge=0, description="Random seed of both jitters.")

@@ -1,4 +1,4 @@
-"""The scene file (TOML): read with errors for people, written, explained, and its JSON schema."""
+"""Scene files (TOML): reading, changing, writing, the commented template and the JSON schema."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from scenes.description.motion_settings import MOTIONS
 from scenes.description.settings import Scene, SceneError
 
 _UNNAMED = "withdrawal"
-"""The motion of a scene that names none."""
+"""The motion of a scene without `motion.kind`."""
 
 
 def load_scene(path: Path | None, changes: Sequence[str] = ()) -> Scene:
     """Read and validate a scene file (TOML).
 
     Args:
-        path: the file; None for the scene of the defaults.
-        changes: keys set after reading, each "table.key=value", the value as in TOML; the quotes
-            of a string may be left out.
+        path: the file; None for the default scene.
+        changes: keys to set after reading, each "table.key=value" with the value as in TOML; the
+            quotes of a string may be omitted.
 
     Raises:
-        SceneError: the file is missing, is no TOML, has unknown keys (the nearest known one is
-            named) or describes an impossible geometry; or a change is no "key=value".
+        SceneError: the file is missing, is not TOML, has unknown keys (the message suggests the
+            nearest known key) or describes an impossible geometry; or a change is not "key=value".
     """
     content = {} if path is None else _read(Path(path))
     for change in changes:
@@ -38,10 +38,10 @@ def load_scene(path: Path | None, changes: Sequence[str] = ()) -> Scene:
 
 
 def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
-    """The scene with other values, {"table.key": value}; a new motion.kind brings its defaults.
+    """The scene with other values, {"table.key": value}; a new motion.kind sets its defaults.
 
     Raises:
-        SceneError: a key is unknown, or the scene cannot be.
+        SceneError: a key is unknown, or the changed scene is invalid.
     """
     content = scene.model_dump(mode="json", by_alias=True)
     for key, value in changes.items():
@@ -50,14 +50,14 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
 
 
 def parsed_change(change: str) -> dict[str, Any]:
-    """Tables of a change "table.key=value"; the value as in TOML, or else a string.
+    """A change "table.key=value" as nested tables; a value that is not TOML is a string.
 
     Raises:
-        SceneError: it is no "key=value".
+        SceneError: the change is not "key=value".
     """
     key, equals, text = (part.strip() for part in change.partition("="))
     if not (key and equals):
-        raise SceneError(f"a change is written table.key=value; got {change!r}.")
+        raise SceneError(f"a change must have the form table.key=value; got {change!r}.")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -77,14 +77,14 @@ def scene_schema() -> dict[str, Any]:
 
 
 def scene_template(*, schema_file: str | None = None) -> str:
-    """A scene file with every key at its default, each explained.
+    """A scene file with every key at its default value, each with an explanation.
 
     Args:
-        schema_file: path of the JSON schema from the scene file's folder, for editors.
+        schema_file: path of the JSON schema, relative to the scene file's folder, for editors.
     """
     lines = [
         *([f"#:schema {schema_file}"] if schema_file else []),
-        "# eyespot scene: lengths in mm, angles in degrees, inf allowed where it makes sense",
+        "# Scene of eyespot. Lengths are in mm, angles in degrees. Some lengths may be inf.",
         f"schema = {Scene.model_fields['schema_version'].default}",
         f"seed = 0  # {Scene.model_fields['seed'].description}",
     ]
@@ -112,7 +112,7 @@ def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
 
 
 def _merged(content: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    """The content with the change's values; the keys of another kind of motion are dropped."""
+    """The content with the changed values; a new kind of motion drops the keys of the old one."""
     merged = dict(content)
     if change.get("kind") in MOTIONS and change["kind"] != content.get("kind", _UNNAMED):
         merged.clear()
@@ -133,13 +133,13 @@ def _validated(content: Mapping[str, Any], where: str) -> Scene:
 
 
 def _table(name: str, model: type[BaseModel]) -> list[str]:
-    """A table of the template; what may stand in its place follows as a comment."""
+    """A table of the template; the other kinds of motion follow as comments."""
     lines = ["", f"# {_first_line(model)}", f"[{name}]"]
     lines += [_documented(key, field) for key, field in model.model_fields.items()]
     for other in MOTIONS.values() if model in MOTIONS.values() else ():
         if other is not model:
             keys = [_documented(key, field) for key, field in other.model_fields.items()]
-            lines += ["", f"# Instead: {_first_line(other)}", f"# [{name}]"]
+            lines += ["", f"# Or: {_first_line(other)}", f"# [{name}]"]
             lines += [f"# {key}" for key in keys]
     return lines
 
@@ -171,12 +171,12 @@ def _sentence(problem: Any) -> str:
 def problem_sentence(
     problem: Any, path: Sequence[int | str], *, siblings: Callable[[], list[str]]
 ) -> str:
-    """What pydantic found wrong with a file's key, for people.
+    """A sentence for one error that pydantic found in a file.
 
     Args:
-        problem: of `ValidationError.errors()`.
-        path: of the key, as the file has it.
-        siblings: names of the keys of its table, for one that is unknown.
+        problem: an item of `ValidationError.errors()`.
+        path: path of the key in the file.
+        siblings: gives the known keys of that table, to suggest one for an unknown key.
     """
     where = ".".join(str(part) for part in path)
     if problem["type"] == "extra_forbidden":
@@ -188,7 +188,7 @@ def problem_sentence(
 
 
 def _siblings(location: tuple[int | str, ...]) -> list[str]:
-    """Names of the keys of the table in which a key stands."""
+    """The known keys of the table that contains a key."""
     model: type[BaseModel] = Scene
     for part in location[:-1]:
         if part in MOTIONS:

@@ -1,4 +1,4 @@
-"""A scene: every key with its unit and default, validated before anything is rendered."""
+"""The settings of a scene: every key with its unit and default, validated before rendering."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GAUGE_DIAMETER_MM = {20: 0.91, 23: 0.64, 25: 0.51}
 
 
 class SceneError(ValueError):
-    """A scene is missing, broken, or describes what cannot be; the text says what to change."""
+    """A scene file is missing, invalid or impossible to render; the text says what to change."""
 
 
 class _Settings(BaseModel):
@@ -26,32 +26,42 @@ class Phantom(_Settings):
     """The wall that the light falls on."""
 
     kind: Literal["eyeball", "plane"] = "eyeball"
-    radius_mm: float = Field(11.5, gt=0, description="r; the plane passes through the pole too.")
-    tilt_deg: float = Field(0.0, ge=0, lt=60, description="Of the plane phantom about the pole.")
-    tilt_azimuth_deg: float = Field(0.0, description="Towards which the plane's normal leans.")
-    pupil_radius_mm: float = Field(
-        0.0, ge=0, description="Of the eyeball's opening, where light is lost; 0: closed."
+    radius_mm: float = Field(
+        11.5, gt=0, description="r, radius of the eyeball. The plane passes through its pole."
     )
-    wall: Literal["printed paper", "retina", "uniform", "image"] = "printed paper"
+    tilt_deg: float = Field(
+        0.0, ge=0, lt=60, description="Tilt of the plane phantom about the pole."
+    )
+    tilt_azimuth_deg: float = Field(
+        0.0, description="Direction in which the plane's normal leans; 0: +X, 90: +Y."
+    )
+    pupil_radius_mm: float = Field(
+        0.0, ge=0, description="Radius of the opening of the eyeball; 0: closed eyeball."
+    )
+    wall: Literal["printed paper", "retina", "uniform", "image"] = Field(
+        "printed paper", description="What the wall shows: a drawn fundus, one grey, or wall_image."
+    )
     reflectance: float = Field(
-        0.5, ge=0, lt=1, description="Of the uniform wall, or of an image's white."
+        0.5, ge=0, lt=1, description="Reflectance of the uniform wall, or of white in wall_image."
     )
     wall_image: str = Field(
-        "", description="File of wall 'image', sRGB; its middle at the pole, its top towards +Y."
+        "",
+        description="Image file (sRGB) for wall 'image'. Its centre lies at the pole, its top "
+        "towards +Y.",
     )
     wall_image_mm: float = Field(
-        24.0, gt=0, description="Width of the image: along the wall, as an arc through the pole."
+        24.0, gt=0, description="Width of the image, measured along the wall through the pole."
     )
-    texture_seed: int = Field(1, ge=0, description="Seed of the fundus drawn on the wall.")
+    texture_seed: int = Field(1, ge=0, description="Random seed of the fundus drawn on the wall.")
     coat: Literal["none", "wet", "glossy"] = Field(
         "none",
-        description="On the matt wall: wet, a film of water, or glossy, a varnish. Approximate "
-        "with source.kind 'lens', whose light has no directions, and with the closed form.",
+        description="Coat on the matt wall: wet, a film of water; glossy, a varnish. The result is "
+        "approximate with source.kind 'lens' and with indirect 'closed form'.",
     )
     indirect: Literal["closed form", "traced", "off"] = Field(
         "closed form",
-        description="Light scattered back by the closed eyeball; traced: seconds a frame, with "
-        "the instrument's shadow and the wall's picture in it.",
+        description="Light that the eyeball scatters back onto its wall. Tracing it takes seconds "
+        "per frame and includes the instrument's shadow and the wall's picture.",
     )
 
 
@@ -59,113 +69,150 @@ class Source(_Settings):
     """The fibre's light."""
 
     kind: Literal["lens", "cone", "photons"] = Field(
-        "lens", description="photons: the lens as real glass, noisy and slow; the lens's referee."
+        "lens",
+        description="lens: irradiance computed in advance; cone: ideal cone of light; photons: "
+        "photons traced through the glass, noisy and slow, to check the lens.",
     )
-    photons_per_pixel: int = Field(256, ge=1, description="Traced for a frame of kind photons.")
-    lens: str = Field("paper-candidate", description="Preset name or path of a lens file.")
-    cone_k: float = Field(20.0, gt=0, description="1/tan(half-angle) of the ideal cone.")
-    cone_apex_offset_mm: float = Field(-5.117, description="b of the ideal cone.")
-    power_mw: float = Field(1.0, gt=0, description="Leaving the fibre's core.")
-    medium: Literal["air", "water", "vitreous"] = "air"
+    photons_per_pixel: int = Field(
+        256, ge=1, description="Photons traced per pixel and frame with kind 'photons'."
+    )
+    lens: str = Field("paper-candidate", description="Name of a preset, or path of a lens file.")
+    cone_k: float = Field(20.0, gt=0, description="k = 1/tan(half-angle) of the ideal cone.")
+    cone_apex_offset_mm: float = Field(
+        -5.117, description="b, from the tip to the apex of the ideal cone along the beam."
+    )
+    power_mw: float = Field(1.0, gt=0, description="Optical power that leaves the fibre's core.")
+    medium: Literal["air", "water", "vitreous"] = Field(
+        "air", description="Medium between the fibre and the wall."
+    )
 
 
 class Spot(_Settings):
     """Where the beam's axis meets the wall, and from which direction."""
 
-    eccentricity_mm: float = Field(0.0, ge=0, description="c of the spot.")
-    azimuth_deg: float = 0.0
-    incidence_deg: float = Field(30.0, ge=0, lt=80)
+    eccentricity_mm: float = Field(
+        0.0, ge=0, description="c, distance of the spot from the eye's axis."
+    )
+    azimuth_deg: float = Field(0.0, description="Direction of the spot from the axis; 0: +X.")
+    incidence_deg: float = Field(
+        30.0, ge=0, lt=80, description="Angle between the beam and the wall's normal."
+    )
     incidence_azimuth_deg: float = Field(
-        90.0, description="0: the beam travels towards growing eccentricity."
+        90.0, description="Direction of the beam along the wall; 0: towards larger eccentricity."
     )
 
 
 class Instrument(_Settings):
-    """Shaft with a bare fibre that reaches past it."""
+    """The lighting instrument: a shaft with a bare fibre at its end."""
 
-    visible: bool = Field(True, description="Seen, and hiding what lies behind it.")
-    gauge: Literal[20, 23, 25] = 23
-    fibre_diameter_mm: float = Field(0.5, gt=0)
-    fibre_length_mm: float = Field(6.0, gt=0, description="Of bare fibre past the shaft.")
+    visible: bool = Field(True, description="Whether the instrument is in the images.")
+    gauge: Literal[20, 23, 25] = Field(23, description="Diameter of the shaft, as a gauge number.")
+    fibre_diameter_mm: float = Field(0.5, gt=0, description="Diameter of the bare fibre.")
+    fibre_length_mm: float = Field(
+        6.0, gt=0, description="Length of bare fibre in front of the shaft."
+    )
 
 
 class SecondTool(_Settings):
-    """A passive tool through another trocar: it hides and shades, and gives no light."""
+    """A second tool without light in another trocar; it hides the wall and casts shadows."""
 
-    visible: bool = Field(False, description="In the eye at all.")
-    gauge: Literal[20, 23, 25] = 23
+    visible: bool = Field(False, description="Whether the second tool is in the eye.")
+    gauge: Literal[20, 23, 25] = Field(23, description="Diameter of the tool, as a gauge number.")
     tip_mm: tuple[float, float, float] = Field(
-        (-1.5, 1.0, -9.0), description="X, Y, Z in the eye's frame."
+        (-1.5, 1.0, -9.0), description="Position of the tool's tip, X, Y, Z in the eye's frame."
     )
-    trocar_azimuth_deg: float = Field(135.0, description="Of the trocar about the axis; 0: +X.")
+    trocar_azimuth_deg: float = Field(
+        135.0, description="Direction of the trocar from the eye's axis; 0: +X."
+    )
     trocar_polar_deg: float = Field(
-        48.0, ge=0, lt=90, description="Of the trocar from the axis, seen from the eye's centre."
+        48.0,
+        ge=0,
+        lt=90,
+        description="Angle between the trocar and the eye's axis, seen from the eye's centre.",
     )
 
 
 class MicroscopeSettings(_Settings):
-    """Pinhole microscope; its window is centred on the place of [spot]."""
+    """The microscope: a pinhole camera whose window is centred on the position of [spot]."""
 
-    pinhole_height_mm: float = Field(11.5, description="z_F above the eye's centre; inf allowed.")
-    scale_mm_px: float = Field(0.0067, gt=0, description="At the pole.")
-    width_px: int = Field(640, ge=16, le=8192)
-    height_px: int = Field(480, ge=16, le=8192)
+    pinhole_height_mm: float = Field(
+        11.5, description="z_F, height of the pinhole above the eye's centre; inf: telecentric."
+    )
+    scale_mm_px: float = Field(0.0067, gt=0, description="Size of a pixel on the wall at the pole.")
+    width_px: int = Field(640, ge=16, le=8192, description="Width of the images.")
+    height_px: int = Field(480, ge=16, le=8192, description="Height of the images.")
     window_offset_px: tuple[float, float] = Field(
         (0.0, 0.0),
-        description="Of the window's middle from that place, in x and y; other than zero, the "
-        "border may cut the spot.",
+        description="Shift of the window in x and y. If it is not zero, the border of the image "
+        "may cut the spot.",
     )
     light: Literal["coaxial", "ambient"] = Field(
-        "coaxial", description="From the pinhole, without shadows; or from all sides alike."
+        "coaxial",
+        description="Microscope light: coaxial, from the pinhole and without shadows; ambient, "
+        "equal from all sides.",
     )
-    illumination_mw_mm2: float = Field(0.05, ge=0, description="Its irradiance at the pole.")
+    illumination_mw_mm2: float = Field(
+        0.05, ge=0, description="Irradiance of the microscope light at the pole."
+    )
     vignetting: float = Field(
         0.0,
         ge=0,
         lt=1,
-        description="Part of the light lost in the window's corners; grows with the square of the "
-        "distance from its middle.",
+        description="Fraction of light lost in the corners of the image. The loss grows with the "
+        "square of the distance from the image centre.",
     )
     distortion: tuple[float, float, float, float, float] = Field(
         (0.0, 0.0, 0.0, 0.0, 0.0),
-        description="k1, k2, p1, p2, k3 of Brown's lens, as OpenCV has them.",
+        description="Distortion coefficients k1, k2, p1, p2, k3 after Brown, as in OpenCV.",
     )
     numerical_aperture: float = Field(
         0.0,
         ge=0,
         le=0.3,
-        description="On the eye's side; 0: a pinhole, sharp everywhere. Above, walls out of focus "
-        "are blurred, and samples counts lines of sight through the lens too: take 64.",
+        description="Numerical aperture towards the eye; 0: a pinhole, sharp at all heights. Above "
+        "0 the wall is blurred where it is out of focus; set samples to 64 then.",
     )
-    focus_mm: float = Field(0.0, description="Height in focus above the retinal pole.")
-    samples: int = Field(4, ge=1, description="Per pixel, on a regular grid: 1, 4, 9, 16 …")
+    focus_mm: float = Field(0.0, description="Height above the pole that is in focus.")
+    samples: int = Field(
+        4, ge=1, description="Samples per pixel, on a regular grid: 1, 4, 9, 16 ..."
+    )
 
 
 class Exposures(_Settings):
-    """How each linear frame is exposed."""
+    """Exposure: how bright the images are."""
 
-    kinds: tuple[Literal["paper", "metered"], ...] = ("paper", "metered")
+    kinds: tuple[Literal["paper", "metered"], ...] = Field(
+        ("paper", "metered"),
+        description="Exposures of each frame: paper, one fixed exposure; metered, by the peak of "
+        "the spot in each frame.",
+    )
     paper_level: float = Field(
         0.48,
         gt=0,
-        description="Grey level 200 of the fixed exposure lies at this part of the beam's peak "
+        description="The fixed exposure gives grey level 200 at this fraction of the beam's peak "
         "irradiance at paper_distance_mm.",
     )
-    paper_distance_mm: float = Field(5.0, gt=0)
-    metered_peak: float = Field(0.8, gt=0, le=1, description="Spot's peak as part of full scale.")
+    paper_distance_mm: float = Field(5.0, gt=0, description="Distance that paper_level refers to.")
+    metered_peak: float = Field(
+        0.8,
+        gt=0,
+        le=1,
+        description="Peak of the spot in metered frames, as a fraction of full scale.",
+    )
     sensitivity_mm2_sr_mj: float = Field(
-        200.0, gt=0, description="Full wells per mW/(mm2 sr) of radiance and second."
+        200.0, gt=0, description="Full wells per second and per mW/(mm2 sr) of radiance."
     )
     keep_linear: bool = Field(
-        False, description="Keep noise-free frames, to expose again without rendering."
+        False,
+        description="Also keep noise-free frames, so that other exposures need no new rendering.",
     )
 
 
 class Scene(_Settings):
-    """One trial: everything that an image stack depends on."""
+    """One trial: all settings that an image stack depends on."""
 
     schema_version: Literal[1] = Field(1, alias="schema")
-    seed: int = Field(0, ge=0, description="Of the camera's noise.")
+    seed: int = Field(0, ge=0, description="Random seed of the camera noise.")
     phantom: Phantom = Phantom()
     source: Source = Source()
     spot: Spot = Spot()
@@ -179,13 +226,13 @@ class Scene(_Settings):
 
     @property
     def approximations(self) -> list[str]:
-        """What about its images is not exact, for those who use them."""
+        """What is only approximate in the images of this scene, one sentence each."""
         phantom, found = self.phantom, []
         if phantom.coat != "none" and self.source.kind == "lens":
-            found.append("the lens's light has no directions: highlights are those of its mean one")
+            found.append("highlights are computed for the mean direction of the lens's light")
         if phantom.coat != "none" and phantom.kind == "eyeball":
             if phantom.indirect == "closed form":
-                found.append("indirect light is that of the wall without its coat")
+                found.append("indirect light is computed for a wall without coat")
         return found
 
     @model_validator(mode="after")
@@ -203,15 +250,17 @@ class Scene(_Settings):
             )
         if math.isinf(self.microscope.pinhole_height_mm) and any(self.microscope.distortion):
             raise ValueError(
-                "microscope.distortion counts in units of the focal length, which a telecentric "
-                f"microscope lacks; got {list(self.microscope.distortion)} with pinhole_height_mm "
-                "= inf. Set it to zeros or lower pinhole_height_mm."
+                "microscope.distortion is measured in focal lengths, and a telecentric "
+                f"microscope has none; got {list(self.microscope.distortion)} with "
+                "pinhole_height_mm = inf. Set it to zeros or lower pinhole_height_mm."
             )
         if self.phantom.wall == "image" and not self.phantom.wall_image:
-            raise ValueError("phantom.wall 'image' needs phantom.wall_image, the file's path.")
+            raise ValueError(
+                "phantom.wall = 'image' needs phantom.wall_image. Set it to the path of the image."
+            )
         if self.phantom.pupil_radius_mm and self.phantom.kind == "plane":
             raise ValueError(
-                "phantom.pupil_radius_mm opens the eyeball phantom only; got "
+                "phantom.pupil_radius_mm applies to the eyeball phantom only; got "
                 f"{self.phantom.pupil_radius_mm:g} mm with kind 'plane'. Set it to 0."
             )
         if self.phantom.pupil_radius_mm >= r:
@@ -228,14 +277,14 @@ class Scene(_Settings):
         if self.phantom.kind == "eyeball":
             if self.phantom.tilt_deg:
                 raise ValueError(
-                    "phantom.tilt_deg tilts the plane phantom only; got "
+                    "phantom.tilt_deg applies to the plane phantom only; got "
                     f"{self.phantom.tilt_deg:g} deg with kind 'eyeball'. Set it to 0 or choose "
                     "kind = 'plane'."
                 )
         elif math.radians(self.phantom.tilt_deg + self.spot.incidence_deg) >= math.pi / 2:
             raise ValueError(
-                "phantom.tilt_deg + spot.incidence_deg must stay below 90; got "
+                "phantom.tilt_deg + spot.incidence_deg must be below 90; got "
                 f"{self.phantom.tilt_deg:g} + {self.spot.incidence_deg:g} deg, so the beam may "
-                "miss the plane. Lower one."
+                "miss the plane. Lower one of them."
             )
         return self
