@@ -39,9 +39,12 @@ from .lens_misaligned import MisalignedLens as MisalignedLens
 from .lens_misaligned import misaligned_vector_irradiance as misaligned_vector_irradiance
 from .mismatch import ellipse_mismatch as ellipse_mismatch
 from .mismatch import mismatch_covariance as mismatch_covariance
+from .models import CLOSED_FORMS as CLOSED_FORMS
 from .models import MODELS as MODELS
+from .models import closed_form_distance as closed_form_distance
 from .models import corrected_distance as corrected_distance
 from .models import corrected_factor as corrected_factor
+from .models import eyeball_point as eyeball_point
 from .models import paper_angle_s_d_e as paper_angle_s_d_e
 from .models import paper_foreshortening as paper_foreshortening
 from .models import paper_pinhole_distance as paper_pinhole_distance

@@ -1,19 +1,117 @@
 """Models from spot size to distance: planar, small_plane, corrected, stereographic.
 
-Each is a closed form for a beam square to the wall; the terms of the paper's derivation are
-functions of their own, so that a study can say which approximation costs what. `exact` needs the
-beam's direction and lives in `_distance`.
+Each is a closed form for a beam square to the wall. The terms of the paper's derivation are
+functions of their own, so that a study can say what each approximation costs. The model `exact`
+needs the beam's direction and is in `distance`.
+
+The functions take floats, NumPy arrays and JAX arrays, and compute in JAX if one of the arguments
+is a JAX array, else in NumPy. This file does not import JAX, so that a program on the robot can
+use the closed forms without it. Where a model has no such spot, the result is NaN.
 """
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from typing import TYPE_CHECKING, Any
 
-MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact")
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Array, ArrayLike, Float
+
+    Batch = Float[Array, "*batch"]
+
+CLOSED_FORMS = ("planar", "small_plane", "corrected", "stereographic")
+"""Names of the models that `closed_form_distance` knows."""
+
+MODELS = (*CLOSED_FORMS, "exact")
 """The models' names, everywhere: command line, files, code."""
 
-Batch = Float[Array, "*batch"]
+
+def _array_namespace(*values: ArrayLike) -> Any:
+    """`jax.numpy` if one of the values is a JAX array, traced or not, else `numpy`."""
+    spaces = (v.__array_namespace__() for v in values if hasattr(v, "__array_namespace__"))
+    return next((space for space in spaces if space is not np), np)
+
+
+def closed_form_distance(
+    model: str,
+    *,
+    semi_minor_px: ArrayLike,
+    scale: ArrayLike,
+    k: ArrayLike,
+    b: ArrayLike,
+    eccentricity: ArrayLike,
+    eye_radius: ArrayLike,
+    inverse_working_distance: ArrayLike,
+) -> Batch:
+    """Distance by the model of this name; each uses those of the arguments that it needs.
+
+    Args:
+        model: one of `CLOSED_FORMS`.
+        semi_minor_px: e1', px.
+        scale: delta, mm/px at the pole.
+        k: 1/tan(half-angle).
+        b: apex offset, mm.
+        eccentricity: c, mm.
+        eye_radius: r, mm.
+        inverse_working_distance: 1/(z_F + r), 1/mm; 0 is telecentric.
+
+    Returns:
+        d, mm.
+
+    Raises:
+        ValueError: no closed form has this name.
+    """
+    line: dict[str, Any] = {"semi_minor_px": semi_minor_px, "scale": scale, "k": k, "b": b}
+    eye: dict[str, Any] = {"eccentricity": eccentricity, "eye_radius": eye_radius}
+    match model:
+        case "planar":
+            return planar_distance(**line)
+        case "small_plane":
+            return small_plane_distance(**line, **eye)
+        case "corrected":
+            return corrected_distance(
+                **line, **eye, inverse_working_distance=inverse_working_distance
+            )
+        case "stereographic":
+            return stereographic_distance(**line, **eye)
+    raise ValueError(
+        f"closed_form_distance(model=...) must be one of {', '.join(CLOSED_FORMS)}; got {model!r}."
+    )
+
+
+def eyeball_point(
+    *,
+    right_px: ArrayLike,
+    down_px: ArrayLike,
+    scale: ArrayLike,
+    eye_radius: ArrayLike,
+    inverse_working_distance: ArrayLike,
+) -> Float[Array, "3 *batch"]:
+    """Where the line of sight of an image point meets the retina.
+
+    The line passes at q = delta (right, -down) beside the pole and narrows towards the pinhole by
+    1 - kappa t at the height t over the pole. On the sphere
+    q^2 (1 - kappa t)^2 + (t - r)^2 = r^2, whose lower root t is the retina.
+
+    Args:
+        right_px: image point, to the right of the principal point, px.
+        down_px: image point, below the principal point, px.
+        scale: delta, mm/px at the pole.
+        eye_radius: r, mm.
+        inverse_working_distance: kappa = 1/(z_F + r), 1/mm; 0 is telecentric.
+
+    Returns:
+        X, Y, Z on the first axis, mm, eye frame.
+    """
+    xp = _array_namespace(right_px, down_px, scale, eye_radius, inverse_working_distance)
+    r, kappa = xp.asarray(eye_radius), inverse_working_distance
+    x, y = scale * xp.asarray(right_px), scale * -xp.asarray(down_px)
+    square = x**2 + y**2
+    p, q = 1.0 + kappa**2 * square, r + kappa * square
+    height = square / (q + xp.sqrt(q**2 - p * square))
+    narrowing = 1.0 - kappa * height
+    return xp.stack([x * narrowing, y * narrowing, height - r])
 
 
 def planar_distance(*, semi_minor_px: ArrayLike, scale: ArrayLike, k: ArrayLike, b: ArrayLike):
@@ -30,12 +128,14 @@ def planar_distance(*, semi_minor_px: ArrayLike, scale: ArrayLike, k: ArrayLike,
     Returns:
         d, mm.
     """
-    return scale * k * jnp.asarray(semi_minor_px) + b
+    xp = _array_namespace(semi_minor_px, scale, k, b)
+    return scale * k * xp.asarray(semi_minor_px) + b
 
 
 def planar_semi_minor(*, distance: ArrayLike, scale: ArrayLike, k: ArrayLike, b: ArrayLike):
     """e1' in px of a spot at distance d (mm) on a plane; inverse of `planar_distance`."""
-    return (jnp.asarray(distance) - b) / (scale * k)
+    xp = _array_namespace(distance, scale, k, b)
+    return (xp.asarray(distance) - b) / (scale * k)
 
 
 def sagitta(*, spot_radius: ArrayLike, eye_radius: ArrayLike) -> Batch:
@@ -43,15 +143,15 @@ def sagitta(*, spot_radius: ArrayLike, eye_radius: ArrayLike) -> Batch:
 
     Written e1^2/(r + sqrt(r^2 - e1^2)), which does not cancel for small spots.
     """
-    squared = jnp.asarray(spot_radius) ** 2
-    return squared / (eye_radius + jnp.sqrt(jnp.asarray(eye_radius) ** 2 - squared))
+    xp = _array_namespace(spot_radius, eye_radius)
+    squared = xp.asarray(spot_radius) ** 2
+    return squared / (eye_radius + xp.sqrt(xp.asarray(eye_radius) ** 2 - squared))
 
 
 def sphere_distance(*, spot_radius: ArrayLike, k: ArrayLike, b: ArrayLike, eye_radius: ArrayLike):
     """d = k e1 + b + r - sqrt(r^2 - e1^2), mm (Zhou et al. 2020, eq. 6); exact if square."""
-    return (
-        k * jnp.asarray(spot_radius) + b + sagitta(spot_radius=spot_radius, eye_radius=eye_radius)
-    )
+    xp = _array_namespace(spot_radius, k, b, eye_radius)
+    return k * xp.asarray(spot_radius) + b + sagitta(spot_radius=spot_radius, eye_radius=eye_radius)
 
 
 def square_spot_radius(
@@ -61,37 +161,42 @@ def square_spot_radius(
 
     e1 solves (1 + k^2) e1^2 + 2 k q e1 + q^2 = r^2 with q = r - d + b.
     """
-    q = jnp.asarray(eye_radius) - distance + b
-    k2 = 1.0 + jnp.asarray(k) ** 2
-    return (jnp.sqrt(jnp.asarray(eye_radius) ** 2 * k2 - q**2) - k * q) / k2
+    xp = _array_namespace(distance, k, b, eye_radius)
+    q = xp.asarray(eye_radius) - distance + b
+    k2 = 1.0 + xp.asarray(k) ** 2
+    return (xp.sqrt(xp.asarray(eye_radius) ** 2 * k2 - q**2) - k * q) / k2
 
 
 def paper_foreshortening(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> Batch:
     """cos(atan(c / sqrt(r^2 - c^2))) = cos(phi), the factor of Zhou et al. 2020, eq. 10."""
-    return jnp.sqrt(1.0 - (jnp.asarray(eccentricity) / eye_radius) ** 2)
+    xp = _array_namespace(eccentricity, eye_radius)
+    return xp.sqrt(1.0 - (xp.asarray(eccentricity) / eye_radius) ** 2)
 
 
 def paper_pinhole_distance(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> Batch:
     """FP = r + sqrt(r^2 - c^2), mm: eq. 9 of Zhou et al. 2020 puts the pinhole on the sphere."""
-    r = jnp.asarray(eye_radius)
-    return r + jnp.sqrt(r**2 - jnp.asarray(eccentricity) ** 2)
+    xp = _array_namespace(eccentricity, eye_radius)
+    r = xp.asarray(eye_radius)
+    return r + xp.sqrt(r**2 - xp.asarray(eccentricity) ** 2)
 
 
 def paper_angle_s_d_e(
     *, eccentricity: ArrayLike, eye_radius: ArrayLike, spot_radius: ArrayLike
 ) -> Batch:
     """Angle S'DE of Zhou et al. 2020, eq. 9, rad; the paper drops the term with its cosine."""
-    phi = jnp.arcsin(jnp.asarray(eccentricity) / eye_radius)
+    xp = _array_namespace(eccentricity, eye_radius, spot_radius)
+    phi = xp.arcsin(xp.asarray(eccentricity) / eye_radius)
     fp = paper_pinhole_distance(eccentricity=eccentricity, eye_radius=eye_radius)
-    return jnp.arctan(fp * jnp.cos(0.5 * phi) / spot_radius)
+    return xp.arctan(fp * xp.cos(0.5 * phi) / spot_radius)
 
 
 def small_plane_spot_radius(
     *, semi_minor_px: ArrayLike, scale: ArrayLike, eccentricity: ArrayLike, eye_radius: ArrayLike
 ) -> Batch:
     """e1 = delta e1' cos(phi), mm (Zhou et al. 2020, eq. 10)."""
+    xp = _array_namespace(semi_minor_px, scale, eccentricity, eye_radius)
     foreshortening = paper_foreshortening(eccentricity=eccentricity, eye_radius=eye_radius)
-    return jnp.asarray(scale) * semi_minor_px * foreshortening
+    return xp.asarray(scale) * semi_minor_px * foreshortening
 
 
 def small_plane_distance(
@@ -140,12 +245,13 @@ def corrected_factor(
         eye_radius: r, mm.
         inverse_working_distance: kappa, 1/mm.
     """
-    r = jnp.asarray(eye_radius)
-    sin_phi = jnp.asarray(eccentricity) / r
-    cos_phi = jnp.sqrt(1.0 - sin_phi**2)
-    depth = 1.0 - jnp.asarray(inverse_working_distance) * r * (1.0 - cos_phi)
+    xp = _array_namespace(eccentricity, eye_radius, inverse_working_distance)
+    r = xp.asarray(eye_radius)
+    sin_phi = xp.asarray(eccentricity) / r
+    cos_phi = xp.sqrt(1.0 - sin_phi**2)
+    depth = 1.0 - xp.asarray(inverse_working_distance) * r * (1.0 - cos_phi)
     meridional = cos_phi + inverse_working_distance * r * sin_phi**2 / depth
-    return depth / jnp.minimum(1.0, meridional)
+    return depth / xp.minimum(1.0, meridional)
 
 
 def corrected_distance(
@@ -172,12 +278,15 @@ def corrected_distance(
     Returns:
         d, mm.
     """
+    xp = _array_namespace(
+        semi_minor_px, scale, k, b, eccentricity, eye_radius, inverse_working_distance
+    )
     factor = corrected_factor(
         eccentricity=eccentricity,
         eye_radius=eye_radius,
         inverse_working_distance=inverse_working_distance,
     )
-    radius = scale * jnp.asarray(semi_minor_px) * factor
+    radius = scale * xp.asarray(semi_minor_px) * factor
     return sphere_distance(spot_radius=radius, k=k, b=b, eye_radius=eye_radius)
 
 
@@ -203,10 +312,11 @@ def stereographic_semi_axis(
     Returns:
         e1', px.
     """
-    r = jnp.asarray(eye_radius)
-    sin_beta = jnp.asarray(spot_radius) / r
-    cos_beta = jnp.sqrt(1.0 - sin_beta**2)
-    cos_phi = jnp.sqrt(1.0 - (jnp.asarray(eccentricity) / r) ** 2)
+    xp = _array_namespace(spot_radius, eccentricity, eye_radius, scale)
+    r = xp.asarray(eye_radius)
+    sin_beta = xp.asarray(spot_radius) / r
+    cos_beta = xp.sqrt(1.0 - sin_beta**2)
+    cos_phi = xp.sqrt(1.0 - (xp.asarray(eccentricity) / r) ** 2)
     return 2.0 * r / scale * sin_beta / (cos_phi + cos_beta)
 
 
@@ -234,11 +344,12 @@ def stereographic_distance(
     Returns:
         d, mm.
     """
-    r = jnp.asarray(eye_radius)
-    m = jnp.asarray(semi_minor_px) * scale / (2.0 * r)
-    cos_phi = jnp.sqrt(1.0 - (jnp.asarray(eccentricity) / r) ** 2)
-    beta = jnp.arctan(m) + jnp.arcsin(m * cos_phi / jnp.sqrt(1.0 + m**2))
-    return sphere_distance(spot_radius=r * jnp.sin(beta), k=k, b=b, eye_radius=eye_radius)
+    xp = _array_namespace(semi_minor_px, scale, k, b, eccentricity, eye_radius)
+    r = xp.asarray(eye_radius)
+    m = xp.asarray(semi_minor_px) * scale / (2.0 * r)
+    cos_phi = xp.sqrt(1.0 - (xp.asarray(eccentricity) / r) ** 2)
+    beta = xp.arctan(m) + xp.arcsin(m * cos_phi / xp.sqrt(1.0 + m**2))
+    return sphere_distance(spot_radius=r * xp.sin(beta), k=k, b=b, eye_radius=eye_radius)
 
 
 def square_spot_axes(
@@ -267,14 +378,15 @@ def square_spot_axes(
     Returns:
         Meridional and tangential semi-axis, px; e1' is the smaller.
     """
-    r, spot = jnp.asarray(eye_radius), jnp.asarray(spot_radius)
-    sin_phi = jnp.asarray(eccentricity) / r
-    cos_phi = jnp.sqrt(1.0 - sin_phi**2)
-    height = jnp.sqrt(r**2 - spot**2)
+    xp = _array_namespace(spot_radius, eccentricity, eye_radius, scale, inverse_working_distance)
+    r, spot = xp.asarray(eye_radius), xp.asarray(spot_radius)
+    sin_phi = xp.asarray(eccentricity) / r
+    cos_phi = xp.sqrt(1.0 - sin_phi**2)
+    height = xp.sqrt(r**2 - spot**2)
     kappa = inverse_working_distance
     a = 1.0 - kappa * (r - height * cos_phi)
     b = kappa * spot * sin_phi
     denominator = a**2 - b**2
     meridional = (spot * cos_phi * a + height * sin_phi * b) / denominator
-    tangential = spot / jnp.sqrt(denominator)
+    tangential = spot / xp.sqrt(denominator)
     return meridional / scale, tangential / scale

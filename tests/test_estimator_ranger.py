@@ -431,7 +431,7 @@ print(*sys.modules)
     child = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOME
     )
-    assert not {"jax", "optics", "equinox"} & set(child.stdout.split())
+    assert not {"jax", "equinox"} & set(child.stdout.split())
 
 
 def bell(x, y, *, centre=(200.0, 180.0), sigmas=(30.0, 24.0)):

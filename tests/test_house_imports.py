@@ -33,10 +33,11 @@ MAY_BE_IMPORTED_BY = {
 }
 
 
-# Where a spot becomes a distance; the microscope is what the two others see the eye through.
+# Where a spot becomes a distance; the microscope is what the others see the eye through.
 FROM_SPOT_TO_DISTANCE = {
     "estimator/distance/cone_pose.py",
     "estimator/distance/lens_range.py",
+    "estimator/distance/ranger.py",
     "estimator/files/microscope.py",
 }
 
@@ -144,7 +145,8 @@ def test_scenes_take_file_formats_from_the_estimator_and_nothing_else():
     [
         ("estimator", ["jax", "mitsuba", "drjit", "optics", "skimage"]),
         ("eyespot", ["jax", "mitsuba", "drjit", "cv2", "numpy", "matplotlib", "pydantic"]),
-        ("optics", ["mitsuba", "drjit", "cv2"]),
+        ("optics", ["jax", "mitsuba", "drjit", "cv2"]),
+        ("optics.models", ["jax", "mitsuba", "drjit", "cv2"]),
         ("scenes", ["mitsuba", "drjit"]),
         ("calibration", ["mitsuba", "drjit"]),
     ],

@@ -1,5 +1,6 @@
 """The models against the exact geometry and against figures found by another program."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -82,6 +83,44 @@ def test_small_plane_is_right_to_first_order_for_a_pinhole_at_the_centre():
             eye_radius=R_EYE,
         )
         assert abs(float(estimate) - 6.0) < 0.014
+
+
+@pytest.mark.parametrize("model", optics.CLOSED_FORMS)
+def test_a_closed_form_is_the_same_in_numpy_and_in_jax(model):
+    given = {"scale": SCALE, "k": K, "b": B, "eye_radius": R_EYE, "inverse_working_distance": 0.01}
+    size, c = np.linspace(20.0, 90.0, 8), np.linspace(0.0, 7.0, 8)
+    plain = optics.closed_form_distance(model, semi_minor_px=size, eccentricity=c, **given)
+    traced = jax.jit(
+        lambda size, c: optics.closed_form_distance(
+            model, semi_minor_px=size, eccentricity=c, **given
+        )
+    )(size, c)
+    assert isinstance(plain, np.ndarray)
+    # Rounding of a few operations on numbers of some 20 mm.
+    np.testing.assert_allclose(traced, plain, atol=1e-13)
+
+
+def test_an_unknown_closed_form_is_refused_by_name():
+    zero = dict.fromkeys(("semi_minor_px", "scale", "k", "b", "eccentricity", "eye_radius"), 0.0)
+    with pytest.raises(ValueError, match="planar, small_plane, corrected, stereographic"):
+        optics.closed_form_distance("exact", **zero, inverse_working_distance=0.0)
+
+
+@pytest.mark.parametrize("height", [0.0, 11.5, 200.0, float("inf")])
+def test_the_closed_form_of_a_line_of_sight_meets_the_sphere_where_the_ray_does(height):
+    eye = optics.microscope(scale=SCALE, pinhole_height=height, eye_radius=R_EYE)
+    right, down = np.array([-700.0, 0.0, 300.0]), np.array([100.0, 0.0, -500.0])
+    point = optics.eyeball_point(
+        right_px=right,
+        down_px=down,
+        scale=SCALE,
+        eye_radius=R_EYE,
+        inverse_working_distance=1.0 / (height + R_EYE),
+    )
+    principal = np.asarray(eye.principal_point)
+    ray = eye.ray(np.stack([right, down], axis=-1) + principal)
+    # Rounding: some ten operations on numbers of up to 200 mm.
+    np.testing.assert_allclose(point.T, optics.Sphere(R_EYE).intersect(*ray).point, atol=1e-11)
 
 
 def test_models_agree_at_the_pole_up_to_the_sagitta():

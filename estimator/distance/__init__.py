@@ -4,7 +4,6 @@ cone_pose   Tip and axis of the sharp cone that leaves a spot's ellipse on the e
             `exact`
 lens_range  Distance behind a glue lens: size, shape and brightness of the spot against the lens's
             light
-models      The models' closed forms in NumPy: from an ellipse's size and place to distance
 range       What a spot becomes: a distance, its standard deviation, and what to know about it
 ranger      From a spot to the distance between tip and wall, with its standard deviation
 """

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.detector import Ellipse, spot_shape
-from estimator.distance import models
 from estimator.distance.cone_pose import UNKNOWN_SIGMA_PX, ConePoses
 from estimator.distance.lens_range import distance_from_lens, lens_curve
 from estimator.distance.range import Range
 from estimator.files import CONE_MODELS, MODELS, Calibration, MicroscopeFile
 from estimator.image import Spot
+
+Numbers = float | np.ndarray
 
 _APART = 3.0  # standard deviations between two distances that count as two
 _STEP = 1e-6  # of the differences, relative
@@ -61,12 +62,13 @@ class Ranger:
         own = calibration.values
         self.calibration = calibration
         self.microscope = microscope
-        view = self._view(own)
+        eye = self._eye(own)
+        kappa, radius = (float(eye[name]) for name in ("inverse_working_distance", "eye_radius"))
         self.microscope = replace(
             microscope,
-            scale_mm_px=float(view.scale),
-            eye_radius_mm=float(view.eye_radius),
-            pinhole_height_mm=float(view.pinhole_height),
+            scale_mm_px=float(eye["scale"]),
+            eye_radius_mm=radius,
+            pinhole_height_mm=1.0 / kappa - radius if kappa else math.inf,
         )
         self.model = calibration.model if model is None else model
         self.eccentricity_mm = eccentricity_mm
@@ -133,6 +135,8 @@ class Ranger:
 
     def _closed_form(self, model: str, spot: Spot, spot_covariance: np.ndarray) -> Range:
         """Distance by a closed form, its sigma propagated by central differences."""
+        import optics
+
         names, values = zip(*self.calibration.values.items(), strict=True)
         base = np.array([spot.x_px, spot.y_px, spot.semi_minor_px, *values])
         steps = np.diag(_STEP * np.maximum(np.abs(base), 1.0))
@@ -140,17 +144,17 @@ class Ranger:
         varied = base[:, None] + np.hstack([np.zeros((base.size, 1)), steps, -steps])
         x, y, semi_minor, *calibrated = varied
         quantities = dict(zip(names, calibrated, strict=True))
-        view = self._view(quantities)
-        # A spot that the sphere does not hold becomes a NaN, which is flagged.
+        eye = self._eye(quantities)
+        # A spot larger than the sphere gives NaN, which is flagged.
         with np.errstate(invalid="ignore"):
             distances = np.asarray(
-                models.distance(
+                optics.closed_form_distance(
                     model,
-                    view,
                     semi_minor_px=semi_minor,
-                    eccentricity=self._eccentricity(view, x, y),
+                    eccentricity=self._eccentricity(eye, x, y),
                     k=_slope(quantities),
                     b=quantities["b"],
+                    **eye,
                 )
             )
         up, down = distances[1:].reshape(2, -1)
@@ -161,29 +165,27 @@ class Ranger:
         variance += of_calibration @ self.calibration.covariance @ of_calibration
         return Range(distance_mm=float(distances[0]), sigma_mm=float(np.sqrt(variance)))
 
-    def _view(self, calibrated: Mapping[str, models.Numbers]) -> models.View:
+    def _eye(self, calibrated: Mapping[str, Numbers]) -> dict[str, Numbers]:
+        """Scale, radius and pinhole of the eye: the calibrated ones, else the microscope's."""
         microscope = self.microscope
-        eye_radius = calibrated.get("eye_radius", microscope.eye_radius_mm)
-        height: models.Numbers = microscope.pinhole_height_mm
-        if "inverse_working_distance" in calibrated:
-            with np.errstate(divide="ignore"):  # 0 of a telecentric one: infinitely high
-                height = 1.0 / np.asarray(calibrated["inverse_working_distance"]) - eye_radius
-        return models.View(
-            scale=calibrated.get("scale", microscope.scale_mm_px),
-            eye_radius=eye_radius,
-            pinhole_height=height,
-        )
+        radius = calibrated.get("eye_radius", microscope.eye_radius_mm)
+        own = 1.0 / (microscope.pinhole_height_mm + radius)
+        return {
+            "scale": calibrated.get("scale", microscope.scale_mm_px),
+            "eye_radius": radius,
+            "inverse_working_distance": calibrated.get("inverse_working_distance", own),
+        }
 
-    def _wall_point(self, view: models.View, x: models.Numbers, y: models.Numbers) -> np.ndarray:
+    def _wall_point(self, eye: Mapping[str, Numbers], x: Numbers, y: Numbers) -> np.ndarray:
+        import optics
+
         u, v = self.microscope.principal_point_px
-        return models.wall_point(view, right_px=x - u, down_px=y - v)
+        return np.asarray(optics.eyeball_point(right_px=x - u, down_px=y - v, **eye))
 
-    def _eccentricity(
-        self, view: models.View, x: models.Numbers, y: models.Numbers
-    ) -> models.Numbers:
+    def _eccentricity(self, eye: Mapping[str, Numbers], x: Numbers, y: Numbers) -> Numbers:
         if self.eccentricity_mm is not None:
             return self.eccentricity_mm
-        return np.hypot(*self._wall_point(view, x, y)[:2])
+        return np.hypot(*self._wall_point(eye, x, y)[:2])
 
     def _exact(self, spot: Spot, axis: np.ndarray | None, axis_sigma_rad: float) -> Range:
         """The pose whose cone leaves the spot's ellipse on the sphere."""
@@ -245,7 +247,7 @@ class Ranger:
         x = spot.x_px + np.array([0.5, -0.5, 0.0, 0.0])
         y = spot.y_px + np.array([0.0, 0.0, 0.5, -0.5])
         with np.errstate(invalid="ignore"):
-            points = self._wall_point(self._view({}), x, y)
+            points = self._wall_point(self._eye({}), x, y)
         per_px = points[:, [0, 2]] - points[:, [1, 3]]
         if np.isnan(per_px).any():
             return np.full(2, math.nan)
@@ -263,7 +265,7 @@ def _unit(axis: ArrayLike) -> np.ndarray:
     return vector / length
 
 
-def _slope(values: Mapping[str, models.Numbers]) -> models.Numbers:
+def _slope(values: Mapping[str, Numbers]) -> Numbers:
     """k = 1/tan(half_angle), whichever of the two a calibration holds."""
     return values["k"] if "k" in values else 1 / np.tan(values["half_angle"])
 
