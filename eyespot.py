@@ -20,7 +20,7 @@ import importlib.util
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import typer
 
@@ -31,7 +31,7 @@ PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
 COMMANDS = {
     "validate": "benchmarks.studies.validate.command:validate",
     "render": "scenes.stacks.command:render",
-    "track": "eyespot:track",
+    "track": "estimator.run.command:track",
     "fit": "calibration.command.command:fit",
     "export": "benchmarks.sets.formats.command:export",
     "score": "benchmarks.sets.score.command:score",
@@ -131,127 +131,6 @@ app = command_line()
 def version() -> None:
     """Print the version of eyespot."""
     typer.echo(importlib.metadata.version("eyespot"))
-
-
-def track(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="Stack, folder of images, TIFF, video, ROS bag, or number of a camera.",
-        ),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="FILE", help="Spots file to write, .csv or .parquet; must not exist."
-        ),
-    ],
-    mode: Annotated[
-        Literal["subpixel", "literal"],
-        typer.Option(
-            help="Measure the half-maximum contour, or repeat the paper's algorithm step by step."
-        ),
-    ] = "subpixel",
-    start: Annotated[
-        str,
-        typer.Option(
-            metavar="X,Y|auto",
-            help="Where the spot is in the first frame, px (auto: search for it).",
-        ),
-    ] = "auto",
-    exposure: Annotated[
-        Literal["paper", "metered"] | None,
-        typer.Option(help="Which exposure to use if the stack has two."),
-    ] = None,
-    microscope: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="microscope.json or an OpenCV calibration (default: the stack's).",
-        ),
-    ] = None,
-    pinhole_height_mm: Annotated[
-        float | None,
-        typer.Option(
-            help="Height of the pinhole above the eyeball's centre, for OpenCV calibrations."
-        ),
-    ] = None,
-    eye_radius_mm: Annotated[
-        float | None, typer.Option(help="Radius of the eyeball, for OpenCV calibrations.")
-    ] = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Calibration file of `eyespot fit`; spots then get distances."
-        ),
-    ] = None,
-    model: Annotated[
-        str | None, typer.Option(help="Distance model (default: the calibration file's).")
-    ] = None,
-    eccentricity_mm: Annotated[
-        float | None,
-        typer.Option(help="Eccentricity of the spots (default: computed from their positions)."),
-    ] = None,
-    exposure_s: Annotated[
-        float | None, typer.Option(help="Exposure time, for the model lens (default: the stack's).")
-    ] = None,
-    poses: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Robot poses (CSV or ROS bag), on the clock of SOURCE."),
-    ] = None,
-    eye_from_robot: Annotated[
-        str | None,
-        typer.Option(
-            metavar="QX,QY,QZ,QW",
-            help="Rotation (unit quaternion) from the poses' frame to the eye's.",
-        ),
-    ] = None,
-    image_topic: Annotated[
-        str | None,
-        typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
-    ] = None,
-    pose_topic: Annotated[
-        str | None,
-        typer.Option(help="Pose topic of a bag that has several, none of them the rig's."),
-    ] = None,
-    overlay: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="VIDEO|DIR",
-            help="Draw the spots into a video (.mp4, .avi) or a folder; must not exist.",
-        ),
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the summary as one JSON object, and nothing else.")
-    ] = False,
-) -> None:
-    """Measure the spot in every frame and write a spots file.
-
-    Ctrl-C ends the run and keeps the frames measured so far. Use it to stop a camera.
-    """
-    from estimator.run import command as track_command
-
-    track_command.run(
-        source,
-        out=out,
-        mode=mode,
-        start=start,
-        exposure=exposure,
-        image_topic=image_topic,
-        microscope_file=microscope,
-        pinhole_height_mm=pinhole_height_mm,
-        eye_radius_mm=eye_radius_mm,
-        calibration_file=calibration,
-        model=model,
-        eccentricity_mm=eccentricity_mm,
-        exposure_s=exposure_s,
-        poses_file=poses,
-        pose_topic=pose_topic,
-        eye_from_robot=eye_from_robot,
-        overlay_path=overlay,
-        as_json=as_json,
-    )
 
 
 def main() -> None:

@@ -22,6 +22,7 @@ from estimator import (
     FrameLabels,
     LiteralSettings,
     NoSpot,
+    Reader,
     Reason,
     Response,
     Spot,
@@ -440,10 +441,10 @@ def assert_bad_input(outcome: Outcome, *words: str) -> None:
         (["--out", "none/spots.csv"], ["none is no folder"]),
         (["--overlay", "overlay.mov"], [".mp4, .avi", "folder", "'.mov'"]),
         (["--exposure", "paper"], ["is no stack"]),
-        (["--model", "planar"], ["model does nothing without calibration"]),
-        (["--eye-radius-mm", "11.5"], ["eye_radius_mm does nothing without microscope"]),
-        (["--pose-topic", "/pose"], ["pose_topic does nothing without poses"]),
-        (["--calibration", "CALIBRATION"], ["calibration does nothing without microscope"]),
+        (["--model", "planar"], ["model has no effect without calibration"]),
+        (["--eye-radius-mm", "11.5"], ["eye_radius_mm has no effect without microscope"]),
+        (["--pose-topic", "/pose"], ["pose_topic has no effect without poses"]),
+        (["--calibration", "CALIBRATION"], ["calibration has no effect without microscope"]),
         (["--microscope", "DISTORTED"], ["pinhole_height_mm"]),
         (["--microscope", "missing.json"], ["missing.json", "Check the path."]),
         (["--mode", "literal", "--microscope", "DISTORTED", *EYE], ["literal", "distortion"]),
@@ -550,3 +551,67 @@ def test_a_spots_file_is_replaced_whole_or_stays(tmp_path):
         write_spots(path, torn())
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+def far_apart() -> list[np.ndarray]:
+    """Two images with spots further from each other than a spot jumps between frames: 80 px."""
+    rng = np.random.default_rng(3)
+    places = [Truth(x=x, y=80, semi_major=33, semi_minor=30) for x in (50, 150)]
+    return [frame_of(Drawing(truth=place), rng, SHAPE) for place in places]
+
+
+def spots_of(run, folder: Path, names: list[str], out: Path, *options: str) -> tuple[dict, list]:
+    folder.mkdir()
+    for name, image in zip(names, far_apart(), strict=True):
+        assert cv2.imwrite(str(folder / name), image[:, :, ::-1])
+    summary = json.loads(run(folder, "--out", out, "--json", *options).out)
+    return summary, read_spots(out)
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "unrelated"),
+    [
+        (["eye.png", "phantom.png"], [], True),
+        (["a1.png", "b2.png"], [], True),
+        (["frame_08.png", "frame_10.png"], [], False),
+        (["frame_08.png", "frame_10.png"], ["--unrelated"], True),
+        (["eye.png", "phantom.png"], ["--sequence"], False),
+    ],
+)
+def test_images_that_are_not_counted_are_measured_one_by_one(
+    run, tmp_path, names, options, unrelated
+):
+    summary, results = spots_of(run, tmp_path / "images", names, tmp_path / "spots.csv", *options)
+    assert summary["unrelated"] == unrelated
+    settings = SubpixelSettings()
+    by_itself = [next(track([image], settings)) for image in far_apart()]
+    # In a sequence, such a jump is believed only when it is seen twice.
+    expected = by_itself if unrelated else [by_itself[0], NoSpot(Reason.AMBIGUOUS)]
+    assert_same(results, expected)
+
+
+def test_three_numbers_with_a_gap_are_no_recording(run, tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for number in (1, 2, 7):
+        assert cv2.imwrite(str(folder / f"IMG_{number}.png"), far_apart()[0])
+    summary = json.loads(run(folder, "--out", tmp_path / "spots.csv", "--json").out)
+    assert summary["unrelated"]
+
+
+def test_an_image_of_another_size_begins_a_new_sequence():
+    small, other = far_apart()
+    large = np.pad(other, ((40, 0), (90, 0), (0, 0)), mode="edge")
+    reader = Reader(SubpixelSettings())
+    reader.read(small)
+    alone = next(track([large], SubpixelSettings()))
+    np.testing.assert_equal(vars(reader.read(large).result), vars(alone))
+
+
+def test_the_table_says_how_the_images_were_taken(run, tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for name, image in zip(("1.png", "2.png"), far_apart(), strict=True):
+        assert cv2.imwrite(str(folder / name), image[:, :, ::-1])
+    assert "--unrelated" in run(folder, "--out", tmp_path / "a.csv").out
+    assert "--sequence" in run(folder, "--out", tmp_path / "b.csv", "--unrelated").out

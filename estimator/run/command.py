@@ -1,4 +1,7 @@
-"""The command `eyespot track`: opens what it is given, shows progress, writes and reports."""
+"""The command `eyespot track`: opens a source, tracks it, writes the results and reports.
+
+`track` imports what it needs when it runs, so that `--help` stays fast.
+"""
 
 from __future__ import annotations
 
@@ -6,143 +9,148 @@ import json
 import sys
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from rich.console import Console
+import typer
 
-from estimator.detector import SubpixelSettings
-from estimator.files import SpotRecord, pyarrow, read_poses, write_spots
-from estimator.run.offline import Ended, track_source
-from estimator.run.options import Options
-from estimator.run.overlay import RIG_RATE_HZ, check_overlay_path, overlay
+from estimator.run.options import Options, with_options
 from estimator.run.progress_bar import progress
-from estimator.run.summary import summary_of, table_of
-from estimator.sources import open_source
+
+if TYPE_CHECKING:
+    from estimator.files import SpotRecord
+    from estimator.run.offline import Tracking
 
 
-def run(
-    source_name: str,
-    *,
-    out: Path,
-    mode: str = "subpixel",
-    start: str = "auto",
-    exposure: str | None = None,
-    image_topic: str | None = None,
-    microscope_file: Path | None = None,
-    pinhole_height_mm: float | None = None,
-    eye_radius_mm: float | None = None,
-    calibration_file: Path | None = None,
-    model: str | None = None,
-    eccentricity_mm: float | None = None,
-    exposure_s: float | None = None,
-    poses_file: Path | None = None,
-    pose_topic: str | None = None,
-    eye_from_robot: str | None = None,
-    overlay_path: Path | None = None,
-    as_json: bool = False,
+@with_options
+def track(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="Stack, folder of images, TIFF, video, ROS bag, or number of a camera.",
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="Spots file to write, .csv or .parquet; must not exist."
+        ),
+    ],
+    exposure: Annotated[
+        Literal["paper", "metered"] | None,
+        typer.Option(help="Which exposure to use if the stack has two."),
+    ] = None,
+    unrelated: Annotated[
+        bool | None,
+        typer.Option(
+            "--unrelated/--sequence",
+            help="Measure every image by itself, or follow the spot from image to image (default: "
+            "follow it, except in a folder whose images are not numbered one by one).",
+        ),
+    ] = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Robot poses (CSV or ROS bag), on the clock of SOURCE."),
+    ] = None,
+    image_topic: Annotated[
+        str | None,
+        typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
+    ] = None,
+    pose_topic: Annotated[
+        str | None,
+        typer.Option(help="Pose topic of a bag that has several, none of them the rig's."),
+    ] = None,
+    overlay: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="VIDEO|DIR",
+            help="Draw the spots into a video (.mp4, .avi) or a folder; must not exist.",
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the summary as one JSON object, and nothing else.")
+    ] = False,
+    **options: Any,
 ) -> None:
-    """Track a source into a spots file.
+    """Measure the spot in every frame and write a spots file.
 
-    Args:
-        source_name: as `sources.open_source` takes it.
-        out: the spots file, `.csv` or `.parquet`; must not exist.
-        mode: as in `Options`.
-        start: as in `Options`, "X,Y" or "auto".
-        exposure: of a stack with several.
-        image_topic: of a bag.
-        microscope_file: as in `Options`; by default the stack's own.
-        pinhole_height_mm: as in `Options`.
-        eye_radius_mm: as in `Options`.
-        calibration_file: as in `Options`.
-        model: as in `Options`.
-        eccentricity_mm: as in `Options`.
-        exposure_s: as in `Options`; a stack tells its own.
-        poses_file: CSV or bag of the robot's poses, for their age at each frame.
-        pose_topic: of the poses' bag.
-        eye_from_robot: as in `Options`, "QX,QY,QZ,QW".
-        overlay_path: video or folder to draw into; must not exist.
-        as_json: print the summary as one JSON object instead of a table.
-
-    Raises:
-        ValueError: bad input; also after the spots of a source that breaks off are written.
-        KeyboardInterrupt: stopped, after the spots measured so far are written.
+    Ctrl-C ends the run and keeps the frames measured so far. Use it to stop a camera.
     """
-    _check_results(out, overlay_path)
-    if poses_file is None:
-        for name, value in (("pose_topic", pose_topic), ("eye_from_robot", eye_from_robot)):
+    from rich.console import Console
+
+    from estimator.detector import SubpixelSettings
+    from estimator.files import read_poses, write_spots
+    from estimator.run.offline import track_source
+    from estimator.run.overlay import RIG_RATE_HZ, overlay_writer
+    from estimator.run.summary import summary_of, table_of
+    from estimator.sources import open_source
+
+    _check_results(out, overlay)
+    if poses is None:
+        for name, value in (
+            ("pose_topic", pose_topic),
+            ("eye_from_robot", options["eye_from_robot"]),
+        ):
             if value is not None:
-                raise ValueError(f"{name} does nothing without poses. Give both, or neither.")
-    source = open_source(source_name, exposure=exposure, image_topic=image_topic)
-    options = Options.of(
-        {
-            "mode": mode,
-            "start": start,
-            "microscope": microscope_file or source.microscope_file,
-            "pinhole_height_mm": pinhole_height_mm,
-            "eye_radius_mm": eye_radius_mm,
-            "calibration": calibration_file,
-            "model": model,
-            "eccentricity_mm": eccentricity_mm,
-            "exposure_s": exposure_s,
-            "eye_from_robot": eye_from_robot,
-        }
-    )
-    poses = read_poses(poses_file, topic=pose_topic) if poses_file else None
-    console = Console(stderr=True)
-    with console.status("Preparing"):  # compiling `exact` or tracing the lens of `lens` takes time
-        reader = options.reader()
+                raise ValueError(f"{name} has no effect without poses. Give both, or neither.")
+    frames = open_source(source, exposure=exposure, image_topic=image_topic)
+    if unrelated is not None:
+        frames = replace(frames, unrelated=unrelated)
+    options["microscope"] = options["microscope"] or frames.microscope_file
+    chosen = Options.of(options)
+    track_of_poses = read_poses(poses, topic=pose_topic) if poses else None
+    # Compiling the model `exact`, or tracing the lens of the model `lens`, takes time.
+    with Console(stderr=True).status("Preparing"):
+        reader = chosen.reader()
     began = time.perf_counter()
+    spots = 0
     with ExitStack() as stack:
         draw = None
-        if overlay_path is not None:
+        if overlay is not None:
             settings = reader.settings
             draw = stack.enter_context(
-                overlay(
-                    overlay_path,
-                    rate_hz=source.rate_hz or RIG_RATE_HZ,
+                overlay_writer(
+                    overlay,
+                    rate_hz=frames.rate_hz or RIG_RATE_HZ,
                     response=settings.response,
                     camera=settings.camera if isinstance(settings, SubpixelSettings) else None,
                 )
             )
-        advance = stack.enter_context(progress("Tracking", total=source.length))
-        spots = 0
+        advance = stack.enter_context(progress("Tracking", total=frames.length))
 
         def measured(record: SpotRecord) -> None:
             nonlocal spots
             spots += bool(record.result)
             advance(note=f"{spots} spots")
 
-        tracking = track_source(source, reader, poses=poses, draw=draw, progress=measured)
-    seconds = time.perf_counter() - began
+        tracking = track_source(frames, reader, poses=track_of_poses, draw=draw, progress=measured)
     write_spots(out, tracking.records)
-    summary = summary_of(tracking, source, mode, seconds) | {
+    summary = summary_of(tracking, frames, chosen.mode, time.perf_counter() - began) | {
         "out": str(out),
-        "overlay": str(overlay_path) if overlay_path else None,
+        "overlay": str(overlay) if overlay else None,
     }
     if as_json:
         print(json.dumps(summary))
     else:
         Console().print(table_of(summary))
-        print(f"Wrote {out}" + (f" and {overlay_path}." if overlay_path else "."))
-    if tracking.ended is Ended.INTERRUPTED:
-        kept = f"{out} holds the {len(tracking.records)} frames measured so far."
-        print(f"Stopped. {kept}", file=sys.stderr)
-        raise KeyboardInterrupt
-    if tracking.ended is Ended.BROKEN:
-        raise ValueError(
-            f"{tracking.fault} {out} holds the {len(tracking.records)} frames before that."
-        )
+        print(f"Wrote {out}" + (f" and {overlay}." if overlay else "."))
+    _report_early_end(tracking, out)
 
 
-def _check_results(out: Path, overlay_path: Path | None) -> None:
-    """What would go wrong only when all frames are measured goes wrong now."""
+def _check_results(out: Path, overlay: Path | None) -> None:
+    """Find out before the run what would fail after it."""
+    from estimator.files import pyarrow
+    from estimator.run.overlay import check_overlay_path
+
     if out.suffix.lower() not in (".csv", ".parquet"):
         raise ValueError(f"{out}: a spots file is named .csv or .parquet; got {out.suffix!r}.")
     if out.suffix.lower() == ".parquet":
         pyarrow()
-    if overlay_path is not None:
-        check_overlay_path(overlay_path)
-    for path in filter(None, (out, overlay_path)):
+    if overlay is not None:
+        check_overlay_path(overlay)
+    for path in filter(None, (out, overlay)):
         if path.exists():
             raise ValueError(
                 f"{path} exists already. Choose another name; nothing is written over."
@@ -151,3 +159,14 @@ def _check_results(out: Path, overlay_path: Path | None) -> None:
             raise ValueError(
                 f"{path.parent} is no folder. Make it, or write {path.name} elsewhere."
             )
+
+
+def _report_early_end(tracking: Tracking, out: Path) -> None:
+    from estimator.run.offline import Ended
+
+    kept = f"{out} holds the {len(tracking.records)} frames"
+    if tracking.ended is Ended.INTERRUPTED:
+        print(f"Stopped. {kept} measured so far.", file=sys.stderr)
+        raise KeyboardInterrupt
+    if tracking.ended is Ended.BROKEN:
+        raise ValueError(f"{tracking.fault} {kept} before that.")

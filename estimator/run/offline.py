@@ -1,4 +1,4 @@
-"""A recorded (or live) source, read from its first frame to its last: the spots' records."""
+"""Reads a source from its first frame to its last and returns the records of the spots."""
 
 from __future__ import annotations
 
@@ -62,18 +62,18 @@ def track_source(
 ) -> Tracking:
     """Measure a source's frames until it ends, breaks or is stopped with Ctrl-C.
 
-    Whatever stops it, the records of the frames measured so far are returned.
+    The records of the frames measured so far are returned even if the source breaks off.
 
     Args:
         source: of the frames.
-        reader: that has read nothing yet.
+        reader: new; it has not read a frame.
         poses: on the source's clock.
-        draw: takes every frame with its record, see `overlay.overlay`.
-        progress: is told every record.
+        draw: gets every frame with its record, see `overlay.overlay_writer`.
+        progress: gets every record.
 
     Raises:
-        ValueError: the first frame cannot be measured: unreadable, without a time where there are
-            poses, or as `Reader.read`.
+        ValueError: the first frame cannot be measured: it is unreadable, has no time although
+            there are poses, or as `Reader.read`.
         KeyboardInterrupt: stopped before the first frame was measured.
     """
     records: list[SpotRecord] = []
@@ -105,6 +105,8 @@ def _readings(
     source: Source, reader: Reader, poses: PoseTrack | None
 ) -> Iterator[tuple[Frame, Reading]]:
     for frame in source:
+        if source.unrelated:
+            reader.forget()
         where = f"{source.name}, frame {frame.index}"
         if poses is not None and math.isnan(frame.time_s):
             raise ValueError(

@@ -1,31 +1,29 @@
-"""What a person chooses for a measurement, for `eyespot track` and for the rig's node alike."""
+"""The options of a measurement, defined once for `eyespot track` and for the rig's node."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import inspect
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, get_type_hints
 
+import typer
 from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     FiniteFloat,
-    PositiveFloat,
     TypeAdapter,
     ValidationError,
 )
 
-from estimator.detector import LiteralSettings, SubpixelSettings
-from estimator.distance import Ranger
-from estimator.files import (
-    MicroscopeFile,
-    Quaternion,
-    read_calibration,
-    read_microscope,
-    unit_quaternion,
-)
-from estimator.run.reader import Reader
+from estimator.files import Quaternion, unit_quaternion
+
+if TYPE_CHECKING:
+    from estimator.detector import LiteralSettings, SubpixelSettings
+    from estimator.files import MicroscopeFile
+    from estimator.run.reader import Reader
 
 _NEEDS = {
     **dict.fromkeys(("pinhole_height_mm", "eye_radius_mm", "calibration"), "microscope"),
@@ -57,48 +55,75 @@ def _turn(given: Any) -> Quaternion | None:
 
 
 def _parts(given: Any) -> Any:
-    """A command line has 320,240 and a launch file [320, 240]."""
+    """The parts of 320,240 (from a command line) or [320, 240] (from a launch file)."""
     return given.split(",") if isinstance(given, str) else given
+
+
+class _Text(NamedTuple):
+    """Marks an option that a command line gives as text, in the form that the help shows."""
+
+    form: str
 
 
 class Options(BaseModel):
     """How frames are measured, and how spots become distances.
 
-    Attributes:
-        mode: of the measurement.
-        settings: that differ from the defaults of `SubpixelSettings` or `LiteralSettings`.
-        start: (x, y) of the spot in the first image, px; None, written "auto", finds it.
-        microscope: file, see `read_microscope`.
-        pinhole_height_mm: z_F, where the microscope file is OpenCV's.
-        eye_radius_mm: r, where the microscope file is OpenCV's.
-        calibration: file, see `read_calibration`; without it there are no distances.
-        model: of the distance; by default the calibration's.
-        eccentricity_mm: c of the spots; by default it is read off each spot's position.
-        exposure_s: of the images, for the model `lens`; by default what each image tells.
-        eye_from_robot: unit quaternion x, y, z, w that turns vectors of the robot's frame into the
-            eye's. With it `exact` takes the beam's axis from the tool's +z.
+    The one definition of these options: fields are parameters of the rig's node, and options of
+    `eyespot track` by `with_options`, where their descriptions are the help.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    mode: Literal["subpixel", "literal"] = "subpixel"
-    settings: dict[str, float | str] = {}
-    start: Annotated[tuple[float, float] | None, BeforeValidator(_point)] = None
-    microscope: Path | None = None
-    pinhole_height_mm: float | None = None
-    eye_radius_mm: float | None = None
-    calibration: Path | None = None
-    model: str | None = None
-    eccentricity_mm: float | None = None
-    exposure_s: PositiveFloat | None = None
-    eye_from_robot: Annotated[Quaternion | None, BeforeValidator(_turn)] = None
+    mode: Literal["subpixel", "literal"] = Field(
+        "subpixel",
+        description="Measure the half-maximum contour, or repeat the paper's algorithm step by "
+        "step.",
+    )
+    settings: dict[str, float | str] = Field(
+        {},
+        description="Values that differ from the defaults of `SubpixelSettings` or "
+        "`LiteralSettings`.",
+    )
+    start: Annotated[tuple[float, float] | None, BeforeValidator(_point), _Text("X,Y|auto")] = (
+        Field(
+            None,
+            description="Position of the spot in the first frame, px (default: search for it).",
+        )
+    )
+    microscope: Annotated[Path | None, _Text("FILE")] = Field(
+        None, description="microscope.json or an OpenCV calibration (default: the stack's)."
+    )
+    pinhole_height_mm: float | None = Field(
+        None,
+        description="Height of the pinhole above the eyeball's centre, for OpenCV calibrations.",
+    )
+    eye_radius_mm: float | None = Field(
+        None, description="Radius of the eyeball, for OpenCV calibrations."
+    )
+    calibration: Annotated[Path | None, _Text("FILE")] = Field(
+        None, description="Calibration file of `eyespot fit`; without it there are no distances."
+    )
+    model: str | None = Field(None, description="Distance model (default: the calibration file's).")
+    eccentricity_mm: float | None = Field(
+        None, description="Eccentricity of the spots (default: computed from their positions)."
+    )
+    exposure_s: float | None = Field(
+        None, gt=0, description="Exposure time, for the model lens (default: the frame's own)."
+    )
+    eye_from_robot: Annotated[Quaternion | None, BeforeValidator(_turn), _Text("QX,QY,QZ,QW")] = (
+        Field(
+            None,
+            description="Rotation (unit quaternion) from the poses' frame to the eye's. The model "
+            "exact then takes the beam's axis from the tool's +z axis.",
+        )
+    )
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """The options that were given, and the defaults of the others.
+        """The given options, and the defaults of the others.
 
         Raises:
-            ValueError: a name that is no option, or a value of the wrong kind.
+            ValueError: an unknown option, or a value of the wrong kind.
         """
         try:
             return cls.model_validate(given)
@@ -112,15 +137,19 @@ class Options(BaseModel):
             raise ValueError(f"{name}: {told}; got {given[str(name)]!r}.") from error
 
     def reader(self) -> Reader:
-        """Read the files and make what measures frames; see `Ranger` for how long that takes.
+        """Read the files and prepare the measurement; `Ranger` says how long that takes.
 
         Raises:
-            ValueError: options or files that make no sense, alone or together.
+            ValueError: options or files are wrong, alone or together.
             OSError: a file cannot be read.
         """
+        from estimator.distance import Ranger
+        from estimator.files import read_calibration, read_microscope
+        from estimator.run.reader import Reader
+
         for name, other in _NEEDS.items():
             if getattr(self, name) is not None and getattr(self, other) is None:
-                raise ValueError(f"{name} does nothing without {other}. Give both, or neither.")
+                raise ValueError(f"{name} has no effect without {other}. Give both, or neither.")
         microscope = ranger = None
         if self.microscope is not None:
             microscope = read_microscope(
@@ -146,6 +175,8 @@ class Options(BaseModel):
         )
 
     def _settings(self, microscope: MicroscopeFile | None) -> LiteralSettings | SubpixelSettings:
+        from estimator.detector import LiteralSettings, SubpixelSettings
+
         given: dict[str, Any] = dict(self.settings)
         if given.keys() & {"response", "camera", "reference"}:
             raise ValueError("settings are numbers; response and camera are the microscope file's.")
@@ -163,3 +194,35 @@ class Options(BaseModel):
             return SubpixelSettings(camera=camera, **given)
         except TypeError as error:
             raise ValueError(f"settings: {error}.") from error
+
+
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command an option for each field of `Options` that a command line can give.
+
+    The command has a parameter `**options`, from which `Options.of` makes the options.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    own = [
+        parameter.replace(annotation=hints[name])
+        for name, parameter in inspect.signature(command).parameters.items()
+        if parameter.kind is not parameter.VAR_KEYWORD
+    ]
+    added = []
+    for name, field in Options.model_fields.items():
+        if name == "settings":
+            continue
+        form = next((text.form for text in field.metadata if isinstance(text, _Text)), None)
+        kind = str | None if form else field.annotation
+        option = typer.Option(help=field.description, metavar=form, show_default=False)
+        added.append(
+            inspect.Parameter(
+                name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=field.default,
+                annotation=Annotated[kind, option],
+            )
+        )
+    parameters = [*own, *added]
+    vars(command)["__signature__"] = inspect.Signature(parameters, return_annotation=None)
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return command

@@ -1,4 +1,4 @@
-"""What was measured, drawn over the frames: a video or a folder of PNGs to look through."""
+"""Draws the measured spots over the frames: a video, or a folder of PNGs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from estimator.image import Camera, NoSpot, Response, Spot
 from estimator.sources import Frame
 
 RIG_RATE_HZ = 10.0
-"""Of the rig's camera; the video's where a source does not tell its own."""
+"""Frame rate of the rig's camera, and of an overlay video if the source's rate is unknown."""
 
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 _POINTS = 180  # of an ellipse: 2 px apart at a radius of 60 px
@@ -33,8 +33,8 @@ def annotated(
     Args:
         frame: as it was measured.
         record: what was measured.
-        response: whose full scale becomes 255.
-        camera: whose distortion was taken out of the spot; it is put back for the drawing.
+        response: of the camera; its full scale becomes 255.
+        camera: whose distortion was removed from the spot; it is applied again for the drawing.
     """
     picture = _rgb_8bit(frame.image, response)
     lines = [f"frame {record.frame}"]
@@ -53,7 +53,7 @@ def annotated(
 
 
 @contextmanager
-def overlay(
+def overlay_writer(
     path: Path, *, rate_hz: float, response: Response, camera: Camera | None = None
 ) -> Iterator[Draw]:
     """Make an overlay; it gets its name when the block ends.
@@ -82,7 +82,7 @@ def overlay(
 
 
 def check_overlay_path(path: Path) -> None:
-    """Refuse, with a ValueError, what is neither a folder nor a kind of video that is written."""
+    """Raise a ValueError unless a path names a folder or a supported kind of video."""
     if path.suffix.lower() not in (*_CODECS, ""):
         raise ValueError(
             f"{path}: an overlay is a video ({', '.join(_CODECS)}) or a folder, whose name has no"
@@ -157,5 +157,8 @@ def _write(picture: np.ndarray, lines: list[str], colour: tuple[int, int, int]) 
     scale = max(picture.shape[0] / 900, 0.3)
     for number, line in enumerate(lines, 1):
         at = round(16 * scale), round(32 * scale * number)
-        for ink, width in ((_BLACK, 3), (colour, 1)):  # an outline, readable on any ground
+        for ink, width in (
+            (_BLACK, 3),
+            (colour, 1),
+        ):  # outlined, to be readable
             cv2.putText(picture, line, at, cv2.FONT_HERSHEY_SIMPLEX, scale, ink, width, cv2.LINE_AA)

@@ -1,6 +1,6 @@
 """From a frame to a reading: the spot, its distance, the age of the robot's pose.
 
-Recordings (`offline`) and the rig (`rig`) read their frames with this code.
+Recordings (`offline`) and the rig's node (`estimator.rig`) use the same reader.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _NO_POSES = PoseTrack(())
 
 
 class Reading(NamedTuple):
-    """What a frame says.
+    """What was measured in a frame.
 
     Attributes:
         result: the spot, or why there is none.
@@ -51,14 +51,14 @@ class Reading(NamedTuple):
 
 
 class Reader:
-    """Reads the frames of one sequence in order; where the spot was goes along.
+    """Reads the frames of one sequence in order, and follows the spot from frame to frame.
 
     Args:
         settings: whose type selects the mode.
         start: (x, y) of the spot in the first frame, px; None finds it.
-        size_px: (width, height) that the microscope's description holds for; None takes any.
-        ranger: makes distances of spots; None leaves them out.
-        exposure_s: of all frames; None takes what each frame tells.
+        size_px: (width, height) for which the microscope file is valid; None accepts any size.
+        ranger: computes the distances of spots; None for none.
+        exposure_s: of all frames; None takes each frame's own.
         eye_from_robot: unit quaternion that turns the poses' frame into the eye's; with it the
             model `exact` takes the beam's axis from the tool's +z.
     """
@@ -80,6 +80,12 @@ class Reader:
         self._exposure_s = exposure_s
         self._eye_from_robot = eye_from_robot
         self._state = TrackState(at_px=start)
+        self._shape: tuple[int, ...] | None = None
+
+    def forget(self) -> None:
+        """Measure the next frame by itself: it does not follow the frames that were read."""
+        if self._shape is not None:
+            self._state = TrackState()
 
     @property
     def mode(self) -> str:
@@ -103,10 +109,13 @@ class Reader:
             poses: of the robot.
 
         Raises:
-            ValueError: no image, of another size than the microscope's, or the start lies outside
-                of the first one.
+            ValueError: the image is not an image or not of the microscope's size, or the start lies
+                outside of the first image.
         """
         self._check(image)
+        if self._shape not in (None, image.shape):
+            self.forget()
+        self._shape = image.shape
         result, self._state = measure(image, self._state, self.settings)
         self._start = None
         pose, age_s = poses.at(time_s) or (None, math.nan)

@@ -1,4 +1,4 @@
-"""What a run of `eyespot track` came to: counts by reason, for a person and for a program."""
+"""Summary of a run of `eyespot track`: counts by reason, as a table or as JSON."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from estimator.sources import Source
 
 
 def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) -> dict[str, Any]:
-    """What `eyespot track --json` prints, but for the names of the files written."""
+    """What `eyespot track --json` prints, except the names of the files written."""
     records = tracking.records
     ages = [record.pose_age_s for record in records if not math.isnan(record.pose_age_s)]
     return {
         "source": source.name,
         "mode": mode,
+        "unrelated": source.unrelated,
         "frames": len(records),
         "spots": tracking.spots,
         "no_spot": dict(tracking.no_spot.most_common()),
@@ -32,7 +33,7 @@ def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) ->
 
 
 def table_of(summary: dict[str, Any]) -> Table:
-    """The same for a person."""
+    """The summary as a table."""
     table = Table()
     table.add_column(summary["mode"])
     table.add_column("frames", justify="right")
@@ -45,6 +46,12 @@ def table_of(summary: dict[str, Any]) -> Table:
         table.add_row("with a distance", str(summary["distances"]))
     for flag, count in summary["doubtful_distances"].items():
         table.add_row(f"distance {flag.replace('_', ' ')}", str(count))
+    notes = []
+    if summary["unrelated"]:
+        notes.append("every image measured by itself; --sequence follows the spot")
+    elif "ambiguous" in summary["no_spot"]:
+        notes.append("after a jump a spot is ambiguous; --unrelated ignores jumps")
     if summary["median_pose_age_s"] is not None:
-        table.caption = f"median age of the pose: {1e3 * summary['median_pose_age_s']:.1f} ms"
+        notes.append(f"median age of the pose: {1e3 * summary['median_pose_age_s']:.1f} ms")
+    table.caption = "\n".join(notes) or None
     return table

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,8 +27,11 @@ IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pgm", ".ppm", ".jp2", *TIF
 def open_folder(folder: Path) -> Source:
     """A folder of images, in the natural order of their names.
 
+    Images whose names differ only in one number that counts up by a constant step, such as
+    frame_000.png, frame_002.png, are a recording. All others are unrelated to each other.
+
     Raises:
-        ValueError: it holds none.
+        ValueError: it contains no images.
     """
     pictures = [
         path
@@ -38,7 +43,8 @@ def open_folder(folder: Path) -> Source:
             f"{folder} holds no images ({', '.join(IMAGES)}), and is neither a stack (stack.toml)"
             " nor a ROS 2 bag (metadata.yaml). Check the path."
         )
-    return _images(folder, sorted(pictures, key=lambda path: (_natural(path.name), path.name)))
+    pictures.sort(key=lambda path: (_natural(path.name), path.name))
+    return replace(_images(folder, pictures), unrelated=not _is_counted(pictures))
 
 
 def open_image(path: Path) -> Source:
@@ -46,8 +52,19 @@ def open_image(path: Path) -> Source:
     return _images(path.parent, [path])
 
 
+def _is_counted(pictures: list[Path]) -> bool:
+    """Whether the names differ only in one number that counts up by a constant step."""
+    rows = [_natural(path.name) for path in pictures]
+    if len({len(row) for row in rows}) > 1:
+        return False
+    varying = [column for column in zip(*rows, strict=True) if len(set(column)) > 1]
+    if len(varying) != 1 or isinstance(varying[0][0], str):
+        return len(rows) == 1
+    return len({after - before for before, after in pairwise(varying[0])}) == 1
+
+
 def _natural(name: str) -> list[int | str]:
-    """So that frame9 comes before frame10."""
+    """Text and numbers of a name, by which frame9 comes before frame10."""
     parts = re.split("([0-9]+)", name.lower())
     return [int(part) if index % 2 else part for index, part in enumerate(parts)]
 
@@ -78,10 +95,10 @@ def _picture(path: Path, index: int) -> np.ndarray:
 
 
 def rgb_of_opencv(image: np.ndarray) -> np.ndarray:
-    """A picture in OpenCV's order of channels as a frame, without its alpha channel.
+    """An image in OpenCV's order of channels as a frame, without its alpha channel.
 
     Raises:
-        ValueError: as `frames.checked_frame`.
+        ValueError: as `image.checked_frame`.
     """
     if image.ndim == 3 and image.shape[2] in (3, 4):
         order = cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB
@@ -108,11 +125,11 @@ def open_tiff(path: Path) -> Source:
 
     import tifffile
 
-    # What it logs about damage comes back from here as one error.
+    # Damage is reported once, as an error from here.
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)
     with damage_told(f"{path}", AGAIN), tifffile.TiffFile(path) as file:
         length = len(file.pages)
-        # ImageJ writes one directory for all images where the file exceeds 4 GB.
+        # ImageJ writes one directory for all images if the file exceeds 4 GB.
         announced = (file.imagej_metadata or {}).get("images", length)
         end, size = file.pages.next_page_offset, file.tiff.offsetsize
         file.filehandle.seek(end or 0)
@@ -141,8 +158,8 @@ def _page(file: TiffFile, index: int) -> np.ndarray:
 
     page = file.pages[index].aspage()
     if page.compression not in tifffile.TIFF.DECOMPRESSORS:
-        # LZW and JPEG, which tifffile leaves to a further package. OpenCV walks to each page from
-        # the first, so it is not the way to read the others.
+        # tifffile needs a further package for LZW and JPEG. OpenCV reads every page from the first
+        # on, so it is used for these only.
         seen, images = cv2.imreadmulti(file.filehandle.path, index, 1, flags=cv2.IMREAD_UNCHANGED)
         if not seen:
             raise ValueError(f"page {index} cannot be decoded")

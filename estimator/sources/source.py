@@ -1,7 +1,7 @@
-"""What frames come from, whatever it is: `sources.open_source` makes one.
+"""A source of frames of any kind; `open_source` makes one.
 
-A source is read frame by frame. What is damaged ends it with one ValueError that names the file,
-the frame and the remedy; the frames before it have been handed out by then.
+A source is read frame by frame. Damage ends it with one ValueError that names the file, the frame
+and the remedy, after the frames before it have been returned.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 AGAIN = "Record, copy or convert it again."
-"""The remedy where a recording is damaged."""
+"""What to do about a damaged recording."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,8 +45,10 @@ class Source:
         read: starts an iterator over the frames.
         length: number of frames; None for a camera. Of a video it is what its container says.
         rate_hz: frames a second; None if unknown.
-        live: a camera, which ends only when it is stopped.
+        live: whether it is a camera, which ends only when it is stopped.
         microscope_file: that belongs to the source; None without one.
+        unrelated: frames that are measured one by one, because a spot cannot be followed from one
+            to the next.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Source:
     rate_hz: float | None = None
     live: bool = False
     microscope_file: Path | None = None
+    unrelated: bool = False
 
     def __iter__(self) -> Iterator[Frame]:
         return self.read()
