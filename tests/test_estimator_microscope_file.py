@@ -158,10 +158,10 @@ def test_what_stands_in_the_file_must_not_be_given_too(written):
     [
         ({"schema": 0}, "schema is 0; this version reads 1"),
         ({"schema": 2}, "schema is 2; this version reads 1"),
-        ({"width_px": "wide"}, "width_px must be a number; got 'wide'"),
+        ({"width_px": "wide"}, "width_px must be a finite number; got 'wide'"),
         ({"width_px": 0}, "width_px must be positive"),
         ({"scale_mm_px": -1}, "scale_mm_px must be positive"),
-        ({"eye_radius_mm": None}, "eye_radius_mm must be a number"),
+        ({"eye_radius_mm": None}, "eye_radius_mm must be a finite number"),
         ({"camera_matrix": None}, "camera_matrix must be finite numbers"),
         ({"camera_matrix": [[1, 2], [3, 4]]}, r"camera_matrix must be finite numbers \(3x3\)"),
         ({"pinhole_height_mm": None}, "camera_matrix must be null"),

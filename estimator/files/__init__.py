@@ -2,21 +2,21 @@
 
 calibration       Calibration file: JSON with a model's fitted parameters, their covariance and
                   their origin
-microscope        What is known of a microscope: the stack's microscope.json, or a calibration
-                  file of OpenCV
+json_files        Reads JSON that anyone may have written, and checks it against a pydantic
+                  model
+microscope        Microscope files: the stack's microscope.json, or a camera calibration of OpenCV
 model_parameters  Parameters of the models: which each of them has, in which unit and range
 opencv            Camera calibrations as OpenCV and ROS write them
 pose_files        Reads the robot's poses from a CSV file or a ROS bag
 poses             Poses of the robot: where the instrument's tip was, and in which direction it
                   pointed
 ros_bags          ROS 1 and ROS 2 bags, opened without ROS: their topics and messages
-spots             The spots file: CSV or Parquet, one line a frame, of what was measured and what
-                  came of it
-stack             Stack folder: frames, masks, one line of labels a frame, the scene as run,
+spots             The spots file: CSV or Parquet, one line per frame with the spot and its distance
+stack             Stack folder: frames, masks, one line of labels per frame, the scene as run,
                   checksums
-stack_writer      Writes a stack folder, frame by frame, so that a run that was stopped can go on
-writing           Files: written whole or not at all, and one clear error where a reader finds
-                  damage
+stack_writer      Writes a stack folder frame by frame, so that a stopped run can continue
+whole_files       Files that are written whole or not at all, and damaged files that are reported
+                  in one error
 """
 
 import lazy_loader

@@ -32,5 +32,5 @@ from .stack import StackError as StackError
 from .stack import fingerprint as fingerprint
 from .stack import read_stack as read_stack
 from .stack_writer import StackWriter as StackWriter
-from .writing import damage_told as damage_told
-from .writing import written_whole as written_whole
+from .whole_files import damage_told as damage_told
+from .whole_files import written_whole as written_whole

@@ -8,8 +8,8 @@
      "fitted_on": {"description": "...", "sha256": "..."},
      "software": "eyespot 0.1.0"}
 
-The standard errors stand twice, beside the values for the reader and in the covariance for the
-software; a file in which the two disagree was edited by hand and is refused.
+The standard errors are given twice, beside the values for people and in the covariance for
+software. A file in which the two disagree was edited by hand and is refused.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import AllowInfNan, ConfigDict, Field
 
+from estimator.files.json_files import Strict, check_schema, object_in, read_text, validated
 from estimator.files.model_parameters import CalibrationError, check_parameters, quantity
-from estimator.files.writing import written_whole
+from estimator.files.whole_files import written_whole
 
 SCHEMA = 1
 
@@ -35,18 +37,17 @@ _SAME = 1e-6  # relative; sigma and covariance are one number written twice
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """Parameters of a model, how well they are known, and where they come from.
+    """Parameters of a model, their errors, and their origin.
 
     Attributes:
-        model: that was fitted, one of `model_parameters.MODELS`.
+        model: the model that was fitted, one of `model_parameters.MODELS`.
         values: by name in the units of `model_parameters.QUANTITIES`, in the covariance's order. A
             model of a cone has b and either k or half_angle; a lens has what `optics.glue_lens`
             takes.
         covariance: symmetric, in products of those units.
-        medium: name of what lies between the tip and the wall; another medium needs another
-            calibration.
+        medium: name of the medium between tip and wall; another medium needs another calibration.
         medium_index: its refractive index.
-        fitted_on: free text: which data.
+        fitted_on: free text: the data of the fit.
         data_sha256: fingerprint of those data, 64 hexadecimal digits.
         software: name and version that made the fit.
     """
@@ -88,7 +89,7 @@ class Calibration:
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
-    """Write a calibration file, whole or not at all; an older one of the name is replaced."""
+    """Write a calibration file, whole or not at all; replaces an older file of that name."""
     content = {
         "schema": SCHEMA,
         "model": calibration.model,
@@ -126,73 +127,90 @@ def read_calibration(path: str | Path) -> Calibration:
     """
     path = Path(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: not a calibration file: {error}.") from error
+        content = object_in(read_text(path))
+    except ValueError as error:
+        raise CalibrationError(f"{path}: not a calibration file: {error}") from error
     try:
         return _calibration(content)
-    except CalibrationError as error:
+    except ValueError as error:
         raise CalibrationError(f"{path}: {error}") from error
 
 
-def _calibration(content: object) -> Calibration:
-    if not isinstance(content, dict) or "schema" not in content:
-        raise CalibrationError("not a calibration file: `schema` is missing.")
-    if content["schema"] != SCHEMA:
+class _Medium(Strict):
+    name: str
+    index: float
+
+
+class _Parameter(Strict):
+    value: float
+    unit: str
+    sigma: Annotated[float, Field(ge=0)]
+
+
+class _Covariance(Strict):
+    order: list[str]
+    matrix: list[list[Annotated[float, AllowInfNan()]]]
+
+
+class _Origin(Strict):
+    description: str
+    sha256: str
+
+
+class _File(Strict):
+    model_config = ConfigDict(protected_namespaces=())  # `model` is the format's own key
+
+    schema_: Annotated[int, Field(alias="schema")]
+    model: str
+    medium: _Medium
+    parameters: dict[str, _Parameter]
+    covariance: _Covariance
+    fitted_on: _Origin
+    software: str
+
+
+def _calibration(content: dict[str, Any]) -> Calibration:
+    check_schema(
+        content, SCHEMA, remedy="Fit again with this version, or use the one that wrote the file."
+    )
+    file = validated(_File, content, remedy="Restore the file, or fit again.")
+    for name, entry in file.parameters.items():
+        unit = quantity(name).unit
+        if entry.unit != unit:
+            raise CalibrationError(
+                f"parameters.{name} must be in {unit!r}; got unit {entry.unit!r}. "
+                "Convert value, sigma and covariance."
+            )
+    names = list(file.parameters)
+    if file.covariance.order != names:
         raise CalibrationError(
-            f"schema is {content['schema']!r}; this version reads {SCHEMA}. Fit again with this "
-            "version, or use the one that wrote the file."
-        )
-    keys = ("schema", "model", "medium", "parameters", "covariance", "fitted_on", "software")
-    _exactly(content, keys, "the file")
-    medium = _exactly(content["medium"], ("name", "index"), "medium")
-    origin = _exactly(content["fitted_on"], ("description", "sha256"), "fitted_on")
-    covariance = _exactly(content["covariance"], ("order", "matrix"), "covariance")
-    parameters = content["parameters"]
-    if not isinstance(parameters, dict):
-        raise CalibrationError(f"parameters must be an object; got {parameters!r}.")
-    values = {name: _value(name, entry) for name, entry in parameters.items()}
-    order = covariance["order"]
-    if order != list(values):
-        raise CalibrationError(
-            f"covariance order must list the parameters in their order, {list(values)}; got "
-            f"{order!r}. Sort rows and columns of the matrix likewise."
+            f"covariance order must list the parameters in their order, {names}; got "
+            f"{file.covariance.order!r}. Sort rows and columns of the matrix likewise."
         )
     calibration = Calibration(
-        model=_text(content, "model"),
-        values=values,
-        covariance=_matrix(covariance["matrix"]),
-        medium=_text(medium, "name"),
-        medium_index=_number(medium["index"], "medium index"),
-        fitted_on=_text(origin, "description"),
-        data_sha256=_text(origin, "sha256"),
-        software=_text(content, "software"),
+        model=file.model,
+        values={name: entry.value for name, entry in file.parameters.items()},
+        covariance=_matrix(file.covariance.matrix),
+        medium=file.medium.name,
+        medium_index=file.medium.index,
+        fitted_on=file.fitted_on.description,
+        data_sha256=file.fitted_on.sha256,
+        software=file.software,
     )
-    _sigmas_agree(calibration, {name: entry["sigma"] for name, entry in parameters.items()})
+    for name, entry in file.parameters.items():
+        expected = calibration.sigma(name)
+        if not math.isclose(entry.sigma, expected, rel_tol=_SAME, abs_tol=1e-300):
+            raise CalibrationError(
+                f"sigma of {name} is {entry.sigma:g}, but the covariance says {expected:g}. Change "
+                "both, or fit again."
+            )
     return calibration
 
 
-def _value(name: str, entry: object) -> float:
-    entry = _exactly(entry, ("value", "unit", "sigma"), f"parameters.{name}")
-    unit = quantity(name).unit
-    if entry["unit"] != unit:
-        raise CalibrationError(
-            f"parameters.{name} must be in {unit!r}; got unit {entry['unit']!r}. "
-            "Convert value, sigma and covariance."
-        )
-    if _number(entry["sigma"], f"sigma of {name}") < 0:
-        raise CalibrationError(f"sigma of {name} must not be negative; got {entry['sigma']}.")
-    return _number(entry["value"], f"value of {name}")
-
-
-def _sigmas_agree(calibration: Calibration, sigmas: dict[str, float]) -> None:
-    for name, sigma in sigmas.items():
-        expected = calibration.sigma(name)
-        if not math.isclose(sigma, expected, rel_tol=_SAME, abs_tol=1e-300):
-            raise CalibrationError(
-                f"sigma of {name} is {sigma:g}, but the covariance says {expected:g}. Change both, "
-                "or fit again."
-            )
+def _matrix(rows: list[list[float]]) -> np.ndarray:
+    if len({len(row) for row in rows}) > 1:
+        raise CalibrationError(f"covariance matrix must have rows of equal length; got {rows!r}.")
+    return np.array(rows, float)
 
 
 def _check_covariance(matrix: np.ndarray, count: int) -> None:
@@ -218,35 +236,3 @@ def _check_covariance(matrix: np.ndarray, count: int) -> None:
             "covariance must be positive semi-definite: no correlation may exceed 1. Restore the "
             "matrix."
         )
-
-
-def _exactly(content: object, keys: tuple[str, ...], where: str) -> dict[str, Any]:
-    if not isinstance(content, dict):
-        raise CalibrationError(f"{where} must be an object with {', '.join(keys)}.")
-    wrong = set(keys).symmetric_difference(content)
-    if wrong:
-        raise CalibrationError(
-            f"{where} must hold {', '.join(keys)}; missing or unknown: {', '.join(sorted(wrong))}."
-        )
-    return content
-
-
-def _number(value: object, what: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise CalibrationError(f"{what} must be a finite number; got {value!r}.")
-    return float(value)
-
-
-def _text(content: dict[str, Any], key: str) -> str:
-    if not isinstance(content[key], str):
-        raise CalibrationError(f"{key} must be text; got {content[key]!r}.")
-    return content[key]
-
-
-def _matrix(rows: object) -> np.ndarray:
-    try:
-        return np.array(rows, float)
-    except (TypeError, ValueError) as error:
-        raise CalibrationError(
-            f"covariance matrix must be rows of numbers; got {rows!r}."
-        ) from error

@@ -1,19 +1,20 @@
-"""What is known of a microscope: the stack's microscope.json, or a calibration file of OpenCV.
+"""Microscope files: the stack's microscope.json, or a camera calibration of OpenCV.
 
-Both end in one `MicroscopeFile`. OpenCV's files know the camera but not the eye: the pinhole's
-height and the eye's radius come with the call.
+Both are read into one `MicroscopeFile`. OpenCV's files describe the camera but not the eye: the
+pinhole's height and the eye's radius come with the call.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import ConfigDict, PlainValidator
 
+from estimator.files.json_files import Strict, check_schema, object_in, read_text, validated
 from estimator.files.opencv import opencv_camera
 from estimator.image import Camera, Response
 
@@ -21,12 +22,12 @@ if TYPE_CHECKING:
     import optics
 
 SCHEMA = 1
-_SAME = 1e-6  # relative; what a file says twice agrees to the digits that JSON keeps
+_SAME = 1e-6  # relative; numbers that a file contains twice agree to JSON's digits
 _SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
 
 
 class MicroscopeFileError(ValueError):
-    """A file does not describe a microscope that this version can use; the text says why."""
+    """A file describes no microscope that this version can use; the text says why."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,9 +43,8 @@ class MicroscopeFile:
         principal_point_px: (u0, v0); may lie outside the frame.
         pinhole_height_mm: z_F above the eyeball's centre; infinite if telecentric.
         eye_radius_mm: r; the pole lies at -r.
-        response: how the frames' values follow from light; linear where the file does not say.
-        paper_exposure_s: exposure time of the stack's frames of fixed exposure; None where the
-            file does not say.
+        response: relation of the frames' values to light; linear if the file does not say.
+        paper_exposure_s: exposure time of the stack's frames of fixed exposure; None if unknown.
     """
 
     width_px: int
@@ -81,7 +81,7 @@ class MicroscopeFile:
         return 1.0 / (self.pinhole_height_mm + self.eye_radius_mm)
 
     def camera(self) -> Camera | None:
-        """For `SubpixelSettings(camera=...)`; None where there is no distortion to take out."""
+        """For `SubpixelSettings(camera=...)`; None if there is no distortion."""
         if self.camera_matrix is None or not self.distortion.any():
             return None
         return Camera(matrix=self.camera_matrix, distortion=self.distortion)
@@ -108,8 +108,8 @@ def read_microscope(
 
     Args:
         path: of the file.
-        pinhole_height_mm: z_F above the eyeball's centre, for OpenCV files, which do not hold it.
-        eye_radius_mm: r, for OpenCV files, which do not hold it.
+        pinhole_height_mm: z_F above the eyeball's centre, for OpenCV files, which lack it.
+        eye_radius_mm: r, for OpenCV files, which lack it.
 
     Raises:
         MicroscopeFileError: the file is neither, of another schema, contradicts itself, lacks
@@ -117,70 +117,103 @@ def read_microscope(
         OSError: the file cannot be read.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise MicroscopeFileError(f"{path}: not a text file: {error}.") from error
     given = {"pinhole_height_mm": pinhole_height_mm, "eye_radius_mm": eye_radius_mm}
     try:
-        content = _json(text)
-        if content is not None and "schema" in content:
-            twice = [name for name, value in given.items() if value is not None]
-            if twice:
-                raise MicroscopeFileError(
-                    f"{twice[0]} stands in the file. Leave it out of the call, or edit the file."
-                )
-            return _ours(content)
-        return _from_opencv(text, given)
+        text = read_text(path)
+        content = _json_in(text)
+        if "schema" not in content:
+            return _from_opencv(text, given)
+        twice = [name for name, value in given.items() if value is not None]
+        if twice:
+            raise MicroscopeFileError(
+                f"{twice[0]} stands in the file. Leave it out of the call, or edit the file."
+            )
+        return _ours(content)
     except ValueError as error:
         raise MicroscopeFileError(f"{path}: {error}") from error
 
 
-def _json(text: str) -> dict[str, Any] | None:
+def _json_in(text: str) -> dict[str, Any]:
     try:
-        content = json.loads(text)
-    except json.JSONDecodeError:
-        return None
-    return content if isinstance(content, dict) else None
+        return object_in(text)
+    except ValueError:
+        return {}  # a YAML or XML file of OpenCV
+
+
+def _numbers(*shape: int) -> PlainValidator:
+    """Finite numbers of a shape, or without one a list of any length, as an array."""
+
+    def array(value: object) -> np.ndarray:
+        try:
+            found = np.asarray(value, float)
+        except (TypeError, ValueError):
+            found = np.asarray(math.nan)
+        fits = found.shape == shape if shape else found.ndim == 1
+        if not (fits and np.isfinite(found).all()):
+            wanted = "x".join(map(str, shape)) or "a list"
+            raise ValueError(f"must be finite numbers ({wanted})")
+        return found
+
+    return PlainValidator(array)
+
+
+def _curve(value: object) -> Response:
+    """The scene file's names: linear, srgb, or g for the curve x^(1/g)."""
+    if value == "linear" or value == "srgb":
+        return Response(curve=value)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return Response(curve="gamma", gamma=float(value))
+    raise ValueError("must be linear, srgb or the exponent of a gamma curve")
+
+
+class _File(Strict):
+    model_config = ConfigDict(extra="ignore", arbitrary_types_allowed=True)
+
+    width_px: float
+    height_px: float
+    camera_matrix: Annotated[np.ndarray, _numbers(3, 3)]
+    distortion: Annotated[np.ndarray, _numbers()]
+    scale_mm_px: float
+    principal_point_px: Annotated[np.ndarray, _numbers(2)]
+    pinhole_height_mm: float | None = None
+    eye_radius_mm: float
+    response: Annotated[Response, PlainValidator(_curve)]
+    paper_exposure_s: float | None = None
+
+
+class _TelecentricFile(_File):
+    camera_matrix: None = None  # type: ignore[assignment]
 
 
 def _ours(content: dict[str, Any]) -> MicroscopeFile:
-    if content["schema"] != SCHEMA:
-        raise MicroscopeFileError(
-            f"schema is {content['schema']!r}; this version reads {SCHEMA}. Render the stack again "
-            "with this version, or read it with the one that wrote it."
-        )
-    height = content.get("pinhole_height_mm")
-    exposure = content.get("paper_exposure_s")
+    again = "Render the stack again with this version, or read it with the one that wrote it."
+    check_schema(content, SCHEMA, remedy=again)
+    telecentric = content.get("pinhole_height_mm") is None
+    file = validated(
+        _TelecentricFile if telecentric else _File,
+        content,
+        remedy="Restore the key. Without pinhole_height_mm a microscope is telecentric, and its "
+        "camera_matrix is null.",
+    )
+    height = file.pinhole_height_mm
     microscope = MicroscopeFile(
-        width_px=int(_number(content, "width_px")),
-        height_px=int(_number(content, "height_px")),
-        camera_matrix=_matrix(content, telecentric=height is None),
-        distortion=_array(content, "distortion", None),
-        scale_mm_px=_number(content, "scale_mm_px"),
-        principal_point_px=_pair(_array(content, "principal_point_px", (2,))),
-        pinhole_height_mm=math.inf if height is None else _number(content, "pinhole_height_mm"),
-        eye_radius_mm=_number(content, "eye_radius_mm"),
-        response=_response(content.get("response")),
-        paper_exposure_s=None if exposure is None else _number(content, "paper_exposure_s"),
+        width_px=int(file.width_px),
+        height_px=int(file.height_px),
+        camera_matrix=file.camera_matrix,
+        distortion=file.distortion,
+        scale_mm_px=file.scale_mm_px,
+        principal_point_px=_pair(file.principal_point_px),
+        pinhole_height_mm=math.inf if height is None else height,
+        eye_radius_mm=file.eye_radius_mm,
+        response=file.response,
+        paper_exposure_s=file.paper_exposure_s,
     )
     _agrees_with_its_matrix(microscope)
     return microscope
 
 
-def _matrix(content: dict[str, Any], *, telecentric: bool) -> np.ndarray | None:
-    if telecentric:
-        if content.get("camera_matrix") is not None:
-            raise MicroscopeFileError(
-                "pinhole_height_mm is missing (telecentric), so that camera_matrix must be null. "
-                "Give the pinhole's height, or remove the matrix."
-            )
-        return None
-    return _array(content, "camera_matrix", (3, 3))
-
-
 def _agrees_with_its_matrix(microscope: MicroscopeFile) -> None:
-    """Whoever edits one of two copies of a number is told."""
+    """Refuse a file in which only one of two copies of a number was edited."""
     matrix = microscope.camera_matrix
     if matrix is None:
         return
@@ -227,40 +260,9 @@ def _given(name: str, value: float | None) -> float:
     return value
 
 
-def _number(content: dict[str, Any], key: str) -> float:
-    value = content.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise MicroscopeFileError(f"{key} must be a number; got {value!r}.")
-    return float(value)
-
-
-def _array(content: dict[str, Any], key: str, shape: tuple[int, ...] | None) -> np.ndarray:
-    try:
-        array = np.asarray(content.get(key), float)
-    except (TypeError, ValueError):
-        array = np.asarray(math.nan)
-    if not np.isfinite(array).all() or (array.ndim != 1 if shape is None else array.shape != shape):
-        wanted = "a list" if shape is None else "x".join(map(str, shape))
-        raise MicroscopeFileError(
-            f"{key} must be finite numbers ({wanted}); got {content.get(key)!r}."
-        )
-    return array
-
-
 def _pair(values: np.ndarray) -> tuple[float, float]:
     first, second = values.tolist()
     return first, second
-
-
-def _response(value: object) -> Response:
-    """The scene file's names: linear, srgb, or g for the curve x^(1/g)."""
-    if value == "linear" or value == "srgb":
-        return Response(curve=value)
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return Response(curve="gamma", gamma=float(value))
-    raise MicroscopeFileError(
-        f"response must be linear, srgb or the exponent of a gamma curve; got {value!r}."
-    )
 
 
 def _listed(values: tuple[float, ...]) -> str:

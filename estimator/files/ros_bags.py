@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimator.files.writing import damage_told
+from estimator.files.whole_files import damage_told
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.files.writing import damage_told, written_whole
+from estimator.files.whole_files import damage_told, written_whole
 from estimator.image import PARAMETERS, NoSpot, Reason, Spot
 
 SCHEMA_VERSION = 1

@@ -15,18 +15,24 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
 import cv2
 import numpy as np
+from pydantic import ConfigDict, Field, create_model
+from pydantic import Strict as StrictType
+
+from estimator.files.json_files import Strict, object_in, read_text, validated
 
 SCHEMA = 1
 _PNG_END = b"IEND\xaeB`\x82"  # the last chunk's name and checksum
+
+Vector = Annotated[tuple[float, float, float], StrictType(False)]
+"""Three numbers; JSON has a list for the tuple."""
 
 
 class StackError(ValueError):
@@ -35,7 +41,7 @@ class StackError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameLabels:
-    """Truth of one image; lengths mm, angles rad, eye frame; image quantities px of the window.
+    """True values of one image; lengths mm, angles rad, eye frame; image quantities px.
 
     Attributes:
         frame: index of the moment; images of several exposures share it.
@@ -65,9 +71,9 @@ class FrameLabels:
     phi_rad: float
     incidence_rad: float
     incidence_azimuth_rad: float
-    tip_mm: tuple[float, float, float]
-    axis: tuple[float, float, float]
-    spot_mm: tuple[float, float, float]
+    tip_mm: Vector
+    axis: Vector
+    spot_mm: Vector
     cone_x_px: float
     cone_y_px: float
     cone_semi_major_px: float
@@ -134,16 +140,48 @@ class Stack:
         Raises:
             StackError: naming the first file that is missing or differs.
         """
-        for name, expected in _read_json(self.folder / "manifest.json")["files"].items():
+        for name, expected in self._manifest().files.items():
             path = self.folder / name
             if not path.is_file():
                 raise StackError(f"{path} is missing, though manifest.json lists it.")
-            if fingerprint(path) != expected:
+            if fingerprint(path) != expected.model_dump():
                 raise StackError(f"{path} differs from its checksum in manifest.json.")
+
+    def _manifest(self) -> _Manifest:
+        path = self.folder / "manifest.json"
+        try:
+            return validated(
+                _Manifest, object_in(read_text(path)), remedy="Render the stack again."
+            )
+        except FileNotFoundError as error:
+            raise StackError(f"{path} is missing.") from error
+        except ValueError as error:
+            raise StackError(f"{path}: {error}") from error
+
+
+class _AnyRow(Strict):
+    model_config = ConfigDict(allow_inf_nan=True)
+
+
+_COLUMNS: dict[str, Any] = {
+    name: (kind, ...) for name, kind in get_type_hints(FrameLabels, include_extras=True).items()
+}
+_Row = create_model("_Row", __base__=_AnyRow, **_COLUMNS)
+"""A line of metadata.jsonl: the fields of `FrameLabels`."""
+
+
+class _Fingerprint(Strict):
+    bytes: int
+    sha256: str
+
+
+class _Manifest(Strict):
+    schema_: Annotated[int, Field(alias="schema")]
+    files: dict[str, _Fingerprint]
 
 
 def read_stack(folder: Path) -> Stack:
-    """Open a stack and its labels (images are read when asked for).
+    """Open a stack and read its labels; images are read later, one by one.
 
     Raises:
         StackError: the folder is no stack, has another schema, a label line is broken, or labels
@@ -152,7 +190,7 @@ def read_stack(folder: Path) -> Stack:
     folder = Path(folder)
     try:
         description = tomllib.loads((folder / "stack.toml").read_text())
-        lines = (folder / "metadata.jsonl").read_text().splitlines()
+        lines = (folder / "metadata.jsonl").read_text(encoding="utf-8").splitlines()
     except FileNotFoundError as error:
         raise StackError(
             f"{folder} is not a stack: {Path(error.filename).name} is missing."
@@ -170,28 +208,11 @@ def read_stack(folder: Path) -> Stack:
 
 
 def _parse(folder: Path, number: int, line: str) -> FrameLabels:
-    where = f"{folder / 'metadata.jsonl'}, line {number}"
     try:
-        row = json.loads(line)
-    except json.JSONDecodeError as error:
-        raise StackError(f"{where}: not JSON ({error.msg}); is the file truncated?") from error
-    types = {field.name: str(field.type) for field in fields(FrameLabels)}
-    if not isinstance(row, dict) or set(row) != set(types):
-        wrong = ", ".join(sorted(set(types).symmetric_difference(row)))
-        raise StackError(f"{where}: missing or unknown columns: {wrong}.")
-    for name, value in row.items():
-        if not _is(value, types[name]):
-            raise StackError(f"{where}: {name} must be {types[name]}; got {value!r}.")
-    vectors = {name: tuple(row[name]) for name in ("tip_mm", "axis", "spot_mm")}
-    return FrameLabels(**{**row, **vectors})
-
-
-def _is(value: object, type_name: str) -> bool:
-    """Whether JSON holds what an annotation of `FrameLabels` says."""
-    if type_name.startswith("tuple"):
-        return isinstance(value, list) and len(value) == 3 and all(_is(x, "float") for x in value)
-    kinds: dict[str, Any] = {"str": str, "int": int, "float": (int, float)}
-    return isinstance(value, kinds[type_name]) and not isinstance(value, bool)
+        row = validated(_Row, object_in(line), remedy="Render the stack again.")
+    except ValueError as error:
+        raise StackError(f"{folder / 'metadata.jsonl'}, line {number}: {error}") from error
+    return FrameLabels(**vars(row))
 
 
 def _match(folder: Path, labels: tuple[FrameLabels, ...]) -> None:
@@ -224,15 +245,6 @@ def _read_image(path: Path) -> np.ndarray:
     if image is None:
         raise StackError(f"{path} is {'truncated' if cut else 'missing or no readable image'}.")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        return json.loads(path.read_text())
-    except FileNotFoundError as error:
-        raise StackError(f"{path} is missing.") from error
-    except json.JSONDecodeError as error:
-        raise StackError(f"{path}: not JSON ({error.msg}).") from error
 
 
 def fingerprint(path: Path) -> dict[str, Any]:

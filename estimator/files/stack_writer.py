@@ -22,7 +22,7 @@ import numpy as np
 import tomli_w
 
 from estimator.files.stack import SCHEMA, FrameLabels, StackError, fingerprint, linear_name
-from estimator.files.writing import written_whole
+from estimator.files.whole_files import written_whole
 
 # Camera noise holds no strings that come again: entropy coding alone makes smaller files than
 # zlib's default strategy, in half of the time. A mask is nothing but strings.
