@@ -1,13 +1,13 @@
 """Physically based image stacks with labels: Mitsuba 3 renders what `optics` describes.
 
-camera/       From linear frames to the numbers that a camera writes
-description/  The scene file: what a person may write, validated
-drawn/        Frames drawn by formula instead of rendered: their spots are known exactly
-machine/      Mitsuba and the libraries that it needs on this machine
-rendering/    From a scene to linear frames, with Mitsuba
-stacks/       Stacks on disk
-walls/        Pictures of the wall
-world/        What a scene means: wall, microscope, beam, motion, light, labels
+camera/       Camera model: from linear frames to digital numbers
+description/  The scene file: its keys, their validation, and how it is read and written
+drawn/        Frames computed by formula, without rendering; their ellipses are known exactly
+machine/      Checks for Mitsuba and the system libraries that it needs
+rendering/    Rendering with Mitsuba: from a scene to linear frames
+stacks/       Labelled image stacks on disk
+walls/        Pictures on the wall
+world/        Everything derived from a scene: wall, microscope, beam, motion, light, labels
 """
 
 import lazy_loader

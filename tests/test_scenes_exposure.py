@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from scenes.camera.exposure import expose, fixed_patterns, linearise, metered_exposure
+from scenes.camera.exposure import expose, fixed_patterns
+from scenes.camera.metering import metered_exposure
 from scenes.camera.output import after_jpeg, demosaiced, mosaic
+from scenes.camera.response import full_wells
 from scenes.description.camera_settings import CameraSettings
 
 SIDE = 512
@@ -203,11 +205,15 @@ def test_linearising_undoes_the_response(response, bit_depth):
     )
     light = np.linspace(0.002, 0.97, 5000).astype(np.float32)
     dn = expose(light, exposure=1.0, settings=settings, rng=np.random.default_rng(9))
-    found = linearise(dn, settings=settings)
+
+    def linearised(dn):
+        return full_wells(dn / settings.full_scale_dn, settings)
+
+    found = linearised(dn)
     # A number stands for half a step to either side; the step is wider by the 2^-16 of the
     # converter ahead of the curve, and single precision rounds the light itself.
-    one_down = linearise(np.maximum(dn, 1) - 1, settings=settings)
-    one_up = linearise(np.minimum(dn, settings.full_scale_dn - 1) + 1, settings=settings)
+    one_down = linearised(np.maximum(dn, 1) - 1)
+    one_up = linearised(np.minimum(dn, settings.full_scale_dn - 1) + 1)
     half_step = 0.5 * np.maximum(found - one_down, one_up - found)
     assert (np.abs(found - light) < 1.1 * half_step + 2.0**-16).all()
 
@@ -340,7 +346,7 @@ def test_metering_looks_only_at_the_mask():
         (np.full((2, 2), -1.0), {}, "not negative; got values from -1"),
         (np.full((2, 2), np.nan), {}, "finite"),
         (np.full((2, 2), np.inf), {}, "finite"),
-        (np.ones((0, 2)), {}, "hold pixels"),
+        (np.ones((0, 2)), {}, "contain pixels"),
         (np.ones((2, 2)), {"exposure": -1.0}, "exposure="),
         (np.ones((2, 2)), {"exposure": math.nan}, "exposure="),
         (np.ones((2, 2)), {"settings": CameraSettings(prnu=0.01)}, "fixed_patterns"),

@@ -201,7 +201,10 @@ def test_the_robots_clock_is_ahead_late_and_in_order():
             r"at \d+\.\d+ s the tip.*leaves the eye",
         ),
         ({"motion": {"kind": "scan", "length_mm": 6.0}}, r"at 0.000 s the spot leaves the 640 x"),
-        ({"motion": hand(top_speed_mm_s=0.1)}, r"top_speed_mm_s must exceed the tremor's own"),
+        (
+            {"motion": hand(top_speed_mm_s=0.1)},
+            r"top_speed_mm_s must exceed the speed of the tremor",
+        ),
         ({"motion": hand(trocar_mm=2.0)}, r"trocar_mm must exceed motion.distance_mm"),
     ],
 )

@@ -150,7 +150,7 @@ def test_the_instrument_hides_the_spot_that_the_labels_say_it_hides():
 
 
 def test_a_spot_outside_the_window_is_refused_with_the_way_out():
-    with pytest.raises(SceneError, match=r"leaves the 100 x 100 px window.*Lower"):
+    with pytest.raises(SceneError, match=r"leaves the 100 x 100 px window.*Shorten"):
         Renderer(scene(microscope={"width_px": 100, "height_px": 100}))
 
 

@@ -254,7 +254,7 @@ def test_only_the_camera_can_change_without_rendering(whole, tmp_path):
         tmp_path / "metered",
     )
     wanted = scene()
-    with pytest.raises(SceneError, match="holds no frames of exposure 'paper'"):
+    with pytest.raises(SceneError, match="has no frames of exposure 'paper'"):
         expose_again(metered, wanted, tmp_path / "again")
     kinds = scene(exposures={"kinds": ["metered"]})
     with pytest.raises(StackError, match=r"000000\.tiff is missing.*keep_linear"):
@@ -265,7 +265,7 @@ def test_no_exposure_outlasts_the_time_between_frames(tmp_path):
     dim = {"sensitivity_mm2_sr_mj": 10.0}
     content = scene(exposures=dim).model_dump(mode="json", by_alias=True)
     content["motion"] = {"kind": "scan", "length_mm": 0.1}
-    message = r"paper exposure takes .*camera_hz leaves 0\.100 s"
+    message = r"paper exposure takes .*camera_hz allows 0\.100 s"
     with pytest.raises(SceneError, match=message):
         render_stack(Scene.model_validate(content), tmp_path / "paper")
     with pytest.raises(SceneError, match=message):

@@ -1,10 +1,10 @@
-"""From linear frames to the numbers that a camera writes.
+"""Camera model: from linear frames to digital numbers.
 
-camera    Camera: one sensor of a scene, which photographs linear frames
-exposure  The camera: noise-free light in, digital numbers out, after EMVA 1288 (release 4.0,
-          linear)
-output    What a camera makes of its raw frame: colours from a Bayer mosaic, and JPEG
-response  Response curves of cameras: from light to digital numbers and back, without noise
+camera    Camera: exposes linear frames with the sensor of a scene
+exposure  Sensor model (EMVA 1288, release 4.0, linear): light in, digital numbers out
+metering  Exposure time from the brightness of a frame
+output    Bayer mosaic, demosaicing and JPEG
+response  Response curves: from light to digital numbers and back, without noise
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Camera: one sensor of a scene, which photographs linear frames."""
+"""Camera: exposes linear frames with the sensor of a scene."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.camera.exposure import expose, fixed_patterns, metered_exposure
+from scenes.camera.exposure import expose, fixed_patterns
+from scenes.camera.metering import metered_exposure
 from scenes.camera.output import after_jpeg
 from scenes.description import CameraSettings, Scene
 
@@ -18,9 +19,9 @@ class Camera:
     """A sensor with its fixed patterns.
 
     Args:
-        scene: whose camera, window and sensitivity it has.
-        seed: of the fixed patterns (default: the scene's).
-        settings: of the camera (default: the scene's).
+        scene: scene with the camera, window and sensitivity.
+        seed: random seed of the fixed patterns (default: the scene's).
+        settings: settings of the camera (default: the scene's).
     """
 
     def __init__(
@@ -35,12 +36,12 @@ class Camera:
         self._patterns = fixed_patterns(settings=self.settings, shape=shape, seed=patterns_seed)
 
     def raw(self, light: np.ndarray, *, exposure_s: float, noise_seed: Sequence[int]) -> Image:
-        """A photograph before JPEG.
+        """The image before JPEG.
 
         Args:
             light: radiance, H x W x 3, mW/(mm2 sr).
-            exposure_s: duration of the exposure.
-            noise_seed: of the temporal noise of this one photograph.
+            exposure_s: exposure time, s.
+            noise_seed: random seed of the temporal noise of this one image.
         """
         return expose(
             light,
@@ -51,16 +52,16 @@ class Camera:
         )
 
     def written(self, raw: Image) -> Image:
-        """The photograph as its file holds it: after JPEG, if the camera uses it."""
+        """The image as it is in the file: after JPEG, if the camera uses JPEG."""
         quality = self.settings.jpeg_quality
         return after_jpeg(raw, quality=quality) if quality else raw
 
     def metered_s(self, light: np.ndarray, mask: np.ndarray) -> float:
-        """The exposure that puts the light's peak at exposures.metered_peak of full scale, s.
+        """Exposure time with which the peak reaches exposures.metered_peak of full scale, s.
 
         Args:
             light: radiance, H x W x 3, mW/(mm2 sr).
-            mask: H x W, the pixels to meter on; where it is empty, the whole frame.
+            mask: H x W, the pixels to measure; if it is empty, all pixels.
         """
         full_wells = metered_exposure(
             light,

@@ -1,4 +1,4 @@
-"""What a camera makes of its raw frame: colours from a Bayer mosaic, and JPEG."""
+"""Bayer mosaic, demosaicing and JPEG."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 
 def mosaic(linear: NDArray[Any], *, bayer: str) -> NDArray[Any]:
-    """The light behind a Bayer filter: of every pixel the channel that its filter lets through.
+    """The light behind a Bayer filter: for every pixel the channel that its filter transmits.
 
     Args:
         linear: H x W x 3 (R, G, B), H and W even.
-        bayer: colours of the first two rows' first two pixels, such as "RGGB".
+        bayer: colours of the first two pixels of the first two rows, such as "RGGB".
 
     Returns:
         H x W.
 
     Raises:
-        ValueError: the image has another shape.
+        ValueError: the image does not have that shape.
     """
     if linear.ndim != 3 or linear.shape[2] != 3 or linear.shape[0] % 2 or linear.shape[1] % 2:
         raise ValueError(
@@ -35,20 +35,20 @@ def mosaic(linear: NDArray[Any], *, bayer: str) -> NDArray[Any]:
 
 
 def demosaiced(raw: NDArray[Any], *, bayer: str) -> NDArray[Any]:
-    """Colours from a Bayer mosaic, the two that a pixel lacks as the mean of its neighbours'.
+    """Colours from a Bayer mosaic; a pixel's two missing colours are means of its neighbours.
 
     Args:
         raw: H x W, uint8 or uint16.
         bayer: as for `mosaic`.
 
     Returns:
-        H x W x 3 (R, G, B). The frame's outermost pixels repeat those next to them.
+        H x W x 3 (R, G, B). The outermost pixels repeat those next to them.
     """
     return np.asarray(cv2.cvtColor(raw, getattr(cv2, f"COLOR_Bayer{bayer}2RGB")))
 
 
 def after_jpeg(image: NDArray[Any], *, quality: int) -> NDArray[Any]:
-    """An image as it comes out of JPEG, with half of the colours' columns (4:2:2).
+    """An image after JPEG with 4:2:2 colour (half of the columns).
 
     Args:
         image: H x W x 3 (R, G, B), uint8.

@@ -1,4 +1,4 @@
-"""Response curves of cameras: from light to digital numbers and back, without noise."""
+"""Response curves: from light to digital numbers and back, without noise."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from scenes.description import CameraSettings
 
-# The step of 16 bits is a twentieth of the step of an 8-bit output even on the toe of sRGB, where
-# the curve's slope is 12.92.
+# A step of 16 bits is at most a twentieth of a step of the 8-bit output, even where sRGB is
+# steepest (slope 12.92).
 CONVERTER_MAX = (1 << 16) - 1
-"""Full scale of the converter ahead of a response curve."""
+"""Full scale of the converter before a response curve."""
 
 
 def full_wells(fraction: NDArray[np.float64], settings: CameraSettings) -> NDArray[np.float64]:
-    """Light, in full wells, of a noise-free pixel that is written at a fraction of full scale."""
+    """Light in full wells of a noise-free pixel whose output is a fraction of full scale."""
     if settings.response == "linear":
         straight = fraction
     elif settings.response == "srgb":

@@ -1,9 +1,8 @@
-"""Frames drawn by formula instead of rendered: their spots are known exactly.
+"""Frames computed by formula, without rendering; their ellipses are known exactly.
 
-drawing      Frames with spots that are known exactly: the estimator's ground truth
-ingredients  What a drawn frame may be made of: any ellipse, any retina, a shaft, a shadow, glints
-profiles     Light of a drawn spot across its edge: sharp, domed, bell-shaped, or that of a glue
-             lens
+drawing      A frame from an ellipse, its light, a wall, occlusion, motion blur and noise
+ingredients  Random ellipses and walls; shafts, shadows and glints
+profiles     Profiles of the light across the edge: sharp, domed, bell-shaped, or of a glue lens
 """
 
 import lazy_loader

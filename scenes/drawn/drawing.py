@@ -1,7 +1,7 @@
-"""Frames with spots that are known exactly: the estimator's ground truth.
+"""Frames computed by formula, to test the estimator against known ellipses.
 
-A frame is what a camera would give of wall * (light + ambient), seen past what is in the way. The
-truth is the ellipse on which the light, without the wall's texture, is half of its peak.
+A frame is a camera image of wall * (light + ambient), partly hidden by instruments. The true
+ellipse is the contour on which the light, without the wall's texture, is half of its peak.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SOFT_DISC = erf_edge(2.0)
 
 
 class MeasuredEllipse(Protocol):
-    """What an estimator measured, such as `estimator.Spot`: centre and semi-axes, px."""
+    """A measured ellipse, such as `estimator.Spot`: centre and semi-axes, px."""
 
     @property
     def x_px(self) -> float:
@@ -42,7 +42,7 @@ class MeasuredEllipse(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """A spot's half-maximum ellipse, px and rad."""
+    """The half-maximum ellipse of a spot, px and rad."""
 
     x: float
     y: float
@@ -51,11 +51,11 @@ class Truth:
     angle: float = 0.0
 
     def moved(self, dx: float, dy: float) -> Truth:
-        """The same ellipse elsewhere."""
+        """The same ellipse, shifted."""
         return replace(self, x=self.x + dx, y=self.y + dy)
 
     def errors(self, spot: MeasuredEllipse) -> tuple[float, float, float, float]:
-        """Estimate less truth of x, y, semi-major and semi-minor axis, px."""
+        """Errors (estimate minus truth) of x, y, semi-major and semi-minor axis, px."""
         return (
             spot.x_px - self.x,
             spot.y_px - self.y,
@@ -66,20 +66,20 @@ class Truth:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drawing:
-    """What a synthetic frame shows; levels are of the brightest channel, full scale 255.
+    """Content of a synthetic frame. Levels refer to the brightest channel; full scale is 255.
 
     Attributes:
-        truth: the spot's ellipse.
-        profile: of its light.
-        amplitude: of the light at its peak on the mean wall.
-        ambient: light everywhere, on the mean wall.
-        noise: standard deviation of each channel's value.
-        wall: (H, W, 3) reflectance, 1 on average in the brightest channel; None for an even wall.
-        lit: (H, W) part of the spot's light that arrives, 1 without a shadow.
-        seen: (H, W) part of the wall that is seen, 1 without a shaft.
+        truth: the ellipse of the spot.
+        profile: profile of its light.
+        amplitude: peak of its light on the mean wall.
+        ambient: uniform light on the mean wall.
+        noise: standard deviation of each channel.
+        wall: (H, W, 3) reflectance with mean 1 in the brightest channel; None for a uniform wall.
+        lit: (H, W) fraction of the spot's light that arrives, 1 without shadow.
+        seen: (H, W) visible fraction of the wall, 1 without a shaft.
         glints: (H, W) light that is added to every channel.
-        path_px: (x, y) of the straight way that the spot moves during the exposure, evenly; the
-            truth is the ellipse in the middle of it.
+        path_px: (x, y) motion of the spot during the exposure, straight and uniform; the true
+            ellipse lies in the middle of it.
     """
 
     truth: Truth
@@ -127,7 +127,7 @@ def frame_of(
 
 
 def _radius_and_distance(truth: Truth, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Elliptical radius and signed distance; the latter is exact to first order at the contour."""
+    """Elliptical radius, and signed distance to the contour (exact to first order)."""
     v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
     c, s = math.cos(truth.angle), math.sin(truth.angle)
     x = ((u - truth.x) * c + (v - truth.y) * s) / truth.semi_major
@@ -138,9 +138,9 @@ def _radius_and_distance(truth: Truth, shape: tuple[int, int]) -> tuple[np.ndarr
 
 
 def _moved(light: np.ndarray, x: float, y: float) -> np.ndarray:
-    """Mean over a straight path about the middle: a box, which is a sinc in the spectrum.
+    """Mean of the light over a straight path about its position (a sinc in the spectrum).
 
-    Exact for what the pixels resolve; the light must not reach the image's border.
+    It is exact for frequencies that the pixels resolve. The light must not reach the border.
     """
     along_y = np.fft.fftfreq(light.shape[0])[:, None] * y
     along_x = np.fft.rfftfreq(light.shape[1]) * x

@@ -1,4 +1,4 @@
-"""What a drawn frame may be made of: any ellipse, any retina, a shaft, a shadow, glints."""
+"""Parts of drawn frames: random ellipses and walls; shafts, shadows and glints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _RETINA_PX = 2000
 def any_truth(
     rng: np.random.Generator, semi_minor: float, axis_ratio: float = 1.1, about: float = 5.0
 ) -> Truth:
-    """An ellipse of a given size near the middle of the frame, at any angle."""
+    """A random ellipse of a given size near the middle of the frame."""
     dx, dy = rng.uniform(-about, about, 2)
     return Truth(
         x=SHAPE[1] / 2 + dx,
@@ -36,7 +36,7 @@ def _retina(seed: int) -> np.ndarray:
 
 
 def any_wall(rng: np.random.Generator, shape: tuple[int, int] = SHAPE) -> np.ndarray:
-    """A window of a printed retina, anywhere in the fundus, its brightest channel 1 on average."""
+    """A random window of a printed retina, with mean 1 in the brightest channel."""
     retina = _retina(int(rng.integers(4)))
     row = rng.integers(retina.shape[0] - shape[0] + 1)
     column = rng.integers(retina.shape[1] - shape[1] + 1)
@@ -45,7 +45,7 @@ def any_wall(rng: np.random.Generator, shape: tuple[int, int] = SHAPE) -> np.nda
 
 
 def behind_shaft(tip: tuple[float, float], heading: float, width_px: float) -> np.ndarray:
-    """Part of the wall seen past a shaft that ends at the tip and runs off in a direction (rad)."""
+    """Visible fraction of the wall behind a shaft from the tip in a direction (rad)."""
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     along = (u - tip[0]) * math.cos(heading) + (v - tip[1]) * math.sin(heading)
     across = (v - tip[1]) * math.cos(heading) - (u - tip[0]) * math.sin(heading)
@@ -55,7 +55,7 @@ def behind_shaft(tip: tuple[float, float], heading: float, width_px: float) -> n
 def with_shaft(
     drawing: Drawing, rng: np.random.Generator, reach: float, width_px: float
 ) -> Drawing:
-    """A shaft whose tip lies `reach` semi-minor axes short of the centre (negative: beyond it)."""
+    """A drawing with a shaft. Its tip ends `reach` semi-minor axes before the spot's centre."""
     truth, heading = drawing.truth, rng.uniform(0, 2 * math.pi)
     away = reach * truth.semi_minor
     tip = truth.x + away * math.cos(heading), truth.y + away * math.sin(heading)
@@ -63,7 +63,7 @@ def with_shaft(
 
 
 def with_quarter_in_shadow(drawing: Drawing, rng: np.random.Generator) -> Drawing:
-    """A sector of 90 degrees without the spot's light, its rims blurred by 1.5 px."""
+    """A drawing with a sector of 90 degrees in shadow; its edges are blurred by 1.5 px."""
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
     direction = np.arctan2(v - drawing.truth.y, u - drawing.truth.x) - rng.uniform(0, 2 * math.pi)
     lit = (direction % (2 * math.pi) > math.pi / 2).astype(float)
@@ -73,7 +73,7 @@ def with_quarter_in_shadow(drawing: Drawing, rng: np.random.Generator) -> Drawin
 def with_glints(
     drawing: Drawing, rng: np.random.Generator, *, on_edge: bool, number: int = 4
 ) -> Drawing:
-    """Bright discs of 3 to 9 px radius, centred on the contour or anywhere within 1.6 radii."""
+    """A drawing with bright discs of 3 to 9 px radius on the contour, or within 1.6 radii."""
     v, u = np.ogrid[: SHAPE[0], : SHAPE[1]]
     glints = np.zeros(SHAPE)
     for _ in range(number):

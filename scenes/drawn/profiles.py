@@ -1,4 +1,4 @@
-"""Light of a drawn spot across its edge: sharp, domed, bell-shaped, or that of a glue lens."""
+"""Profiles of the light across the edge: sharp, domed, bell-shaped, or of a glue lens."""
 
 from __future__ import annotations
 
@@ -12,44 +12,44 @@ from scipy.special import ndtr
 
 import optics
 
-_FURTHEST_RADIUS = 8.0  # half-maximum radii: beyond, the light does not count
+_FURTHEST_RADIUS = 8.0  # in half-maximum radii; the light is zero beyond it
 _SAMPLES = 4000
 
 
 Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Light, 1 at its peak, of the elliptical radius (1 on the truth) and the distance from it (px)."""
+"""Light (peak 1) from the elliptical radius (1 on the contour) and the distance from it in px."""
 
 
 def erf_edge(sigma_px: float) -> Profile:
-    """Flat disc with a Gaussian-blurred edge."""
+    """Uniform disc with an edge blurred by a Gaussian."""
     return lambda t, distance: ndtr(-distance / sigma_px)
 
 
 def domed_edge(sigma_px: float, drop: float) -> Profile:
-    """Disc that falls by `drop` of its peak from the middle to the rim, before the same blur."""
-    # Dome times edge is 1/2 on the truth: a little outside the edge's own middle.
+    """Disc whose light falls by `drop` from the centre to the rim, with the same blur."""
+    # On the contour, dome times edge is 1/2, so the middle of the edge lies further inside.
     shift = NormalDist().inv_cdf(0.5 / (1 - drop))
     return lambda t, distance: (1 - drop * t * t) * ndtr(shift - distance / sigma_px)
 
 
 def flank(width: float) -> Profile:
-    """Plateau that falls off linearly over `width` radii, as behind a flat glue lens."""
+    """Plateau with a linear flank, `width` radii wide, as behind a flat glue lens."""
     return lambda t, distance: np.clip(0.5 + (1 - t) / width, 0, 1)
 
 
 def bell(t: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Gaussian."""
+    """Gaussian profile."""
     return np.exp(-math.log(2) * t * t)
 
 
 @functools.cache
 def lens_profile(preset: str, medium_index: float, distance_mm: float) -> Profile:
-    """Irradiance of a plane square to the axis, by its vector irradiance; 1 on the half maximum.
+    """Profile of a glue lens on a plane perpendicular to the axis.
 
     Args:
-        preset: of the lens, see `optics.lens_names`.
-        medium_index: of what is in front of it.
-        distance_mm: of the plane from the tip.
+        preset: name of the lens, see `optics.lens_names`.
+        medium_index: refractive index of the medium in front.
+        distance_mm: distance of the plane from the tip.
     """
     table = optics.irradiance_table(optics.load_lens(preset), medium_index=medium_index)
     half_radius = float(optics.half_maximum_radius(table, distance=distance_mm))

@@ -1,9 +1,8 @@
-"""Mitsuba and the libraries that it needs on this machine.
+"""Checks for Mitsuba and the system libraries that it needs.
 
-doctor   What this machine can do for eyespot, and what to do about each thing that is missing
-llvm     Finds a libLLVM that Dr.Jit can compile kernels with; needs nothing but the standard
-         library
-variant  The one door to Mitsuba, so that Dr.Jit never meets a libLLVM that aborts the process
+doctor   The command `eyespot doctor`: checks this machine and explains how to fix problems
+llvm     Finds a libLLVM that Dr.Jit can use
+variant  Loads Mitsuba with a safe libLLVM
 """
 
 import lazy_loader

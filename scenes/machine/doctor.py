@@ -1,4 +1,4 @@
-"""What this machine can do for eyespot, and what to do about each thing that is missing."""
+"""The command `eyespot doctor`: checks this machine and explains how to fix problems."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ GIB = 2**30
 MEMORY_NEEDED = 4 * GIB
 
 HOME = Path(__file__).resolve().parents[2]
-"""Where the five packages lie: the checkout, or site-packages."""
+"""Folder of the five packages: the checkout, or site-packages."""
 
-# Each variant is tried in a process of its own: one that cannot work may take its process along.
+# Each variant is tried in its own process, because one that fails may abort its process.
 _TRY_VARIANT = """
 import sys
 import numpy
@@ -48,7 +48,7 @@ sys.exit(0 if 0 < brightness < 2 else f"a grey ball in white light has brightnes
 
 
 class State(StrEnum):
-    """How a finding is judged; only MISSING stands in the way of the main job."""
+    """Severity of a finding; only MISSING prevents `eyespot validate`."""
 
     OK = "ok"
     NOTE = "note"
@@ -57,7 +57,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report: what was looked at, what was found, what to do about it."""
+    """One line of the report: what was checked, the result, and what to do."""
 
     what: str
     found: str
@@ -66,9 +66,9 @@ class Finding:
 
 
 def doctor() -> None:
-    """Check what this machine can do, and say how to install what is missing.
+    """Check this machine, and explain how to install what is missing.
 
-    The exit code is 1 if something that the main job needs is missing.
+    The exit code is 1 if something that `eyespot validate` needs is missing.
     """
     table = Table(title="eyespot doctor")
     for heading in ("", "found", "", "what to do"):
@@ -76,7 +76,7 @@ def doctor() -> None:
     colours = {State.OK: "green", State.NOTE: "yellow", State.MISSING: "red"}
     something_missing = False
     for finding in examine():
-        # Text, because rich would read the square brackets of an error message as markup.
+        # Text, because rich reads square brackets in a string as markup.
         state = Text(finding.state, style=colours[finding.state])
         table.add_row(Text(finding.what), Text(finding.found), state, Text(finding.remedy))
         something_missing |= finding.state is State.MISSING
@@ -85,19 +85,19 @@ def doctor() -> None:
 
 
 def examine() -> Iterator[Finding]:
-    """Everything worth knowing about this machine, one finding at a time."""
+    """All findings about this machine."""
     yield from _versions()
     yield Finding("eyespot's packages", str(HOME))
     yield from llvm_findings()
-    yield _variant("llvm_ad_rgb", State.MISSING, "See what it says, then `make setup` again.")
-    yield _variant("scalar_rgb", State.NOTE, "Not needed, but odd. Run `make setup` again.")
-    yield _variant("cuda_ad_rgb", State.NOTE, "Not needed. It takes an NVIDIA GPU and its driver.")
+    yield _variant("llvm_ad_rgb", State.MISSING, "Follow the message, then run `make setup` again.")
+    yield _variant("scalar_rgb", State.NOTE, "Not needed, but unexpected. Run `make setup` again.")
+    yield _variant("cuda_ad_rgb", State.NOTE, "Not needed. Requires an NVIDIA GPU and its driver.")
     yield from _hardware()
     yield _current_folder()
 
 
 def _versions() -> Iterator[Finding]:
-    """Python and the core packages against what eyespot asks for and was tested with."""
+    """Versions of Python and the packages, compared with the required and tested ones."""
     yield Finding("Python", f"{platform.python_version()} ({sys.executable})")
     tested = _tested_versions()
     for line in importlib.metadata.requires("eyespot") or []:
@@ -121,7 +121,7 @@ def _versions() -> Iterator[Finding]:
 
 
 def _tested_versions() -> dict[str, str]:
-    """The pins of constraints.txt, where this is a checkout."""
+    """The versions in constraints.txt; empty if this is not a checkout."""
     constraints = HOME / "constraints.txt"
     if not constraints.is_file():
         return {}
@@ -131,7 +131,7 @@ def _tested_versions() -> dict[str, str]:
 
 
 def llvm_findings() -> Iterator[Finding]:
-    """The libLLVM that Mitsuba will use or the lack of one, then those that were refused."""
+    """The libLLVM that Mitsuba will use, then those that were refused."""
     llvm = find_llvm()
     if llvm:
         version = ".".join(map(str, llvm.version))
@@ -173,5 +173,5 @@ def _current_folder() -> Finding:
         with tempfile.TemporaryFile(dir=folder):
             return Finding("this folder", f"{folder} can be written to")
     except OSError as error:
-        remedy = "Give --out a folder elsewhere."
+        remedy = "Choose another folder with --out."
         return Finding("this folder", f"{folder}: {error.strerror}", State.NOTE, remedy)

@@ -1,9 +1,9 @@
-"""Finds a libLLVM that Dr.Jit can compile kernels with; needs nothing but the standard library.
+"""Finds a libLLVM that Dr.Jit can use. This module needs only the standard library.
 
-Dr.Jit takes the first libLLVM it meets. A stock Debian 12 carries 14 to 16: Dr.Jit refuses 14,
-and 15 and 16 abort the whole process ("Cannot select: fmaximum"). So a file is accepted only
-after a child process has loaded it and told its version; too old a version never gets near
-Dr.Jit. 19 and 22 are known to work; 17 and 18 have not been tried and count as too old.
+Dr.Jit loads the first libLLVM that it finds. Debian 12 has versions 14 to 16: Dr.Jit refuses 14,
+and 15 and 16 abort the whole process ("Cannot select: fmaximum"). So a child process first loads
+each file and reports its version; Dr.Jit gets only a version that is new enough. 19 and 22 work; 17
+and 18 have not been tried and count as too old.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Literal, final
 
 OLDEST_USABLE = 19
 ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"
-# Dr.Jit links to libatomic too, and a bare Debian has none: one command for both.
+# Dr.Jit also needs libatomic, which a minimal Debian lacks; one command installs both.
 DEBIAN_COMMAND = "apt-get install libllvm19 libatomic1"
 REMEDY = (
     f"Install LLVM {OLDEST_USABLE} or newer (Debian, as root: `{DEBIAN_COMMAND}`), or set "
@@ -40,7 +40,7 @@ _FILE_NAME = re.compile(
     r"libLLVM(?:-(?P<before>\d+)[\d.]*)?\.(?:so|dylib)(?:\.(?P<after>\d+)[\d.]*)?"
 )
 
-# LLVMGetVersion exists since LLVM 16; a library without it is older than that.
+# LLVMGetVersion exists since LLVM 16; a library without it is older.
 _ASK_VERSION = """
 import ctypes, sys
 library = ctypes.CDLL(sys.argv[1])
@@ -52,7 +52,7 @@ print(*(number.value for number in numbers))
 
 @dataclass(frozen=True)
 class Refused:
-    """A libLLVM that was found and must not be used, with the reason."""
+    """A libLLVM that must not be used, with the reason."""
 
     path: Path
     reason: str
@@ -66,7 +66,7 @@ class Llvm:
     Attributes:
         path: the library file.
         version: major, minor, patch.
-        refused: files that were found beside it and must not be used.
+        refused: other files that were found and must not be used.
     """
 
     path: Path
@@ -77,11 +77,11 @@ class Llvm:
 @final
 @dataclass(frozen=True)
 class NoLlvm:
-    """No usable libLLVM; falsy, so that `if llvm := find_llvm():` reads as it should.
+    """No usable libLLVM. It is falsy, for `if llvm := find_llvm():`.
 
     Attributes:
         refused: the files that were found, each with its reason.
-        remedy: what to do about it.
+        remedy: what to do.
     """
 
     refused: tuple[Refused, ...] = ()
@@ -100,10 +100,10 @@ def find_llvm(
     environment: Mapping[str, str] = os.environ,
     folders: Iterable[str] = LIBRARY_FOLDERS,
 ) -> Llvm | NoLlvm:
-    """The libLLVM to use: the one that DRJIT_LIBLLVM_PATH names, else the newest usable one.
+    """The libLLVM to use: the one in DRJIT_LIBLLVM_PATH, else the newest usable one.
 
-    A path that was set and cannot be used is an answer by itself; no other file is tried, so
-    that nobody works with another version than the one asked for.
+    If the path in DRJIT_LIBLLVM_PATH cannot be used, no other file is tried, so that nobody works
+    with an unexpected version.
 
     Args:
         environment: where to look up DRJIT_LIBLLVM_PATH.
@@ -130,7 +130,7 @@ def find_llvm(
 
 
 def _candidates(folders: Iterable[str]) -> list[Path]:
-    """Every libLLVM in the folders, one name for each file behind the links."""
+    """Every libLLVM in the folders; one path for all links to the same file."""
     names: dict[Path, Path] = {}
     for pattern in folders:
         anchor = Path(pattern).anchor
@@ -142,11 +142,11 @@ def _candidates(folders: Iterable[str]) -> list[Path]:
 
 
 def _examine(path: Path) -> Llvm | Refused:
-    """Whether one file can be used; a version that its name already rules out is not loaded."""
+    """Whether one file can be used. If its name shows an old version, it is not loaded."""
     if not path.is_file():
         return Refused(path, "there is no such file")
     if match := _FILE_NAME.fullmatch(path.resolve().name):
-        # A lone ".1" after .so is the library's revision (libLLVM-14.so.1), not LLVM's version.
+        # A single ".1" after .so is the revision of the library, not LLVM's version.
         major = match["before"] or match["after"]
         if major and int(major) < OLDEST_USABLE:
             return Refused(path, _too_old(f"LLVM {major}"))

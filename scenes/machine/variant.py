@@ -1,6 +1,6 @@
-"""The one door to Mitsuba, so that Dr.Jit never meets a libLLVM that aborts the process.
+"""Loads Mitsuba with a libLLVM that does not abort the process. All code loads Mitsuba here.
 
-Run as a script it says whether the main variant can be loaded (exit code 0 or 1).
+As a script, it checks whether the main variant can be loaded (exit code 0 or 1).
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from scenes.machine.llvm import (
 
 
 class RendererUnavailable(RuntimeError):
-    """The asked variant of Mitsuba cannot run in this process; the message says what to do."""
+    """This variant of Mitsuba cannot run in this process; the message says what to do."""
 
 
 def load_mitsuba(variant: str = "llvm_ad_rgb") -> ModuleType:
-    """Mitsuba with its variant set; later calls in one process must ask for the same one.
+    """Load Mitsuba and set its variant, which must be the same for all calls in a process.
 
     Args:
-        variant: Mitsuba's name of it, such as `llvm_ad_rgb` or `scalar_rgb`.
+        variant: name of the variant, such as `llvm_ad_rgb` or `scalar_rgb`.
 
     Returns:
         The module `mitsuba`.
 
     Raises:
         ValueError: this build of Mitsuba has no such variant.
-        RendererUnavailable: a system library or the GPU is missing, or this process runs another
-            variant already.
+        RendererUnavailable: a system library or the GPU is missing, or this process already uses
+            another variant.
     """
     needs_llvm = variant.startswith("llvm")
     if "drjit" in sys.modules:
@@ -48,8 +48,8 @@ def load_mitsuba(variant: str = "llvm_ad_rgb") -> ModuleType:
         raise ValueError(f"load_mitsuba({variant!r}): no such variant; choose one of {known}.")
     if mitsuba.variant() not in (None, variant):
         raise RendererUnavailable(
-            f"load_mitsuba({variant!r}): this process renders with {mitsuba.variant()} already, "
-            "and what was made with one variant is of no use to another. Start a new process."
+            f"load_mitsuba({variant!r}): this process already renders with {mitsuba.variant()}, "
+            "and objects of one variant cannot be used by another. Start a new process."
         )
     try:
         mitsuba.set_variant(variant)
@@ -69,35 +69,35 @@ def _import_mitsuba() -> ModuleType:
     except ModuleNotFoundError:
         raise
     except (ImportError, NameError) as error:
-        # Dr.Jit 1.5 trips over a NameError of its own while it reports the ImportError.
+        # Dr.Jit 1.5 raises a NameError by mistake while it reports the ImportError.
         raise RendererUnavailable(
-            f"Mitsuba cannot be loaded ({error.__context__ or error}). Install the library that "
-            f"it misses (Debian, as root: `{DEBIAN_COMMAND}`)."
+            f"Mitsuba cannot be loaded ({error.__context__ or error}). Install the missing library "
+            f"(Debian, as root: `{DEBIAN_COMMAND}`)."
         ) from error
     return mitsuba
 
 
 def _choose_llvm(*, needed: bool) -> None:
-    """Tells Dr.Jit which libLLVM to load: it reads the variable once, on import."""
+    """Set the variable that selects the libLLVM; Dr.Jit reads it once, on import."""
     llvm = find_llvm()
     if needed and not llvm:
         raise RendererUnavailable(
             f"Mitsuba cannot render: {llvm} Without it, `eyespot render --variant scalar_rgb` "
             "renders scenes of source.kind 'cone', slowly."
         )
-    # Left to itself, Dr.Jit would load an old libLLVM even for a variant that needs none.
+    # Otherwise Dr.Jit would load an old libLLVM even for a variant that needs none.
     os.environ[ENVIRONMENT_VARIABLE] = str(llvm.path) if llvm else os.devnull
 
 
 def _check_loaded_llvm(*, needed: bool) -> None:
-    """What is left to do where somebody imported Dr.Jit before: look at what it loaded."""
+    """Check the libLLVM that Dr.Jit has already loaded, if it was imported earlier."""
     import drjit
 
     major = drjit.detail.llvm_version()[0]
     if needed and major < OLDEST_USABLE:
         found = f"LLVM {major}" if major > 0 else "no LLVM"
         raise RendererUnavailable(
-            f"Mitsuba cannot render: drjit was imported before and loaded {found}. "
+            f"Mitsuba cannot render: drjit was already imported and loaded {found}. "
             f"Call load_mitsuba() before `import drjit`. {REMEDY}"
         )
 

@@ -1,4 +1,4 @@
-"""The scene as a Mitsuba dictionary, and how its moving parts are set for a moment."""
+"""The Mitsuba dictionary of a scene, and how the tip is moved in it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from scenes.world import World
 _SHAFT_MM = 40.0
 _NEAR_MM = 0.01
 _FIBRE_REFLECTANCE, _SHAFT_REFLECTANCE = 0.15, 0.3
-# The end face lies this far behind the plane of the tip, so that it never swallows its own beam
-# (Mitsuba's float32 self-intersection margin is about 1 um at 11 mm).
+# The end face lies this far behind the plane of the tip, so that it does not block its own beam
+# (the margin of Mitsuba's float32 intersections is about 1 um at 11 mm).
 _FACE_GAP_MM = 0.003
 
 
 def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
-    """Everything that Mitsuba needs for a scene.
+    """The scene as `mi.load_dict` reads it.
 
     Args:
-        world: what the scene means.
+        world: the scene and everything derived from it.
         uniform: indirect irradiance per colour channel, mW/mm2.
     """
     scene = world.scene
@@ -36,12 +36,12 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
     on_a_grid = {
         "type": "stratified",
         "sample_count": scene.microscope.samples,
-        # Traced light needs numbers that are random within their strata.
+        # Traced light needs random numbers within the strata.
         "jitter": scene.phantom.indirect == "traced",
     }
     at_random = {"type": "independent", "sample_count": scene.source.photons_per_pixel}
     coaxial = scene.microscope.light == "coaxial"
-    # Ambient light comes from all sides alike, as the light that the eyeball scatters back.
+    # Ambient light is equal from all sides, like the light that the eyeball scatters back.
     ambient = 0.0 if coaxial else scene.microscope.illumination_mw_mm2
     return {
         "type": "scene",
@@ -50,11 +50,11 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
         **(_second_tool(scene) if scene.second_tool.visible else {}),
         "source": _source(world),
         "sensor": _sensor(world, on_a_grid),
-        # A second one for photons that come to it, with as many of them a pixel as samples.
+        # A second sensor collects photons; here a sample is a photon.
         **({"photon_camera": _sensor(world, at_random)} if photons else {}),
         "integrator": {
             "type": "eyespot_spot",
-            # Photons bring the direct light in a pass of their own.
+            # With photons, direct light comes from a separate pass.
             "direct": not photons,
             "bounces": _traced_bounces(world),
             "uniform": mi.ScalarColor3f(uniform + ambient),
@@ -67,34 +67,25 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
 
 
 def _pupil_height(scene: Scene) -> float:
-    """Height from which on the eyeball's wall is open; beyond all walls if it is closed."""
+    """Height above which the eyeball is open; infinite if it is closed."""
     r, pupil = scene.phantom.radius_mm, scene.phantom.pupil_radius_mm
     return math.sqrt(r * r - pupil * pupil) if pupil else math.inf
 
 
 def mover(scene: Scene, mitsuba_scene: Any) -> Callable[[np.ndarray, np.ndarray], None]:
-    """What puts the tip and the axis of a scene that is loaded somewhere."""
+    """Function that moves the tip and axis of a loaded scene."""
     parameters = mi.traverse(mitsuba_scene)
 
     def move(tip: np.ndarray, axis: np.ndarray) -> None:
-        apex = tip + scene.source.cone_apex_offset_mm * axis
-        for name, value in pose_parameters(scene, tip=tip, axis=axis, apex=apex).items():
-            parameters[name] = value
-        parameters.update()
+        values = {"source.tip": mi.Point3f(tip), "source.axis": mi.Vector3f(axis)}
+        if scene.instrument.visible:
+            values["instrument.to_world"] = mi.Transform4f(rigid_transform(tip, axis))
+        if scene.source.kind == "cone":
+            apex = tip + scene.source.cone_apex_offset_mm * axis
+            values["source.light.to_world"] = mi.Transform4f(rigid_transform(apex, axis))
+        parameters.update(values)
 
     return move
-
-
-def pose_parameters(scene: Scene, *, tip: Any, axis: Any, apex: Any) -> dict[str, Any]:
-    """Values of the Mitsuba parameters that place the tip, the axis and the virtual apex."""
-    tip, axis, apex = np.asarray(tip), np.asarray(axis), np.asarray(apex)
-    values: dict[str, Any] = {}
-    if scene.instrument.visible:
-        values["instrument.to_world"] = mi.Transform4f(rigid_transform(tip, axis))
-    values["source.tip"], values["source.axis"] = mi.Point3f(tip), mi.Vector3f(axis)
-    if scene.source.kind == "cone":
-        values["source.light.to_world"] = mi.Transform4f(rigid_transform(apex, axis))
-    return values
 
 
 def _source(world: World) -> dict[str, Any]:
@@ -125,10 +116,10 @@ def _source(world: World) -> dict[str, Any]:
 
 
 def _instrument(scene: Scene) -> dict[str, Any]:
-    """The instrument in the tip's frame, whose +z is the beam's axis, and its one moving instance.
+    """The instrument in the tip's frame (+z is the beam's axis), and one instance that moves.
 
-    Moved as a rigid whole: a cylinder stretched and turned by one float32 matrix is not free of
-    shear to the 1e-6 that Mitsuba asks for.
+    Its transform is rigid. A float32 matrix that also scales a cylinder would have more shear than
+    Mitsuba accepts (1e-6).
     """
     fibre = scene.instrument.fibre_diameter_mm / 2
     shaft = GAUGE_DIAMETER_MM[scene.instrument.gauge] / 2
@@ -143,7 +134,7 @@ def _instrument(scene: Scene) -> dict[str, Any]:
 
 
 def _second_tool(scene: Scene) -> dict[str, Any]:
-    """A shaft that ends at its tip and lies on the line to its trocar."""
+    """A shaft from the tip towards the trocar."""
     tool = scene.second_tool
     polar, azimuth = math.radians(tool.trocar_polar_deg), math.radians(tool.trocar_azimuth_deg)
     across = math.sin(polar)
@@ -164,7 +155,7 @@ def _second_tool(scene: Scene) -> dict[str, Any]:
 
 
 def _rods(*rods: tuple[str, float, float, float, float]) -> dict[str, Any]:
-    """Matt rods along z: name, radius, back and front in mm, reflectance."""
+    """Matt rods along z, each with name, radius, back and front in mm, and reflectance."""
     shapes: dict[str, Any] = {"type": "shapegroup"}
     for name, radius, back, front, reflectance in rods:
         matt = {"type": "diffuse", "reflectance": {"type": "rgb", "value": reflectance}}
@@ -188,7 +179,7 @@ def _rods(*rods: tuple[str, float, float, float, float]) -> dict[str, Any]:
 
 def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
     scene, microscope = world.scene, world.microscope
-    # Mitsuba's pixel i spans [i, i + 1), hence the half.
+    # Mitsuba's pixel i covers [i, i + 1), so its centre is at i + 0.5.
     u0, v0 = np.asarray(microscope.principal_point) + 0.5
     names = ("k1", "k2", "p1", "p2", "k3")
     return {
@@ -223,7 +214,7 @@ def _film(scene: Scene) -> dict[str, Any]:
 
 
 def _traced_bounces(world: World) -> int:
-    """Reflections that traced indirect light takes, so that less than 0.1 % of it is missing."""
+    """Number of traced reflections, so that less than 0.1 % of the indirect light is missing."""
     if world.scene.phantom.indirect != "traced":
         return 0
     return math.ceil(math.log(1e-3) / math.log(max(world.wall_colour.max(), 1e-3)))
@@ -232,7 +223,7 @@ def _traced_bounces(world: World) -> int:
 def _inside_the_eye(world: World) -> float:
     """Height at which every line of sight of the window is inside the eyeball.
 
-    A microscope above the eye looks through the pupil; rays start below the wall's upper half.
+    Rays start there, so that the upper half of the wall does not block them.
     """
     scene = world.scene
     settings, r = scene.microscope, scene.phantom.radius_mm
@@ -241,7 +232,7 @@ def _inside_the_eye(world: World) -> float:
     border = world.window_border
     point, direction = (np.asarray(a) for a in world.microscope.ray(border))
     if slope := _aperture_slope(scene):
-        # The outermost lines of sight that a thin lens adds cross these in the plane in focus.
+        # The outermost lines of sight of a thin lens; they cross the central ones at the focus.
         aside = slope * np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
         below = (settings.focus_mm - r - point[:, 2:]) / direction[:, 2:]
         point, direction = point + below * direction, direction / -direction[:, 2:]

@@ -1,15 +1,14 @@
-"""Photons through the glue lens onto the film, as a function of the lens and its pose.
+"""Images by photons, with derivatives by the lens and its pose.
 
 Import after `load_mitsuba`.
 
-What makes its derivatives right: a photon's place on the film and its power are smooth in every
-parameter, and nothing is decided by comparing a parameter with a random number. `smooth_lens` sees
-to that in the glass; the film shares a photon out to the nine pixels about it by a quadratic
-spline. An occluder would break the rule, because which photons it hides is a comparison; scenes
-with one are refused.
+The derivatives are correct because the position of each photon on the film and its power are smooth
+functions of all parameters; no parameter is compared with a random number. `smooth_lens` ensures
+this for the lens. On the film, a quadratic spline spreads each photon over nine pixels. An
+instrument in the beam would hide photons by a comparison, so scenes with one are refused.
 """
 
-# Mitsuba's stubs describe no variant's types; the tracer is left to its tests.
+# Mitsuba's stubs lack the types of the variants.
 # mypy: no-check-untyped-defs
 
 from __future__ import annotations
@@ -38,17 +37,17 @@ LENS = (
     "glue_index",
     "numerical_aperture",
 )
-"""What can be free of the lens, as `optics.GlueLens` names it."""
+"""Parameters of the lens that can be free, named as in `optics.GlueLens`."""
 
 POSE = ("tip_x", "tip_y", "tip_z", "axis_x", "axis_y", "axis_z")
-"""What can be free of the pose, eye frame: mm; the axis is a direction of any length."""
+"""Parameters of the pose that can be free, eye frame; the tip in mm, the axis of any length."""
 
-_BORDER_PX = 1  # pixels of the film's edge lack the light of photons just beyond it
-_PASS = 1 << 18  # photons at a time; their graph takes about 1 kB each
+_BORDER_PX = 1  # pixels at the film's edge lack the light of photons just outside
+_PASS = 1 << 18  # photons per pass; the graph needs about 1 kB per photon
 
 
 class _OnFilm(NamedTuple):
-    """Photons shared out to the nine pixels about each: numbers of pixels, light for them."""
+    """Photons spread over nine pixels each: indices of the pixels, and their light."""
 
     pixels: list[Any]
     light: list[Any]
@@ -57,27 +56,27 @@ class _OnFilm(NamedTuple):
 class PhotonImage:
     """Direct light of the lens on the wall, seen by the microscope, with derivatives.
 
-    The image is that of `scenes.rendering.photon_image` but for two things: the pixel is a
-    quadratic spline three pixels wide instead of a box, and light that the cap throws back is
-    lost (under 0.5 % of it comes out later). One seed's photons are the same for all parameters,
-    so that the image is a smooth function of them. They are spread evenly (a scrambled Sobol
-    sequence), so that its noise is less than theirs by chance.
+    The image equals that of `scenes.rendering.photon_image` except that a pixel is a quadratic
+    spline three pixels wide instead of a box, and that light reflected by the cap is lost (under
+    0.5 % of it would come out later). A seed fixes the random numbers of all photons, so the image
+    is a smooth function of the parameters. The photons are a scrambled Sobol sequence, which has
+    less noise than independent ones.
 
     Args:
-        scene: whose source is a lens and whose view nothing obstructs.
-        free: names of the parameters, of `LENS`, `POSE` and "power"; the others stay as in the
-            scene.
-        photons: leaving the core.
-        frame: of the scene's motion, for the pose.
-        seed: other seeds give independent noise.
+        scene: a scene with a lens as source, and without instruments in view.
+        free: names of the free parameters, from `LENS`, `POSE` and "power"; the others keep the
+            scene's values.
+        photons: number of photons that leave the core.
+        frame: frame of the scene's motion that gives the pose.
+        seed: random seed; different seeds give independent noise.
 
     Attributes:
-        free: names of the parameters.
-        start: the scene's own values of them.
+        free: names of the free parameters.
+        start: the scene's values of these parameters.
         shape: H, W, 3 of the image.
 
     Raises:
-        SceneError: an instrument or tool may hide photons, or the source has no lens.
+        SceneError: an instrument or tool is visible, or the source has no lens.
         ValueError: a name in `free` is unknown.
     """
 
@@ -88,7 +87,8 @@ class PhotonImage:
         known = (*LENS, *POSE, "power")
         if unknown := [name for name in free if name not in known]:
             raise ValueError(
-                f"PhotonImage(free=...) names {', '.join(unknown)}; choose from {', '.join(known)}."
+                f"PhotonImage(free=...) does not know {', '.join(unknown)}. "
+                f"Choose from {', '.join(known)}."
             )
         self._values, self._launch = _parameters(scene, frame)
         self._medium_index = optics.MEDIA[scene.source.medium]
@@ -102,10 +102,10 @@ class PhotonImage:
         """Radiance, H x W x 3, mW/(mm2 sr).
 
         Args:
-            parameters: of `free`, in its order.
+            parameters: values in the order of `free`.
 
         Raises:
-            ValueError: they describe no lens; the message names the value.
+            ValueError: no lens has these values; the message names the value.
         """
         image = np.zeros(self.shape)
         for _, photons in self._passes(parameters):
@@ -116,10 +116,10 @@ class PhotonImage:
         """Radiance, and its derivatives in forward mode, H x W x 3 x p.
 
         Args:
-            parameters: of `free`, in its order.
+            parameters: p values in the order of `free`.
 
         Raises:
-            ValueError: they describe no lens; the message names the value.
+            ValueError: no lens has these values; the message names the value.
         """
         image, jacobian = np.zeros(self.shape), np.zeros((*self.shape, len(self.free)))
         for leaves, photons in self._passes(parameters, derivatives=True):
@@ -129,7 +129,7 @@ class PhotonImage:
                 columns.append(dr.grad(photons.light))
                 dr.clear_grad(photons.light)
             light = dr.detach(photons.light)
-            # One kernel for all: they share the photons' paths.
+            # One kernel for all of them, because they share the photons' paths.
             dr.eval(photons.pixels, light, columns)
             image += self._splatted(photons.pixels, light)
             for number, column in enumerate(columns):
@@ -137,17 +137,17 @@ class PhotonImage:
         return image, jacobian
 
     def vjp(self, parameters: np.ndarray, cotangent: np.ndarray) -> np.ndarray:
-        """Derivatives of sum(cotangent * image) in reverse mode, one pass for any number of them.
+        """Derivatives of sum(cotangent * image) in reverse mode; its time does not depend on p.
 
         Args:
-            parameters: p of them, of `free` in its order.
+            parameters: p values in the order of `free`.
             cotangent: H x W x 3.
 
         Returns:
             p derivatives.
 
         Raises:
-            ValueError: they describe no lens; the message names the value.
+            ValueError: no lens has these values; the message names the value.
         """
         border = [(_BORDER_PX, _BORDER_PX)] * 2 + [(0, 0)]
         weight = mi.Float(np.pad(cotangent, border).ravel().astype(np.float32))
@@ -161,13 +161,13 @@ class PhotonImage:
         return total
 
     def _passes(self, parameters: np.ndarray, *, derivatives: bool = False):
-        """The free parameters and the photons that follow them, so many photons at a time."""
+        """The free parameters and the photons on the film, one pass after the other."""
         values = self._values | dict(zip(self.free, parameters.tolist(), strict=True))
         check_lens(values)
         for numbers in np.array_split(self._numbers, math.ceil(len(self._numbers) / _PASS)):
             size = len(numbers)
-            # In memory, or every new value would be a new kernel; for each photon, or reverse mode
-            # would sum over the photons wherever a parameter is used.
+            # Values in memory (opaque) do not need a new kernel each time. With one copy per
+            # photon, reverse mode does not sum over photons at every use of a parameter.
             copies = {name: dr.opaque(mi.Float, value, size) for name, value in values.items()}
             leaves = [copies[name] for name in self.free]
             if derivatives:
@@ -203,7 +203,7 @@ class PhotonImage:
         return _OnFilm(pixels, parts)
 
     def _splatted(self, pixels: list[Any], light: list[Any]) -> np.ndarray:
-        """The image that photons make, without the film's border."""
+        """The image of the photons, without the film's border."""
         height, width, channels = self.shape
         height, width = height + 2 * _BORDER_PX, width + 2 * _BORDER_PX
         film = dr.zeros(mi.Float, height * width * channels)
@@ -220,9 +220,9 @@ def _evenly_spread(count: int, *, seed: int) -> np.ndarray:
 
 
 def _spline(offset):
-    """Shares of the pixels before, about and behind a place, by its offset from the centre, px.
+    """Weights of the previous, the own and the next pixel, for an offset from the pixel centre, px.
 
-    The quadratic B-spline: smooth, and its shares add up to 1.
+    This is the quadratic B-spline; the weights are smooth and sum to 1.
     """
     return (
         (-1, 0.5 * dr.square(0.5 - offset)),
@@ -238,18 +238,19 @@ def _refuse_occluders(scene: Scene) -> None:
     ):
         if visible:
             raise SceneError(
-                f"PhotonImage: {key}.visible = true would hide photons, and derivatives do not "
-                f"see the shadow's edge move (up to 20 % off). Set {key}.visible to false."
+                f"PhotonImage: {key}.visible = true would hide photons, and derivatives would not "
+                f"include the moving edge of its shadow (errors up to 20 %). Set {key}.visible to "
+                "false."
             )
     if scene.source.kind == "cone":
         raise SceneError(
-            "PhotonImage: source.kind 'cone' has no glass that photons could pass. Set it to "
-            "'photons' or 'lens'."
+            "PhotonImage: source.kind 'cone' has no lens for photons. Set it to 'photons' or "
+            "'lens'."
         )
 
 
 def _parameters(scene: Scene, frame: int) -> tuple[dict[str, float], optics.GlueLens]:
-    """The scene's values of all that can be free, and its lens."""
+    """The scene's values of all parameters that can be free, and its lens."""
     lens = optics.load_lens(scene.source.lens)
     world = World(scene)
     pose = world.motion.at(world.times[frame : frame + 1])
@@ -259,14 +260,14 @@ def _parameters(scene: Scene, frame: int) -> tuple[dict[str, float], optics.Glue
 
 
 def _wall_and_sensor(scene: Scene) -> tuple[Any, Any]:
-    """The wall as a Mitsuba scene of its own, and the microscope with a border round its window."""
+    """A Mitsuba scene with the wall alone, and the microscope with a border around its window."""
     film = {
         "width_px": scene.microscope.width_px + 2 * _BORDER_PX,
         "height_px": scene.microscope.height_px + 2 * _BORDER_PX,
     }
     bare = scene.model_copy(
         update={
-            # The lens itself is not needed, nor its table, which takes seconds.
+            # The lens is not needed, and its table takes seconds to compute.
             "source": scene.source.model_copy(update={"kind": "cone"}),
             "microscope": scene.microscope.model_copy(update=film),
         }

@@ -1,4 +1,4 @@
-"""Images of a scene without the camera's noise, for any pose of the tip."""
+"""Noise-free images of a scene, for any pose of the tip."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from scenes.description import Scene, SceneError
 from scenes.machine import load_mitsuba
 from scenes.world import World, uniform_irradiance
 
-# Far below the eye and turned away: hidden by the wall, and its beam is lost.
+# Far below the eye and pointing away: the tip is not visible, and its beam lights nothing.
 _PARKED_MM, _DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
 
 
 class Images:
-    """One scene, loaded once into Mitsuba; the tip moves, and what it cannot change stays.
+    """One scene, loaded once into Mitsuba. Only pixels that the tip can change are rendered again.
 
     Args:
-        world: what the scene means.
-        variant: of Mitsuba.
+        world: the scene and everything derived from it.
+        variant: Mitsuba's variant.
 
     Attributes:
-        world: as given.
-        mitsuba_scene: for other integrators on the same scene.
-        random: whether light is sampled at random, so that no two images are the same anywhere.
-        reach: which pixels a pose changes; None where all are rendered each time.
+        world: the scene and everything derived from it.
+        mitsuba_scene: the loaded scene.
+        random: whether light is sampled randomly, so that all pixels differ between images.
+        reach: finds the pixels that a pose changes; None if all pixels are rendered each time.
 
     Raises:
-        SceneError: a scalar variant was asked for more than a cone's direct light.
+        SceneError: the scene is too slow for a scalar variant.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
 
@@ -45,7 +45,7 @@ class Images:
             or scene.phantom.indirect == "traced"
             or scene.microscope.numerical_aperture > 0
         )
-        # Scalar variants know no arrays of pixels.
+        # Scalar variants cannot render arrays of pixels.
         self.reach = None
         if not (self.random or variant.startswith("scalar")):
             height, width = scene.microscope.height_px, scene.microscope.width_px
@@ -60,10 +60,10 @@ class Images:
         Args:
             tip: mm, eye frame.
             axis: unit vector from the tip towards the wall.
-            seed: of light that is sampled at random.
+            seed: random seed of light that is sampled randomly.
 
         Returns:
-            Radiance, H x W x 3, mW/(mm2 sr), and the part of each pixel in which the wall is seen.
+            Radiance, H x W x 3, mW/(mm2 sr), and the fraction of each pixel that shows the wall.
         """
         self._move(tip, axis)
         if self.reach is None:
@@ -92,12 +92,12 @@ class Images:
 
 
 def _refuse_slow_light(scene: Scene, variant: str) -> None:
-    """Scalar variants run our emitters ray by ray in Python: a minute a frame for the simplest."""
+    """Scalar variants run our emitters in Python, ray by ray: a minute per frame at least."""
     if not variant.startswith("scalar"):
         return
     if scene.source.kind != "cone" or scene.phantom.indirect == "traced":
         raise SceneError(
-            f"the variant {variant} renders source.kind 'cone' without traced light only; got "
-            f"{scene.source.kind!r} with phantom.indirect {scene.phantom.indirect!r}. Take "
-            "llvm_ad_rgb; `eyespot doctor` says what it needs."
+            f"the variant {variant} renders only source.kind 'cone' without traced light; got "
+            f"{scene.source.kind!r} with phantom.indirect {scene.phantom.indirect!r}. Use "
+            "llvm_ad_rgb; `eyespot doctor` checks what it needs."
         )

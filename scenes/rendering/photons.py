@@ -1,6 +1,6 @@
-"""The glue lens as real glass: where Mitsuba's photons leave its cap, and in which direction.
+"""The glue lens as glass, through which Mitsuba traces photons.
 
-The referee of the vector-irradiance table: it shares nothing with `optics` but the lens's numbers.
+It checks the vector-irradiance table independently: both share only the numbers of the lens.
 Import after `load_mitsuba`.
 """
 
@@ -14,19 +14,19 @@ import numpy as np
 
 import optics
 
-# Rays start this far behind the rim's plane, so that a flat end is ahead of them.
+# Rays start this far behind the plane of the rim, so that they can hit a flat end.
 _RUN_UP_MM = 1e-3
-# What is still in the glass after so many reflections goes round by total reflection.
+# A ray after so many reflections is trapped by total reflection.
 _MAX_REFLECTIONS = 16
-# Photons of a pass. The film adds equal light in float32, whose rounding is then the same at every
-# photon: 10,000 in one pixel would be off by up to 0.06 %. Passes are added in float64.
+# Photons per pass. The film sums equal amounts of light in float32, and all rounding errors have
+# the same sign: 10,000 photons in a pixel can be wrong by 0.06 %. Passes are summed in float64.
 _PASS = 1 << 19
 
 
 class Glass:
-    """A drop of glue with a cap of smooth glass, an absorbing side and an absorbing core face.
+    """A drop of glue with a smooth cap; its side and the core's face absorb light.
 
-    In the lens's frame: the vertex is the origin, +z runs away from the fibre.
+    Frame of the lens: the vertex is the origin, +z points away from the fibre.
 
     Args:
         lens: the lens.
@@ -50,16 +50,16 @@ class Glass:
         self.surface = self.cap.shapes()[0].bsdf()
 
     def sample_ray(self, choice, place, direction):
-        """A ray of the core's light as it leaves the cap; all carry the same power.
+        """A ray of light from the core as it leaves the cap; all rays have the same power.
 
         Args:
-            choice: uniform number that decides between reflection and refraction.
-            place: two uniform numbers, on the core's face.
-            direction: two uniform numbers, for the direction across the axis.
+            choice: uniform random number that selects reflection or refraction.
+            place: two uniform random numbers for the position on the core's face.
+            direction: two uniform random numbers for the direction across the axis.
 
         Returns:
-            The ray in the lens's frame, and whether it came out; the side and the core's face
-            swallow the others.
+            The ray in the frame of the lens, and whether it came out. The side and the core's face
+            absorb the others.
         """
         lateral = _disc(direction, extent=self.sine_limit, waist=self.launch_sine)
         forward = dr.safe_sqrt(1 - dr.squared_norm(lateral))
@@ -71,27 +71,27 @@ class Glass:
         ray = mi.Ray3f(mi.Point3f(behind.x, behind.y, -self.sag - _RUN_UP_MM), heading)
         inside = dr.squared_norm(rim) <= self.aperture**2
         ray, out = self._leave(ray, mi.Float(choice), inside)
-        # The instrument is drawn as far as the tip, so light that heads there starts there.
+        # The instrument ends at the plane of the tip, so light starts there.
         ray.o = ray(dr.select(ray.d.z > 0, -ray.o.z / ray.d.z, 0))
         return ray, out
 
     @dr.syntax
     def _leave(self, ray, choice, inside):
-        """Follow rays through the glass until they are out, swallowed, or given up."""
+        """Follow rays through the glass until they leave it, are absorbed, or are trapped."""
         context = mi.BSDFContext(mi.TransportMode.Importance)
         out = mi.Bool(False)
         reflections = mi.UInt32(0)
         while inside:
             si = self.cap.ray_intersect(ray, inside)
-            # The sphere goes on below the rim; there the side and the core's face swallow it all.
+            # Below the rim the side and the core's face absorb all light.
             inside &= si.is_valid() & (si.p.z >= -self.sag - _RUN_UP_MM / 2)
             scattered, _ = self.surface.sample(context, si, choice, mi.Point2f(0), inside)
             heading = si.to_world(scattered.wo)
             reflected = dr.dot(heading, si.n) < 0
-            # What the choice leaves of the number is uniform again.
+            # Rescaled, the number is uniform again and can be reused.
             choice = dr.select(reflected, choice, choice - (1 - scattered.pdf)) / scattered.pdf
-            # Mitsuba lifts rays off the surface by 1e-4 mm, which a focus shows: only those that
-            # must not meet their own origin are lifted.
+            # Mitsuba moves the origin of new rays by 1e-4 mm, which would be visible in a focus. So
+            # only reflected rays, which must not hit their own origin, are moved.
             ray = si.spawn_ray(heading)
             ray.o = dr.select(reflected, ray.o, si.p)
             out |= inside & ~reflected
@@ -101,7 +101,7 @@ class Glass:
 
 
 def _disc(sample, *, extent: float, waist: float | None):
-    """Points on a disc, uniform, or after a Gaussian launch that ends at the disc's edge."""
+    """Points on a disc, uniform, or from a Gaussian that is cut at the disc's edge."""
     point = extent * mi.warp.square_to_uniform_disk_concentric(sample)
     if waist is None:
         return point
@@ -119,9 +119,9 @@ def photon_image(scene, *, photons_per_pixel: int, seed: int) -> np.ndarray:
     """Radiance of directly lit surfaces by Mitsuba's particle tracer.
 
     Args:
-        scene: a scene with a `photon_camera` for its second sensor.
-        photons_per_pixel: leaving the core.
-        seed: other seeds give independent images.
+        scene: a scene with `photon_camera` as its second sensor.
+        photons_per_pixel: number of photons that leave the core, per pixel.
+        seed: random seed; different seeds give independent images.
 
     Returns:
         H x W x 3, mW/(mm2 sr).

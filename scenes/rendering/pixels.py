@@ -1,4 +1,4 @@
-"""Some pixels of an image, sampled on a regular grid.
+"""Renders a subset of the pixels of an image, sampled on a regular grid.
 
 Import after `load_mitsuba`.
 """
@@ -17,15 +17,15 @@ import numpy as np
 def pixel_means(
     mitsuba_scene: Any, pixels: np.ndarray, *, samples: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What `mi.render` gives with a box filter and a stratified sampler without jitter.
+    """The same values as `mi.render` with a box filter and a stratified sampler without jitter.
 
     Args:
-        mitsuba_scene: with `SpotIntegrator`.
-        pixels: n numbers of pixels, counted along rows from the top left.
-        samples: of a pixel, on a regular grid; rounded up to a square as by Mitsuba's sampler.
+        mitsuba_scene: a scene with `SpotIntegrator`.
+        pixels: indices of n pixels, counted along rows from the top left.
+        samples: samples per pixel, rounded up to a square as in Mitsuba's sampler.
 
     Returns:
-        Radiance, n x 3, and the part of each pixel in which the wall is seen, n.
+        Radiance, n x 3, and the fraction of each pixel that shows the wall, n.
     """
     sensor, integrator = mitsuba_scene.sensors()[0], mitsuba_scene.integrator()
     size = mi.Vector2f(sensor.film().size())

@@ -1,4 +1,4 @@
-"""Mitsuba plugins: the lens and the cone as emitters, and an integrator without noise.
+"""Mitsuba plugins: lens and cone as emitters, and a noise-free integrator.
 
 Import after `load_mitsuba`: the base classes exist only once a variant is set.
 """
@@ -14,23 +14,23 @@ import optics
 from scenes.rendering.photons import Glass
 from scenes.rendering.placement import wall_shape
 
-# Two wall points nearer than this see each other at an angle that float32 does not resolve; in the
-# smallest spot, of 0.25 mm, 0.2 % of the first reflection onto itself is lost.
+# float32 does not resolve the direction between two wall points nearer than this. Ignoring such
+# pairs loses 0.2 % of the first reflection of the smallest spot (0.25 mm) onto itself.
 _NEAREST_PAIR_MM = 0.01
 
 
 class _PointEmitter(mi.Emitter):
-    """What emitters without a surface have in common: a tip, an axis, and no chance hits."""
+    """Base class of emitters without a surface: a tip and an axis."""
 
     def __init__(self, props):
         super().__init__(props)
         self.tip = mi.Point3f(props["tip"])
         self.axis = mi.Vector3f(props["axis"])
-        # Without a shape, an emitter that does not say so is dropped by the scene.
+        # Without this flag, the scene drops an emitter that has no shape.
         self.m_flags = +mi.EmitterFlags.DeltaPosition
 
     def pdf_direction(self, ref, ds, active=True):
-        """0: a point light is never met by chance."""
+        """0: a random ray never hits a point light."""
         return mi.Float(0)
 
     def eval(self, si, active=True):
@@ -38,15 +38,15 @@ class _PointEmitter(mi.Emitter):
         return mi.Color3f(0)
 
     def traverse(self, callback):
-        """Parameters that a withdrawal changes."""
+        """Parameters that change when the tip moves."""
         callback.put("tip", self.tip, mi.ParamFlags.NonDifferentiable)
         callback.put("axis", self.axis, mi.ParamFlags.NonDifferentiable)
 
 
 class ConeEmitter(_PointEmitter):
-    """An emitter whose apex lies inside the fibre: shadow rays end at the plane of the tip.
+    """An ideal cone whose apex lies inside the fibre; shadow rays end at the plane of the tip.
 
-    Wraps Mitsuba's `spot`, which keeps the light; only the end of the shadow ray moves.
+    It wraps Mitsuba's `spot` and only moves the end of the shadow rays.
     """
 
     def __init__(self, props):
@@ -61,25 +61,24 @@ class ConeEmitter(_PointEmitter):
         return ds, weight & (ds.dist > 0)
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
-        """A ray of the light, from the plane of the tip on."""
+        """A ray of light that starts at the plane of the tip."""
         ray, weight = self.light.sample_ray(time, sample1, sample2, sample3, active)
         ray.o = ray(dr.dot(self.tip - ray.o, self.axis) / dr.dot(ray.d, self.axis))
         return ray, weight
 
     def traverse(self, callback):
-        """Parameters that a withdrawal changes."""
+        """Parameters that change when the tip moves."""
         super().traverse(callback)
         callback.put("light", self.light, mi.ParamFlags.Differentiable)
 
 
 class LensEmitter(_PointEmitter):
-    """The glue lens, seen from the wall and seen from its core.
+    """The glue lens, for rays from the wall and for photons from its core.
 
-    From the wall (`sample_direction`) by its vector irradiance V, looked up in
-    `optics.IrradianceTable`. A matt wall with inward normal n receives E = -n . V. The emitter says
-    that its light comes from the direction of -V with the strength |V|, which gives just that; the
-    shadow ray ends at the tip. From its core (`sample_ray`) by photons through real glass, which
-    know nothing of V.
+    From the wall (`sample_direction`) it uses the vector irradiance V from
+    `optics.IrradianceTable`. A matt wall with inward normal n receives E = -n . V. So the emitter
+    behaves as a light of strength |V| in the direction -V. The shadow ray ends at the tip. Photons
+    from the core (`sample_ray`) pass the lens as glass and do not use V.
     """
 
     def __init__(self, props):
@@ -102,7 +101,7 @@ class LensEmitter(_PointEmitter):
         x = radius / envelope
         y = dr.log(dr.clip(distance, self.nearest, self.farthest) / self.nearest)
         y /= math.log(self.farthest / self.nearest)
-        # Texels have their centres at (i + 1/2)/n, the table's samples at i/(n - 1).
+        # Centres of texels lie at (i + 1/2)/n, samples of the table at i/(n - 1).
         across = (x * (self.columns - 1) + 0.5) / self.columns
         along = (y * (self.rows - 1) + 0.5) / self.rows
         v_lateral, v_axial = self.field.eval(mi.Point2f(across, along))
@@ -111,7 +110,7 @@ class LensEmitter(_PointEmitter):
         return scale * (v_lateral * outwards + v_axial * self.axis)
 
     def sample_direction(self, ref, sample, active=True):
-        """Direction against V; weight |V|; shadow rays end at the tip."""
+        """Direction -V with weight |V|; the shadow ray ends at the tip."""
         vector = self.vector_irradiance(ref.p)
         strength = dr.norm(vector)
         lit = active & (strength > 0)
@@ -123,7 +122,7 @@ class LensEmitter(_PointEmitter):
         return ds, mi.Color3f(strength) & lit
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
-        """A photon behind the cap; weight 0 if the glue's side or the core swallowed it."""
+        """A photon behind the cap; its weight is 0 if the glue's side or the core absorbed it."""
         ray, out = self.glass.sample_ray(sample1, sample2, sample3)
         frame = mi.Frame3f(self.axis)
         placed = mi.Ray3f(
@@ -135,12 +134,12 @@ class LensEmitter(_PointEmitter):
 class SpotIntegrator(mi.SamplingIntegrator):
     """Direct light of every point emitter, coaxial light, and light from wall to wall.
 
-    All emitters are points, so each is summed rather than one picked at random: what is left of
-    Monte Carlo is the pixel's area, sampled on a grid. Light scattered back by the closed eyeball
-    is uniform (`optics.indirect_irradiance`) and enters as `uniform`; or, where `bounces` is not 0,
-    it is traced, with up to so many reflections before the last. The coaxial light comes from
-    the pinhole: whatever the camera sees is lit by it, without shadows. The extra channel `wall`
-    is the part of a pixel in which the wall is seen.
+    All emitters are points, and their light is summed, so direct light has no random noise; the
+    area of a pixel is sampled on a grid. Light that the closed eyeball scatters back is uniform
+    (`optics.indirect_irradiance`) and given as `uniform`. If `bounces` is not 0, it is traced
+    instead, with up to that many reflections before the last one. The coaxial light comes from the
+    pinhole, so it has no shadows. The extra channel `wall` is the fraction of a pixel that shows
+    the wall.
     """
 
     def __init__(self, props):
@@ -153,7 +152,7 @@ class SpotIntegrator(mi.SamplingIntegrator):
         self.direct, self.bounces = props["direct"], int(props["bounces"])
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
-        """Radiance along camera rays, and whether they meet the wall."""
+        """Radiance along camera rays, and whether they hit the wall."""
         si = scene.ray_intersect(ray, active)
         valid = active & si.is_valid()
         context, bsdf = mi.BSDFContext(), si.bsdf(ray)
@@ -172,11 +171,11 @@ class SpotIntegrator(mi.SamplingIntegrator):
 
     @dr.syntax
     def _interreflection(self, scene, sampler, si, active):
-        """Radiance of light that reached its last surface from another one.
+        """Radiance of light that reached its last surface from another surface.
 
-        A path from the camera is joined at each of its points with a photon's first surface. In a
-        uniform sphere all joints carry the same light, so that there is no noise. What goes through
-        the pupil is lost.
+        Each point of a path from the camera is connected with the first surface that a photon hits.
+        In a uniform sphere all connections carry the same light, so there is no noise. Light that
+        leaves through the pupil is lost.
         """
         context, radiance, throughput = mi.BSDFContext(), mi.Color3f(0), mi.Color3f(1)
         bounce = mi.UInt32(0)
@@ -186,7 +185,7 @@ class SpotIntegrator(mi.SamplingIntegrator):
             )
             lit = scene.ray_intersect(photon, active)
             reflects = lit.is_valid() & (lit.p.z < self.pupil_height)
-            # Off both surfaces, or a flat chord of the sphere would be blocked by its own end.
+            # Both ends are moved off their surfaces, so that these do not block the connection.
             joint = si.spawn_ray_to(lit.spawn_ray_to(si.p).o)
             distance = dr.norm(lit.p - si.p)
             bsdf = si.bsdf()
@@ -200,7 +199,7 @@ class SpotIntegrator(mi.SamplingIntegrator):
             )
             throughput *= weight
             si = scene.ray_intersect(si.spawn_ray(si.to_world(scattered.wo)), active)
-            # Not `&=`, which would change the caller's mask of pixels.
+            # `&=` would change the mask of the caller.
             active = active & si.is_valid() & (si.p.z < self.pupil_height)
             bounce += 1
         return radiance
@@ -210,14 +209,14 @@ class SpotIntegrator(mi.SamplingIntegrator):
         return ["wall"]
 
     def _falloff(self, si):
-        """Irradiance of the light at the pinhole relative to that at the pole, before cosines."""
+        """Irradiance of the coaxial light relative to the pole, without cosines."""
         if math.isinf(self.pinhole_height):
             return mi.Float(1)
         reach = self.pinhole_height - self.pole_height
         return reach**2 / dr.squared_norm(si.p - mi.Point3f(0, 0, self.pinhole_height))
 
     def traverse(self, callback):
-        """Nothing moves."""
+        """No parameter changes."""
 
 
 mi.register_emitter("eyespot_cone", ConeEmitter)

@@ -1,4 +1,4 @@
-"""Which pixels a moving instrument can change: those that see it, or what its beam reaches.
+"""Which pixels change when the tip moves: those that show the instrument or its light.
 
 Import after `load_mitsuba`.
 """
@@ -16,8 +16,8 @@ from scenes.rendering.placement import wall_shape
 from scenes.world import World
 
 _TILE_PX = 16
-# A tile's piece of the curved wall reaches past the sphere about its corners by less than this, as
-# long as a pixel is no wider than 0.1 mm.
+# The curved wall within a tile extends beyond the sphere around its corners by less than this
+# factor, if a pixel is at most 0.1 mm wide.
 _BULGE = 1.05
 
 
@@ -26,12 +26,13 @@ class Reach(NamedTuple):
 
     Attributes:
         scene: the scene.
-        envelope: radius in which all light at the tip is, mm, and its growth per mm along the axis.
-        centre: middle of each tile's piece of wall, n x 3, mm.
-        radius: within which that piece lies, and all rays to it, n, mm.
+        envelope: radius that contains all light at the tip, mm, and its growth per mm along the
+            axis.
+        centre: centre of the wall in each tile, n x 3, mm.
+        radius: radius around it that contains the tile's wall and rays, n, mm.
         sight: directions of the rays, n x 3, unit vectors.
-        tile: number of each pixel's tile, H x W.
-        always: tiles that belong to it in any pose, n.
+        tile: index of each pixel's tile, H x W.
+        always: whether a tile changes in every pose, n.
     """
 
     scene: Scene
@@ -53,9 +54,9 @@ class Reach(NamedTuple):
         """Tiles of a scene.
 
         Args:
-            world: what the scene means.
-            mitsuba_scene: made of it, with the instrument away.
-            wall: part of each pixel in which the wall is seen then, H x W.
+            world: the scene and everything derived from it.
+            mitsuba_scene: the loaded scene, with the instrument out of view.
+            wall: fraction of each pixel that shows the wall in that state, H x W.
         """
         height, width = wall.shape
         rows, columns = (-(-side // _TILE_PX) for side in wall.shape)
@@ -74,7 +75,7 @@ class Reach(NamedTuple):
         four = np.stack([corners[:-1, :-1], corners[:-1, 1:], corners[1:, :-1], corners[1:, 1:]])
         centre = four.mean(axis=0)
         radius = np.linalg.norm(four - centre, axis=-1).max(axis=0) * _BULGE
-        # The beam may light what stands before the wall.
+        # The beam may light objects in front of the wall.
         always = np.bincount(tile[wall < 1], minlength=rows * columns) > 0
         always |= ~(bare[:-1, :-1] & bare[:-1, 1:] & bare[1:, :-1] & bare[1:, 1:]).ravel()
         table = world.table
@@ -89,7 +90,7 @@ class Reach(NamedTuple):
         )
 
     def pixels(self, *, tip: np.ndarray, axis: np.ndarray) -> np.ndarray:
-        """Numbers of the pixels that a pose can change, counted along rows from the top left."""
+        """Indices of the pixels that a pose can change, counted along rows from the top left."""
         offset = self.centre - tip
         ahead = offset @ axis
         aside = np.linalg.norm(offset - ahead[:, None] * axis, axis=1)
@@ -108,7 +109,7 @@ class Reach(NamedTuple):
     def _see_rod(
         self, offset: np.ndarray, axis: np.ndarray, *, start: float, end: float, thickness: float
     ) -> np.ndarray:
-        """Tiles in which a rod may be seen that lies so far behind the tip."""
+        """Tiles that may show a rod from `start` to `end` (mm) behind the tip."""
         across = axis - (self.sight @ axis)[:, None] * self.sight
         apart = -offset + np.sum(offset * self.sight, axis=1)[:, None] * self.sight
         square = np.maximum(np.sum(across * across, axis=1), 1e-12)

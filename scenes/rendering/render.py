@@ -1,4 +1,4 @@
-"""From a scene to linear frames: sharp ones of a moment, and what an exposure gathers."""
+"""Linear frames of a scene: sharp ones, and the mean over an exposure (motion blur)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from scenes.description import Scene
 from scenes.rendering.images import Images
 from scenes.world import World
 
-# A contour that shifts by less is blurred by 0.25 px / sqrt(12) = 0.07 px, in squares against the
-# pixel's own 0.3 px. The tip's edges, which nobody measures, may shift by a pixel.
+# A contour that moves by less than 0.25 px is blurred by 0.25 px / sqrt(12) = 0.07 px, which is
+# negligible beside the 0.3 px of the pixel itself. The image of the tip, which is not measured, may
+# move by a pixel.
 _STILL_SPOT_PX, _STILL_TIP_PX = 0.25, 1.0
-# In units of the noise. Where a sharp edge passes, tripling n changes a pixel by up to 1/(3n) of
-# its light and doubling 3n by up to 1/(6n), half of it.
+# Largest change between iterations, in standard deviations of the noise. Where a sharp edge passes,
+# going from n to 3n sub-frames changes a pixel by up to 1/(3n) of its light.
 _SETTLED = 2.0
-# Enough for a sharp edge in a well-exposed frame; over-exposed ones would ask for ever more.
+# Enough for a sharp edge in a well-exposed frame; over-exposed frames might never converge.
 _MOST_SUB_FRAMES = 81
 
 
@@ -27,8 +28,8 @@ class LinearFrame(NamedTuple):
 
     Attributes:
         radiance: H x W x 3, mW/(mm2 sr).
-        wall: H x W, part of each pixel in which the wall is seen.
-        visible_fraction: part of the half-maximum contour that the camera sees.
+        wall: H x W, fraction of each pixel that shows the wall.
+        visible_fraction: visible fraction of the half-maximum contour.
     """
 
     radiance: np.ndarray
@@ -37,11 +38,11 @@ class LinearFrame(NamedTuple):
 
 
 class Exposed(NamedTuple):
-    """The light of an exposure.
+    """Light during an exposure.
 
     Attributes:
-        radiance: its mean over the exposure, H x W x 3, mW/(mm2 sr).
-        sub_frames: moments that it was rendered at.
+        radiance: mean over the exposure, H x W x 3, mW/(mm2 sr).
+        sub_frames: number of sub-frames in the mean.
     """
 
     radiance: np.ndarray
@@ -53,13 +54,13 @@ class Renderer:
 
     Args:
         scene: the scene.
-        variant: of Mitsuba.
+        variant: Mitsuba's variant.
 
     Attributes:
-        scene: as given.
-        world: what the scene means, the truth of all frames included.
-        images: of any pose of the tip.
-        mitsuba_scene: for other integrators on the same scene.
+        scene: the scene.
+        world: the scene and everything derived from it.
+        images: gives images for any pose of the tip.
+        mitsuba_scene: the loaded scene.
 
     Raises:
         SceneError: the tip touches the wall, or the spot leaves the window.
@@ -71,31 +72,31 @@ class Renderer:
         self.world = World(scene)
         self.images = Images(self.world, variant=variant)
         self.mitsuba_scene = self.images.mitsuba_scene
-        self.world.truth  # noqa: B018 - a scene that cannot be is refused before a frame is rendered
+        self.world.truth  # noqa: B018 - refuse an impossible scene before rendering
 
     def render(self, frame: int) -> LinearFrame:
-        """Linear frame of one moment."""
+        """Sharp linear frame at the middle of its exposure."""
         (tip,), (axis,) = self.world.motion.at(self.world.times[[frame]])
         radiance, wall = self.images.at(tip=tip, axis=axis, seed=frame)
         return LinearFrame(radiance, wall, self._visible_fraction(frame, wall))
 
     def exposed(self, frame: int, sharp: LinearFrame, *, exposure_s: float) -> Exposed:
-        """What a frame gathers while the tip moves: the mean over sub-frames.
+        """Light of a frame while the tip moves: the mean over sub-frames.
 
-        Sub-frames stand at the middles of equal parts of the exposure. Splitting every part in
-        three keeps those that are there; it is done until it hardly changes a pixel against the
-        camera's noise. An exposure in which the spot and the tip hardly move is its middle.
+        Sub-frames lie at the middles of equal parts of the exposure. Each iteration splits every
+        part in three, which reuses the old sub-frames, until no pixel changes by more than twice
+        the noise of the camera. If spot and tip hardly move, the sharp frame is returned.
 
         Args:
             frame: number of the frame.
-            sharp: rendered at the middle of the exposure.
-            exposure_s: duration of the exposure.
+            sharp: the frame rendered at the middle of the exposure.
+            exposure_s: exposure time, s.
         """
         exposed = Exposed(sharp.radiance, 1)
         spot_px, tip_px = self._shift(frame, exposure_s)
         if spot_px < _STILL_SPOT_PX and tip_px < _STILL_TIP_PX:
             return exposed
-        # Frames that are noise themselves never settle: one sub-frame a pixel has to do.
+        # Frames with random noise never converge: use about one sub-frame per pixel of motion.
         most = min(max(spot_px, tip_px) if self.images.random else math.inf, _MOST_SUB_FRAMES)
         settled = False
         while not settled:
@@ -116,19 +117,19 @@ class Renderer:
         poses = self.world.motion.at(self.world.times[frame] + times)
         total = np.zeros(1)
         for part, tip, axis in zip(parts, *poses, strict=True):
-            # Light that is sampled at random needs numbers of its own in every sub-frame.
+            # Light that is sampled randomly needs a different seed in every sub-frame.
             seed = frame + (count + part) * self.world.times.size
             total = total + self.images.at(tip=tip, axis=axis, seed=seed)[0]
         return total / np.float32(len(parts))
 
     def _shift(self, frame: int, exposure_s: float) -> tuple[float, float]:
-        """How far the spot's contour and the tip's image move in an exposure, px."""
+        """Motion of the spot's contour and of the tip's image during an exposure, px."""
         times = self.world.times[frame] + exposure_s * np.array([-0.5, 0.0, 0.5])
         tip, axis = self.world.motion.at(times)
         scale, camera = self.scene.microscope.scale_mm_px, self.world.microscope
         depth = 1 - float(camera.inverse_working_distance) * (tip[:, 2] - float(camera.pole_height))
         tip_px = np.linalg.norm(np.diff(tip[:, :2] / (scale * depth[:, None]), axis=0), axis=1)
-        # O moves with the tip and with the lever d, seen along the beam, and the spot grows.
+        # O moves with the tip, and with the turning axis times d. The spot also changes its size.
         steps, turns, beam = np.diff(tip, axis=0), np.diff(axis, axis=0), axis[1]
         aside = steps + float(self.world.truth.distance[frame]) * turns
         across = np.linalg.norm(aside - (aside @ beam)[:, None] * beam, axis=1)
@@ -137,7 +138,7 @@ class Renderer:
         return float(np.sum(moved + grown)) / scale, float(np.sum(tip_px))
 
     def _change_over_noise(self, old: np.ndarray, new: np.ndarray, exposure_s: float) -> float:
-        """Largest change of a pixel in units of the camera's temporal noise (EMVA 1288)."""
+        """Largest change of a pixel in standard deviations of the temporal noise (EMVA 1288)."""
         camera = self.scene.camera
         electrons = exposure_s * self.scene.exposures.sensitivity_mm2_sr_mj * camera.full_well_e
         rounding = 1 / (12 * camera.system_gain**2)
@@ -145,7 +146,7 @@ class Renderer:
         return float(np.max(np.abs(new - old) * electrons / np.sqrt(new * electrons + fixed)))
 
     def mask(self, frame: int, linear: LinearFrame) -> np.ndarray:
-        """Pixels whose centre lies inside the half-maximum contour and sees the wall."""
+        """Pixels whose centre lies inside the half-maximum contour and shows the wall."""
         from skimage.draw import polygon2mask
 
         contour = np.asarray(self.world.truth.contour_px)[frame, :, ::-1]

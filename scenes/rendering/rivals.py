@@ -1,4 +1,4 @@
-"""The usual ways to render a spot behind a lens, on our own scene: what ours is compared with.
+"""Common ways to render a spot behind a lens, on our own scene, for comparison.
 
 Import after `load_mitsuba`.
 """
@@ -20,9 +20,9 @@ from scenes.world import uniform_irradiance
 
 
 class CapEmitter(mi.Emitter):
-    """The flat end of a fibre as a luminous disc: what leaves the glue, refracted backwards.
+    """The flat end of a fibre as a luminous disc.
 
-    Radiance is L n0^2/n_g^2 T within the numerical aperture, as long as the core's face is the end.
+    Its radiance is L n0^2/n_g^2 T within the numerical aperture (no glue in front of the core).
     """
 
     def __init__(self, props):
@@ -39,7 +39,7 @@ class CapEmitter(mi.Emitter):
         return mi.Color3f(self.radiance * (1 - reflectance)) & lit
 
     def sample_direction(self, ref, sample, active=True):
-        """A point of the disc; weight: radiance over density."""
+        """A random point of the disc; the weight is radiance over density."""
         ds = self.get_shape().sample_direction(ref, sample, active)
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.wi = mi.Frame3f(mi.Vector3f(ds.n)).to_local(-ds.d)
@@ -47,7 +47,7 @@ class CapEmitter(mi.Emitter):
         return ds, self.eval(si, active & (ds.pdf > 0)) / dr.maximum(ds.pdf, 1e-30)
 
     def pdf_direction(self, ref, ds, active=True):
-        """Density of `sample_direction`."""
+        """Probability density of `sample_direction`."""
         return self.get_shape().pdf_direction(ref, ds, active)
 
 
@@ -55,7 +55,7 @@ mi.register_emitter("eyespot_cap", CapEmitter)
 
 
 def randomly_sampled_scene(scene: Scene) -> Any:
-    """Our scene with points at random in each pixel in place of a grid, at the first frame."""
+    """Our scene at the first frame, with random samples in each pixel instead of a grid."""
     renderer = Renderer(scene)
     content = build.mitsuba_dict(renderer.world, uniform=uniform_irradiance(renderer.world))
     content["sensor"]["sampler"] = {
@@ -69,8 +69,8 @@ def particle_tracer_scene(scene: Scene, *, reconstruction: str) -> Any:
     """Our scene for Mitsuba's `ptracer` (sensor 1), placed at the first frame.
 
     Args:
-        scene: of source kind `photons`.
-        reconstruction: the film's filter.
+        scene: a scene of source.kind `photons`.
+        reconstruction: reconstruction filter of the film.
     """
     renderer = Renderer(scene)
     content = build.mitsuba_dict(renderer.world, uniform=np.zeros(3))
@@ -82,18 +82,19 @@ def cap_scene(scene: Scene) -> Any:
     """Our scene with the fibre's flat end as a luminous disc, placed at the first frame.
 
     Args:
-        scene: of source kind `lens`, with a lens of no length.
+        scene: a scene of source.kind `lens`, with a lens of zero length.
     """
     lens = optics.load_lens(scene.source.lens)
     if float(lens.glue_length) > 0:
-        raise ValueError("only a flat end without glue is a disc of uniform light")
+        raise ValueError("a disc of uniform light needs a lens with glue_length = 0")
     index = optics.MEDIA[scene.source.medium]
     renderer = Renderer(scene)
     content = build.mitsuba_dict(renderer.world, uniform=np.zeros(3))
     beam = renderer.world.truth.beam
     tip, axis = np.asarray(beam.tip[0]), np.asarray(beam.axis[0])
     radius, aperture = float(lens.face_radius), float(lens.numerical_aperture)
-    place = mi.ScalarTransform4f().look_at(tip, tip + axis, _across(axis))
+    across = np.asarray(optics.perpendicular_frame(axis)[0])
+    place = mi.ScalarTransform4f().look_at(tip, tip + axis, across)
     content["sensor"]["sampler"] = {"type": "independent", "sample_count": 1}
     del content["source"]
     content["cap"] = {
@@ -112,14 +113,6 @@ def cap_scene(scene: Scene) -> Any:
 
 def _placed(content: dict[str, Any], scene: Scene, renderer: Renderer) -> Any:
     loaded = mi.load_dict(content)
-    parameters = mi.traverse(loaded)
-    tip, axis = renderer.world.truth.beam.tip[0], renderer.world.truth.beam.axis[0]
-    for name, value in build.pose_parameters(scene, tip=tip, axis=axis, apex=tip).items():
-        if name in parameters:
-            parameters[name] = value
-    parameters.update()
+    beam = renderer.world.truth.beam
+    build.mover(scene, loaded)(np.asarray(beam.tip[0]), np.asarray(beam.axis[0]))
     return loaded
-
-
-def _across(axis: np.ndarray) -> np.ndarray:
-    return np.asarray(optics.perpendicular_frame(axis)[0])

@@ -1,9 +1,9 @@
-"""Mitsuba plugin: the microscope, for light traced from it and towards it.
+"""Mitsuba plugin: the microscope, for rays from it and for photons towards it.
 
 Import after `load_mitsuba`: the base class exists only once a variant is set.
 """
 
-# Mitsuba's stubs describe no variant's types; the body is left to its tests.
+# Mitsuba's stubs lack the types of the variants.
 # mypy: no-check-untyped-defs
 
 from __future__ import annotations
@@ -11,21 +11,20 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-# Each step gains the distortion's order; `scenes.world.geometry` refuses lenses for which they
-# fail.
+# `scenes.world.limits` refuses distortions for which these steps do not converge.
 _UNDISTORT_STEPS = 12
 
 
 class MicroscopeSensor(mi.Sensor):
     """The pinhole of `optics.Microscope`: at any height or at infinity, with lens distortion.
 
-    Unlike Mitsuba's `perspective` it looks into the closed eyeball: lines of sight begin at the
-    height where they enter the eye. Corners are darker: a pixel has the part
-    1 - vignetting (s / s_corner)^2 of its light, s its distance from the window's middle.
+    Unlike Mitsuba's `perspective`, it can look into the closed eyeball: lines of sight start at a
+    height inside the eye. Vignetting multiplies the light by 1 - vignetting (s / s_corner)^2, where
+    s is the distance of the pixel from the centre of the image.
 
-    With an aperture it is a thin lens in the pinhole's place: the lines of sight of a pixel all
-    cross where the one through the pinhole meets the height in focus, within a slope (tangent of
-    the angle) of it.
+    With an aperture, the pinhole becomes a thin lens. All lines of sight of a pixel then cross in
+    the plane in focus; their slopes against the central one are at most `aperture_slope` (tangent
+    of the angle).
     """
 
     def __init__(self, props):
@@ -39,7 +38,7 @@ class MicroscopeSensor(mi.Sensor):
         self.m_needs_sample_3 = self.aperture_slope > 0
 
     def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
-        """Line of sight through a place of the film, and the part of the light that arrives."""
+        """Line of sight of a position on the film, and the fraction of light that arrives."""
         size = mi.Vector2f(self.film().size())
         ideal = self._undistorted(mi.Vector2f(position_sample) * size - self.centre)
         x, y = ideal.x * self.scale, -ideal.y * self.scale
@@ -56,18 +55,18 @@ class MicroscopeSensor(mi.Sensor):
     def sample_ray_differential(
         self, time, wavelength_sample, position_sample, aperture_sample, active=True
     ):
-        """The same: no texture of ours is filtered, so that differentials have no use."""
+        """The same ray; the differentials stay unset, as no texture is filtered."""
         ray, part = self.sample_ray(
             time, wavelength_sample, position_sample, aperture_sample, active
         )
         return mi.RayDifferential3f(ray), part
 
     def sample_direction(self, it, sample, active=True):
-        """Direction to the pinhole; weight by which a photon's radiance enters the film."""
+        """Direction to the pinhole, and the weight of a photon's radiance on the film."""
         size = mi.Vector2f(self.film().size())
         depth = self._depth(it.p.z)
         aside = self._slope(sample)
-        # Where the line of sight of that slope would start from were it the pinhole's.
+        # Position from which the central line of sight reaches the same pixel.
         above = it.p.z - self.focus_height
         x, y = (it.p.x + above * aside.x) / depth, (it.p.y + above * aside.y) / depth
         ds = dr.zeros(mi.DirectionSample3f)
@@ -79,7 +78,7 @@ class MicroscopeSensor(mi.Sensor):
         seen = active & (ds.dist > 0) & dr.all((place >= 0) & (place < size))
         ds.uv = mi.Point2f(place)
         ds.pdf = dr.select(seen, mi.Float(1), 0)
-        # A pixel's area on the plane through the point, over the cosine to that plane's normal.
+        # Area of the film on the horizontal plane through the point; ds.d.z is the cosine.
         area = dr.prod(size) * dr.square(self.scale * depth) / growth
         return ds, mi.Color3f(self._part(place / size) * dr.rcp(area * ds.d.z)) & seen
 
@@ -87,19 +86,20 @@ class MicroscopeSensor(mi.Sensor):
         return 1 - self.bend * (height - self.pole_height)
 
     def _slope(self, sample):
-        """Of a line of sight against the pinhole's, from uniform numbers; zero for a pinhole."""
+        """Random slope of a line of sight against the central one; zero for a pinhole."""
         return self.aperture_slope * mi.warp.square_to_uniform_disk_concentric(sample)
 
     def _part(self, position):
-        """Of the light at a place of the film, what vignetting leaves."""
+        """Fraction of light that remains after vignetting."""
         size = mi.Vector2f(self.film().size())
         from_middle = (mi.Vector2f(position) - 0.5) * size
         return 1 - self.vignetting * 4 * dr.squared_norm(from_middle) / dr.squared_norm(size)
 
     def _distorted(self, ideal):
-        """Brown's distortion of an offset from the principal point, px, and its area's growth.
+        """Brown's distortion of an offset from the principal point, px, and the change of area.
 
-        Brown (1966) in OpenCV's order and normalisation, and the determinant of its derivative.
+        Brown (1966) with the order and normalisation of OpenCV; the change of area is the
+        determinant of its derivative.
         """
         k1, k2, p1, p2, k3 = self.distortion
         u, v = ideal.x, ideal.y
@@ -117,7 +117,7 @@ class MicroscopeSensor(mi.Sensor):
         return offset, along * down - across * across
 
     def _undistorted(self, offset):
-        """Inverse of `_distorted` by fixed-point steps, as in `optics.Microscope`."""
+        """Inverse of `_distorted` by fixed-point iteration, as in `optics.Microscope`."""
         ideal = offset
         if any(self.distortion):
             for _ in range(_UNDISTORT_STEPS):
@@ -125,7 +125,7 @@ class MicroscopeSensor(mi.Sensor):
         return ideal
 
     def traverse(self, callback):
-        """Nothing moves."""
+        """No parameter changes."""
 
 
 mi.register_sensor("eyespot_microscope", MicroscopeSensor)

@@ -1,14 +1,14 @@
-"""Photons through the glue lens whose place, direction and power are smooth in its parameters.
+"""Photons behind the glue lens, as a smooth function of its parameters.
 
-Import after `load_mitsuba`. `scenes.rendering.photons` has the same lens as Mitsuba's own glass,
-where chance decides which photons the rim stops and the cap reflects. Here photons are drawn where
-they pass the aperture and the cap lets them out, so that none is lost; the cap splits their power
-by Fresnel's equations, and the part that leaves falls to zero where total reflection begins. Drawn
-on both sides of that edge instead, some would cross it as the lens changes: near it the slope of
-their power is beyond all bounds, and its variance does not converge.
+Import after `load_mitsuba`. `scenes.rendering.photons` traces the same lens as Mitsuba's glass,
+where random numbers decide which photons the rim absorbs and the cap reflects. Here every photon is
+drawn so that it passes the aperture and leaves the cap. Fresnel's equations give its power, which
+falls to zero where total reflection begins. If photons were drawn on both sides of that edge, some
+would cross it when the lens changes; the derivative of their power is unbounded there, and its
+variance does not converge.
 """
 
-# Mitsuba's stubs describe no variant's types; the tracer is left to its tests.
+# Mitsuba's stubs lack the types of the variants.
 # mypy: no-check-untyped-defs
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _GRAZING = 1e-8  # squared cosine at which a ray leaves along the cap; its power
 
 
 def check_lens(values: dict[str, float]) -> None:
-    """Refuse what is no lens, in plain numbers: `optics` would call JAX, perhaps inside of it."""
+    """Refuse invalid values. Plain numbers, because this may run inside a JAX computation."""
     for name, low, high in (
         ("sag", 0.0, min(values["aperture_radius"], values["glue_length"])),
         ("numerical_aperture", 1e-6, values["glue_index"]),
@@ -36,30 +36,31 @@ def check_lens(values: dict[str, float]) -> None:
         if not low <= values[name] <= high:
             raise ValueError(
                 f"PhotonImage: {name} must lie in [{low:g}, {high:g}]; got {values[name]:g}. "
-                "Start a fit nearer, or fit a function of the parameter that keeps it there."
+                "Start the fit nearer, or fit a transformed parameter that stays in this range."
             )
 
 
 def leave_cap(values: dict[str, Any], *, launch: optics.GlueLens, medium_index: float, numbers):
-    """Light behind the cap in the lens's frame: place, direction and power of each photon.
+    """Position, direction and power of each photon behind the cap, in the frame of the lens.
 
     Args:
         values: parameters by name.
-        launch: the lens whose Gaussian launch, if any, the core has.
-        medium_index: of the medium in front.
-        numbers: uniform ones, two for the direction and two for the place.
+        launch: lens with the Gaussian launch of the core, if any.
+        medium_index: refractive index of the medium in front.
+        numbers: uniform random numbers, two for the direction and two for the position.
     """
     index, sag, aperture = values["glue_index"], values["sag"], values["aperture_radius"]
     face, face_light = _filled(values["core_radius"], launch.launch_radius, 1)
     sine, sine_light = _filled(values["numerical_aperture"] / index, launch.launch_aperture, index)
     lateral = sine * mi.warp.square_to_uniform_disk_concentric(numbers[0])
     forward = dr.sqrt(1 - dr.squared_norm(lateral))
-    # Where light of this direction passes the rim's plane: in the core's disc, moved; in the
-    # aperture's; and where the cap lets it out, an ellipse, as the sine of incidence on a sphere is
-    # the distance from its centre over its radius. Along the line of their centres, then across it.
+    # Light of this direction passes the plane of the rim inside three shapes: the shifted disc of
+    # the core, the disc of the aperture, and the ellipse from which it can leave the cap (the sine
+    # of incidence on a sphere is the ray's distance from its centre over its radius). The position
+    # is drawn inside all three, first along the line of their centres, then across it.
     across = dr.norm(lateral)
     moved = (values["glue_length"] - sag) * across / forward
-    # The cap is k|P|^2/2 + P_z = 0 with the curvature k, which also holds for a flat end.
+    # The cap is k|P|^2/2 + P_z = 0 with the curvature k; this includes a flat end (k = 0).
     curvature = 2 * sag / (aperture**2 + sag**2)
     bend = dr.maximum(curvature, 1e-6)
     critical = medium_index / index
@@ -90,7 +91,7 @@ def leave_cap(values: dict[str, Any], *, launch: optics.GlueLens, medium_index: 
     place = rim + path * heading
     normal = curvature * place + mi.Vector3f(0, 0, 1)
 
-    # Snell and Fresnel for unpolarised light, as Born and Wolf have them (1.5.2).
+    # Snell and Fresnel for unpolarised light (Born and Wolf, 1.5.2).
     ratio = index / medium_index
     cos_in = dr.dot(heading, normal)
     cos_squared = 1 - dr.square(ratio) * (1 - dr.square(cos_in))
@@ -102,9 +103,9 @@ def leave_cap(values: dict[str, Any], *, launch: optics.GlueLens, medium_index: 
 
 
 def _filled(limit: Any, waist: Any, index: Any):
-    """Radius of a disc that light fills, and its radiance there over the mean.
+    """Radius of a disc of light, and a function that gives its radiance relative to the mean.
 
-    Uniform, or after a Gaussian launch of that 1/e^2 waist, as `optics.GlueLens` says.
+    The light is uniform, or Gaussian with that 1/e^2 waist (see `optics.GlueLens`).
     """
     if waist is None:
         return limit, lambda squared: 1

@@ -1,4 +1,4 @@
-"""The phantom's wall for Mitsuba: its shape and the picture on it."""
+"""The wall for Mitsuba: its shape and the picture on it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _COATS = {"wet": (optics.MEDIA["water"], 0.05), "glossy": (1.5, 0.2)}
 
 
 def wall(world: World) -> dict[str, Any]:
-    """Mitsuba's dictionary of the wall, for the variant that `load_mitsuba` has set."""
+    """Mitsuba's dictionary of the wall. Call it after `load_mitsuba`."""
     import mitsuba as mi
 
     scene = world.scene
@@ -30,7 +30,7 @@ def wall(world: World) -> dict[str, Any]:
         texture = on_wall(scene.phantom)
         reflectance = {
             "type": "bitmap",
-            # Mitsuba puts row 0 at v = 0, the map has it at +Y.
+            # Row 0 of the map is at +Y, but Mitsuba puts row 0 at v = 0.
             "bitmap": mi.Bitmap(np.ascontiguousarray(texture[::-1], dtype=np.float32)),
             "raw": True,
             "wrap_mode": "clamp",
@@ -70,16 +70,16 @@ def _surface(scene: Scene, reflectance: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-# Mitsuba's sphere has its coordinate poles on its own z axis, where a map is pinched, and the seam
-# of its longitude at +x. Turned so that its -x axis points to the retinal pole and its -z axis
-# along Y, the middle of the map lies on the retina.
+# Textures on Mitsuba's sphere are distorted at its z axis and have a seam at +x. The sphere is
+# turned so that its -x axis points to the retinal pole and its -z axis along Y. So the centre of
+# the map lies on the retina.
 _EQUATOR_AT_POLE = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
 
 
 def _on_sphere(phantom: Phantom) -> np.ndarray:
-    """The picture, azimuthal-equidistant about the pole, on longitude and latitude."""
+    """The picture, mapped from azimuthal-equidistant coordinates to longitude and latitude."""
     texture, radius = wall_picture(phantom), phantom.radius_mm
     half = 0.5 * PICTURE_MM / radius
     centres = half * ((np.arange(PICTURE_PX) + 0.5) / PICTURE_PX * 2 - 1)
@@ -89,7 +89,7 @@ def _on_sphere(phantom: Phantom) -> np.ndarray:
     aside = np.hypot(x, y)
     arc = np.arctan2(aside, np.cos(latitude) * np.cos(longitude))
     stretch = radius * arc / np.maximum(aside, 1e-12)
-    # From mm about the pole to pixels of the picture, whose rows go down.
+    # From mm to pixels of the picture, whose rows point downwards.
     per_mm, middle = PICTURE_PX / PICTURE_MM, (PICTURE_PX - 1) / 2
     columns, rows = middle + per_mm * x * stretch, middle - per_mm * y * stretch
     return np.asarray(
@@ -104,7 +104,7 @@ def _on_sphere(phantom: Phantom) -> np.ndarray:
 
 
 def _longitude_latitude_to_uv(*, radius: float) -> Any:
-    """Maps the sphere's (longitude/2pi, colatitude/pi) so that the texture covers its extent."""
+    """Transform from (longitude/2pi, colatitude/pi) to the coordinates of the texture."""
     import mitsuba as mi
 
     extent = PICTURE_MM / radius

@@ -1,12 +1,11 @@
-"""Stacks on disk.
+"""Labelled image stacks on disk.
 
-again        A stack photographed anew from its noise-free frames, without rendering
-check        What only a computation tells of a scene: whether it can be rendered
+again        A new stack from the noise-free frames of an old one, without rendering
+check        Checks whether a scene can be rendered
 command      The commands `eyespot render` and `eyespot scene check`
-photography  How the frames of a stack are photographed: exposures chosen, images and labels
-             written
-preview      One small frame of a scene, to look at before it is rendered
-stack        From a scene to a labelled stack on disk
+photography  Chooses the exposure times of a stack, and writes its images and labels
+preview      One small frame of a scene, for a quick look
+stack        Renders a scene into a labelled stack
 """
 
 import lazy_loader

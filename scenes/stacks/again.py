@@ -1,4 +1,4 @@
-"""A stack photographed anew from its noise-free frames, without rendering."""
+"""A new stack from the noise-free frames of an old one, without rendering."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scenes.stacks.stack import dumped, microscope_file
 from scenes.world import World
 
 _ANEW = ("camera", "exposures", "seed")
-"""Parts of a scene that no rendering depends on."""
+"""Parts of a scene that do not affect rendering."""
 _PHOTOGRAPHED = (
     "file_name",
     "mask_file_name",
@@ -23,26 +23,26 @@ _PHOTOGRAPHED = (
     "saturated_fraction",
     "seed",
 )
-"""Labels that depend on the photograph and not on the scene's geometry."""
+"""Labels that depend on the exposure, not on the scene's geometry."""
 
 
 def expose_again(stack: Stack, scene: Scene, out: Path) -> Stack:
-    """Take the photographs of a stack again with another camera, exposure or noise.
+    """Expose the noise-free frames of a stack with another camera, exposure or noise.
 
-    Nothing is rendered: the noise-free frames that the stack has kept are exposed. The blur of a
-    moving tip stays that of the exposure it was rendered with, and `metered` meters on it; where
-    the tip hardly moved, the new stack is that which `render_stack` makes of the scene.
+    Motion blur stays as it was rendered, for the exposure times of the old stack, and `metered`
+    measures the blurred frame. If the tip hardly moves during an exposure, the new stack equals the
+    one that `render_stack` makes from the scene.
 
     Args:
-        stack: rendered with `exposures.keep_linear`.
-        scene: the stack's scene, but for `camera`, `exposures` and `seed`.
-        out: the new stack's folder; must not exist.
+        stack: a stack rendered with `exposures.keep_linear`.
+        scene: the stack's scene; only `camera`, `exposures` and `seed` may differ.
+        out: the new stack's folder; it must not exist.
 
     Returns:
         The new stack.
 
     Raises:
-        SceneError: the scene differs elsewhere, or wants a kind of exposure that the stack lacks.
+        SceneError: another part of the scene differs, or the stack lacks a kind of exposure.
         StackError: `out` exists, or the stack has no linear frames.
     """
     _check_anew(stack, scene)
@@ -82,6 +82,6 @@ def _check_anew(stack: Stack, scene: Scene) -> None:
             )
     if missing := set(scene.exposures.kinds) - {row.exposure for row in stack.labels}:
         raise SceneError(
-            f"{stack.folder} holds no frames of exposure {missing.pop()!r}. Take it out of "
+            f"{stack.folder} has no frames of exposure {missing.pop()!r}. Remove it from "
             "exposures.kinds, or render the scene."
         )

@@ -1,4 +1,4 @@
-"""What only a computation tells of a scene: whether it can be rendered."""
+"""Checks whether a scene can be rendered."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from scenes.world import World, paper_exposure
 
 
 def check_scene(scene: Scene) -> None:
-    """Refuse a scene that `render_stack` would refuse; nothing is rendered.
+    """Refuse a scene that `render_stack` would refuse, without rendering.
 
     Raises:
         SceneError: the tip touches the wall, the spot leaves the window, the fixed exposure
-            outlasts a frame, or a file that the scene names cannot be read.
+            is longer than a frame, or a file of the scene cannot be read.
     """
     world = World(scene)
     world.truth  # noqa: B018 - deriving it is the check

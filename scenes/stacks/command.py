@@ -19,14 +19,14 @@ def render(
     variant: Annotated[
         Literal["llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb"],
         typer.Option(
-            help="Mitsuba variant: for the processor (llvm_ad_rgb), for an NVIDIA GPU "
-            "(cuda_ad_rgb), or without LLVM (scalar_rgb; ideal cones only, a minute per frame)."
+            help="Mitsuba variant: for the CPU (llvm_ad_rgb), for an NVIDIA GPU (cuda_ad_rgb), or "
+            "for a CPU without LLVM (scalar_rgb; ideal cones only, a minute per frame)."
         ),
     ] = "llvm_ad_rgb",
 ) -> None:
     """Render a scene file to an image stack with labels.
 
-    A run that was stopped continues where it was if it gets the same folder.
+    If a run was stopped, the same command continues it.
     """
     from rich.progress import Progress
 
@@ -37,7 +37,7 @@ def render(
 
     settings = load_scene(scene, changes or ())
     if preview:
-        # Beside the stack's folder, which does not exist before the stack is whole.
+        # Not in the stack's folder, which exists only once the stack is complete.
         image = out.with_name(f"{out.name}.png")
         write_preview(settings, image, variant=variant)
         typer.echo(f"Wrote {image}.")
@@ -54,7 +54,7 @@ def check(scene: SceneFile, changes: Changes = None) -> None:
     from scenes.stacks.check import check_scene
 
     settings = load_scene(scene, changes or ())
-    # The keys may be valid one by one and the spot still leave the window.
+    # Each key may be valid, but the spot may still leave the window.
     check_scene(settings)
     typer.echo(f"{scene}: fine.")
     for approximation in settings.approximations:

@@ -1,4 +1,4 @@
-"""How the frames of a stack are photographed: exposures chosen, images and labels written."""
+"""Chooses the exposure times of a stack, and writes its images and labels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scenes.world import World, longest_exposure, paper_exposure
 
 
 def file_name(world: World, frame: int, order: int) -> str:
-    """Name of a frame's image of the order-th kind of exposure, in the stack's folder."""
+    """File name, within the stack, of a frame's image with the order-th kind of exposure."""
     return f"frames/{frame * len(world.scene.exposures.kinds) + order:06d}.png"
 
 
@@ -20,10 +20,10 @@ class Photography:
     """Exposes and writes the frames of one stack.
 
     Args:
-        world: what the stack's scene means.
+        world: the stack's scene and everything derived from it.
 
     Attributes:
-        paper_exposure_s: the fixed exposure of the `paper` frames.
+        paper_exposure_s: fixed exposure time of the `paper` frames.
     """
 
     def __init__(self, world: World) -> None:
@@ -32,9 +32,9 @@ class Photography:
         self.paper_exposure_s = paper_exposure(world)
 
     def exposure_s(self, kind: str, light: np.ndarray, mask: np.ndarray) -> float:
-        """Duration of an exposure; a `metered` one depends on the light within the mask.
+        """Exposure time; for `metered` it depends on the light within the mask.
 
-        No exposure is longer than the time between two frames; a metered one is dark then.
+        It is never longer than the time between two frames, even if a metered frame is then dark.
         """
         if kind == "paper":
             return self.paper_exposure_s
@@ -50,7 +50,7 @@ class Photography:
         mask: np.ndarray,
         labels: dict[str, Any],
     ) -> None:
-        """Expose a frame in the order-th way and write it with its labels."""
+        """Expose a frame with the order-th kind of exposure, and write it with its labels."""
         scene, frame = self._world.scene, labels["frame"]
         raw = self._camera.raw(light, exposure_s=exposure_s, noise_seed=[scene.seed, frame, order])
         saturated = np.any(raw[mask] >= scene.camera.full_scale_dn, axis=-1)

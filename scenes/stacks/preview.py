@@ -1,4 +1,4 @@
-"""One small frame of a scene, to look at before it is rendered."""
+"""One small frame of a scene, for a quick look."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SHRINK = 4
 
 
 def write_preview(scene: Scene, path: Path, *, variant: str = "llvm_ad_rgb") -> None:
-    """Render `preview` into a PNG file; one that is there is replaced."""
+    """Render `preview` into a PNG file, replacing an existing one."""
     image = preview(scene, variant=variant)
     _, encoded = cv2.imencode(".png", image[..., ::-1])
     partial = path.with_name(f"{path.name}.part")
@@ -25,20 +25,20 @@ def write_preview(scene: Scene, path: Path, *, variant: str = "llvm_ad_rgb") -> 
 
 
 def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
-    """The frame in the middle of the motion at a quarter of its size, with one sample a pixel.
+    """The frame in the middle of the motion at a quarter of its size, with one sample per pixel.
 
-    It has the fixed exposure of the `paper` frames and the sensor's noise, but no blur and no JPEG.
-    A spot that leaves the window, which a stack may not have, is shown as it is.
+    It has the fixed exposure of the `paper` frames and the sensor's noise, but no motion blur and
+    no JPEG. The spot may leave the window, unlike in a stack.
 
     Args:
         scene: the scene.
-        variant: of Mitsuba.
+        variant: Mitsuba's variant.
 
     Returns:
         H/4 x W/4 x 3 (R, G, B), uint8 or uint16.
 
     Raises:
-        SceneError: the tip touches the wall, or the exposure outlasts a frame.
+        SceneError: the tip touches the wall, or the exposure is longer than a frame.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
     world = World(scene)
@@ -51,7 +51,7 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
 
 
 def _small(scene: Scene) -> Scene:
-    """The same field of view in fewer pixels; even numbers of them, for Bayer's mosaic."""
+    """The same field of view with fewer pixels; even numbers, as a Bayer mosaic needs."""
     large = scene.microscope
     width, height = (
         max(16, size // _SHRINK // 2 * 2) for size in (large.width_px, large.height_px)

@@ -1,4 +1,4 @@
-"""From a scene to a labelled stack on disk."""
+"""Renders a scene into a labelled stack."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scenes.rendering import LinearFrame, Renderer
 from scenes.stacks.photography import Photography, file_name
 from scenes.world import World, kinematics, spot_labels
 
-# Frames that wait for noise and encoding; more would only use memory.
+# Frames that may wait for noise and encoding. More would only use memory.
 _QUEUE = 4
 
 
@@ -30,20 +30,20 @@ def render_stack(
 ) -> Stack:
     """Render a scene into a stack folder with all labels.
 
-    A run that was stopped at any moment goes on where it was when the same scene is given the same
-    folder; the stack is then the same, byte for byte, as if it had not been stopped.
+    A run that was stopped can be continued: call this with the same scene and folder. The stack is
+    then byte for byte the same as without the stop.
 
     Args:
         scene: the scene.
-        out: the stack's folder; must not exist. It appears under its name once it is whole.
-        variant: of Mitsuba.
+        out: the stack's folder; it must not exist. It appears once the stack is complete.
+        variant: Mitsuba's variant.
         progress: called after each frame.
 
     Returns:
         The stack.
 
     Raises:
-        SceneError: the scene cannot be.
+        SceneError: the scene is impossible.
         StackError: `out` exists, or another process is writing it.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
@@ -71,7 +71,7 @@ def render_stack(
 
 
 class _Metered(NamedTuple):
-    """A frame whose exposures are chosen: their durations, in the order of their kinds."""
+    """A frame with its exposure times, in the order of exposures.kinds."""
 
     frame: int
     sharp: LinearFrame
@@ -82,9 +82,9 @@ class _Metered(NamedTuple):
 def _render_frames(
     renderer: Renderer, photography: Photography, writer: StackWriter, progress: Callable[[], None]
 ) -> None:
-    """Render what is missing on this thread; meter, expose and encode beside it.
+    """Render the missing frames on this thread; meter, expose and encode on others.
 
-    A frame is metered while the next one is rendered; then its sub-frames take their turn.
+    A frame is metered while the next one is rendered. Then its sub-frames (motion blur) follow.
     """
     scene = renderer.scene
     metering: deque[Future[_Metered]] = deque()
@@ -140,7 +140,7 @@ def _photograph(
 
 
 def _files(scene: Scene) -> dict[str, dict[str, Any]]:
-    """Fingerprints of the files that a scene names: with another content it is another scene."""
+    """Fingerprints of the files that a scene refers to; they decide whether a run can continue."""
     image = scene.phantom.wall_image if scene.phantom.wall == "image" else ""
     lens = scene.source.lens if scene.source.lens.endswith(".toml") else ""
     poses = getattr(scene.motion, "file", "")

@@ -1,9 +1,10 @@
-"""Pictures of the wall.
+"""Pictures on the wall.
 
-fundus_image  A retina from a seed: the reflectance of disc, macula, vessels and choroid as a map
-              for a wall
-image_file    The wall's picture from a user's image file
-picture       The picture on a phantom's wall, from a seed or a file, and its mean colour
+fundus_image  A drawn fundus: reflectance of disc, macula, vessels and choroid from a random seed
+image_file    A picture from an image file
+landmarks     Coordinates of the map; positions and sizes of fovea and optic disc
+picture       The picture that a scene selects, and its mean colour
+vessels       The vessel tree of the drawn fundus
 """
 
 import lazy_loader

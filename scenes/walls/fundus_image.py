@@ -1,103 +1,51 @@
-"""A retina from a seed: the reflectance of disc, macula, vessels and choroid as a map for a wall.
+"""A fundus from a random seed: reflectance of disc, macula, vessels and choroid on a flat map.
 
-The map is flat and metric: the point (x, y) lies an arc of hypot(x, y) mm from the retinal pole, in
-the direction atan2(y, x). These azimuthal-equidistant coordinates go onto the sphere without
-stretching at the pole, and onto a plane as they are. +x is the eye frame's +X, +y its +Y; the first
-row has the largest y, so that the array, shown as a picture, is a right eye's fundus photograph:
-disc to the right of the pole (nasal), fovea to its left (temporal) and a little lower.
+`landmarks` defines the map's coordinates; `landmarks` and `vessels` give the sources of sizes.
 
-| size | value | source |
+| quantity | value | source |
 |---|---|---|
-| fovea from the pole | 1.5 mm temporal | angle alpha, 5 degrees (Atchison & Smith 2000) |
-| disc from the fovea | 4.76 mm, 5.6 degrees up | Jonas et al. 2015; Rohrschneider 2004 |
-| disc, cup over disc | 1.77 x 1.88 mm, 0.43 | Quigley et al. 1990; Healey et al. 1997 |
 | macula, fovea, vessel-free zone | 5.5, 1.5, 0.5 mm | Hogan, Alvarado & Weddell 1971 |
-| temporal artery, artery over vein | 0.105 mm, 0.68 | Guan et al. 2003; Lee et al. 2007 |
-| temporal over nasal calibre | 3^(1/4.1) | flow ratio 3, flow ~ calibre^4.1 (Feke et al. 1989) |
-| exponent and angle of branching | 2.59, 1.95; 78 degrees | arteries, veins; Luo et al. 2017 |
-| course of the temporal arcades | a parabola from the disc | Oloumi et al. 2012 |
 | reflectance outside disc and vessels | `RETINA_REFLECTANCE` | Delori & Pflibsen 1989 |
 
-Every other number is an assumption, made so that the picture looks right to a surgeon's eye.
+Every other number is an assumption, chosen so that a surgeon finds the picture realistic.
 """
 
 from __future__ import annotations
 
-import heapq
-import itertools
 import math
-from collections.abc import Iterator
-from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-FOVEA_MM = (-1.5, -0.2)
-DISC_MM = (
-    FOVEA_MM[0] + 4.76 * math.cos(math.radians(5.6)),
-    FOVEA_MM[1] + 4.76 * math.sin(math.radians(5.6)),
-)
-DISC_SEMI_AXES_MM = (1.77 / 2, 1.88 / 2)
-CUP_TO_DISC = 0.43
+from scenes.walls.landmarks import CUP_TO_DISC, DISC_MM, DISC_SEMI_AXES_MM, FOVEA_MM
+from scenes.walls.vessels import vessel_shades
 
-# Delori & Pflibsen 1989, table I, means of ten eyes, averaged over the lines in a colour camera's
-# bands: 610, 640, 675 nm; 505, 522, 540, 548, 560 nm; 445, 455, 480 nm. The light has passed the
-# lens of the eye twice.
+# Delori & Pflibsen 1989, table I: means of ten eyes, averaged over the bands of a colour camera
+# (610 to 675 nm; 505 to 560 nm; 445 to 480 nm). The light has passed the lens of the eye twice.
 RETINA_REFLECTANCE = {
     "nasal fundus": (0.0834, 0.0199, 0.0120),
     "perifovea": (0.0583, 0.0144, 0.0077),
     "fovea": (0.0498, 0.0101, 0.0027),
 }
-PERIFOVEA_MM = 2.5 * 0.29  # the site was 2.5 degrees from the fovea; 0.29 mm of retina a degree
+PERIFOVEA_MM = 2.5 * 0.29  # 2.5 degrees from the fovea; 0.29 mm of retina per degree
 
-# Assumed: a colour print on coated paper shows the nasal fundus in these reflectances, compresses
-# contrast by this exponent, and stays below the 0.8 of bare paper.
+# Assumption for a colour print on coated paper: these reflectances of the nasal fundus, contrast
+# compressed by this exponent, and all reflectances below 0.8, that of bare paper.
 PRINT_REFLECTANCE = (0.62, 0.30, 0.16)
 PRINT_GAMMA = 0.6
 
-# Assumed: the disc's reflectance over the nasal fundus's. It has no pigment, so it is pale.
+# Assumption: reflectance of the disc, relative to the nasal fundus. Without pigment it is pale.
 _RIM_RATIO = (1.2, 1.9, 1.8)
 _CUP_RATIO = (1.4, 3.2, 4.8)
 
-# Assumed: natural-log density of a wide vessel over the fundus around it.
+# Assumption: density (natural logarithm) of a wide vessel, relative to the fundus around it.
 _ARTERY_DENSITY = (0.20, 0.65, 0.55)
 _VEIN_DENSITY = (0.45, 0.85, 0.70)
-_SHADE_CALIBRE_MM = 0.05  # a vessel of this calibre has 1 - 1/e of a wide one's density
-_REFLEX = 0.35  # the streak of light along a vessel takes this off its density ...
-_REFLEX_WIDTH = 0.25  # ... over this part of its calibre
-_EDGE_MM = 0.02  # sharpness of the photograph
 
-# Assumed: pigment grains and choroidal patches, as noise of Gaussian correlation: correlation
-# length in mm, RMS of log reflectance. Together 6 % in the retina, 3.7 % in its print.
+# Assumption: pigment grains and choroidal patches are noise with Gaussian correlation. Correlation
+# length in mm, and RMS of the log reflectance: 6 % in total in the retina, 3.7 % in a print.
 _MOTTLING = ((0.12, 0.050), (0.70, 0.035))
-
-_ARCADE_WIDTH_MM = 3.2**2 / 4.76  # the temporal arcades pass 3.2 mm above and below the fovea
-_SMALLEST_CALIBRE_MM = 0.016  # finer vessels do not show in a photograph
-_STEP_MM = 0.06  # along a vessel
-_CELL_MM = 0.15  # of the ground that a vessel takes
-
-
-class _Arcade(NamedTuple):
-    """The parabola w^2 = width t of a main vessel, t and w away from the disc."""
-
-    temporal: int  # +1, or -1 for nasal
-    up: int  # +1, or -1 for down
-    width: float  # mm
-
-
-class _Vessel(NamedTuple):
-    """A stretch of vessel from one branching to the next, before it has grown."""
-
-    name: int
-    relatives: frozenset[int]  # parent and sibling, whose ground it may cross
-    x: float
-    y: float
-    heading: float
-    calibre: float
-    vein: bool
-    side: int  # on which its next small branch leaves, +1 to the left
-    arcade: _Arcade | None  # None for a side branch
 
 
 def fundus(
@@ -107,22 +55,22 @@ def fundus(
     pixels: int,
     palette: Literal["printed paper", "retina"] = "printed paper",
 ) -> NDArray[np.float32]:
-    """Reflectance of the retina that a seed stands for.
+    """Reflectance of the fundus of a seed.
 
-    Landmarks are the same for every seed; vessels and mottling are drawn from it, in millimetres,
-    so that one seed is one eye at every resolution.
+    Fovea and disc are the same for every seed; vessels and mottling are random. They are drawn in
+    millimetres, so that a seed gives the same eye at every resolution.
 
     Args:
-        seed: of vessels and mottling.
+        seed: random seed of vessels and mottling.
         extent_mm: width and height of the map, mm of arc, in (0, 70].
         pixels: width and height of the map, px.
         palette: "retina" (a living eye, 0.3-12 %) or "printed paper" (a print of its photograph).
 
     Returns:
-        Linear reflectance in (0, 1), pixels x pixels x 3 (R, G, B), the pole in the middle.
+        Linear reflectance in (0, 1), pixels x pixels x 3 (R, G, B), with the pole in the centre.
 
     Raises:
-        ValueError: an unknown palette, or a size out of range.
+        ValueError: the palette is unknown, or a size is out of range.
     """
     _check(seed, extent_mm, pixels, palette)
     vessel_seed, mottling_seed = np.random.SeedSequence(seed).spawn(2)
@@ -133,12 +81,10 @@ def fundus(
     log_ratio = _macula(x, y)
     log_ratio += _mottling(x, y, np.random.default_rng(mottling_seed))[..., None]
     _paint_disc(log_ratio, x, y)
-    tree = list(_vessels(np.random.default_rng(vessel_seed)))
-    artery, vein = (
-        _draw(np.array([piece for of_vein, piece in tree if of_vein == kind]), extent_mm, pixels)
-        for kind in (False, True)
+    artery, vein = vessel_shades(
+        np.random.default_rng(vessel_seed), extent_mm=extent_mm, pixels=pixels
     )
-    # Where an artery and a vein cross, one hides the other; either hides the pale disc.
+    # Where an artery and a vein cross, one hides the other. Both hide the pale disc.
     vessel = np.maximum(artery, vein)
     for channel in range(3):
         below = log_ratio[..., channel]
@@ -166,24 +112,25 @@ def _check(seed: int, extent_mm: float, pixels: int, palette: str) -> None:
         )
     if not 0 < extent_mm <= 70:
         raise ValueError(
-            f"fundus(extent_mm=...) must lie in (0, 70]: half of it is an arc from the pole, and "
-            f"the eye ends at 36 mm; got extent_mm={extent_mm:g} mm."
+            f"fundus(extent_mm=...) must lie in (0, 70] mm, so that the map ends on the eye, 36 mm "
+            f"from the pole; got extent_mm={extent_mm:g} mm."
         )
     if pixels < 1:
         raise ValueError(f"fundus(pixels=...) must be at least 1; got {pixels}.")
 
 
 def _gaussian(x: NDArray[np.float32], y: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    """exp(-s^2 / 2 sigma^2), s the distance from the fovea, on the grid of x and y."""
+    """exp(-s^2 / 2 sigma^2) on the grid of x and y; s is the distance from the fovea."""
     along_x = np.exp(-((x - FOVEA_MM[0]) ** 2) / (2 * sigma**2))
     along_y = np.exp(-((y - FOVEA_MM[1]) ** 2) / (2 * sigma**2))
     return (along_y[:, None] * along_x).astype(np.float32)
 
 
 def _macula(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Log reflectance over the nasal fundus's: a macula and a fovea that meet the measured sites.
+    """Log reflectance of macula and fovea, relative to the nasal fundus.
 
-    Both are Gaussian with four standard deviations across their diameters.
+    Both are Gaussian; a diameter is four standard deviations. Their depths follow from the measured
+    reflectances of two sites.
     """
     widths = np.array([5.5, 1.5]) / 4
     nasal, perifovea, fovea = (np.log(rho) for rho in RETINA_REFLECTANCE.values())
@@ -200,9 +147,9 @@ def _macula(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float3
 def _mottling(
     x: NDArray[np.float32], y: NDArray[np.float32], rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Log reflectance of granular pigment and choroid: noise on a lattice, cubically interpolated.
+    """Log reflectance of granular pigment and choroid.
 
-    The lattice is periodic, with a period of 36 mm.
+    It is noise on a lattice with a period of 36 mm, interpolated by cubics.
     """
     pitch, nodes = 0.06, 600
     frequency = np.fft.fftfreq(nodes, pitch)
@@ -236,7 +183,7 @@ def _interpolate(nodes: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray
 def _paint_disc(
     log_ratio: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]
 ) -> None:
-    """Lay rim and cup over the fundus, in place; the cup sits a little temporal."""
+    """Paint rim and cup on the fundus, in place; the cup lies slightly temporal."""
     for ratio, scale, shift, softness in (
         (_RIM_RATIO, 1.0, 0.0, 0.07),
         (_CUP_RATIO, CUP_TO_DISC, -0.08, 0.25),
@@ -250,180 +197,3 @@ def _paint_disc(
         radius = np.hypot(u[window[1]], v[window[0]][:, None])
         inside = (1 / (1 + np.exp((radius - 1) / (softness / 2))))[..., None]
         log_ratio[window] += inside * (np.log(ratio).astype(np.float32) - log_ratio[window])
-
-
-def _vessels(rng: np.random.Generator) -> Iterator[tuple[bool, tuple[float, ...]]]:
-    """Pieces (vein?, (x0, y0, x1, y1, calibre)) of the vessel trees, in mm.
-
-    The widest vessel grows first and takes its ground; no other of its kind crosses it.
-    """
-    taken: dict[tuple[int, int, bool], int] = {}
-    waiting = [(-vessel.calibre, vessel) for vessel in _roots(rng)]
-    names = itertools.count(len(waiting))
-    heapq.heapify(waiting)
-    while waiting:
-        _, vessel = heapq.heappop(waiting)
-        path, heading, stopped = _grow(vessel, taken, rng)
-        for i, (start, end) in enumerate(pairwise(path)):
-            # A vessel that was stopped thins out over its last 0.8 mm instead of ending in a stump.
-            left = (len(path) - 1 - i) * _STEP_MM / 0.8 if stopped else 1.0
-            yield vessel.vein, (*start, *end, vessel.calibre * min(1.0, left))
-        if not stopped:
-            for child in _branches(vessel, path[-1], heading, names, rng):
-                heapq.heappush(waiting, (-child.calibre, child))
-
-
-def _roots(rng: np.random.Generator) -> list[_Vessel]:
-    """Vessels where they leave the cup: of either kind four arcades and four small ones."""
-    starts = []
-    for vein, up in itertools.product((False, True), (1, -1)):
-        temporal_calibre = 0.105 / 0.68 if vein else 0.105
-        nasal_calibre = temporal_calibre / 3 ** (1 / 4.1)
-        temporal = _Arcade(1, up, _ARCADE_WIDTH_MM * rng.lognormal(0, 0.1))
-        nasal = _Arcade(-1, up, 3 * _ARCADE_WIDTH_MM * rng.lognormal(0, 0.2))
-        dx, small = -0.12 if vein else 0.05, 0.35 * temporal_calibre
-        starts += [
-            (dx, 0.0, up * math.pi / 2 + rng.normal(0, 0.15), temporal_calibre, vein, temporal),
-            (dx, 0.0, up * math.pi / 2 + rng.normal(0, 0.15), nasal_calibre, vein, nasal),
-            (-0.1, 0.1 * up, math.pi + rng.normal(0, 0.3), small, vein, None),
-            (0.1, 0.1 * up, rng.normal(0, 0.4), small, vein, None),
-        ]
-    return [
-        _Vessel(
-            name=name,
-            relatives=frozenset(range(len(starts))),
-            x=DISC_MM[0] + dx,
-            y=DISC_MM[1] + dy,
-            heading=heading,
-            calibre=calibre,
-            vein=vein,
-            side=int(rng.choice((-1, 1))),
-            arcade=arcade,
-        )
-        for name, (dx, dy, heading, calibre, vein, arcade) in enumerate(starts)
-    ]
-
-
-def _grow(
-    vessel: _Vessel, taken: dict[tuple[int, int, bool], int], rng: np.random.Generator
-) -> tuple[list[tuple[float, float]], float, bool]:
-    """Points of a vessel up to its next branching, its heading there, and: was it stopped?"""
-    x, y, heading, bend = vessel.x, vessel.y, vessel.heading, 0.0
-    mean_length = 0.9 if vessel.arcade else 0.6 + 12 * vessel.calibre
-    steps = 1 + int(rng.gamma(4, mean_length / 4) / _STEP_MM)
-    follow = _STEP_MM / (0.5 if vessel.arcade else 2.5)
-    path = [(x, y)]
-    for jolt in rng.normal(0, 0.35, steps):
-        heading += follow * math.sin(_course(x, y, vessel.arcade) - heading) + bend * _STEP_MM
-        bend += jolt - bend * _STEP_MM / 0.4
-        x += _STEP_MM * math.cos(heading)
-        y += _STEP_MM * math.sin(heading)
-        path.append((x, y))
-        if math.dist((x, y), FOVEA_MM) < 0.25 + 5 * vessel.calibre:
-            return path, heading, True
-        # On and beside the disc the roots lie over one another.
-        if math.dist((x, y), DISC_MM) > 1.3:
-            cell = math.floor(x / _CELL_MM), math.floor(y / _CELL_MM), vessel.vein
-            owner = taken.setdefault(cell, vessel.name)
-            if owner != vessel.name and owner not in vessel.relatives:
-                return path, heading, True
-    return path, heading, False
-
-
-def _course(x: float, y: float, arcade: _Arcade | None) -> float:
-    """Direction that a vessel is drawn to at a place.
-
-    An arcade keeps to its parabola. A side branch between the temporal arcades turns to the fovea,
-    every other one away from the disc.
-    """
-    t, w = DISC_MM[0] - x, y - DISC_MM[1]
-    if arcade is None:
-        if w * w < _ARCADE_WIDTH_MM * t and t < 8:
-            return math.atan2(FOVEA_MM[1] - y, FOVEA_MM[0] - x)
-        return math.atan2(w, -t)
-    t, w = t * arcade.temporal, w * arcade.up
-    off = (w * w - arcade.width * t) / math.hypot(arcade.width, 2 * w)
-    off = max(-1.0, min(1.0, off))
-    along_t, along_w = 2 * w + arcade.width * off, arcade.width - 2 * w * off
-    return math.atan2(along_w * arcade.up, -along_t * arcade.temporal)
-
-
-def _branches(
-    parent: _Vessel,
-    place: tuple[float, float],
-    heading: float,
-    names: Iterator[int],
-    rng: np.random.Generator,
-) -> list[_Vessel]:
-    """The two vessels that go on from a branching, less those too fine to be seen.
-
-    calibre^n = major^n + minor^n, and the smaller branch turns off the more.
-    """
-    n = 1.95 if parent.vein else 2.59
-    minor_over_major = rng.uniform(0.3, 0.7) if parent.arcade else rng.uniform(0.45, 1.0)
-    major = parent.calibre * (1 + minor_over_major**n) ** (-1 / n)
-    angle = math.radians(78) * rng.normal(1, 0.1)
-    minor_turn = angle / (1 + minor_over_major**2)
-    side = parent.side if rng.random() < 0.8 else -parent.side
-    first, second = next(names), next(names)
-    children = (
-        (first, heading - side * (angle - minor_turn), major, parent.arcade),
-        (second, heading + side * minor_turn, minor_over_major * major, None),
-    )
-    return [
-        _Vessel(
-            name=name,
-            relatives=frozenset((parent.name, first, second)),
-            x=place[0],
-            y=place[1],
-            heading=direction,
-            calibre=calibre,
-            vein=parent.vein,
-            side=-side,
-            arcade=arcade,
-        )
-        for name, direction, calibre, arcade in children
-        if calibre > _SMALLEST_CALIBRE_MM
-    ]
-
-
-def _draw(pieces: NDArray[np.float64], extent_mm: float, pixels: int) -> NDArray[np.float32]:
-    """Shade of vessels on the map, 1 for a wide one; where they overlap the darkest counts.
-
-    A piece is a line filtered with a box as wide as a pixel, so that it keeps its shade at any
-    resolution. Pieces of one reach are drawn together, each in a window of its own.
-    """
-    pixel = extent_mm / pixels
-    edge = max(pixel, _EDGE_MM)
-    x0, y0, x1, y1, calibre = pieces.T
-    reach = np.ceil(((_STEP_MM + calibre + edge) / 2) / pixel).astype(int)
-    column = np.floor(((x0 + x1) / 2 + extent_mm / 2) / pixel).astype(int)
-    row = np.floor((extent_mm / 2 - (y0 + y1) / 2) / pixel).astype(int)
-    on_map = (np.abs(column - pixels / 2) < pixels / 2 + reach) & (
-        np.abs(row - pixels / 2) < pixels / 2 + reach
-    )
-    margin = 2 * int(reach.max()) + 1
-    width = pixels + 2 * margin
-    body, streak = np.zeros(width * width, np.float32), np.zeros(width * width, np.float32)
-    for window in np.unique(reach[on_map]):
-        chosen = np.flatnonzero(on_map & (reach == window))
-        offsets = np.arange(-window, window + 1)
-        for few in np.array_split(chosen, 1 + len(chosen) * len(offsets) ** 2 // 1_000_000):
-            columns = column[few, None, None] + offsets
-            rows = row[few, None, None] + offsets[:, None]
-            px = (columns + 0.5) * pixel - extent_mm / 2 - x0[few, None, None]
-            py = extent_mm / 2 - (rows + 0.5) * pixel - y0[few, None, None]
-            ax, ay = (x1 - x0)[few, None, None], (y1 - y0)[few, None, None]
-            along = np.clip((px * ax + py * ay) / (ax * ax + ay * ay), 0, 1)
-            distance = np.hypot(px - along * ax, py - along * ay)
-            at = (rows + margin) * width + columns + margin
-            depth = 1 - np.exp(-calibre[few, None, None] / _SHADE_CALIBRE_MM)
-            for canvas, part in ((body, 1.0), (streak, _REFLEX_WIDTH)):
-                half = part * calibre[few, None, None] / 2
-                covered = np.minimum(distance + edge / 2, half) - np.maximum(
-                    distance - edge / 2, -half
-                )
-                seen = covered > 0
-                np.maximum.at(canvas, at[seen], (depth * covered / edge)[seen].astype(np.float32))
-    body -= np.float32(_REFLEX) * streak
-    return body.reshape(width, width)[margin:-margin, margin:-margin]

@@ -1,4 +1,4 @@
-"""The wall's picture from a user's image file."""
+"""The picture on the wall from an image file."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ def wall_image(
 ) -> NDArray[np.float32]:
     """Reflectance on a square map about the pole, from an image of 8 or 16 bits in sRGB.
 
-    The image's middle lies at the map's, its right towards +X and its top towards +Y. What lies
-    beyond the image continues its edge.
+    The centres of image and map coincide; the image's right is +X, its top +Y. The edge of the
+    image is repeated outside it.
 
     Args:
-        path: of the image.
-        width_mm: the image's width on the map, mm; its height follows, as its pixels are square.
-        white: reflectance of the image's white.
+        path: path of the image.
+        width_mm: the image's width on the map, mm; pixels are square.
+        white: reflectance of white in the image.
         extent_mm: width and height of the map, mm.
         pixels: width and height of the map, px.
 
@@ -30,25 +30,25 @@ def wall_image(
         Linear reflectance, pixels x pixels x 3 (R, G, B).
 
     Raises:
-        SceneError: the file is missing or no image.
+        SceneError: the file is missing or not an image.
     """
     image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise SceneError(
-            f"phantom.wall_image = '{path}' is missing or no image of 8 or 16 bits. Name a PNG, "
-            "JPEG or TIFF file; a relative path counts from the current folder."
+            f"phantom.wall_image = '{path}' is missing or not an image of 8 or 16 bits. Give a "
+            "PNG, JPEG or TIFF file; a relative path starts at the current folder."
         )
     full_scale = 255 if image.dtype == np.uint8 else 65535
     coded = image[..., ::-1].astype(np.float32) / full_scale
     # IEC 61966-2-1.
     linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
     ratio = (width_mm / linear.shape[1]) / (extent_mm / pixels)
-    if ratio < 1:  # finer than the map: means, so that nothing is skipped
+    if ratio < 1:  # finer than the map: average, so that no pixel is skipped
         size = [max(1, round(side * ratio)) for side in linear.shape[1::-1]]
         linear = np.asarray(cv2.resize(linear, size, interpolation=cv2.INTER_AREA))
     height, width = linear.shape[:2]
     across = (np.arange(pixels, dtype=np.float32) + 0.5) / pixels - 0.5
-    steps = across * np.float32(extent_mm * width / width_mm)  # pixels of the image from its middle
+    steps = across * np.float32(extent_mm * width / width_mm)  # image pixels from its centre
     columns, rows = np.meshgrid(steps + (width - 1) / 2, steps + (height - 1) / 2)
     mapped = cv2.remap(linear, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(white * mapped, np.float32)

@@ -1,4 +1,4 @@
-"""The picture on a phantom's wall, from a seed or a file, and its mean colour."""
+"""The picture that a scene selects for its wall, and its mean colour."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scenes.walls.fundus_image import fundus
 from scenes.walls.image_file import wall_image
 
 PICTURE_MM, PICTURE_PX = 24.0, 2048
-"""Width and height of the picture, along the wall and in pixels."""
+"""Width and height of the picture, in mm along the wall and in pixels."""
 
 
 def wall_colour(phantom: Phantom) -> np.ndarray:
@@ -27,7 +27,7 @@ def wall_picture(phantom: Phantom) -> np.ndarray:
     """Linear reflectance on a plane about the pole, `PICTURE_PX` x `PICTURE_PX` x 3; row 0 at +Y.
 
     Raises:
-        SceneError: the file of phantom.wall_image cannot be read.
+        SceneError: phantom.wall_image cannot be read.
     """
     if phantom.wall != "image":
         return _fundus(phantom.texture_seed, phantom.wall)
@@ -42,5 +42,5 @@ def wall_picture(phantom: Phantom) -> np.ndarray:
 
 @functools.lru_cache(maxsize=2)
 def _fundus(seed: int, palette: Any) -> np.ndarray:
-    # All trials of a run share one wall.
+    # All trials of a run have the same wall.
     return fundus(seed=seed, extent_mm=PICTURE_MM, pixels=PICTURE_PX, palette=palette)

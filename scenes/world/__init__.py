@@ -1,14 +1,12 @@
-"""What a scene means: wall, microscope, beam, motion, light, labels.
+"""Everything derived from a scene: wall, microscope, beam, motion, light, labels.
 
-geometry     What is at rest in a scene, as `optics` objects: wall, place of [spot], microscope
-labels       The labels of a frame that follow from the scene's geometry
-light_cache  The light of a glue lens in its medium: half a minute's quadrature, kept on disk
-             between runs
-limits       What a scene may not do: enter the wall, leave the window, fold the image
-motion       Where the tip is at any moment: the kinds of motion, and the clocks that sample them
-photometry   How bright the scene is: indirect light, and the exposure behind the `paper` frames
-world        World: everything that a scene means, each part derived once and handed down from
-             here
+geometry     The parts at rest as `optics` objects: wall, position of [spot], microscope
+labels       The labels of a frame that follow from geometry
+light_cache  Irradiance of a glue lens; takes half a minute to compute, so it is cached on disk
+limits       Checks: the tip stays out of the wall, the spot stays in the window
+motion       Position of the tip over time, and the clocks of camera and robot
+photometry   Brightness: indirect light, and the exposure time of the `paper` frames
+world        World: derives each of these once and passes it on
 """
 
 import lazy_loader

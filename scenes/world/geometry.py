@@ -1,4 +1,4 @@
-"""What is at rest in a scene, as `optics` objects: wall, place of [spot], microscope."""
+"""The parts of a scene at rest, as `optics` objects: wall, position of [spot], microscope."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Aim(NamedTuple):
     """Where the beam is aimed.
 
     Attributes:
-        spot: the wall point O of [spot], mm.
+        spot: O, the point on the wall that [spot] describes, mm.
         axis: unit vector of the beam there, from the tip towards the wall.
     """
 
@@ -48,7 +48,7 @@ class Geometry:
 
     @cached_property
     def spot_frame(self) -> optics.WallFrame:
-        """Frame of the wall at the place of [spot]."""
+        """Frame of the wall at [spot]."""
         spot = self.scene.spot
         return self.wall.frame_at(
             eccentricity=spot.eccentricity_mm, azimuth=math.radians(spot.azimuth_deg)
@@ -56,7 +56,7 @@ class Geometry:
 
     @cached_property
     def aim(self) -> Aim:
-        """The wall point of [spot], and the direction of the beam there."""
+        """The point of [spot] on the wall, and the direction of the beam."""
         spot = self.scene.spot
         beam = optics.beam_at_spot(
             self.wall,
@@ -72,7 +72,7 @@ class Geometry:
 
     @cached_property
     def contact_distance(self) -> float:
-        """d = |SO| at which the fibre's rim touches the wall at the place of [spot], mm."""
+        """d = |SO| at which the rim of the fibre touches the wall at [spot], mm."""
         contact = optics.contact_distance(
             self.wall,
             incidence=math.radians(self.scene.spot.incidence_deg),
@@ -82,7 +82,7 @@ class Geometry:
 
     @cached_property
     def microscope(self) -> optics.Microscope:
-        """The microscope, its window shifted to the place of [spot]."""
+        """The microscope, with its window centred on [spot]."""
         settings = self.scene.microscope
         camera = optics.microscope(
             scale=settings.scale_mm_px,
@@ -99,7 +99,7 @@ class Geometry:
 
     @cached_property
     def window_border(self) -> np.ndarray:
-        """Points all round the edge of the microscope's window, n x 2, px."""
+        """Points along the edge of the microscope's window, n x 2, px."""
         settings = self.scene.microscope
         u = np.linspace(-0.5, settings.width_px - 0.5, 33)
         v = np.linspace(-0.5, settings.height_px - 0.5, 33)

@@ -1,4 +1,4 @@
-"""The labels of a frame that follow from the scene's geometry."""
+"""The labels of a frame that follow from geometry."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from scenes.world.world import World
 
 
 def spot_labels(world: World, frame: int) -> dict[str, Any]:
-    """The labels of `estimator.FrameLabels` that geometry decides, of one frame.
+    """The fields of `estimator.files.FrameLabels` that follow from geometry, for one frame.
 
     Args:
-        world: what the scene means.
+        world: the scene and everything derived from it.
         frame: number of the frame.
     """
     scene, spots = world.scene, world.truth
 
     def at(column: object) -> Any:
-        # A frame of a NumPy array takes a tenth of the time of one of a JAX array.
+        # Indexing a NumPy array takes a tenth of the time of indexing a JAX array.
         return np.asarray(column)[frame].tolist()
 
     c = at(spots.eccentricity)

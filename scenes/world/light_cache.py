@@ -1,4 +1,4 @@
-"""The light of a glue lens in its medium: half a minute's quadrature, kept on disk between runs."""
+"""Irradiance of a glue lens; takes half a minute to compute, so it is cached on disk."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class LensLight(NamedTuple):
 
     Attributes:
         table: vector irradiance per unit power in the core.
-        transmitted: part of that power that leaves the cap.
+        transmitted: fraction of that power that leaves the cap.
     """
 
     table: optics.IrradianceTable
@@ -31,7 +31,7 @@ class LensLight(NamedTuple):
 
 @functools.lru_cache(maxsize=4)
 def lens_light(lens: str, medium_index: float) -> LensLight:
-    """Light of a lens: computed once, then read from the user's cache folder.
+    """Light of a lens, computed once and then read from the user's cache folder.
 
     Args:
         lens: preset name or path of a lens file.
@@ -49,7 +49,7 @@ def lens_light(lens: str, medium_index: float) -> LensLight:
             "transmitted": np.asarray(optics.transmitted_power(glass, medium_index=medium_index)),
         }
 
-    # By what it depends on: the lens's numbers, the medium, and the code that computes with them.
+    # The key is made of all that the result depends on: lens, medium and code.
     numbers = {name: x if x is None else float(x) for name, x in vars(glass).items()}
     key = hashlib.sha256(repr((sorted(numbers.items()), medium_index)).encode())
     for source in (Path(__file__), *sorted(Path(optics.__file__).parent.glob("*.py"))):
@@ -70,7 +70,7 @@ def _cache_folder() -> Path:
 
 
 def _kept(path: Path, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Arrays from a file; where it is missing or damaged they are computed and written to it."""
+    """Arrays from a file; if it is missing or damaged, they are computed and written to it."""
     with suppress(ValueError), damage_told(f"{path}", "It is written anew."):
         with path.open("rb") as file:
             return dict(np.load(file))

@@ -1,4 +1,4 @@
-"""What a scene may not do: enter the wall, leave the window, fold the image."""
+"""Checks of a scene: the tip stays out of the wall, the spot stays in the window."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from scenes.description import SceneError
 from scenes.world.geometry import Geometry
 
 _UNDISTORTED_PX = 1e-3
-"""A fiftieth of what labels promise."""
+"""Largest error of projection that is accepted: a fiftieth of the labels' accuracy."""
 
 _CONTACT_MM = 1e-6
-"""Depth in the wall that is rounding."""
+"""Depth in the wall that counts as rounding error."""
 
 
 def check_poses(
     geometry: Geometry, *, times: np.ndarray, tip: np.ndarray, axis: np.ndarray
 ) -> None:
-    """Refuse a motion that the wall stops.
+    """Refuse a motion that enters the wall.
 
-    The rim of a visible fibre may touch the wall but not enter it; without a visible instrument the
-    same holds for the tip alone.
+    The rim of a visible fibre may touch the wall but not enter it. Without a visible instrument,
+    only the tip is checked.
 
     Args:
-        geometry: of the scene.
-        times: n moments, s.
+        geometry: the geometry of the scene.
+        times: n times, s.
         tip: n x 3, mm.
         axis: n x 3, unit vectors.
 
     Raises:
-        SceneError: with the first moment at which the wall is entered, and what to change.
+        SceneError: the wall is entered; the message gives the first time and what to change.
     """
     instrument = geometry.scene.instrument
     rim = instrument.fibre_diameter_mm / 2 if instrument.visible else 0.0
@@ -47,30 +47,32 @@ def check_poses(
         leaving = np.zeros(len(tip), bool)
         if np.any(square >= 0):
             time = times[np.argmax(square >= 0)]
-            raise SceneError(f"at {time:.3f} s the beam points away from the plane. Turn its axis.")
+            raise SceneError(
+                f"at {time:.3f} s the beam points away from the plane. Change its axis."
+            )
     if np.any(clearance < -_CONTACT_MM):
         first = int(np.argmax(clearance < -_CONTACT_MM))
         place = ", ".join(f"{x:.3f}" for x in tip[first])
         where = f"at {times[first]:.3f} s the tip, at ({place}) mm,"
         if leaving[first]:
-            raise SceneError(f"{where} leaves the eye. Let [motion] withdraw or reach less far.")
+            raise SceneError(f"{where} leaves the eye. Shorten the path in [motion].")
         raise SceneError(
-            f"{where} is {-clearance[first]:.3f} mm deep in the wall. Let [motion] keep more "
-            "distance."
+            f"{where} is {-clearance[first]:.3f} mm deep in the wall. Raise the distance "
+            "in [motion]."
         )
 
 
 def check_window(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray) -> None:
-    """Refuse a scene whose spot leaves the window, unless window_offset_px asks for that.
+    """Refuse a scene whose spot leaves the window, unless window_offset_px is set.
 
     Args:
-        geometry: of the scene.
-        times: n moments, s.
+        geometry: the geometry of the scene.
+        times: n times, s.
         contours: image points of the spot's contour, n x points x 2, px.
 
     Raises:
-        SceneError: with the first moment, how far the spot reaches and what to change; or the
-            lens's distortion folds the image.
+        SceneError: the spot leaves the window; the message gives the first time, the extent of the
+            spot and what to change. Or the distortion folds the image.
     """
     _check_distortion(geometry)
     settings = geometry.scene.microscope
@@ -82,20 +84,20 @@ def check_window(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray)
     low, high = contours[first].min(axis=0), contours[first].max(axis=0)
     raise SceneError(
         f"at {times[first]:.3f} s the spot leaves the {width} x {height} px window: it reaches "
-        f"from ({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}) px. Lower the reach "
-        "of [motion], or raise microscope.width_px and height_px or scale_mm_px."
+        f"from ({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}) px. Shorten the path "
+        "in [motion], or raise microscope.width_px and height_px or scale_mm_px."
     )
 
 
 def _check_distortion(geometry: Geometry) -> None:
-    """Refuse a lens that images two points at one place of the window, or none."""
+    """Refuse a distortion with which a pixel of the window sees two points of the wall, or none."""
     distortion = geometry.scene.microscope.distortion
     if not any(distortion):
         return
     camera, edge = geometry.microscope, geometry.window_border
     point, _ = camera.ray(edge)
     error = np.abs(np.asarray(camera.project(point)) - edge).max()
-    # False for NaN too: where a lens folds the image, the steps of its inverse do not settle.
+    # `not <` includes NaN: where the image is folded, the inverse does not converge.
     if not error < _UNDISTORTED_PX:
         raise SceneError(
             f"microscope.distortion = {list(distortion)} folds the image within the window. Lower "

@@ -1,4 +1,4 @@
-"""Where the tip is at any moment: the kinds of motion, and the clocks that sample them."""
+"""Position of the tip over time, and the clocks of camera and robot."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from scenes.world.geometry import Geometry
 _TREMOR_HZ = (8.0, 12.0)
 """Band of physiological tremor in microsurgery (Wells et al. 2013)."""
 _VOLUNTARY_HZ = (0.3, 1.2)
-"""Slow motion, inside the 2 Hz that hold 99 % of voluntary power (Riviere et al. 1997)."""
-_LINES = 64  # sinusoids a band: enough for a random walk of phases, few enough to sum exactly
-_STEP_S = 1e-6  # for speeds: a tremor's changes by 1e-4 of itself
-_FINE_S = 1e-3  # for the top speed: a hundredth of a tremor's period
+"""Slow motion; 99 % of the power of voluntary motion lies below 2 Hz (Riviere et al. 1997)."""
+_LINES = 64  # sinusoids per band: enough to look random, few enough to sum exactly
+_STEP_S = 1e-6  # for differences: in this time the speed of a tremor changes by 1e-4
+_FINE_S = 1e-3  # to find the top speed: a hundredth of the period of a tremor
 _MARGIN_S = 0.1  # the robot's poses begin before the first frame and end after the last
 
 
 class Poses(NamedTuple):
-    """Tip and axis at several moments, eye frame.
+    """Tip and axis at several times, eye frame.
 
     Attributes:
         tip: n x 3, mm.
@@ -38,23 +38,23 @@ class Poses(NamedTuple):
 
 
 PosesAt = Callable[[NDArray[np.float64]], Poses]
-"""Poses at moments in s."""
+"""Poses at times in s."""
 
 
 class Trajectory(NamedTuple):
     """A motion.
 
     Attributes:
-        moments: when the camera's frames are due, s; the first is 0.
-        at: poses at any moments (s); before its beginning and after its end a motion rests, but
-            for a hand's.
+        moments: nominal times of the camera's frames, s; the first is 0.
+        at: poses at any times (s). Before its start and after its end the tip is at rest, except
+            in a hand's motion.
     """
 
     moments: NDArray[np.float64]
     at: PosesAt
 
     def speed(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Speed of the tip, mm/s; where it jumps, as at a start from rest, the larger."""
+        """Speed of the tip, mm/s; where it jumps, as at a start from rest, the larger value."""
         before, now, after = (self.at(times + step).tip for step in (-_STEP_S, 0.0, _STEP_S))
         steps = np.maximum(
             np.linalg.norm(now - before, axis=1), np.linalg.norm(after - now, axis=1)
@@ -66,10 +66,10 @@ def trajectory(geometry: Geometry) -> Trajectory:
     """The scene's motion.
 
     Args:
-        geometry: of the scene.
+        geometry: the geometry of the scene.
 
     Raises:
-        SceneError: it cannot be made, or its file cannot be read; the message names what to change.
+        SceneError: the motion is impossible, or its file cannot be read.
     """
     scene = geometry.scene
     match scene.motion:
@@ -85,7 +85,7 @@ def trajectory(geometry: Geometry) -> Trajectory:
 
 
 def frame_count(scene: Scene) -> int:
-    """Number of frames that a scene has of each kind of exposure.
+    """Number of frames of a scene for each kind of exposure.
 
     Raises:
         SceneError: a recorded motion cannot be read.
@@ -94,7 +94,7 @@ def frame_count(scene: Scene) -> int:
 
 
 def _moments(scene: Scene) -> NDArray[np.float64]:
-    """When the camera's frames are due, s."""
+    """Nominal times of the camera's frames, s."""
     match scene.motion:
         case Withdrawal() as motion:
             travelled = np.linspace(0.0, motion.travel_mm, motion.frames)
@@ -105,30 +105,30 @@ def _moments(scene: Scene) -> NDArray[np.float64]:
             duration = motion.duration_s
         case Recorded() as motion:
             duration = float(_recording(motion)[0][-1])
-    # A motion that ends on a frame, but for rounding, has that frame.
+    # Up to rounding, a frame at the end of the motion counts.
     count = math.floor(duration * scene.clocks.camera_hz + 1e-6) + 1
     return np.arange(count) / scene.clocks.camera_hz
 
 
 def frame_times(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
-    """Middle of each frame's exposure on the camera's clock, s."""
+    """Middle of each frame's exposure by the camera's clock, s."""
     jitter = np.random.default_rng([scene.clocks.seed, 1]).standard_normal(motion.moments.size)
     return motion.moments + scene.clocks.camera_jitter_s * jitter
 
 
 def longest_exposure(scene: Scene) -> float:
-    """Time between the camera's frames, s; a withdrawal, which is slow, may stop for each."""
+    """Time between frames, s; infinite for a withdrawal, which may stop for each frame."""
     return math.inf if isinstance(scene.motion, Withdrawal) else 1 / scene.clocks.camera_hz
 
 
 def kinematics(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
-    """What the robot's controller reports: rows of time stamp, tip and axis.
+    """Poses that the robot reports: rows of time stamp, tip and axis.
 
-    Stamps are those of its own clock: they lead the camera's by the offset and scatter about it.
-    A report never overtakes the one before it.
+    The time stamps are those of the robot's clock, which is ahead of the camera's by the offset,
+    plus jitter. They never decrease.
 
     Returns:
-        n x 7: s, mm, unit vector; from a little before the first frame to a little after the last.
+        n x 7: s, mm, unit vector; from 0.1 s before the first frame to 0.1 s after the last.
     """
     clocks = scene.clocks
     count = math.ceil((motion.moments[-1] + 2 * _MARGIN_S) * clocks.kinematics_hz) + 1
@@ -207,7 +207,7 @@ def _recorded(motion: Recorded) -> PosesAt:
 
 
 def _recording(motion: Recorded) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times from the first on, s, and rows of tip (mm) and axis."""
+    """Times since the first pose, s, and rows of tip (mm) and axis."""
     try:
         found = list(read_poses(Path(motion.file)))
     except ValueError as error:
@@ -215,17 +215,17 @@ def _recording(motion: Recorded) -> tuple[NDArray[np.float64], NDArray[np.float6
     stamps = np.array([pose.time_s for pose in found])
     if len(found) < 2 or np.any(np.diff(stamps) <= 0):
         raise SceneError(
-            f"motion.file: {motion.file} must hold at least two poses, no two of one time_s."
+            f"motion.file: {motion.file} must contain at least two poses, with increasing time_s."
         )
     stamps -= stamps[0]
     return stamps, np.array([[*pose.position_mm, *pose.axis] for pose in found])
 
 
 class _Band(NamedTuple):
-    """Random motion in three dimensions with its frequencies in a band.
+    """Random motion in three dimensions, with frequencies in a band.
 
-    A sum of sinusoids, so it is known exactly at any moment. Its RMS, over all time, is that
-    of the three coordinates together.
+    It is a sum of sinusoids, so it is known exactly at any time. Its RMS is the root of the three
+    coordinates' summed mean squares.
     """
 
     rate: NDArray[np.float64]  # n, rad/s
@@ -234,7 +234,7 @@ class _Band(NamedTuple):
 
     @classmethod
     def random(cls, rng: np.random.Generator, band_hz: tuple[float, float], *, rms: float) -> _Band:
-        """Lines drawn uniformly from a band, of random phase and direction."""
+        """Frequencies drawn uniformly from a band, with random phases and directions."""
         rate = 2 * math.pi * rng.uniform(*band_hz, _LINES)
         cosine, sine = rng.standard_normal((2, _LINES, 3))
         size = rms / math.sqrt(np.sum(cosine**2 + sine**2) / 2)
@@ -256,10 +256,10 @@ def _scale_to_speed(
     own = np.linalg.norm(fast, axis=1).max()
     if own >= top_speed:
         raise SceneError(
-            f"motion.top_speed_mm_s must exceed the tremor's own {own:.2f} mm/s; got "
+            f"motion.top_speed_mm_s must exceed the speed of the tremor, {own:.2f} mm/s; got "
             f"{top_speed:g} mm/s. Raise it, or damping."
         )
-    # Every moment's g solves |g slow + fast|^2 = top^2; the first to get there decides.
+    # At each time one g solves |g slow + fast|^2 = top^2; the smallest of these g counts.
     square, mixed = np.sum(slow**2, axis=1), np.sum(slow * fast, axis=1)
     rest = top_speed**2 - np.sum(fast**2, axis=1)
     return float(np.min((np.sqrt(mixed**2 + square * rest) - mixed) / square))

@@ -1,4 +1,4 @@
-"""How bright the scene is: indirect light, and the exposure behind the `paper` frames."""
+"""Brightness: indirect light, and the exposure time of the `paper` frames."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _PAPER_THRESHOLD_DN = 200.0
 
 
 def uniform_irradiance(world: World) -> np.ndarray:
-    """Indirect irradiance per colour channel, mW/mm2, by the closed form; zero on a plane.
+    """Indirect irradiance per colour channel, mW/mm2, by the closed form.
 
-    Zero too where it is off, or traced by the integrator.
+    It is zero on a plane, and if it is off or traced by the integrator.
 
     Args:
-        world: what the scene means.
+        world: the scene and everything derived from it.
     """
     scene = world.scene
     if scene.phantom.kind == "plane" or scene.phantom.indirect != "closed form":
@@ -43,8 +43,8 @@ def peak_irradiance(world: World, *, distance: float) -> float:
     """Largest irradiance on a plane square to the beam, mW/mm2.
 
     Args:
-        world: what the scene means.
-        distance: from the tip, mm.
+        world: the scene and everything derived from it.
+        distance: distance from the tip, mm.
     """
     power, table = world.scene.source.power_mw, world.table
     if table is None:
@@ -59,15 +59,16 @@ def peak_irradiance(world: World, *, distance: float) -> float:
 def paper_exposure(world: World) -> float:
     """The fixed exposure time of the `paper` frames, s.
 
-    Chosen so that the wall's mean colour, lit with `paper_level` of the beam's peak at
-    `paper_distance_mm`, has the grey level 200 at which the paper's tracker cuts. Channels that
-    saturate below that level are clipped first, as in the camera.
+    With it, a wall of the mean colour has grey level 200, the threshold of the paper's tracker,
+    where its irradiance is `paper_level` times the peak of the beam at `paper_distance_mm`. Each
+    channel is clipped at full scale, as in the camera.
 
     Args:
-        world: what the scene means.
+        world: the scene and everything derived from it.
 
     Raises:
-        SceneError: there are to be such frames, and the exposure outlasts the time between them.
+        SceneError: the scene has `paper` frames, and the exposure is longer than the time between
+            frames.
     """
     scene, exposures = world.scene, world.scene.exposures
     peak = peak_irradiance(world, distance=exposures.paper_distance_mm)
@@ -80,9 +81,9 @@ def paper_exposure(world: World) -> float:
     longest = longest_exposure(scene)
     if "paper" in exposures.kinds and high > longest:
         raise SceneError(
-            f"the paper exposure takes {high:.3f} s, and clocks.camera_hz leaves {longest:.3f} s a "
-            "frame. Raise exposures.sensitivity_mm2_sr_mj or source.power_mw, or take 'paper' out "
-            "of exposures.kinds."
+            f"the paper exposure takes {high:.3f} s, but clocks.camera_hz allows {longest:.3f} s "
+            "per frame. Raise exposures.sensitivity_mm2_sr_mj or source.power_mw, or remove "
+            "'paper' from exposures.kinds."
         )
     return high
 

@@ -1,4 +1,4 @@
-"""World: everything that a scene means, each part derived once and handed down from here."""
+"""World: derives the wall, microscope, light, motion and truth of a scene, each once."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from scenes.world.limits import check_poses, check_window
 from scenes.world.motion import Trajectory, frame_times, trajectory
 
 _CALIBRATED_RANGE_MM = (0.5, 6.0)
-"""Distances over which a lens's effective cone is fitted: those of the paper's trials."""
+"""Distances over which the effective cone of a lens is fitted; as in the paper's trials."""
 
 
 class Cone(NamedTuple):
-    """Geometric cone of the source: half-angle in rad, apex offset b in mm."""
+    """Cone of light of the source: half-angle in rad, apex offset b in mm."""
 
     half_angle: float
     apex_offset: float
@@ -29,7 +29,7 @@ class Cone(NamedTuple):
 class World(Geometry):
     """A scene's wall, microscope, light, motion and truth.
 
-    A part that is known already may be set instead, before it is derived: `world.light = ...`.
+    A part that is already known can be set before it is first used: `world.light = ...`.
 
     Args:
         scene: the scene.
@@ -42,7 +42,7 @@ class World(Geometry):
 
     @cached_property
     def light(self) -> LensLight | None:
-        """The glue lens's light in its medium, per unit power; None for the ideal cone."""
+        """Light of the glue lens in its medium, per unit power; None for the ideal cone."""
         source = self.scene.source
         return None if source.kind == "cone" else lens_light(source.lens, self.medium_index)
 
@@ -58,7 +58,7 @@ class World(Geometry):
 
     @cached_property
     def cone(self) -> Cone:
-        """The ideal cone as given, or the lens's effective one (`optics.effective_cone`)."""
+        """The ideal cone, or the effective cone of the lens (`optics.effective_cone`)."""
         if self.table is None:
             source = self.scene.source
             return Cone(math.atan(1.0 / source.cone_k), source.cone_apex_offset_mm)
@@ -68,22 +68,22 @@ class World(Geometry):
 
     @cached_property
     def motion(self) -> Trajectory:
-        """Where the tip is at any moment.
+        """The motion of the tip.
 
         Raises:
-            SceneError: the motion cannot be made; the message names the key to change.
+            SceneError: the motion is impossible; the message names the key to change.
         """
         return trajectory(self)
 
     @cached_property
     def times(self) -> np.ndarray:
-        """Middle of each frame's exposure, s, of a motion that keeps out of the wall.
+        """Middle of each frame's exposure, s.
 
         Raises:
-            SceneError: the tip enters the wall or leaves the eye; the message names the moment.
+            SceneError: the tip enters the wall or leaves the eye; the message gives the time.
         """
         times = frame_times(self.scene, self.motion)
-        # Between frames, too, the tip must keep out of the wall.
+        # The tip must stay out of the wall between frames, too.
         often = np.arange(0.0, times.max(), 1 / self.scene.clocks.kinematics_hz)
         both = np.union1d(often, times)
         check_poses(self, times=both, **self.motion.at(both)._asdict())
@@ -91,7 +91,7 @@ class World(Geometry):
 
     @cached_property
     def truth(self) -> optics.SpotTruth:
-        """What is true of the spot in the middle of every frame's exposure.
+        """The true pose and spot in the middle of every frame's exposure.
 
         Raises:
             SceneError: as for `times`; or the spot leaves the window.
