@@ -111,7 +111,10 @@ def test_a_bent_line_is_not_called_a_good_fit(rig, tmp_path):
     spots, poses = rig(bend=0.02)
     result = fit(tmp_path, spots, "--poses", poses, "--model", "plane")
     assert isinstance(result.exception, ValueError)
-    assert re.search("not a good fit: the residuals of .* have structure", str(result.exception))
+    wrong, remedy, details = str(result.exception).splitlines()
+    assert re.search("not a good fit: the residuals of .* have structure", wrong)
+    assert "Try another model" in remedy
+    assert f"{tmp_path / 'c.html'} shows the residuals" in details
     assert not (tmp_path / "c.json").exists()
     assert "Not a good fit" in (tmp_path / "c.html").read_text()
 
@@ -147,8 +150,8 @@ def test_the_fingerprint_is_that_of_the_data(rig, tmp_path):
         (["--prior", "touch=0.1"], "NAME=MEAN,SIGMA.*got 'touch=0.1'"),
         (["--prior", "touch=0.1,-0.2"], "positive sigma"),
         (["--model", "image"], "pixels of one stack; got 1 sources, 1 of them no stack"),
-        (["--lens", "dome"], "--lens and --model lens go together"),
-        (["--model", "lens"], "Give a preset .*dome"),
+        (["--lens", "dome"], "--model lens fits the pixels of one stack"),
+        (["--lens", "dome", "--model", "cone"], "--lens goes with --model lens"),
         (["--model", "image", "--free", "half_angle,b,sag"], "--free knows .*blur.*got 'sag'"),
         (["--robust"], "goes with the models plane and sphere"),
         (["--phantom", "plane", "--phantom", "plane"], "--phantom must be given once, or once for"),
@@ -167,7 +170,7 @@ def test_what_makes_no_sense_is_refused(rig, tmp_path, arguments, told):
 def test_a_recording_that_is_no_stack_needs_its_log_book(rig, tmp_path):
     spots, _ = rig()
     result = fit(tmp_path, spots, book=False)
-    assert re.search("no stack.*Give --microscope", str(result.exception))
+    assert re.search("no stack.*needs --microscope", str(result.exception))
 
 
 def log_book(tmp_path, poses):

@@ -2,12 +2,13 @@
 
 import itertools
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from calibration.command.goodness import bounds_hit, doubts, runs_probability
+from calibration.command.goodness import bounds_hit, doubts, refusal, runs_probability
 
 
 @pytest.mark.parametrize(("positive", "negative"), [(4, 4), (3, 6), (1, 5), (5, 4)])
@@ -49,16 +50,39 @@ def good(**changes):
     [
         ({"converged": False}, "did not converge"),
         ({"bounds": ("k = 0",)}, "hit a bound: k = 0"),
-        ({"undetermined": ("scale is not seen",)}, "do not determine scale is not seen"),
-        ({"chi_squared_per_degree": 0.79}, "0.79.*more noise was reckoned with"),
-        ({"chi_squared_per_degree": 1.26}, "1.26.*leaves more than the noise"),
+        (
+            {"undetermined": ("scale is not seen",)},
+            "do not determine all parameters: scale is not seen",
+        ),
+        ({"chi_squared_per_degree": 0.79}, "0.79.*less noise than assumed"),
+        ({"chi_squared_per_degree": 1.26}, "1.26.*residuals are larger than the noise"),
         ({"residuals": {"size": np.linspace(-1, 1, 40)}}, "residuals of size have structure"),
     ],
 )
 def test_each_reason_against_a_fit_is_named(change, told):
     (doubt,) = good(**change)
     assert re.search(told, doubt.reason)
-    assert doubt.harmless == ("more noise was reckoned with" in told)
+    assert doubt.harmless == ("less noise than assumed" in told)
+
+
+def test_a_refusal_has_three_lines_whatever_is_wrong():
+    bend = np.linspace(-1, 1, 40)
+    everything: dict[str, Any] = {
+        "converged": False,
+        "bounds": ("k = 0", "b = 0"),
+        "undetermined": ("scale is not seen", "b is not seen"),
+        "chi_squared_per_degree": 9.0,
+        "residuals": {name: bend for name in ("along", "across", "size", "elongation")},
+    }
+    wrong, remedy, details = refusal(
+        good(**everything), model="cone", report=Path("c.html")
+    ).splitlines()
+    assert (
+        wrong == "not a good fit: the solver did not converge; it hit a bound: k = 0; and 5 more."
+    )
+    for word in ("--lens", "--free", "--prior", "--model lens"):
+        assert word in remedy
+    assert "c.html" in details
 
 
 def test_nothing_speaks_against_a_good_fit():

@@ -27,16 +27,17 @@ def fit(
         ),
     ],
     model: Annotated[
-        Literal["cone", "plane", "sphere", "image", "lens"],
+        Literal["auto", "cone", "plane", "sphere", "image", "lens"],
         typer.Option(
-            help="Fitted to spots: cone, the exact geometry; plane, the paper's line through "
-            "planes; sphere, the paper's eccentricity of one eyeball, beside planes. Fitted to "
-            "all pixels of one stack: image, a cone; lens, a glue lens."
+            help="auto: cone or lens, by how sharp the spots' edges are. Fitted to spots: cone, "
+            "the exact geometry; plane, the paper's line through planes; sphere, the paper's "
+            "eccentricity of one eyeball, beside planes. Fitted to all pixels of one stack: image, "
+            "a cone; lens, a glue lens."
         ),
-    ] = "cone",
+    ] = "auto",
     exposure: Annotated[
         Literal["paper", "metered"] | None,
-        typer.Option(help="Which exposure to use if the stacks have two."),
+        typer.Option(help="Which exposure to use if the stacks have two (default: metered)."),
     ] = None,
     free: Annotated[
         str | None,
@@ -62,7 +63,9 @@ def fit(
     lens: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="Preset or lens file to start the model lens from, within 30 %."
+            metavar="NAME",
+            help="Preset or lens file to start the model lens from, within 30 % (default: guessed "
+            "from the spots).",
         ),
     ] = None,
     microscope: Annotated[

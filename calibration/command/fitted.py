@@ -31,7 +31,7 @@ class Choices(NamedTuple):
     lens: str = ""
 
 
-class Line(NamedTuple):
+class Curve(NamedTuple):
     """A model's curve through one recording: for the figure of distance against spot size.
 
     Attributes:
@@ -93,7 +93,7 @@ class Fitted:
     undetermined: tuple[str, ...] = ()
     others: list[tuple[str, float, float, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    lines: dict[str, Line] = field(default_factory=dict)
+    lines: dict[str, Curve] = field(default_factory=dict)
     pixels: PixelResiduals | None = None
 
     @property

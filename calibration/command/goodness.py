@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from enum import Enum
 from fractions import Fraction
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,16 +20,29 @@ SIGNIFICANCE = 0.01
 """Chance of calling good residuals structured, over all of a fit's runs tests together."""
 
 
+_SHOWN = 2  # reasons in the message of a refusal; the report lists all
+
+
+class Fault(Enum):
+    """What can be wrong with a fit; the value is what to try."""
+
+    NOT_CONVERGED = "start nearer (--lens), or fit fewer parameters (--free)"
+    BOUND = "fit fewer parameters (--free), or record longer withdrawals"
+    UNDETERMINED = "fit fewer parameters (--free), or add what you know of them (--prior)"
+    OVERSTATED_NOISE = "nothing; the values are right, and their errors too large"
+    MISFIT = "another model ({others}), or a recording of an even wall with nothing in front of it"
+
+
 class Doubt(NamedTuple):
-    """Why a fit is not called good.
+    """Why a fit is not called good: the kind of fault, and the reason in words."""
 
-    Attributes:
-        reason: in words.
-        harmless: the values stand, and their errors are larger than they need be.
-    """
-
+    fault: Fault
     reason: str
-    harmless: bool = False
+
+    @property
+    def harmless(self) -> bool:
+        """Whether the values are right although their errors are too large."""
+        return self.fault is Fault.OVERSTATED_NOISE
 
 
 def doubts(
@@ -47,30 +62,46 @@ def doubts(
         chi_squared_per_degree: None where the noise was estimated from the residuals themselves.
         residuals: by name, in the order in which neighbours would share a misfit.
     """
-    found = [] if converged else [Doubt("the solver did not converge")]
-    found += [Doubt(f"it hit a bound: {bound}") for bound in bounds]
-    found += [Doubt(f"the data do not determine {direction}") for direction in undetermined]
+    found = [] if converged else [Doubt(Fault.NOT_CONVERGED, "the solver did not converge")]
+    found += [Doubt(Fault.BOUND, f"it hit a bound: {bound}") for bound in bounds]
+    found += [
+        Doubt(Fault.UNDETERMINED, f"the data do not determine all parameters: {direction}")
+        for direction in undetermined
+    ]
     low, high = CHI_SQUARED
     if chi_squared_per_degree is not None and not low <= chi_squared_per_degree <= high:
-        wide = chi_squared_per_degree < low
-        told = f"chi squared per degree of freedom is {chi_squared_per_degree:.2f}, not within "
-        why = (
-            "more noise was reckoned with than there is, so that the errors are too large"
-            if wide
-            else "the model leaves more than the noise that was reckoned with"
-        )
-        found.append(Doubt(f"{told}{low} and {high}: {why}", harmless=wide))
+        value = f"chi squared per degree of freedom is {chi_squared_per_degree:.2f}"
+        within = f"not within {low} and {high}"
+        if chi_squared_per_degree < low:
+            why = f"{value}, {within}: there is less noise than assumed"
+            found.append(Doubt(Fault.OVERSTATED_NOISE, why))
+        else:
+            why = f"{value}, {within}: the residuals are larger than the noise"
+            found.append(Doubt(Fault.MISFIT, why))
     level = SIGNIFICANCE / max(len(residuals), 1)
-    for name, values in residuals.items():
-        chance = runs_probability(values)
-        if chance < level:
-            found.append(
-                Doubt(
-                    f"the residuals of {name} have structure: so few changes of sign have a chance "
-                    f"of {chance:.1g} (Wald-Wolfowitz, one-sided, level {level:.2g})"
-                )
-            )
+    chances = {name: runs_probability(values) for name, values in residuals.items()}
+    structured = [name for name, chance in chances.items() if chance < level]
+    if structured:
+        why = (
+            f"the residuals of {', '.join(structured)} have structure (runs test: probability "
+            f"{min(chances.values()):.1g}, level {level:.2g})"
+        )
+        found.append(Doubt(Fault.MISFIT, why))
     return found
+
+
+def refusal(found: Sequence[Doubt], *, model: str, report: Path) -> str:
+    """Three lines: what is wrong, what to try, where the details are."""
+    others = {"cone": "--model lens", "lens": "--model cone"}.get(model, "--model cone")
+    reasons = [doubt.reason for doubt in found]
+    more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
+    remedies = dict.fromkeys(doubt.fault.value for doubt in found if not doubt.harmless)
+    tries = "; ".join(remedies).format(others=others)
+    return (
+        f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}.\n"
+        f"Try {tries}.\n"
+        f"No calibration was written; {report} shows the residuals."
+    )
 
 
 def runs_probability(values: Float[np.ndarray, "n"]) -> float:

@@ -1,205 +1,31 @@
-"""The models that `eyespot fit` knows: recordings in, one kind of result out."""
+"""The models that `eyespot fit` knows, by name, and the choice of one from the spots."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
-import optics
-from calibration.command.fitted import Choices, Fitted, Line
-from calibration.command.goodness import bounds_hit
+from calibration.command.cone_model import fit_cone_to_spots
+from calibration.command.fitted import Choices, Fitted
+from calibration.command.paper_models import fit_planes, fit_sphere
 from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_lens
 from calibration.pixels import CONE, FREE, known_names
 from calibration.recordings import Recording
-from calibration.spots import (
-    PARAMETERS,
-    Loss,
-    PlaneTrial,
-    PlaneTrialsFit,
-    SphereFit,
-    fit_cone,
-    fit_eccentricity,
-    fit_plane,
-    fit_plane_trials,
-    phantom_wall,
-)
+from calibration.spots import PARAMETERS
 
-_TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
-_MISMATCHES = ("position along", "position across", "size", "elongation", "direction")
-"""What `optics.ellipse_mismatch` returns, in words."""
+AUTO = "auto"
+"""Name on the command line: choose the model from the spots."""
 
+SOFT_EDGE = 0.1
+"""Edge width over semi-minor axis above which a spot's edge is soft.
 
-def _plane(recordings: Sequence[Recording], choices: Choices) -> Fitted:
-    """The paper's line through all planes, with each trial's touch and the plane's tilt."""
-    _nothing_to_choose("plane", choices)
-    for recording in recordings:
-        if recording.trial.kind != "plane":
-            raise ValueError(
-                f"the model plane is fitted to planes; {recording.name} shows an eyeball. Leave "
-                "it out, or take --model sphere or cone."
-            )
-    planes, pooled, notes = _pooled_planes(recordings, choices.loss)
-    scale = planes[0].microscope.scale_mm_px
-    to_k = np.diag([1.0 / scale, 1.0])
-    names = [recording.name for recording in planes]
-    touches = zip(names, pooled.touch, pooled.touch_error, strict=True)
-    return Fitted(
-        calibration_model="planar",
-        values={"k": pooled.delta_k / scale, "b": pooled.b},
-        covariance=to_k @ pooled.covariance @ to_k,
-        converged=pooled.converged,
-        residuals={"the distance": pooled.residuals / pooled.noise},
-        recordings=planes,
-        used=pooled.residuals.size,
-        degrees_of_freedom=pooled.residuals.size - 2,
-        others=[
-            *((f"touch of {name}", touch, error, "mm") for name, touch, error in touches),
-            ("tilt_x", pooled.tilt[0], pooled.tilt_error[0], "1"),
-            ("tilt_y", pooled.tilt[1], pooled.tilt_error[1], "1"),
-            ("noise of a distance", pooled.noise, math.nan, "mm"),
-        ],
-        notes=[f"All together: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.", *notes],
-        lines={recording.name: _plane_line(recording, choices.loss) for recording in planes},
-    )
-
-
-def _sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
-    """The paper's c of one eyeball trial, by the line through the planes."""
-    _nothing_to_choose("sphere", choices)
-    spheres = [r for r in recordings if r.trial.kind == "eyeball"]
-    if len(spheres) != 1:
-        raise ValueError(
-            "the model sphere fits the c of one trial in an eyeball, with planes beside it; got "
-            f"{len(spheres)}. A calibration has one eccentricity: fit each trial by itself."
-        )
-    _, pooled, notes = _pooled_planes(recordings, choices.loss)
-    (sphere,) = spheres
-    microscope, trial = sphere.microscope, sphere.trial
-    scale, radius = microscope.scale_mm_px, microscope.eye_radius_mm
-    axis = np.asarray(trial.ellipses.semi_minor)
-    # The plane's b counts from the wall; the eyeball's readings, too, miss their touch.
-    distance = trial.readings + trial.touch.mean
-    fit = fit_eccentricity(
-        semi_minor_px=axis,
-        distance=distance,
-        delta_k=pooled.delta_k,
-        b=pooled.b,
-        scale=scale,
-        eye_radius=radius,
-        loss=choices.loss,
-    )
-    model = optics.small_plane_distance(
-        semi_minor_px=axis,
-        scale=scale,
-        k=pooled.delta_k / scale,
-        b=pooled.b,
-        eccentricity=fit.c,
-        eye_radius=radius,
-    )
-    errors = np.asarray(model) - distance
-    notes = [
-        f"{sphere.name}: SD {fit.standard_deviation:.4f}, mean absolute error "
-        f"{fit.mean_absolute_error:.4f}, largest error {fit.max_error:.4f} mm.",
-        *_outlier_note(sphere, fit.outliers),
-        f"Planes together: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.",
-        *notes,
-    ]
-    order = np.argsort(axis)
-    band = fit.band(axis[order], delta_k=pooled.delta_k, scale=scale, eye_radius=radius)
-    return Fitted(
-        calibration_model="small_plane",
-        values={"k": pooled.delta_k / scale, "b": pooled.b, "eccentricity": fit.c},
-        covariance=_with_eccentricity(pooled, fit, scale),
-        converged=pooled.converged and fit.converged,
-        bounds=("eccentricity = 0: the data ask for none",) if fit.at_bound else (),
-        residuals={"the distance": errors / np.sqrt(np.sum(errors**2) / (errors.size - 1))},
-        recordings=[sphere],
-        used=errors.size + pooled.residuals.size,
-        degrees_of_freedom=errors.size - 1,
-        notes=notes,
-        lines={sphere.name: Line(axis[order], np.asarray(model)[order], band)},
-    )
-
-
-def _cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
-    """The exact geometry on planes and eyeballs together."""
-    if choices.loss != "squares":
-        raise ValueError("--robust goes with the models plane and sphere. Leave it out.")
-    for recording in recordings:
-        if not np.isfinite(recording.trial.covariances).all():
-            raise ValueError(
-                f"{recording.name} has spots without errors, as the literal mode measures them, "
-                "and the model cone weighs spots by their errors. Track in the sub-pixel mode, or "
-                "take --model plane."
-            )
-    free = choices.free or ("half_angle", "b")
-    for name in {"half_angle", "b"} - set(free):
-        raise ValueError(f"--free must hold half_angle and b; {name} is missing. Add it.")
-    microscope = recordings[0].microscope
-    planes = [r for r in recordings if r.trial.kind == "plane"]
-    line = fit_plane(
-        semi_minor_px=np.concatenate([np.asarray(r.trial.ellipses.semi_minor) for r in recordings]),
-        distance=np.concatenate([r.trial.readings for r in recordings]),
-    )
-    tilt = planes[0].tilt if planes else (0.0, 0.0)
-    start = {
-        # The paper's line through all spots, near enough for the exact model to find its way.
-        "half_angle": math.atan(microscope.scale_mm_px / line.delta_k),
-        "b": line.b,
-        "tilt_x": tilt[0],
-        "tilt_y": tilt[1],
-    }
-    fit = fit_cone(
-        [recording.trial for recording in recordings],
-        microscope.ideal_microscope(),
-        start=start,
-        free=free,
-        priors={name: prior for name, prior in choices.priors.items() if name != "touch"},
-    )
-    kept = [i for i, name in enumerate(fit.free) if name not in ("tilt_x", "tilt_y")]
-    values = {fit.free[i]: fit.values[fit.free[i]] for i in kept}
-    sigma = np.sqrt(np.diag(fit.covariance))
-    names = [recording.name for recording in recordings]
-    touches = zip(names, fit.touch, fit.touch_error, strict=True)
-    eccentricities = [
-        (f"c of {recording.name}", c, error, "mm")
-        for recording, c, error in zip(
-            recordings, fit.eccentricity, fit.eccentricity_error, strict=True
-        )
-        if recording.trial.kind == "eyeball"
-    ]
-    residuals = np.concatenate(fit.residuals)
-    return Fitted(
-        calibration_model="exact",
-        values=values,
-        covariance=fit.covariance[np.ix_(kept, kept)],
-        converged=fit.converged,
-        bounds=bounds_hit(values),
-        undetermined=fit.undetermined,
-        chi_squared=fit.chi_squared,
-        degrees_of_freedom=fit.degrees_of_freedom,
-        residuals=dict(zip(_MISMATCHES, residuals.T, strict=True)),
-        recordings=recordings,
-        used=len(residuals),
-        others=[
-            *(
-                (name, fit.values[name], float(sigma[i]), "1")
-                for i, name in enumerate(fit.free)
-                if i not in kept
-            ),
-            *((f"touch of {name}", touch, error, "mm") for name, touch, error in touches),
-            *eccentricities,
-        ],
-        notes=[
-            f"{name}: the axis leans {math.degrees(np.hypot(*lean)):.2f}° from the robot's."
-            for name, lean in zip(names, fit.lean, strict=True)
-        ],
-    )
+A cone's edge is as wide as the camera's blur: 1 px of 40 to 90 px in the renders, and 4 px at 40 px
+would be a camera far out of focus. Behind a lens the edge is as wide as the core's image: for caps
+of sag 0 to 0.12 mm and numerical apertures of 0.05 to 0.3, the upper quartile over 0.5 to 6 mm is
+0.25 to 0.8.
+"""
 
 
 class Model(NamedTuple):
@@ -219,110 +45,44 @@ class Model(NamedTuple):
 
 
 MODELS = {
-    "plane": Model(_plane),
-    "sphere": Model(_sphere),
-    "cone": Model(_cone),
+    "plane": Model(fit_planes),
+    "sphere": Model(fit_sphere),
+    "cone": Model(fit_cone_to_spots),
     "image": Model(fit_image_of_cone, known_names("cone"), FREE["cone"], of_pixels=True),
     "lens": Model(fit_image_of_lens, known_names("lens"), FREE["lens"], of_pixels=True),
 }
 """By the name on the command line."""
 
 
-def _pooled_planes(
-    recordings: Sequence[Recording], loss: Loss
-) -> tuple[list[Recording], PlaneTrialsFit, list[str]]:
-    """The planes' recordings, the line through them, and a sentence on each."""
-    planes = [r for r in recordings if r.trial.kind == "plane"]
-    if not planes:
-        raise ValueError("the model needs a recording of a plane; all of these are eyeballs.")
-    if any(any(recording.tilt) for recording in planes):
+class ModelChoice(NamedTuple):
+    """A model's name, and in a sentence why it was chosen."""
+
+    model: str
+    reason: str
+
+
+def chosen_model(recordings: Sequence[Recording]) -> ModelChoice:
+    """The model for these spots: a lens if their edges are soft, a cone if they are sharp.
+
+    Only measured spots are looked at. The upper quartile, because a lens too makes a sharp edge at
+    the distance at which it shows its core.
+
+    Raises:
+        ValueError: the light is a lens's, and these are several recordings or no stack.
+    """
+    widths = np.concatenate([recording.relative_edge_width for recording in recordings])
+    if np.isnan(widths).any():
+        return ModelChoice("cone", "the spots' edges were not measured")
+    width = float(np.quantile(widths, 0.75))
+    seen = (
+        f"the spots' edges are {{}}: {width:.2f} of the radius wide, a cone's at most {SOFT_EDGE}"
+    )
+    if width <= SOFT_EDGE:
+        return ModelChoice("cone", seen.format("sharp"))
+    if len(recordings) > 1 or not recordings[0].is_stack:
         raise ValueError(
-            f"{planes[0].name} shows a tilted plane, and the paper's line holds on one that is "
-            "square to the microscope's axis. Take --model cone, which knows the tilt."
+            f"{seen.format('soft')}, so the light comes from a lens.\n"
+            "A lens is fitted to the pixels of one stack: give one stack. To fit a cone all the "
+            "same, add --model cone."
         )
-    notes, trials, kept = [], [], []
-    for recording in planes:
-        fit = fit_plane(
-            semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
-            distance=recording.trial.readings,
-            loss=loss,
-        )
-        notes.append(
-            f"{recording.name} by itself: δk {fit.delta_k:.6f} ± {fit.delta_k_error:.6f} mm/px, b "
-            f"{fit.b:.4f} ± {fit.b_error:.4f} mm, R² {fit.r_squared:.5f}, RMSE {fit.rmse:.4f} mm."
-        )
-        notes += _outlier_note(recording, fit.outliers)
-        kept.append(_without(recording, fit.outliers))
-        trials.append(_plane_trial(kept[-1]))
-    microscope = planes[0].microscope
-    pooled = fit_plane_trials(
-        trials,
-        inverse_working_distance=microscope.inverse_working_distance,
-        tilt_sigma=_TILT_SIGMA,
-    )
-    return kept, pooled, notes
-
-
-def _outlier_note(recording: Recording, outliers: tuple[int, ...]) -> list[str]:
-    if not outliers:
-        return []
-    readings = ", ".join(f"{recording.trial.readings[i]:.2f}" for i in outliers)
-    return [f"{recording.name}: {len(outliers)} outliers, at readings of {readings} mm."]
-
-
-def _without(recording: Recording, outliers: tuple[int, ...]) -> Recording:
-    kept = np.setdiff1d(np.arange(recording.trial.readings.size), outliers)
-    trial = recording.trial
-    return recording._replace(
-        trial=replace(
-            trial,
-            ellipses=optics.Ellipse(*(leaf[kept] for leaf in trial.ellipses)),
-            covariances=trial.covariances[kept],
-            readings=trial.readings[kept],
-        )
-    )
-
-
-def _plane_trial(recording: Recording) -> PlaneTrial:
-    trial, microscope = recording.trial, recording.microscope.ideal_microscope()
-    centre = np.asarray(trial.ellipses.centre).mean(axis=0)
-    wall = phantom_wall("plane", eye_radius=recording.microscope.eye_radius_mm)
-    angle = np.asarray(trial.ellipses.angle)
-    return PlaneTrial(
-        semi_minor_px=np.asarray(trial.ellipses.semi_minor),
-        readings=trial.readings,
-        # Across (cos, sin) in the image, whose v points towards -Y.
-        minor_axes=np.stack([np.sin(angle), np.cos(angle)], axis=-1),
-        place=np.asarray(wall.intersect(*microscope.ray(centre)).point[:2]),
-        touch=trial.touch,
-    )
-
-
-def _plane_line(recording: Recording, loss: Loss) -> Line:
-    axis = np.sort(np.asarray(recording.trial.ellipses.semi_minor))
-    fit = fit_plane(
-        semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
-        distance=recording.trial.readings,
-        loss=loss,
-    )
-    return Line(axis, fit.delta_k * axis + fit.b, fit.band(axis))
-
-
-def _with_eccentricity(
-    pooled: PlaneTrialsFit, fit: SphereFit, scale: float
-) -> Float[np.ndarray, "3 3"]:
-    """Covariance of k, b and c, which follows the line that it was fitted with."""
-    follows = np.vstack([np.eye(2), fit.sensitivity])
-    covariance = follows @ pooled.covariance @ follows.T
-    covariance[2, 2] += fit.c_error**2
-    to_k = np.diag([1.0 / scale, 1.0, 1.0])
-    return to_k @ covariance @ to_k
-
-
-def _nothing_to_choose(model: str, choices: Choices) -> None:
-    wrong = [*(choices.free or ()), *(name for name in choices.priors if name != "touch")]
-    if wrong:
-        raise ValueError(
-            f"--model {model} has no parameter {wrong[0]} to choose; the model cone has "
-            f"{', '.join(PARAMETERS)}."
-        )
+    return ModelChoice("lens", seen.format("soft"))

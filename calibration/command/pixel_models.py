@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
@@ -12,15 +13,19 @@ from jaxtyping import Float
 import optics
 from calibration.command.fitted import Choices, Fitted, PixelResiduals
 from calibration.command.goodness import bounds_hit
+from calibration.command.lens_guess import FLATTEST, guessed_lens
 from calibration.pixels import LENS, UNITS, Footage, ImageFit, fit_footage, lens_start, read_footage
-from calibration.recordings import Recording
+from calibration.recordings import Recording, usual_exposure
 from calibration.spots import fit_plane
 from estimator import read_stack
 from estimator.files import LENS_PARAMETERS
+from estimator.run import progress
 
 _BLUR_PX = 1.0  # of a camera in focus, to begin with
 _CONE_IN_FILE = ("half_angle", "b")
 _EITHER_IN_FILE = ("scale", "eye_radius")
+_SECONDS_A_PIXEL = {"cone": 3e-6, "lens": 3e-5}
+"""Time of a fit over the pixels of all frames, on two cores, to the nearest factor of two."""
 _BRIGHTNESS = ("sensitivity", "power", "reflectance")
 """Whose product over pi is the brightness of a calibration file."""
 
@@ -55,7 +60,7 @@ def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitt
 def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Shape and aperture of a glue lens from pixels, and how bright it makes its spot."""
     (recording,) = recordings
-    footage, fit = _fit(recording, choices, "lens", lens_start(optics.load_lens(choices.lens)))
+    footage, fit = _fit(recording, choices, "lens", _lens_start(recording, choices))
     every = fit.values
     own = [name for name in _EITHER_IN_FILE if name in fit.parameters]
     values = {
@@ -75,6 +80,23 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
     )
 
 
+def _lens_start(recording: Recording, choices: Choices) -> dict[str, float]:
+    """The lens that was named, else one guessed from the spots."""
+    if choices.lens:
+        given = lens_start(optics.load_lens(choices.lens))
+        # A flat end lies on the bound of what can be fitted, so start beside it.
+        given["sag"] = max(given["sag"], FLATTEST * given["core_radius"])
+        return given
+    found = lens_start(guessed_lens(recording))
+    print(
+        f"Starting from a lens with sag {found['sag']:.3g} mm and numerical aperture "
+        f"{found['numerical_aperture']:.3g}, guessed from the spots.",
+        file=sys.stderr,
+        flush=True,
+    )
+    return found
+
+
 def _fit(
     recording: Recording,
     choices: Choices,
@@ -88,8 +110,24 @@ def _fit(
             f"{recording.name} shows a tilted plane, and the fit to pixels knows planes that are "
             "square to the microscope's axis. Take --model cone, which knows the tilt."
         )
-    footage = read_footage(read_stack(recording.source), exposure=choices.exposure)
-    fit = fit_footage(footage, source=source, start=start, free=choices.free, priors=choices.priors)
+    exposure = choices.exposure or usual_exposure(recording.source)
+    footage = read_footage(read_stack(recording.source), exposure=exposure)
+    frames = len(footage.readings)
+    minutes = footage.light.size * _SECONDS_A_PIXEL[source] / 60
+    print(
+        f"Fitting a {source} to {frames} frames; takes some {_rounded(minutes)} min on two cores.",
+        file=sys.stderr,
+        flush=True,
+    )
+    with progress("Fitting", total=None) as advance:
+        fit = fit_footage(
+            footage,
+            source=source,
+            start=start,
+            free=choices.free,
+            priors=choices.priors,
+            progress=lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
+        )
     return footage, fit
 
 
@@ -135,6 +173,10 @@ def _fitted(
         notes=[f"{np.count_nonzero(np.isfinite(fit.residuals))} pixels were fitted."],
         pixels=PixelResiduals(picture, numbers),
     )
+
+
+def _rounded(minutes: float) -> str:
+    return f"{minutes:.0f}" if minutes >= 1 else "less than 1"
 
 
 def _means(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -72,12 +72,20 @@ def fit_footage(
     priors: Mapping[str, Prior] | None = None,
     exposures: Literal["reported", "fitted"] = "reported",
     lean_sigma: float = np.radians(1.0),
+    progress: Callable[[float], None] = lambda chi_squared: None,
 ) -> ImageFit:
-    """`fit_image` of frames that have been read."""
+    """`fit_image` of frames that have been read; `progress` gets chi squared at every step."""
     if free is None:
         free = FREE[source]
     check_names(source, start, free, priors or {})
     solver = Solver(
-        footage, source, start, tuple(free), priors or {}, exposures == "fitted", lean_sigma
+        footage,
+        source,
+        start,
+        tuple(free),
+        priors or {},
+        exposures == "fitted",
+        lean_sigma,
+        progress,
     )
     return solver.run()

@@ -12,7 +12,7 @@ frames and model blurred alike, by a quarter of the spot's radius and then less.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
@@ -98,8 +98,10 @@ class Solver:
         priors: Mapping[str, Prior],
         exposures: bool,
         lean_sigma: float,
+        progress: Callable[[float], None],
     ) -> None:
         self.footage, self.source, self.exposures = footage, source, exposures
+        self.progress = progress
         self.names = (*free, *(name for name in NUISANCES if name not in free))
         self.frames = len(footage.readings)
         place, self.radius_px = bright_spot(footage)
@@ -289,6 +291,7 @@ class Solver:
             cost += float(share @ x) ** 2
             gradient += share * (share @ x)
             information += np.outer(share, share)
+        self.progress(cost)
         return NormalEquations(cost, gradient, information)
 
     def _parts(self, x: np.ndarray) -> list[Sums]:

@@ -1,21 +1,22 @@
 """Recordings as trials: spots measured by the estimator, readings and axis from the robot's report.
 
-The labels of a stack stay unread, but for each frame's time: what is fitted is what a rig would
-have. What else is used, a rig's log book would say: the wall's kind and tilt, the medium, the
-fibre's diameter, and that a withdrawal began at the touch.
+Of a stack's labels only each frame's time is read, so a fit uses what a rig would have. The rest is
+what a rig's log book would say: the wall's kind and tilt, the medium, the fibre's diameter, and
+whether the withdrawal began at the touch.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 import optics
 from calibration.recordings.withdrawals import withdrawal
@@ -30,12 +31,13 @@ _TOUCH_SIGMA_MM = 0.02
 """How well a hand finds the moment of contact; the paper's own trials scatter by more."""
 _LEAST_COVERAGE = 0.5
 """Of the contour: with less, the ellipse rests on its model (as in the paper's trials here)."""
+_METERED = "metered"
 _SPOTS_FILES = (".csv", ".parquet")
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogBook:
-    """What a stack tells of itself, and of another recording somebody must.
+    """How a recording was made. A stack contains it; for other recordings a person gives it.
 
     Attributes:
         kind: of the wall, as `Trial.kind`.
@@ -69,6 +71,9 @@ class Recording(NamedTuple):
         frames: number of frames, with a usable spot or without.
         microscope: as its file describes it.
         medium: name of what lies between the tip and the wall.
+        fibre_radius_mm: half the diameter of the tip's face.
+        relative_edge_width: edge width over semi-minor axis of each usable spot; NaN where it was
+            not measured.
         sha256: of a stack's manifest, which holds the checksums of all its files; else of the files
             read.
     """
@@ -80,7 +85,25 @@ class Recording(NamedTuple):
     frames: int
     microscope: MicroscopeFile
     medium: str
+    fibre_radius_mm: float
+    relative_edge_width: Float[np.ndarray, "n"]
     sha256: str
+
+    @property
+    def is_stack(self) -> bool:
+        """Whether its pixels can be fitted, too."""
+        return is_stack(self.source)
+
+
+def is_stack(source: Path) -> bool:
+    """Whether a source is a stack, which contains its own log book."""
+    return (source / "stack.toml").is_file()
+
+
+def usual_exposure(folder: Path) -> str | None:
+    """The exposure to use of a stack with two: "metered", whose peaks are never saturated."""
+    kinds = {labels.exposure for labels in read_stack(folder).labels}
+    return _METERED if len(kinds) > 1 and _METERED in kinds else None
 
 
 def read_recording(
@@ -89,6 +112,7 @@ def read_recording(
     exposure: str | None = None,
     log_book: LogBook | None = None,
     touch: Prior | None = None,
+    progress: Callable[[], None] = lambda: None,
 ) -> Recording:
     """Measure or read the spots of a withdrawal and join them with the robot's poses.
 
@@ -96,36 +120,39 @@ def read_recording(
 
     Args:
         source: a stack; a spots file; or a bag, video or what else `open_source` takes.
-        exposure: "paper" or "metered", of a stack that holds both.
-        log_book: of what is no stack.
+        exposure: "paper" or "metered", of a stack that holds both; by default "metered".
+        log_book: of a source that is no stack.
         touch: distance at the first frame, mm; by default where the rim touches the wall.
+        progress: called after each frame that was measured.
 
     Raises:
         ValueError: a file that is missing or broken, no withdrawal from the touch, or too few spots
             to fit.
     """
     source = Path(source)
-    if (source / "stack.toml").is_file():
+    if is_stack(source):
         log_book = _of_stack(source)
+        exposure = exposure or usual_exposure(source)
         prints = [source / "manifest.json"]
     elif source.is_dir() and log_book is None:
         read_stack(source)  # which says what of a stack is missing
     if log_book is None:
         raise ValueError(
-            f"{source} is no stack, which would tell what else a fit needs. Give --microscope, "
-            "--poses, --phantom and --medium."
+            f"{source} is no stack, so a fit needs --microscope, --poses, --phantom and --medium. "
+            "Add them."
         )
     if source.suffix.lower() in _SPOTS_FILES:
         records = read_spots(source)
     else:
         opened = open_source(source, exposure=exposure)
-        records = track_source(opened, Options(microscope=log_book.microscope).reader()).records
-    if not (source / "stack.toml").is_file():
+        reader = Options(microscope=log_book.microscope).reader()
+        records = track_source(opened, reader, progress=lambda record: progress()).records
+    if not is_stack(source):
         prints = [*_files(source), *_files(log_book.poses)]
     if touch is None and not log_book.begins_at_touch:
         raise ValueError(
-            f"{source} does not begin where the tip touches the wall, so nothing says what its "
-            "readings count from. Give the first frame's distance in mm, --prior touch=MEAN,SIGMA, "
+            f"{source} does not begin where the tip touches the wall, so the distance at reading 0 "
+            "is unknown. Give the first frame's distance in mm, --prior touch=MEAN,SIGMA, "
             "or start at contact."
         )
     return _joined(source, records, log_book, touch, _sha256(prints))
@@ -196,6 +223,8 @@ def _joined(
         frames=len(records),
         microscope=microscope,
         medium=log_book.medium,
+        fibre_radius_mm=log_book.fibre_diameter_mm / 2,
+        relative_edge_width=np.array([s.edge_width_px / s.semi_minor_px for s in spots]),
         sha256=sha256,
     )
 

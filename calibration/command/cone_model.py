@@ -1,0 +1,92 @@
+"""The model cone of `eyespot fit`: the exact geometry, fitted to the spots' ellipses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from calibration.command.fitted import Choices, Fitted
+from calibration.command.goodness import bounds_hit
+from calibration.recordings import Recording
+from calibration.spots import fit_cone, fit_plane
+
+_MISMATCHES = ("position along", "position across", "size", "elongation", "direction")
+"""What `optics.ellipse_mismatch` returns, in words."""
+
+
+def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+    """The exact geometry on planes and eyeballs together."""
+    if choices.loss != "squares":
+        raise ValueError("--robust goes with the models plane and sphere. Leave it out.")
+    for recording in recordings:
+        if not np.isfinite(recording.trial.covariances).all():
+            raise ValueError(
+                f"{recording.name} has spots without errors, as the literal mode measures them, "
+                "and the model cone weighs spots by their errors. Track in the sub-pixel mode, or "
+                "take --model plane."
+            )
+    free = choices.free or ("half_angle", "b")
+    for name in {"half_angle", "b"} - set(free):
+        raise ValueError(f"--free must hold half_angle and b; {name} is missing. Add it.")
+    microscope = recordings[0].microscope
+    planes = [r for r in recordings if r.trial.kind == "plane"]
+    line = fit_plane(
+        semi_minor_px=np.concatenate([np.asarray(r.trial.ellipses.semi_minor) for r in recordings]),
+        distance=np.concatenate([r.trial.readings for r in recordings]),
+    )
+    tilt = planes[0].tilt if planes else (0.0, 0.0)
+    start = {
+        # The paper's line through all spots, near enough for the exact model to find its way.
+        "half_angle": math.atan(microscope.scale_mm_px / line.delta_k),
+        "b": line.b,
+        "tilt_x": tilt[0],
+        "tilt_y": tilt[1],
+    }
+    fit = fit_cone(
+        [recording.trial for recording in recordings],
+        microscope.ideal_microscope(),
+        start=start,
+        free=free,
+        priors={name: prior for name, prior in choices.priors.items() if name != "touch"},
+    )
+    kept = [i for i, name in enumerate(fit.free) if name not in ("tilt_x", "tilt_y")]
+    values = {fit.free[i]: fit.values[fit.free[i]] for i in kept}
+    sigma = np.sqrt(np.diag(fit.covariance))
+    names = [recording.name for recording in recordings]
+    touches = zip(names, fit.touch, fit.touch_error, strict=True)
+    eccentricities = [
+        (f"c of {recording.name}", c, error, "mm")
+        for recording, c, error in zip(
+            recordings, fit.eccentricity, fit.eccentricity_error, strict=True
+        )
+        if recording.trial.kind == "eyeball"
+    ]
+    residuals = np.concatenate(fit.residuals)
+    return Fitted(
+        calibration_model="exact",
+        values=values,
+        covariance=fit.covariance[np.ix_(kept, kept)],
+        converged=fit.converged,
+        bounds=bounds_hit(values),
+        undetermined=fit.undetermined,
+        chi_squared=fit.chi_squared,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        residuals=dict(zip(_MISMATCHES, residuals.T, strict=True)),
+        recordings=recordings,
+        used=len(residuals),
+        others=[
+            *(
+                (name, fit.values[name], float(sigma[i]), "1")
+                for i, name in enumerate(fit.free)
+                if i not in kept
+            ),
+            *((f"touch of {name}", touch, error, "mm") for name, touch, error in touches),
+            *eccentricities,
+        ],
+        notes=[
+            f"{name}: the axis leans {math.degrees(np.hypot(*lean)):.2f}° from the robot's."
+            for name, lean in zip(names, fit.lean, strict=True)
+        ],
+    )

@@ -1,0 +1,219 @@
+"""The paper's models of `eyespot fit`: a line through planes, and c of an eyeball."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+import optics
+from calibration.command.fitted import Choices, Curve, Fitted
+from calibration.recordings import Recording
+from calibration.spots import (
+    PARAMETERS,
+    Loss,
+    PlaneTrial,
+    PlaneTrialsFit,
+    SphereFit,
+    fit_eccentricity,
+    fit_plane,
+    fit_plane_trials,
+    phantom_wall,
+)
+
+_TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
+
+
+def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+    """The paper's line through all planes, with each trial's touch and the plane's tilt."""
+    _nothing_to_choose("plane", choices)
+    for recording in recordings:
+        if recording.trial.kind != "plane":
+            raise ValueError(
+                f"the model plane is fitted to planes; {recording.name} shows an eyeball. Leave "
+                "it out, or take --model sphere or cone."
+            )
+    planes, pooled, notes = _pooled_planes(recordings, choices.loss)
+    scale = planes[0].microscope.scale_mm_px
+    to_k = np.diag([1.0 / scale, 1.0])
+    names = [recording.name for recording in planes]
+    touches = zip(names, pooled.touch, pooled.touch_error, strict=True)
+    return Fitted(
+        calibration_model="planar",
+        values={"k": pooled.delta_k / scale, "b": pooled.b},
+        covariance=to_k @ pooled.covariance @ to_k,
+        converged=pooled.converged,
+        residuals={"the distance": pooled.residuals / pooled.noise},
+        recordings=planes,
+        used=pooled.residuals.size,
+        degrees_of_freedom=pooled.residuals.size - 2,
+        others=[
+            *((f"touch of {name}", touch, error, "mm") for name, touch, error in touches),
+            ("tilt_x", pooled.tilt[0], pooled.tilt_error[0], "1"),
+            ("tilt_y", pooled.tilt[1], pooled.tilt_error[1], "1"),
+            ("noise of a distance", pooled.noise, math.nan, "mm"),
+        ],
+        notes=[f"All together: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.", *notes],
+        lines={recording.name: _plane_line(recording, choices.loss) for recording in planes},
+    )
+
+
+def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+    """The paper's c of one eyeball trial, by the line through the planes."""
+    _nothing_to_choose("sphere", choices)
+    spheres = [r for r in recordings if r.trial.kind == "eyeball"]
+    if len(spheres) != 1:
+        raise ValueError(
+            "the model sphere fits the c of one trial in an eyeball, with planes beside it; got "
+            f"{len(spheres)}. A calibration has one eccentricity: fit each trial by itself."
+        )
+    _, pooled, notes = _pooled_planes(recordings, choices.loss)
+    (sphere,) = spheres
+    microscope, trial = sphere.microscope, sphere.trial
+    scale, radius = microscope.scale_mm_px, microscope.eye_radius_mm
+    axis = np.asarray(trial.ellipses.semi_minor)
+    # The plane's b counts from the wall; the eyeball's readings, too, miss their touch.
+    distance = trial.readings + trial.touch.mean
+    fit = fit_eccentricity(
+        semi_minor_px=axis,
+        distance=distance,
+        delta_k=pooled.delta_k,
+        b=pooled.b,
+        scale=scale,
+        eye_radius=radius,
+        loss=choices.loss,
+    )
+    model = optics.small_plane_distance(
+        semi_minor_px=axis,
+        scale=scale,
+        k=pooled.delta_k / scale,
+        b=pooled.b,
+        eccentricity=fit.c,
+        eye_radius=radius,
+    )
+    errors = np.asarray(model) - distance
+    notes = [
+        f"{sphere.name}: SD {fit.standard_deviation:.4f}, mean absolute error "
+        f"{fit.mean_absolute_error:.4f}, largest error {fit.max_error:.4f} mm.",
+        *_outlier_note(sphere, fit.outliers),
+        f"Planes together: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.",
+        *notes,
+    ]
+    order = np.argsort(axis)
+    band = fit.band(axis[order], delta_k=pooled.delta_k, scale=scale, eye_radius=radius)
+    return Fitted(
+        calibration_model="small_plane",
+        values={"k": pooled.delta_k / scale, "b": pooled.b, "eccentricity": fit.c},
+        covariance=_with_eccentricity(pooled, fit, scale),
+        converged=pooled.converged and fit.converged,
+        bounds=("eccentricity = 0: the data ask for none",) if fit.at_bound else (),
+        residuals={"the distance": errors / np.sqrt(np.sum(errors**2) / (errors.size - 1))},
+        recordings=[sphere],
+        used=errors.size + pooled.residuals.size,
+        degrees_of_freedom=errors.size - 1,
+        notes=notes,
+        lines={sphere.name: Curve(axis[order], np.asarray(model)[order], band)},
+    )
+
+
+def _pooled_planes(
+    recordings: Sequence[Recording], loss: Loss
+) -> tuple[list[Recording], PlaneTrialsFit, list[str]]:
+    """The planes' recordings, the line through them, and a sentence on each."""
+    planes = [r for r in recordings if r.trial.kind == "plane"]
+    if not planes:
+        raise ValueError("the model needs a recording of a plane; all of these are eyeballs.")
+    if any(any(recording.tilt) for recording in planes):
+        raise ValueError(
+            f"{planes[0].name} shows a tilted plane, and the paper's line holds on one that is "
+            "square to the microscope's axis. Take --model cone, which knows the tilt."
+        )
+    notes, trials, kept = [], [], []
+    for recording in planes:
+        fit = fit_plane(
+            semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
+            distance=recording.trial.readings,
+            loss=loss,
+        )
+        notes.append(
+            f"{recording.name} by itself: δk {fit.delta_k:.6f} ± {fit.delta_k_error:.6f} mm/px, b "
+            f"{fit.b:.4f} ± {fit.b_error:.4f} mm, R² {fit.r_squared:.5f}, RMSE {fit.rmse:.4f} mm."
+        )
+        notes += _outlier_note(recording, fit.outliers)
+        kept.append(_without(recording, fit.outliers))
+        trials.append(_plane_trial(kept[-1]))
+    microscope = planes[0].microscope
+    pooled = fit_plane_trials(
+        trials,
+        inverse_working_distance=microscope.inverse_working_distance,
+        tilt_sigma=_TILT_SIGMA,
+    )
+    return kept, pooled, notes
+
+
+def _outlier_note(recording: Recording, outliers: tuple[int, ...]) -> list[str]:
+    if not outliers:
+        return []
+    readings = ", ".join(f"{recording.trial.readings[i]:.2f}" for i in outliers)
+    return [f"{recording.name}: {len(outliers)} outliers, at readings of {readings} mm."]
+
+
+def _without(recording: Recording, outliers: tuple[int, ...]) -> Recording:
+    kept = np.setdiff1d(np.arange(recording.trial.readings.size), outliers)
+    trial = recording.trial
+    return recording._replace(
+        trial=replace(
+            trial,
+            ellipses=optics.Ellipse(*(leaf[kept] for leaf in trial.ellipses)),
+            covariances=trial.covariances[kept],
+            readings=trial.readings[kept],
+        )
+    )
+
+
+def _plane_trial(recording: Recording) -> PlaneTrial:
+    trial, microscope = recording.trial, recording.microscope.ideal_microscope()
+    centre = np.asarray(trial.ellipses.centre).mean(axis=0)
+    wall = phantom_wall("plane", eye_radius=recording.microscope.eye_radius_mm)
+    angle = np.asarray(trial.ellipses.angle)
+    return PlaneTrial(
+        semi_minor_px=np.asarray(trial.ellipses.semi_minor),
+        readings=trial.readings,
+        # Across (cos, sin) in the image, whose v points towards -Y.
+        minor_axes=np.stack([np.sin(angle), np.cos(angle)], axis=-1),
+        place=np.asarray(wall.intersect(*microscope.ray(centre)).point[:2]),
+        touch=trial.touch,
+    )
+
+
+def _plane_line(recording: Recording, loss: Loss) -> Curve:
+    axis = np.sort(np.asarray(recording.trial.ellipses.semi_minor))
+    fit = fit_plane(
+        semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
+        distance=recording.trial.readings,
+        loss=loss,
+    )
+    return Curve(axis, fit.delta_k * axis + fit.b, fit.band(axis))
+
+
+def _with_eccentricity(
+    pooled: PlaneTrialsFit, fit: SphereFit, scale: float
+) -> Float[np.ndarray, "3 3"]:
+    """Covariance of k, b and c, which follows the line that it was fitted with."""
+    follows = np.vstack([np.eye(2), fit.sensitivity])
+    covariance = follows @ pooled.covariance @ follows.T
+    covariance[2, 2] += fit.c_error**2
+    to_k = np.diag([1.0 / scale, 1.0, 1.0])
+    return to_k @ covariance @ to_k
+
+
+def _nothing_to_choose(model: str, choices: Choices) -> None:
+    wrong = [*(choices.free or ()), *(name for name in choices.priors if name != "touch")]
+    if wrong:
+        raise ValueError(
+            f"--model {model} has no parameter {wrong[0]} to choose; the model cone has "
+            f"{', '.join(PARAMETERS)}."
+        )
