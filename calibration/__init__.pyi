@@ -4,6 +4,7 @@ from .pixels import ImageFit as ImageFit
 from .pixels import fit_image as fit_image
 from .pixels import lens_start as lens_start
 from .spots import ConeFit as ConeFit
+from .spots import Lines as Lines
 from .spots import PlaneFit as PlaneFit
 from .spots import PlaneTrial as PlaneTrial
 from .spots import PlaneTrialsFit as PlaneTrialsFit
@@ -12,5 +13,6 @@ from .spots import SphereFit as SphereFit
 from .spots import Trial as Trial
 from .spots import fit_cone as fit_cone
 from .spots import fit_eccentricity as fit_eccentricity
+from .spots import fit_lines as fit_lines
 from .spots import fit_plane as fit_plane
 from .spots import fit_plane_trials as fit_plane_trials

@@ -21,17 +21,8 @@ from matplotlib.patches import Patch
 from PIL import Image
 
 import optics
-from benchmarks.evaluation import Geometry, estimates
-from benchmarks.studies.validate import (
-    BLACK,
-    BLUE,
-    GREY,
-    MODEL_COLOURS,
-    ORANGE,
-    SKY,
-    STYLE,
-    VERMILION,
-)
+from benchmarks.evaluation import MODEL_COLOURS, Geometry, estimates
+from benchmarks.reporting import BLACK, BLUE, GREY, ORANGE, SKY, STYLE, VERMILION
 
 _FOLDER = Path(__file__).resolve().parent / "optics"
 _WIDTH_IN = 8.0

@@ -1,4 +1,4 @@
-"""The report: what it says follows the data, and what it writes is whole and stands alone."""
+"""The main job's report: its claims follow the data, its files are complete and stand alone."""
 
 from __future__ import annotations
 
@@ -16,19 +16,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.evaluation.model_error import COMPARED, ModelError
+from benchmarks.evaluation.criteria import Criterion
+from benchmarks.evaluation.model_error import COMPARED, ModelError, limit_eccentricity
+from benchmarks.evaluation.model_figures import CHOSEN_DISTANCES_MM
 from benchmarks.evaluation.paper import TABLE_II
-from benchmarks.evaluation.tracking import WAYS, Tracked
-from benchmarks.evaluation.trials import Trial, grid_trials, paper_trials
-from benchmarks.studies.validate import analysis, report
-from benchmarks.studies.validate.conclusions import Conclusion, conclusions, number
-from benchmarks.studies.validate.run import SUBPIXEL, Findings
-from benchmarks.studies.validate.tables import CHOSEN_DISTANCES_MM
+from benchmarks.evaluation.tracking import (
+    LITERAL,
+    LITERAL_METERED,
+    SUBPIXEL,
+    WAYS,
+    Tracked,
+    Way,
+)
+from benchmarks.evaluation.trials import StaticTrial, grid_trials, paper_trials
+from benchmarks.reporting.claims import Claim
+from benchmarks.reporting.study import Request, Study
+from benchmarks.reporting.typeset import number
+from benchmarks.studies.validate import analysis
+from benchmarks.studies.validate.claims import claims
+from benchmarks.studies.validate.findings import ValidateFindings
+from benchmarks.studies.validate.report import report
 from calibration import PlaneFit, SphereFit
 from estimator import FrameLabels, NoSpot, Reason, Spot, StackError, StackWriter
 from scenes.description.motion_settings import Withdrawal
 
-LITERAL, BLIND = WAYS[0].name, WAYS[1].name
 K, B, SCALE = 19.7, -5.1, 0.0067
 CONTACT_MM = 0.144
 
@@ -36,40 +47,44 @@ CONTACT_MM = 0.144
 # A run in which everything is as the paper has it; each test changes what it is about.
 
 
-def paper_like_run(sources: tuple[str, ...] = ("lens", "cone")) -> Findings:
+def paper_like_run(
+    sources: tuple[str, ...] = ("lens", "cone"), *, stacks: Path = Path("stacks")
+) -> ValidateFindings:
     trials = [t for source in sources for t in paper_trials(source=source, quick=True, seed=0)]
-    grid = grid_trials(quick=True, seed=0)
-    settings: dict[str, object] = {"quick": True, "seed": 0, "source": "both"}
-    findings = Findings(settings=settings, trials=trials + grid, tracked={})
-    for trial in findings.trials:
-        for way in WAYS if trial.kind != "grid" else WAYS[-1:]:
-            findings.tracked[trial.name, way.name] = tracked(trial, way.name)
-    for source in sources:
-        for name in (LITERAL, SUBPIXEL):
-            rows = {f"plane {n}": plane_fit() for n in (1, 2, 3)}
-            findings.plane_fits[source, name] = {**rows, "all planes": plane_fit(spots=39)}
-            findings.sphere_fits[source, name] = {
-                group: sphere_fit(c=0.7 * row.c) for group, row in TABLE_II.items()
-            }
-    findings.analytic.extend(model_errors("analytic", incidence_deg=0.0))
-    findings.analytic.extend(model_errors("analytic", incidence_deg=30.0))
-    findings.rendered.extend(model_errors("rendered", incidence_deg=30.0))
-    findings.seconds["render and measure"] = 12.5
-    return findings
+    trials += grid_trials(quick=True, seed=0)
+    planes = {f"plane {n}": plane_fit() for n in (1, 2, 3)}
+    spheres = {group: sphere_fit(c=0.7 * row.c) for group, row in TABLE_II.items()}
+    keys = [(source, way.name) for source in sources for way in (LITERAL, SUBPIXEL)]
+    return ValidateFindings(
+        stacks=stacks,
+        trials=trials,
+        tracked={
+            (trial.name, way.name): tracked(trial, way)
+            for trial in trials
+            for way in (WAYS if trial.kind != "grid" else WAYS[-1:])
+        },
+        plane_fits={key: {**planes, "all planes": plane_fit(spots=39)} for key in keys},
+        sphere_fits={key: dict(spheres) for key in keys},
+        analytic=[
+            *model_errors("analytic", incidence_deg=0.0),
+            *model_errors("analytic", incidence_deg=30.0),
+        ],
+        rendered=model_errors("rendered", incidence_deg=30.0),
+    )
 
 
-def tracked(trial: Trial, way: str) -> Tracked:
-    exposure = next(w.exposure for w in WAYS if w.name == way)
+def tracked(trial: StaticTrial, way: Way) -> Tracked:
     assert isinstance(trial.scene.motion, Withdrawal)
     travel = np.linspace(0.0, trial.scene.motion.travel_mm, trial.scene.motion.frames)
     start = CONTACT_MM if trial.kind != "grid" else 0.5
-    labels = tuple(label(trial, exposure, n, float(d)) for n, d in enumerate(travel + start))
-    if way == BLIND:
+    distances = (travel + start).tolist()
+    labels = tuple(label(trial, way.exposure, n, d) for n, d in enumerate(distances))
+    if way is LITERAL_METERED:
         return Tracked(labels, tuple(NoSpot(Reason.NONE_FOUND) for _ in labels))
     return Tracked(labels, tuple(spot(row.half_max_semi_minor_px) for row in labels))
 
 
-def label(trial: Trial, exposure: str, frame: int, d: float) -> FrameLabels:
+def label(trial: StaticTrial, exposure: str, frame: int, d: float) -> FrameLabels:
     axis = (d - CONTACT_MM - B) / (K * SCALE)
     ellipse = {"x_px": 32.0, "y_px": 24.0, "semi_minor_px": axis, "semi_major_px": 1.15 * axis}
     return FrameLabels(
@@ -179,32 +194,35 @@ def model_errors(source: str, *, incidence_deg: float) -> list[ModelError]:
     ]
 
 
-def write_stacks(findings: Findings, out: Path) -> None:
+def write_stacks(findings: ValidateFindings) -> None:
     """The stacks that the strips show, with frames smaller than the views cut from them."""
+    findings.stacks.mkdir()
     for trial in findings.trials:
         if trial.group not in ("plane 1", "sphere 1"):
             continue
-        with StackWriter(out / "stacks" / trial.name) as writer:
-            versions = {"mitsuba": "3.9.1"}
-            writer.describe(stack={"run": {"versions": versions}}, microscope={})
+        with StackWriter(findings.stacks / trial.name) as writer:
+            writer.describe(stack={"run": {"versions": {"mitsuba": "3.9.1"}}}, microscope={})
             for way in (LITERAL, SUBPIXEL):
-                for row in findings.tracked[trial.name, way].labels:
+                for row in findings.tracked[trial.name, way.name].labels:
                     writer.add(np.full((48, 64, 3), 90, np.uint8), row, None)
+
+
+def study_in(out: Path) -> Study:
+    return Study("validate", Request(out=out, quick=True), command=("eyespot", "validate"))
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    findings = paper_like_run()
-    key = "lens", LITERAL
-    findings.sphere_fits[key]["sphere 1"] = sphere_fit(c=0.0, at_bound=True)
+    out = tmp_path_factory.mktemp("run")
+    findings = paper_like_run(stacks=out / "stacks")
+    findings.sphere_fits["lens", LITERAL.name]["sphere 1"] = sphere_fit(c=0.0, at_bound=True)
     source = {"kind": "lens", "lens": "<script>alert(1)</script>"}
     scene = findings.trials[0].scene
     named = scene.model_copy(update={"source": scene.source.model_copy(update=source)})
     findings.trials[0] = replace(findings.trials[0], scene=named)
-    out = tmp_path_factory.mktemp("run")
-    (out / "stacks").mkdir()
-    write_stacks(findings, out)
-    report.write(findings, out)
+    study = study_in(out)
+    write_stacks(findings)
+    study.publish(report, findings)
     return out
 
 
@@ -251,7 +269,7 @@ def test_page_needs_nothing_from_elsewhere(page: Page) -> None:
 def test_every_link_leads_to_a_file_or_a_place_in_the_page(written: Path, page: Page) -> None:
     places = {f"#{attributes['id']}" for _, attributes in page.tags if "id" in attributes}
     links = {str(attributes["href"]) for _, attributes in page.tags if "href" in attributes}
-    assert {"summary.json", "model_error.csv", "#frames"} <= links
+    assert {"summary.json", "model_error.csv", "scene.toml"} <= links
     for link in links:
         assert link in places or (written / link).is_file(), link
 
@@ -274,6 +292,7 @@ def test_text_from_a_scene_stays_text(page: Page) -> None:
 
 def test_a_fit_at_the_bound_is_flagged(written: Path, page: Page) -> None:
     assert any("at the bound" in text for text in page.text)
+    assert "True" in page.text
     row = read_csv(written / "table_2.csv")[0]
     assert (row["at_bound"], row["c_error_mm"]) == ("True", "")
     assert read_summary(written)["sphere_fits"][0]["c_error_mm"] is None
@@ -321,63 +340,71 @@ def test_a_report_that_fails_leaves_the_earlier_one(written: Path, tmp_path: Pat
     shutil.copytree(written, out)
     shutil.rmtree(out / "stacks" / "cone-plane-1")
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    changed = paper_like_run()
-    changed.plane_fits["cone", LITERAL]["plane 1"] = plane_fit(b=-1.0)
+    changed = paper_like_run(stacks=out / "stacks")
+    changed.plane_fits["cone", LITERAL.name]["plane 1"] = plane_fit(b=-1.0)
+    study = study_in(out)
     with pytest.raises(StackError, match="cone-plane-1"):
-        report.write(changed, out)
+        study.publish(report, changed)
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert not (out / ".report.partial").exists()
 
 
 def test_a_run_without_a_lens_is_reported_without_it(tmp_path: Path) -> None:
-    findings = paper_like_run(("cone",))
-    (tmp_path / "stacks").mkdir()
-    write_stacks(findings, tmp_path)
-    report.write(findings, tmp_path)
-    page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    findings = paper_like_run(("cone",), stacks=tmp_path / "run" / "stacks")
+    study = study_in(tmp_path / "run")
+    write_stacks(findings)
+    study.publish(report, findings)
+    page = Page((study.folder / "report.html").read_text(encoding="utf-8"))
     assert "half_maximum" not in {attributes.get("id") for _, attributes in page.tags}
-    assert not (tmp_path / "figures/half_maximum.png").exists()
+    assert not (study.folder / "figures/half_maximum.png").exists()
 
 
-def find(findings: Findings, topic: str) -> Conclusion:
-    (found,) = (c for c in conclusions(findings) if c.topic == topic)
+def find(findings: ValidateFindings, start: str) -> Claim:
+    """The claim whose name begins so."""
+    (found,) = (claim for claim in claims(findings) if claim.name.startswith(start))
     return found
 
 
+def missed(findings: ValidateFindings, name: str) -> set[str]:
+    """The criteria of Table I that a source does not meet."""
+    start = f"Table I by the {name}, "
+    found = {c.name.removeprefix(start): c for c in claims(findings) if c.name.startswith(start)}
+    assert set(Criterion) <= found.keys()
+    return {criterion for criterion in Criterion if not found[criterion].holds}
+
+
+LENS, CONE = "lens paper-candidate", "ideal cone"
+
+
 def test_a_run_like_the_paper_reproduces_table_one() -> None:
-    found = find(paper_like_run(), "lens reproduces Table I")
-    assert found.holds
-    assert found.headline == "The lens “paper-candidate” reproduces Table I."
+    assert missed(paper_like_run(), LENS) == missed(paper_like_run(), CONE) == set()
 
 
 @pytest.mark.parametrize(
-    ("change", "missed"),
+    ("change", "criterion"),
     [
-        ({"all planes": plane_fit(delta_k=0.139)}, "δk"),
-        ({"all planes": plane_fit(b=-4.5)}, "b"),
-        ({"plane 2": plane_fit(r_squared=0.98)}, "R² of each trial"),
-        ({"plane 3": plane_fit(rmse=0.11)}, "RMSE of each trial"),
-        ({"plane 3": plane_fit(rmse=0.01)}, "RMSE of each trial"),
+        ({"all planes": plane_fit(delta_k=0.139)}, Criterion.DELTA_K),
+        ({"all planes": plane_fit(b=-4.5)}, Criterion.B),
+        ({"plane 2": plane_fit(r_squared=0.98)}, Criterion.R_SQUARED),
+        ({"plane 3": plane_fit(rmse=0.11)}, Criterion.RMSE),
+        ({"plane 3": plane_fit(rmse=0.01)}, Criterion.RMSE),
     ],
 )
-def test_table_one_is_not_reproduced_where_one_demand_is_missed(
-    change: dict[str, PlaneFit], missed: str
+def test_table_one_is_not_reproduced_where_one_criterion_is_missed(
+    change: dict[str, PlaneFit], criterion: Criterion
 ) -> None:
     findings = paper_like_run()
-    findings.plane_fits["lens", LITERAL] |= change
-    found = find(findings, "lens reproduces Table I")
-    assert found.holds is False
-    assert found.headline.endswith(f"does not reproduce Table I: it misses {missed}.")
-    assert find(findings, "cone reproduces Table I").holds
+    findings.plane_fits["lens", LITERAL.name] |= change
+    assert missed(findings, LENS) == {criterion}
+    assert missed(findings, CONE) == set()
 
 
-def bent(findings: Findings, source: str, axis_px: Callable[[float, int], float]) -> None:
+def bent(findings: ValidateFindings, source: str, axis_px: Callable[[float, int], float]) -> None:
     """Replace what literal mode measured on the planes: e1' from d_r (mm) and frame."""
-    for trial in findings.trials:
-        if (trial.source, trial.kind) == (source, "plane"):
-            old = findings.tracked[trial.name, LITERAL]
-            results = (spot(axis_px(row.d_mm - CONTACT_MM, row.frame)) for row in old.labels)
-            findings.tracked[trial.name, LITERAL] = Tracked(old.labels, tuple(results))
+    for trial in findings.planes(source):
+        old = findings.tracked[trial.name, LITERAL.name]
+        results = (spot(axis_px(row.d_mm - CONTACT_MM, row.frame)) for row in old.labels)
+        findings.tracked[trial.name, LITERAL.name] = Tracked(old.labels, tuple(results))
 
 
 def test_the_part_of_the_range_that_reproduces_table_one_is_found() -> None:
@@ -390,7 +417,7 @@ def test_the_part_of_the_range_that_reproduces_table_one_is_found() -> None:
     bent(findings, "lens", axis_px)
     part = analysis.nearest_reproduction(findings, source="lens", way=LITERAL)
     assert part is not None
-    assert all(c.met for c in part.criteria)
+    assert part.met == len(Criterion)
     assert part.low == 0.0
     # One frame past the bend hardly matters; two are a millimetre off.
     assert 4.0 <= part.high <= 4.5
@@ -398,18 +425,19 @@ def test_the_part_of_the_range_that_reproduces_table_one_is_found() -> None:
 
 def test_half_maximum_verdict_follows_the_labels() -> None:
     findings = paper_like_run()
-    topic = "half-maximum radius grows with distance"
-    assert find(findings, topic).holds
-    key = "lens-plane-1", SUBPIXEL
+    name = "the lens's half-maximum radius grows with distance"
+    assert find(findings, name).holds
+    key = "lens-plane-1", SUBPIXEL.name
     old = findings.tracked[key]
     labels = list(old.labels)
     labels[4] = replace(labels[4], half_max_semi_minor_px=labels[2].half_max_semi_minor_px)
     findings.tracked[key] = Tracked(tuple(labels), old.results)
-    found = find(findings, topic)
+    found = find(findings, name)
     assert found.holds is False
-    assert "does not grow" in found.headline
     # Contact is at 0.144 mm and frames are 0.75 mm apart: frames 2 to 4 share a radius.
-    assert "between 1.64 and 3.14 mm one radius belongs to several distances" in found.text
+    assert found.numbers["first"] == pytest.approx(0.144 + 2 * 0.75)
+    assert found.numbers["last"] == pytest.approx(0.144 + 4 * 0.75)
+    assert "over 1.50 mm: from 1.64 to 3.14 mm" in found.text
 
 
 def test_ambiguous_range_of_a_waist_is_where_its_mirror_is_in_reach() -> None:
@@ -422,63 +450,86 @@ def test_ambiguous_range_of_a_waist_is_where_its_mirror_is_in_reach() -> None:
 def test_limit_eccentricity_is_where_the_largest_error_crosses() -> None:
     errors = [e for e in model_errors("analytic", incidence_deg=0.0) if e.model == "small_plane"]
     near = [e for e in errors if e.z_f_mm == 11.5]
-    assert analysis.limit_eccentricity(near, 0.5) == pytest.approx(5.0)
+    assert limit_eccentricity(near, 0.5) == pytest.approx(5.0)
     far = [e for e in errors if e.z_f_mm == 200.0]
     # A chord of c² between grid points 1 mm apart is at most 0.125 mm off at c = 2.5 / (2 * 2.5).
-    assert analysis.limit_eccentricity(far, 0.5) == pytest.approx(2.5, abs=0.125 / 2.5)
-    assert analysis.limit_eccentricity(near, 2.0) is None
+    assert limit_eccentricity(far, 0.5) == pytest.approx(2.5, abs=0.125 / 2.5)
+    assert math.isnan(limit_eccentricity(near, 2.0))
 
 
-def test_small_plane_sentence_tells_where_the_limit_is_left_or_that_it_is_not() -> None:
+def test_small_plane_claim_holds_only_within_the_acceptable_error() -> None:
     findings = paper_like_run()
-    topic = "small_plane stays within the acceptable error"
-    found = find(findings, topic)
+    name = "small_plane, z_F = 11.5 mm"
+    found = find(findings, name)
     assert found.holds is False
-    assert "leaves the acceptable 0.5 mm at c = 5.0 mm for z_F = 11.5 mm" in found.headline
-    findings.analytic[:] = [e._replace(error_mm=0.1 * e.error_mm) for e in findings.analytic]
+    assert found.numbers["reached"] == pytest.approx(5.0)
+    assert "reaches the acceptable 0.5 mm at c = 5.0 mm" in found.text
+    smaller = [e._replace(error_mm=0.1 * e.error_mm) for e in findings.analytic]
     # A tenth of 0.5 (7 / 2.5)² is 0.39 mm.
-    found = find(findings, topic)
-    assert found.holds
-    assert "stays within 0.5 mm up to c = 7 mm" in found.headline
+    for height in ("11.5", "200"):
+        found = find(replace(findings, analytic=smaller), f"small_plane, z_F = {height} mm")
+        assert found.holds
+        assert math.isnan(found.numbers["reached"])
 
 
-def test_models_beyond_the_limit_are_not_praised() -> None:
+def test_a_model_beyond_the_limit_fails_with_its_pinhole_only() -> None:
     findings = paper_like_run()
-    topic = "the other models stay within the acceptable error"
-    headline = "Corrected, stereographic and exact stay within 0.5 mm on rendered spots."
-    assert find(findings, topic).headline == headline
-    findings.rendered[:] = [
+    wrong = [
         e._replace(error_mm=-0.7) if (e.model, e.z_f_mm) == ("stereographic", 200.0) else e
         for e in findings.rendered
     ]
-    found = find(findings, topic)
-    assert found.holds is False
-    assert found.headline.startswith("Corrected and exact stay within 0.5 mm")
-    assert "stereographic only for a pinhole on the sphere" in found.headline
+    name = "stereographic on rendered spots, z_F = {} mm"
+    for height in ("11.5", "200"):
+        assert find(findings, name.format(height)).holds
+    changed = replace(findings, rendered=wrong)
+    assert find(changed, name.format("11.5")).holds
+    found = find(changed, name.format("200"))
+    assert (found.holds, found.value) == (False, 0.7)
+    for model in ("corrected", "exact"):
+        assert find(changed, f"{model} on rendered spots, z_F = 200 mm").holds
 
 
 def test_expected_eccentricity_is_that_of_half_of_one_plus_cos_phi() -> None:
     # For a pinhole on the sphere cos(phi') = (1 + cos(phi)) / 2; c 5.531, r 11.5: 3.975 mm.
     cos_phi = math.sqrt(1 - (5.531 / 11.5) ** 2)
     expected = 11.5 * math.sqrt(1 - ((1 + cos_phi) / 2) ** 2)
-    found = find(paper_like_run(), "fitted c is smaller than true c")
+    found = find(paper_like_run(), "a fitted c is smaller than the true c")
     assert found.holds
+    assert found.numbers["expected"][0] == pytest.approx(expected, rel=1e-9)
     assert number(expected) in found.text
 
 
-def test_fitted_eccentricity_sentence_follows_the_fits() -> None:
+def test_fitted_eccentricity_claim_follows_the_fits() -> None:
     findings = paper_like_run()
-    findings.sphere_fits["lens", LITERAL]["sphere 1"] = sphere_fit(c=6.0)
-    found = find(findings, "fitted c is smaller than true c")
+    findings.sphere_fits["lens", LITERAL.name]["sphere 1"] = sphere_fit(c=6.0)
+    found = find(findings, "a fitted c is smaller than the true c")
     assert found.holds is False
-    assert found.headline == "The fitted c is smaller than the true one in 11 of 12 fits."
+    assert found.text.startswith("11 of 12 fits give a smaller c than the true one")
 
 
-def test_a_way_that_sees_nothing_is_named() -> None:
+def test_a_way_that_sees_nothing_is_counted() -> None:
     # 12 trials of 9 frames in three ways and 8 of 4 in one, less the blind third.
-    found = find(paper_like_run(), "frames left out")
-    assert found.headline == "248 of 356 measurements enter the fits."
-    assert found.text == f"“{BLIND}” sees no spot that counts in any of its 108 frames."
+    found = find(paper_like_run(), "frames used")
+    assert found.text.startswith("248 of 356 measurements enter the fits.")
+    by_way = dict(zip(found.numbers["ways"], found.numbers["used"], strict=True))
+    assert by_way == {LITERAL.name: 108, LITERAL_METERED.name: 0, SUBPIXEL.name: 140}
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "holds"),
+    [
+        (0.5, -math.inf, 0.5, True),
+        (0.6, -math.inf, 0.5, False),
+        ((0.1, 0.6), 0.0, 0.5, False),
+        (math.nan, -math.inf, 0.5, False),
+        (0.6, -math.inf, math.inf, None),
+    ],
+)
+def test_a_claim_holds_if_every_value_lies_within_its_bounds(
+    value: float | tuple[float, ...], low: float, high: float, holds: bool | None
+) -> None:
+    claim = Claim(name="n", sentence="{value:.1f} in {low:g}", value=value, low=low, high=high)
+    assert claim.holds is holds
 
 
 @pytest.mark.parametrize(

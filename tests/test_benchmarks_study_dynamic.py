@@ -12,15 +12,23 @@ import pytest
 
 import optics
 import scenes
+from benchmarks.evaluation.tracking import LITERAL, SUBPIXEL
+from benchmarks.reporting.claims import Claim
 from benchmarks.reporting.study import Request
 from benchmarks.studies.dynamic import measure as dynamic_measure
 from benchmarks.studies.dynamic import parts as parts_of
 from benchmarks.studies.dynamic import report as dynamic_report
 from benchmarks.studies.dynamic import run as dynamic
 from benchmarks.studies.dynamic import trials as trials_of
-from benchmarks.studies.dynamic.parts import PARTS, DynamicError
-from benchmarks.studies.dynamic.trials import COMPARED, LATENCIES_S, LITERAL, MOTIONS, SUBPIXEL
-from benchmarks.studies.validate.conclusions import Conclusion
+from benchmarks.studies.dynamic.findings import (
+    COMPARED,
+    LATENCIES_S,
+    MOTIONS,
+    PARTS,
+    DynamicError,
+    DynamicFindings,
+    speed_at,
+)
 from estimator import MicroscopeFile, Pose, PoseTrack
 from scenes import SceneError
 from scenes.world import World
@@ -108,11 +116,11 @@ def test_frames_without_an_estimate_are_counted_and_add_no_error():
 def test_an_error_that_grows_with_speed_reaches_a_limit_where_the_line_does():
     rows = [row(speed_mm_s=v, error_mm=0.05 + 0.1 * v, rest_mm=0.05) for v in SPEEDS]
     spreads = parts_of.spreads(rows, SPEEDS)
-    assert parts_of.speed_at(spreads, 0.5) == pytest.approx(4.5)
-    assert parts_of.speed_at(spreads, 0.075) == pytest.approx(0.25)
-    assert parts_of.speed_at(spreads, 0.04) == 0.0
-    assert math.isnan(parts_of.speed_at(spreads, 0.6))
-    assert math.isnan(parts_of.speed_at([], 0.5))
+    assert speed_at(spreads, 0.5) == pytest.approx(4.5)
+    assert speed_at(spreads, 0.075) == pytest.approx(0.25)
+    assert speed_at(spreads, 0.04) == 0.0
+    assert math.isnan(speed_at(spreads, 0.6))
+    assert math.isnan(speed_at([], 0.5))
 
 
 # Scenes.
@@ -205,8 +213,8 @@ def drawn(*, blur: float, late: float) -> list[DynamicError]:
     return found
 
 
-def told(rows: list[DynamicError]) -> dict[str, Conclusion]:
-    findings = dynamic.Findings(
+def claimed(rows: list[DynamicError]) -> dict[str, Claim]:
+    findings = DynamicFindings(
         scene=SCENE,
         exposure_ms=20.0,
         sources=("cone",),
@@ -214,30 +222,34 @@ def told(rows: list[DynamicError]) -> dict[str, Conclusion]:
         rows=rows,
         spreads=parts_of.spreads(rows, SPEEDS),
     )
-    return {found.topic: found for found in dynamic_report.report(findings).found}
+    return {claim.name: claim for claim in dynamic_report.report(findings).claims}
 
 
 def test_the_report_says_whether_a_tenth_of_a_millimetre_is_kept_and_what_is_larger():
     # 0.01 + 0.015 * 5 = 0.085 mm; a late pose adds 0.1 s of way, 0.5 mm at 5 mm/s.
-    good = told(drawn(blur=0.015, late=1.0))
-    assert good["cone, 0.1 mm"].holds
-    topic = f"cone, {LITERAL.name}, parts"
-    assert "the late pose" in good[topic].headline
+    good = claimed(drawn(blur=0.015, late=1.0))
+    requirement = good["cone, requirement"]
+    assert requirement.holds
+    assert requirement.value == pytest.approx(0.085)
+    name = f"cone, {LITERAL.name}, late pose against blur"
+    assert good[name].holds
+    assert (good[name].value, good[name].low) == (pytest.approx(0.5), pytest.approx(0.075))
     # 0.5 mm over 1.5 mm/s; 0.015 mm a mm/s in 20 ms is 0.75 mm a mm of path: 333 / 0.75 ms.
-    papers = good["cone, the paper's speed"].headline
+    papers = good["cone, the paper's speed"].text
     assert "333 ms" in papers and "444 ms" in papers
-    bad = told(drawn(blur=0.2, late=0.1))
-    assert bad["cone, 0.1 mm"].holds is False
-    assert "blur" in bad[topic].headline
+    bad = claimed(drawn(blur=0.2, late=0.1))
+    assert bad["cone, requirement"].holds is False
+    assert bad[name].holds is False
     # 0.01 + 0.2 v = 0.5.
-    assert "2.45 mm/s" in bad[f"cone, {LITERAL.name}, 0.5 mm"].headline
+    assert "2.45, 2.45, 2.45 mm/s" in bad[f"cone, {LITERAL.name}, 0 ms late"].text
 
 
-def test_frames_that_are_lost_are_told():
+def test_lost_frames_are_counted_by_reason():
     rows = [r._replace(doubt="ambiguous", error_mm=math.nan) for r in drawn(blur=0.0, late=0.0)]
-    found = told(rows)["cone, 0.1 mm"]
-    assert not found.holds
-    assert "9 of 9 frames gave no estimate" in found.text and "9 ambiguous" in found.text
+    found = claimed(rows)["cone, requirement"]
+    assert found.holds is False
+    assert "9 of 9 frames gave no estimate" in found.text
+    assert found.numbers["reasons"] == {"ambiguous": 9}
 
 
 # The whole.

@@ -19,14 +19,23 @@ import optics
 import scenes
 from benchmarks.evaluation import model_error
 from benchmarks.evaluation.model_error import Geometry, ModelError
-from benchmarks.reporting.study import Data, Picture, Report, Request, Section, Study, Table
+from benchmarks.reporting.claims import Claim
+from benchmarks.reporting.report import Data, Picture, Report, Section
+from benchmarks.reporting.study import Request, Study
+from benchmarks.reporting.tables import Column, Table
 from benchmarks.studies.eccentricity import causes, chain, limits, space
 from benchmarks.studies.eccentricity import run as eccentricity
 from benchmarks.studies.eccentricity.causes import CAUSES, WRONG_C_MM, WRONG_R_MM, Shift
 from benchmarks.studies.eccentricity.chain import Eye, Links
-from benchmarks.studies.eccentricity.limits import DISTANCES_MM, Limit
+from benchmarks.studies.eccentricity.findings import (
+    AXES,
+    DISTANCES_MM,
+    LIMITS_MM,
+    CauseShare,
+    Limit,
+    Withdrawals,
+)
 from benchmarks.studies.eccentricity.shapley import coalitions, shapley_values
-from benchmarks.studies.validate.conclusions import Conclusion
 
 SCALE, K, B, R = 0.0067, 20.0, -5.117, 11.5
 EDGE_PX, PIXELS_PX = 0.03, -0.02
@@ -211,7 +220,7 @@ def test_shares_are_the_mean_gain_over_all_orders_of_joining():
 
 
 @pytest.fixture(scope="module")
-def withdrawals() -> dict[float, limits.Withdrawals]:
+def withdrawals() -> dict[float, Withdrawals]:
     return {
         z_f: limits.withdrawals(geometry(z_f=z_f), eccentricities=C_MM, medium="air")
         for z_f in (11.5, 100.0, 200.0)
@@ -267,7 +276,7 @@ def test_a_microscope_leaves_the_limits_sooner_than_a_pinhole_on_the_sphere(with
         for w in withdrawals.values()
         for row in limits.limits([e for e in w.errors if not e.refit])
     }
-    for limit in limits.LIMITS_MM:
+    for limit in LIMITS_MM:
         near, far = found[11.5, "small_plane", limit], found[200.0, "small_plane", limit]
         assert far.c_mm < near.c_mm
         # A row just below and one just above, linear between them.
@@ -283,7 +292,7 @@ def test_the_space_is_filled_evenly_and_repeatably():
     first, again = (
         next(space.blocks(count=512, seed=5, scale=SCALE, contact_radius=0.256)) for _ in range(2)
     )
-    for axis, (low, high) in space.AXES.items():
+    for axis, (low, high) in AXES.items():
         values = first.axes[axis]
         assert np.array_equal(values, again.axes[axis])
         # A Sobol net of 512 puts 32 points into each of 16 equal parts of every axis.
@@ -335,22 +344,29 @@ def test_an_axis_that_alone_decides_explains_all_and_one_without_effect_nothing(
 # The frame of all studies.
 
 
-def small_report() -> Report:
+LIMIT = Limit("exact", False, 1.0, 0.0, 0.1, math.nan)
+
+
+def small_report(_: None) -> Report:
     figure = Figure()
     figure.subplots().plot([0, 1])
     return Report(
         title="Is z_F < 3 & fine?",
         lead="A test.",
-        found=[Conclusion("topic", "A headline.", "Its text.")],
+        claims=[
+            Claim(name="topic", sentence="{value:.2f} of {high:g} < 2.", value=0.7, high=1.0),
+            Claim(name="other", sentence="As {row.model}.", numbers={"row": LIMIT}),
+        ],
         sections=[
             Section(
                 "Section",
                 "A paragraph.",
-                Table(("z_F, mm", "name"), [(1.23456, "first")], "A table."),
+                Table((Column("z_F, mm"), Column("name")), [(1.23456, "first")], "A table."),
                 Picture("line", figure, "A line.", data="limits.csv"),
             )
         ],
-        data=[Data("limits.csv", Limit, [Limit("exact", False, 1.0, 0.0, 0.1, math.nan)])],
+        data=[Data("limits.csv", Limit, [LIMIT])],
+        summary={"more": 5},
     )
 
 
@@ -365,7 +381,7 @@ def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
     study = Study("eccentricity", request, defaults=("source.kind=cone",))
     with study.timed("a step"):
         pass
-    study.publish(small_report())
+    study.publish(small_report, None)
     html = (study.folder / "report.html").read_text(encoding="utf-8")
     command = (
         "eyespot study eccentricity --set spot.incidence_deg=20 --geometries 64 --seed 4 --out "
@@ -383,7 +399,12 @@ def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
         assert (study.folder / f"figures/line.{end}").stat().st_size > 0
     again = scenes.load_scene(study.folder / "scene.toml")
     assert (again.source.kind, again.spot.incidence_deg, again.seed) == ("cone", 20.0, 4)
-    assert json.loads((study.folder / "summary.json").read_text())["command"] == study.command
+    summary = json.loads((study.folder / "summary.json").read_text())
+    assert (summary["command"], summary["more"]) == (study.command, 5)
+    first, second = summary["found"]
+    assert (first["text"], first["holds"]) == ("0.70 of 1 < 2.", True)
+    assert (second["text"], second["holds"]) == ("As exact.", None)
+    assert second["numbers"]["row"] == LIMIT._asdict() | {"c_mm": None}
 
 
 def test_a_folder_takes_the_same_request_again_and_refuses_another(tmp_path):
@@ -423,14 +444,14 @@ def test_a_scene_without_an_eyeball_is_refused_before_a_folder_is_made(tmp_path)
 def test_a_quick_run_finds_what_is_known_and_resumes(tmp_path, monkeypatch):
     request = Request(out=tmp_path / "run", quick=True, options={"geometries": 512})
     findings = eccentricity.run(request)
-    measured = [e for e in findings.rendered.errors if not e.refit]
+    measured = findings.rendered.with_true_c
     worst = {m: max(abs(e.error_mm) for e in measured if e.model == m) for m in optics.MODELS}
     # Spots good to 0.1 px are distances good to k delta 0.1 px = 0.013 mm.
     assert worst["exact"] < 0.015
     assert worst["small_plane"] > 1.5
     assert findings.rendered.left_out == 0
-    groups: dict[tuple[str, float, float, float], list[causes.Part]] = {}
-    for part in findings.rendered.parts:
+    groups: dict[tuple[str, float, float, float], list[CauseShare]] = {}
+    for part in findings.rendered.shares:
         groups.setdefault((part.model, part.z_f_mm, part.c_mm, part.d_mm), []).append(part)
     for parts in groups.values():
         assert [part.cause for part in parts] == list(CAUSES)

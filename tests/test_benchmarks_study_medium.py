@@ -10,15 +10,7 @@ from benchmarks.reporting.study import Request
 from benchmarks.studies.medium import light as medium_light
 from benchmarks.studies.medium import rendered as medium_rendered
 from benchmarks.studies.medium import run as medium
-from benchmarks.studies.medium.light import (
-    AIR,
-    AIR_CONE,
-    LENS,
-    LENS_CONE,
-    VITREOUS,
-    Curve,
-    Regression,
-)
+from benchmarks.studies.medium.findings import AIR, VITREOUS, Curve, Method, Regression
 from scenes.world import Cone
 
 DISTANCE = np.linspace(0.05, 8.0, 1600)
@@ -35,7 +27,7 @@ def test_no_medium_changes_what_an_ideal_cone_says():
     cone = Cone(math.atan(1 / 20), -5.117)
     air, vitreous = (medium_light.cone_curve(cone, name) for name in (AIR, VITREOUS))
     rows = medium_light.analytic_errors(air, vitreous, distances=ASKED)
-    assert {row.method for row in rows} == {AIR_CONE, LENS_CONE, LENS}
+    assert {row.method for row in rows} == set(Method)
     # Rounding of numbers near 10, times k.
     assert max(abs(row.error_mm) for row in rows) < 1e-12
     assert not any(row.ambiguous for row in rows)
@@ -46,17 +38,17 @@ def test_airs_cone_is_off_by_the_ratio_of_the_slopes():
     rows = medium_light.analytic_errors(air, vitreous, distances=ASKED)
     for row in rows:
         # R = (d + 4)/16, read as 12 R - 3 = 3/4 d: a quarter of the distance is lost.
-        expected = -0.25 * row.d_mm if row.method == AIR_CONE else 0.0
+        expected = -0.25 * row.d_mm if row.method == Method.AIR_CONE else 0.0
         assert row.error_mm == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_radius_on_both_sides_of_a_waist_is_ambiguous_and_the_farther_answer_is_told():
+def test_a_radius_on_both_sides_of_a_waist_is_ambiguous_and_gives_the_farther_answer():
     air = straight(20.0, -5.0, AIR)
     waist = 2.0
     radius = np.hypot(0.2, 0.1 * (DISTANCE - waist))
     vitreous = air._replace(medium=VITREOUS, radius=radius)
     rows = medium_light.analytic_errors(air, vitreous, distances=np.array([1.0, 3.0, 5.0]))
-    by_lens = {row.d_mm: row for row in rows if row.method == LENS}
+    by_lens = {row.d_mm: row for row in rows if row.method == Method.LENS}
     # The same on both sides, 2 (waist - d) apart; 5 mm's other side lies behind the tip. Linear
     # between samples 5 um apart: 1e-6 of the radius, a few um of distance.
     assert by_lens[1.0].error_mm == pytest.approx(2.0, abs=1e-4)
@@ -104,13 +96,13 @@ def test_a_quick_run_finds_airs_cone_wrong_and_the_lens_model_right(tmp_path):
     findings = medium.run(Request(out=tmp_path / "run", quick=True))
     rendered = [row for row in findings.rows if row.source == "rendered"]
 
-    def worst(light: str, method: str) -> float:
+    def worst(light: str, method: Method) -> float:
         rows = [r for r in rendered if (r.light, r.medium, r.method) == (light, VITREOUS, method)]
         return max(abs(row.error_mm) for row in rows if not row.ambiguous)
 
-    assert worst("paper-candidate", AIR_CONE) > 1.0
-    assert worst("paper-candidate", LENS) < 0.1
+    assert worst("paper-candidate", Method.AIR_CONE) > 1.0
+    assert worst("paper-candidate", Method.LENS) < 0.1
     # Spots good to 0.1 px are distances good to k delta 0.1 px = 0.013 mm, twice: fit and use.
-    assert worst("cone", AIR_CONE) < 0.03
+    assert worst("cone", Method.AIR_CONE) < 0.03
     for name in ("report.html", "medium_error.csv", "medium_cones.csv", "figures/error.png"):
         assert (tmp_path / "run" / name).stat().st_size > 0

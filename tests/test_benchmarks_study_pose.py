@@ -10,49 +10,53 @@ import pytest
 
 import optics
 import scenes
+from benchmarks.evaluation.summaries import rms
 from benchmarks.reporting.study import Request
 from benchmarks.studies.pose import analytic as pose_analytic
 from benchmarks.studies.pose import errors as pose_errors
 from benchmarks.studies.pose import rendered as pose_rendered
 from benchmarks.studies.pose import run as pose
-from benchmarks.studies.pose.errors import FREE, KNOWN, PRIOR, PoseError
-from benchmarks.studies.pose.tool import (
+from benchmarks.studies.pose.errors import one_spot, three_spots
+from benchmarks.studies.pose.findings import PoseError, Prior, scatter
+from calibration.spots.tool_pose import (
     Tool,
     ToolPose,
-    bound,
-    contours,
-    fit,
-    mismatch_covariance,
-    one_spot,
-    three_spots,
+    contour_mismatch_covariance,
+    fit_tool,
+    tool_contours,
+    tool_pose_bound,
 )
 from scenes.world import Cone, World
 
 CONE = Cone(math.atan(1 / 20), -5.117)
-ONE, THREE = one_spot(CONE), three_spots(CONE)
+ONE, THREE = one_spot(*CONE), three_spots(*CONE)
 WALL = optics.Sphere(11.5)
 VIEW = optics.microscope(scale=0.0065, pinhole_height=11.5, eye_radius=11.5)
 SIGMA_PX = 0.05
 
 
-def place(incidence_deg: float, *, c: float = 3.0, d: float = 4.0) -> pose_analytic.Place:
-    return pose_analytic.place_at(
+def place(incidence_deg: float, *, c: float = 3.0, d: float = 4.0) -> pose_errors.Place:
+    return pose_errors.place_at(
         WALL, c=c, around_deg=30.0, d=d, incidence_deg=incidence_deg, azimuth_deg=60.0, roll=0.7
     )
 
 
 def bounds(tool: Tool, incidence_deg: float) -> tuple[float, float]:
     """Of the tip, um, and of the axis, degrees."""
-    covariance = np.asarray(bound(tool, place(incidence_deg).pose, WALL, VIEW, sigma_px=SIGMA_PX))
-    return 1e3 * pose_analytic.tip_bound(covariance), pose_analytic.axis_bound_deg(covariance)
+    covariance = np.asarray(
+        tool_pose_bound(tool, place(incidence_deg).pose, WALL, VIEW, sigma_px=SIGMA_PX)
+    )
+    return 1e3 * pose_errors.tip_bound(covariance), pose_errors.axis_bound_deg(covariance)
 
 
 @jax.jit
 def spots(at: ToolPose) -> tuple[optics.Ellipse, jax.Array]:
     """Ellipses of the three spots, and what noise makes of them."""
-    seen = contours(THREE, at, WALL, VIEW)
+    seen = tool_contours(THREE, at, WALL, VIEW)
     ellipses = optics.ellipse_of_contour(seen)
-    return ellipses, jax.vmap(lambda c, e: mismatch_covariance(c, e, SIGMA_PX))(seen, ellipses)
+    return ellipses, jax.vmap(lambda c, e: contour_mismatch_covariance(c, e, SIGMA_PX))(
+        seen, ellipses
+    )
 
 
 @pytest.mark.parametrize(("incidence", "tip_um"), [(10.0, (5.0, 7.0)), (30.0, (1.5, 2.5))])
@@ -65,9 +69,9 @@ def test_the_bound_of_one_spot_is_the_known_one(incidence, tip_um):
 
 
 def test_a_known_axis_leaves_the_known_bound_of_the_tip():
-    known = bound(ONE, place(20.0).pose, WALL, VIEW, sigma_px=SIGMA_PX, axis_known=True)
+    known = tool_pose_bound(ONE, place(20.0).pose, WALL, VIEW, sigma_px=SIGMA_PX, axis_known=True)
     # DESIGN §3: 0.6 um.
-    assert 1e3 * pose_analytic.tip_bound(np.asarray(known)) == pytest.approx(0.6, abs=0.1)
+    assert 1e3 * pose_errors.tip_bound(np.asarray(known)) == pytest.approx(0.6, abs=0.1)
 
 
 def test_three_splayed_spots_tell_more_than_three_measurements_of_one():
@@ -83,7 +87,7 @@ def test_three_spots_give_the_tool_back_even_where_the_mirror_image_is_expected(
         ellipses, covariances = spots(true.pose)
         for expected in (axis, 2.0 * (true.outward @ axis) * true.outward - axis):
             prior = optics.DirectionPrior(jnp.asarray(expected), 1e6)  # which weighs nothing
-            found = fit(THREE, ellipses, np.asarray(covariances), WALL, VIEW, prior)
+            found = fit_tool(THREE, ellipses, np.asarray(covariances), WALL, VIEW, prior)
             # 32 points of the compared contour leave 1e-7 px, 1e-9 mm; the solver stops at 1e-10
             # of the cost, which is a 1e-5th of the bound's 1e-3 mm.
             assert np.asarray(found.best.tip) == pytest.approx(tip, abs=1e-6)
@@ -93,10 +97,10 @@ def test_three_spots_give_the_tool_back_even_where_the_mirror_image_is_expected(
 
 
 def test_spots_of_a_tool_lie_evenly_round_its_axis_at_square_incidence():
-    at = pose_analytic.place_at(
+    at = pose_errors.place_at(
         WALL, c=0.0, around_deg=0.0, d=3.0, incidence_deg=0.0, azimuth_deg=0.0
     )
-    centres = np.asarray(contours(THREE, at.pose, WALL, VIEW)).mean(axis=1)
+    centres = np.asarray(tool_contours(THREE, at.pose, WALL, VIEW)).mean(axis=1)
     apart = np.linalg.norm(centres - np.roll(centres, 1, axis=0), axis=1)
     assert apart == pytest.approx(apart[0])
     # Tips 0.5/sqrt(3) mm off the axis, 10 degrees outwards, on a plane 3 mm away; the sphere's
@@ -112,7 +116,7 @@ def rows() -> list[PoseError]:
 
 
 def test_one_spots_errors_are_those_of_the_bound(rows):
-    for prior in (PRIOR, KNOWN):
+    for prior in (Prior.ROUGH, Prior.KNOWN):
         right = [r for r in rows if r.prior == prior and not r.mirrored]
         ratios = [(row.tip_error_mm / row.tip_bound_mm) ** 2 for row in right]
         # A square of one to three normal numbers: the mean of 30 has a standard deviation of 0.26
@@ -121,7 +125,7 @@ def test_one_spots_errors_are_those_of_the_bound(rows):
 
 
 def test_a_mirrored_solution_has_another_tip_but_the_same_distance(rows):
-    mirrored = [row for row in rows if row.prior == FREE and row.mirrored]
+    mirrored = [row for row in rows if row.prior == Prior.NONE and row.mirrored]
     assert mirrored
     for row in mirrored:
         # Leaning the other way moves the tip by 2 d sin(incidence), give or take the sphere.
@@ -197,10 +201,10 @@ def test_a_quick_run_is_within_what_was_asked(tmp_path):
     findings = pose.run(Request(out=tmp_path / "run", quick=True))
     rendered = [row for row in findings.rows if row.source == "rendered"]
     assert {row.spots for row in rendered} == {1, 3}
-    found = pose_errors.scatter([r for r in rendered if r.prior == PRIOR and r.spots == 1])
+    found = scatter([r for r in rendered if r.prior == Prior.ROUGH and r.spots == 1])
     assert found.tip_mm < 0.010
     assert found.axis_deg < 0.1
-    known = [row.distance_error_mm for row in rendered if row.prior == KNOWN]
-    assert pose_errors.rms(known) < 0.005
+    known = [row.distance_error_mm for row in rendered if row.prior == Prior.KNOWN]
+    assert rms(known) < 0.005
     for name in ("report.html", "pose_error.csv", "figures/incidence.png"):
         assert (tmp_path / "run" / name).stat().st_size > 0

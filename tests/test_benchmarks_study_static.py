@@ -9,17 +9,18 @@ import pytest
 
 import optics
 import scenes
-from benchmarks.evaluation.lines import fit_lines
 from benchmarks.evaluation.paper import TABLE_I, PlaneRow
 from benchmarks.evaluation.trials import paper_trials
 from benchmarks.reporting.study import Request
 from benchmarks.studies.static import causes as static_causes
 from benchmarks.studies.static import run as static
 from benchmarks.studies.static.bench import EVEN
-from benchmarks.studies.static.causes import ALL, CAUSES, NONE
+from benchmarks.studies.static.findings import ALL, CAUSES, NONE, Scope
 from benchmarks.studies.table_one import causes, moments, scan
 from benchmarks.studies.table_one import run as table_one
-from benchmarks.studies.table_one.scan import AT_SCALE, Choice, Family, Isophotes
+from benchmarks.studies.table_one.findings import Demand, LensChoice
+from benchmarks.studies.table_one.isophotes import Family, Isophotes
+from calibration.spots.lines import fit_lines
 from scenes.world import World
 
 K, B = 20.0, -5.117
@@ -32,9 +33,9 @@ def flat() -> dict[float, Isophotes]:
     return {na: Isophotes.of(Family(na, 0.0), PLANE) for na in (0.08, 0.10, 0.20)}
 
 
-def best(isophotes: Isophotes) -> Choice:
+def best(isophotes: Isophotes) -> LensChoice:
     choices = scan.best_choices(isophotes, scale=PLANE.microscope.scale_mm_px)
-    return next(choice for choice in choices if choice.asked == AT_SCALE)
+    return next(choice for choice in choices if choice.asked == Demand.AT_SCALE)
 
 
 # Lines.
@@ -85,14 +86,14 @@ def test_a_missed_touch_adds_its_variance_to_the_line_of_all_trials_and_nothing_
     parts = static_causes.parts(*variants(touch), texture=np.zeros(len(touch)))
     of = {(p.scope, p.cause): p.part_mm2 for p in parts}
     # Offsets cannot be correlated with spots that are the same in all trials; rounding.
-    assert of["all trials", "touch"] == pytest.approx(np.var(touch, axis=1).mean(), rel=1e-9)
-    assert of["each trial", "touch"] == pytest.approx(0.0, abs=1e-12)
+    assert of[Scope.POOLED, "touch"] == pytest.approx(np.var(touch, axis=1).mean(), rel=1e-9)
+    assert of[Scope.OWN, "touch"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_parts_and_what_they_do_together_lead_from_none_to_all():
     touch = 0.1 * np.random.default_rng(2).standard_normal((6, 3))
     parts = static_causes.parts(*variants(touch), texture=np.zeros(len(touch)))
-    for scope in ("each trial", "all trials"):
+    for scope in Scope:
         own = {p.cause: p.part_mm2 for p in parts if p.scope == scope}
         lead = own[NONE] + own["together"] + sum(own[cause] for cause in CAUSES if cause in own)
         assert lead == pytest.approx(own[ALL], rel=1e-12)

@@ -6,9 +6,10 @@ import json
 import numpy as np
 import pytest
 
+import scenes
 from benchmarks.evaluation import model_error, trials
+from benchmarks.evaluation.tracking import SUBPIXEL
 from benchmarks.studies.validate import run as validate
-from benchmarks.studies.validate.run import SUBPIXEL
 
 FILES = ("report.html", "summary.json", "model_error.csv", "run.json")
 
@@ -33,7 +34,7 @@ def test_a_run_leaves_everything_that_it_promises(cone_run):
 @pytest.mark.slow
 def test_sub_pixel_spots_of_the_ideal_cone_give_its_parameters(cone_run):
     _, findings = cone_run
-    fit = findings.plane_fits["cone", SUBPIXEL]["all planes"]
+    fit = findings.plane_fits["cone", SUBPIXEL.name]["all planes"]
     # k = 20, delta = 0.0067; readings start at contact, 0.25 tan(30 deg) = 0.144 mm from the wall.
     # 0.02 px of 60 at either end of the range is 5e-4 of the slope.
     assert fit.delta_k == pytest.approx(0.134, rel=2e-3)
@@ -63,17 +64,24 @@ def test_a_second_run_renders_nothing_and_finds_the_same(cone_run, monkeypatch):
     def never(*args, **kwargs):
         raise AssertionError("a finished trial was rendered again")
 
-    monkeypatch.setattr(validate.scenes, "render_stack", never)
-    before = json.loads((out / "summary.json").read_text())
+    monkeypatch.setattr(scenes, "render_stack", never)
+    files = [*sorted(out.glob("*.csv")), *sorted((out / "spots").iterdir())]
+    before = {path: path.read_bytes() for path in files}
+    summary = json.loads((out / "summary.json").read_text())
     again = validate.run(out=out, quick=True, seed=0, source="cone")
     assert again.plane_fits == findings.plane_fits
+    assert again.sphere_fits == findings.sphere_fits
+    assert again.analytic == findings.analytic
+    assert again.rendered == findings.rendered
+    assert len(before) > len(FILES)
+    assert {path: path.read_bytes() for path in files} == before
     after = json.loads((out / "summary.json").read_text())
-    assert after.keys() == before.keys()
+    assert after | {"seconds": None} == summary | {"seconds": None}
 
 
 def test_a_folder_with_something_else_is_refused(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(ValueError, match="holds something else"):
+    with pytest.raises(ValueError, match="other files"):
         validate.run(out=tmp_path, quick=True, seed=0, source="cone")
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
@@ -85,9 +93,9 @@ def test_a_folder_with_another_run_is_refused(tmp_path):
         validate.run(out=tmp_path, quick=True, seed=0, source="cone")
 
 
-def test_analytic_errors_hold_the_known_rows():
+def test_analytic_errors_have_the_known_rows():
     trial = trials.grid_trials(quick=True, seed=0)[0]
-    geometry = validate._geometry(trial, pinhole_height=11.5, incidence_deg=0.0)
+    geometry = model_error.geometry_of(trial.scene)._replace(pinhole_height=11.5, incidence=0.0)
     errors = model_error.analytic_errors(
         geometry, eccentricities=np.array([3.0]), distances=np.array([0.5, 2.0, 4.0, 6.0])
     )

@@ -19,7 +19,8 @@ from rich.table import Table
 
 import calibration
 import optics
-from benchmarks.studies.pose import PRIOR_DEG, REPORTED, angle_deg, drawn_prior, rms
+from benchmarks.evaluation import rms
+from benchmarks.studies.pose import PRIOR_DEG, REPORTED, angle_deg, drawn_prior
 from calibration import Prior
 from calibration.pixels import Footage, fit_footage, read_footage
 from scenes import Scene, load_mitsuba, render_stack

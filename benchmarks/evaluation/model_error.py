@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import numpy as np
 
 import optics
+from benchmarks.evaluation.summaries import largest, mean
+from benchmarks.reporting import Column
 from calibration import SphereFit, fit_eccentricity
 from estimator import FrameLabels
+from scenes import Scene
+from scenes.world import World
 
 COMPARED = ("small_plane", "corrected", "stereographic", "exact")
 """The models of a spot in an eyeball; `planar` knows of none."""
@@ -51,6 +55,30 @@ class ModelError(NamedTuple):
     apex_offset_mm: float
     estimate_mm: float
     error_mm: float
+
+
+class Accuracy(NamedTuple):
+    """Row of rendered_accuracy.csv: a model's errors over all measured spots of one pinhole."""
+
+    model: Annotated[str, Column("model")]
+    z_f_mm: Annotated[float, Column("z_F, mm", 1)]
+    spots: Annotated[int, Column("spots")]
+    mean_error_mm: Annotated[float, Column("mean error, mm", 4, sign=True)]
+    max_abs_error_mm: Annotated[float, Column("largest |error|, mm", 4)]
+
+
+def geometry_of(scene: Scene) -> Geometry:
+    """The geometry that the models are given of a scene."""
+    half_angle, b = World(scene).cone
+    return Geometry(
+        scale=scene.microscope.scale_mm_px,
+        pinhole_height=scene.microscope.pinhole_height_mm,
+        eye_radius=scene.phantom.radius_mm,
+        half_angle=half_angle,
+        apex_offset=b,
+        incidence=math.radians(scene.spot.incidence_deg),
+        incidence_azimuth=math.radians(scene.spot.incidence_azimuth_deg),
+    )
 
 
 def analytic_errors(
@@ -151,6 +179,39 @@ def estimates(
     """Distance by every model, mm, from e1' (px) at known eccentricity (mm)."""
     values = _estimates(geometry, c, semi_minor_px)
     return {model: np.asarray(distance) for model, distance in values.items()}
+
+
+def accuracy(errors: Sequence[ModelError]) -> list[Accuracy]:
+    """Each model's errors by pinhole height."""
+    rows = []
+    for height, model in dict.fromkeys((e.z_f_mm, e.model) for e in errors):
+        values = [e.error_mm for e in errors if (e.z_f_mm, e.model) == (height, model)]
+        rows.append(Accuracy(model, height, len(values), mean(values), largest(values)))
+    return rows
+
+
+def largest_errors(errors: Iterable[ModelError]) -> tuple[list[float], list[float]]:
+    """Eccentricities in order, and the largest absolute error over all distances at each; mm."""
+    worst: dict[float, float] = {}
+    for e in errors:
+        c = round(e.c_mm, 6)
+        worst[c] = max(worst.get(c, 0.0), abs(e.error_mm))
+    return sorted(worst), [worst[c] for c in sorted(worst)]
+
+
+def limit_eccentricity(errors: Iterable[ModelError], limit: float) -> float:
+    """Smallest c at which the largest error over all distances reaches the limit, mm.
+
+    Linear between the eccentricities computed; NaN if the limit is never reached.
+    """
+    before: tuple[float, float] | None = None
+    for c, size in zip(*largest_errors(errors), strict=True):
+        if size >= limit:
+            if before is None:
+                return c
+            return before[0] + (c - before[0]) * (limit - before[1]) / (size - before[1])
+        before = c, size
+    return math.nan
 
 
 def _rows(

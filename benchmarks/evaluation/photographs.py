@@ -8,14 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.evaluation.tracking import VISIBLE_ENOUGH, WAYS, Way
+from benchmarks.evaluation.tracking import LITERAL, VISIBLE_ENOUGH, Way
 from estimator import LiteralSettings, Spot, Stack, track
 from scenes import Scene
 from scenes.camera import Camera
 from scenes.description import CameraSettings
-
-LITERAL = next(way for way in WAYS if way.exposure == "paper")
-SUBPIXEL = WAYS[-1]
 
 
 class Shot(NamedTuple):

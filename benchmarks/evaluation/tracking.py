@@ -21,7 +21,7 @@ from estimator import (
 )
 
 VISIBLE_ENOUGH = 0.5
-"""Part of the half-maximum contour that must be seen for a spot to be asked for."""
+"""Part of the half-maximum contour that must be visible for a spot to count."""
 
 USED = "used"
 """Outcome of a frame that enters the fits."""
@@ -49,11 +49,15 @@ class Way:
         return self.name.replace(",", "").replace(" ", "-")
 
 
-WAYS = (
-    Way("literal, paper exposure", "paper", LiteralSettings(), True),
-    Way("literal, metered", "metered", LiteralSettings(), True),
-    Way("sub-pixel, metered", "metered", SubpixelSettings(), False),
-)
+LITERAL = Way("literal, paper exposure", "paper", LiteralSettings(), True)
+"""The paper's own way: a threshold in frames of one exposure."""
+
+LITERAL_METERED = Way("literal, metered", "metered", LiteralSettings(), True)
+
+SUBPIXEL = Way("sub-pixel, metered", "metered", SubpixelSettings(), False)
+"""The best way: the half-maximum edge in frames that are metered one by one."""
+
+WAYS = (LITERAL, LITERAL_METERED, SUBPIXEL)
 
 
 @dataclass(frozen=True)

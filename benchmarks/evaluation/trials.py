@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from benchmarks.evaluation.paper import TABLE_II
 from scenes import Scene
 
-# Places on the printed plane: far enough from each other that no wall texture is shared.
+# Places on the printed plane, so far apart that they share no wall texture.
 _PLANE_ECCENTRICITIES_MM = (1.5, 3.0, 4.5)
 _AZIMUTHS_DEG = (0.0, 120.0, 240.0)
 PINHOLE_HEIGHTS_MM = (11.5, 200.0)
 """On the eyeball's sphere (equation 9 of Zhou et al. 2020), and a real microscope."""
 
 
+TrialKind = Literal["plane", "sphere", "grid"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class Trial:
-    """One stack to render.
+class StaticTrial:
+    """A withdrawal of the static experiment.
 
     Attributes:
-        name: also that of its folder.
-        kind: "plane", "sphere", or "grid".
-        group: which row of the paper's tables it stands beside, or the grid's name.
+        name: of the trial and of its stack's folder.
+        kind: the wall, or the grid of the model errors.
+        group: the row of the paper's tables that it is compared with, or the grid's name.
         scene: the scene.
     """
 
     name: str
-    kind: str
+    kind: TrialKind
     group: str
     scene: Scene
 
@@ -36,7 +40,7 @@ class Trial:
         return self.scene.source.kind
 
 
-def paper_trials(*, source: str, quick: bool, seed: int) -> list[Trial]:
+def paper_trials(*, source: str, quick: bool, seed: int) -> list[StaticTrial]:
     """Three withdrawals on the plane and three in the eyeball, with one kind of source.
 
     Args:
@@ -45,10 +49,12 @@ def paper_trials(*, source: str, quick: bool, seed: int) -> list[Trial]:
         seed: of camera noise and wall texture.
     """
     frames = 9 if quick else 61
-    plane = [(f"plane {n}", "plane", c) for n, c in enumerate(_PLANE_ECCENTRICITIES_MM, start=1)]
-    sphere = [(name, "sphere", row.c) for name, row in TABLE_II.items()]
+    places: list[tuple[str, TrialKind, float]] = [
+        *((f"plane {n}", "plane", c) for n, c in enumerate(_PLANE_ECCENTRICITIES_MM, start=1)),
+        *((name, "sphere", row.c) for name, row in TABLE_II.items()),
+    ]
     return [
-        Trial(
+        StaticTrial(
             name=f"{source}-{group.replace(' ', '-')}",
             kind=kind,
             group=group,
@@ -69,15 +75,15 @@ def paper_trials(*, source: str, quick: bool, seed: int) -> list[Trial]:
                 }
             ),
         )
-        for number, (group, kind, c) in enumerate(plane + sphere)
+        for number, (group, kind, c) in enumerate(places)
     ]
 
 
-def grid_trials(*, quick: bool, seed: int) -> list[Trial]:
+def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
     """Ideal cones at each eccentricity from 0 to 7 mm, for both pinhole heights."""
     eccentricities = (0.0, 3.0, 5.0, 7.0) if quick else tuple(float(c) for c in range(8))
     return [
-        Trial(
+        StaticTrial(
             name=f"grid-pinhole-{height:g}-c-{c:g}",
             kind="grid",
             group=f"pinhole {height:g} mm",

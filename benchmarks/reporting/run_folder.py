@@ -1,10 +1,8 @@
-"""The folder of a run: taken once, resumed by the same request, filled with whole files only."""
+"""The folder of a run: taken by one request, resumed by the same one, never half written."""
 
 from __future__ import annotations
 
-import base64
 import importlib.metadata
-import io
 import json
 import math
 import os
@@ -13,14 +11,11 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import scenes
 from estimator import Stack, read_stack
 from scenes import Scene
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _PACKAGES = (
     "eyespot",
@@ -37,29 +32,27 @@ _PACKAGES = (
 
 
 def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
-    """Take an empty folder, or one that a run with the same settings left; writes run.json.
+    """Take an empty folder, or that of an earlier run with the same settings; writes run.json.
 
     Args:
         out: the folder; made if missing.
-        settings: what was asked for.
-        command: that runs it, for the message.
+        settings: the run's.
+        command: the run's, for the message.
 
     Raises:
-        ValueError: the folder holds a run with other settings, or something else.
+        ValueError: the folder has a run with other settings, or other files.
     """
     file = out / "run.json"
     if file.is_file():
         found = json.loads(file.read_text())
         if found != settings:
             raise ValueError(
-                f"{out} holds a run with other settings: {_difference(found, settings)}. "
+                f"{out} has a run with other settings: {_difference(found, settings)}. "
                 "Choose another --out, or remove the folder."
             )
         return
     if out.is_dir() and any(out.iterdir()):
-        raise ValueError(
-            f"{out} holds something else than a run of `{command}`. Choose another --out."
-        )
+        raise ValueError(f"{out} has other files than a run of `{command}`. Choose another --out.")
     out.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(settings) + "\n")
 
@@ -67,7 +60,7 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
 def finished_stack(
     scene: Scene, folder: Path, *, progress: Callable[[], None] = lambda: None
 ) -> Stack:
-    """The scene's stack, rendered unless an earlier run has finished it.
+    """The scene's stack, rendered unless an earlier run finished it.
 
     Args:
         scene: the scene.
@@ -92,7 +85,7 @@ def finished_stack(
 
 @contextmanager
 def published(out: Path) -> Iterator[Path]:
-    """A folder whose files move into `out` when the block has ended well."""
+    """A folder whose files move into `out` if the block ends without an error."""
     folder = out / ".report.partial"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -109,28 +102,13 @@ def published(out: Path) -> Iterator[Path]:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write JSON; null stands for every number that JSON has no word for."""
+    """Write JSON, with null for numbers that are not finite."""
     text = json.dumps(_finite(value), indent=1, allow_nan=False, ensure_ascii=False)
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
-    """Write PNG and SVG; returns the figure as a data URI, of `inline` "svg" or "jpeg"."""
-    figure.savefig(path.with_suffix(".png"), pil_kwargs={"compress_level": 1})
-    figure.set_layout_engine("none")  # it is laid out by now, which takes half of the time
-    # Without a date the same data give the same file.
-    figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
-    if inline == "svg":
-        data, kind = path.with_suffix(".svg").read_bytes(), "svg+xml"
-    else:
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="jpeg", pil_kwargs={"quality": 88})
-        data, kind = buffer.getvalue(), "jpeg"
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-
-
 def versions() -> dict[str, str]:
-    """Of Python and of the packages that results depend on."""
+    """Versions of Python and of the packages that results depend on."""
     found = {"python": platform.python_version()}
     return found | {name: importlib.metadata.version(name) for name in _PACKAGES}
 

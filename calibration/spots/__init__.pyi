@@ -4,6 +4,8 @@ from .cone_fit import fit_cone as fit_cone
 from .cone_trials import Prior as Prior
 from .cone_trials import Trial as Trial
 from .cone_trials import phantom_wall as phantom_wall
+from .lines import Lines as Lines
+from .lines import fit_lines as fit_lines
 from .paper_fits import Loss as Loss
 from .paper_fits import PlaneFit as PlaneFit
 from .paper_fits import SphereFit as SphereFit
@@ -14,3 +16,12 @@ from .paper_fits import sphere_solution as sphere_solution
 from .plane_trials import PlaneTrial as PlaneTrial
 from .plane_trials import PlaneTrialsFit as PlaneTrialsFit
 from .plane_trials import fit_plane_trials as fit_plane_trials
+from .tool_pose import Tool as Tool
+from .tool_pose import ToolFit as ToolFit
+from .tool_pose import ToolPose as ToolPose
+from .tool_pose import contour_mismatch_covariance as contour_mismatch_covariance
+from .tool_pose import contour_normals as contour_normals
+from .tool_pose import fit_tool as fit_tool
+from .tool_pose import tool_beams as tool_beams
+from .tool_pose import tool_contours as tool_contours
+from .tool_pose import tool_pose_bound as tool_pose_bound

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
+from benchmarks.reporting import BLUE, GREEN, ORANGE, STYLE, VERMILION
 from benchmarks.sets.read import Row
-from benchmarks.studies.validate import BLUE, GREEN, ORANGE, STYLE, VERMILION
 
 _COLOURS = {"train": BLUE, "validation": GREEN, "test": ORANGE, "adverse": VERMILION}
 _BINS, _COLUMNS = 24, 4

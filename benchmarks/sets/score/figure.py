@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
+from benchmarks.reporting import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from benchmarks.sets.score.conditions import CONDITIONS
 from benchmarks.sets.score.groups import ALL, Group, Score
 from benchmarks.sets.score.measures import z_scores
 from benchmarks.sets.score.table import MAIN
-from benchmarks.studies.validate import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 
 _Panels = dict[str, dict[str, dict[str, Group]]]
 """Groups by condition, group and estimator."""

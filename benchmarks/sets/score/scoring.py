@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.evaluation import VISIBLE_ENOUGH
-from benchmarks.reporting import save_figure, versions, write_json
+from benchmarks.reporting import STYLE, save_figure, versions, write_json
 from benchmarks.sets.read import stacks_of
 from benchmarks.sets.score.conditions import circumstances_of
 from benchmarks.sets.score.figure import score_figure
@@ -24,7 +24,6 @@ from benchmarks.sets.score.measures import Counts, Errors
 from benchmarks.sets.score.outcomes import Against, Outcome
 from benchmarks.sets.score.spots_of_set import Mode, read_set_spots, track_set
 from benchmarks.sets.score.table import tables
-from benchmarks.studies.validate import STYLE
 from estimator import SpotRecord, write_spots
 from estimator.files import fingerprint, written_whole
 

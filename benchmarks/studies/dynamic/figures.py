@@ -1,124 +1,105 @@
-"""Pictures of the dynamic study."""
+"""Figures of the dynamic study."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.evaluation import ACCEPTABLE_ERROR_MM
-from benchmarks.studies.dynamic.parts import PARTS, DynamicError, DynamicSpread
-from benchmarks.studies.dynamic.trials import COMPARED, LATENCIES_S, LITERAL, MOTIONS, SUBPIXEL
-from benchmarks.studies.validate import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION
+from benchmarks.evaluation import ACCEPTABLE_ERROR_MM, LITERAL, SUBPIXEL
+from benchmarks.reporting import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+    small_multiples,
+)
+from benchmarks.studies.dynamic.findings import (
+    COMPARED,
+    LATENCIES_S,
+    MOTIONS,
+    PARTS,
+    DynamicFindings,
+)
 
-WAY_COLOURS = {LITERAL.name: VERMILION, SUBPIXEL.name: BLUE}
-PART_COLOURS = dict(zip(PARTS, (GREY, ORANGE, GREEN, PURPLE), strict=True))
-SPEED = "speed of the tip (mm/s)"
-_DASHES = ("-", "--", ":")
-_MARKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"))
+_WAY_COLOURS = {LITERAL: VERMILION, SUBPIXEL: BLUE}
+_PART_COLOURS = dict(zip(PARTS, (GREY, ORANGE, GREEN, PURPLE), strict=True))
+_SPEED = "speed of the tip (mm/s)"
+_DASHES = dict(zip(LATENCIES_S, ("-", "--", ":"), strict=True))
+_MARKS = dict(zip(MOTIONS, ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^")), strict=True))
 _LEAST_MM = 1e-3
-"""Errors below it are drawn at the foot of a logarithmic axis."""
+"""Smaller errors are drawn at the foot of a logarithmic axis."""
 
 
-def errors_by_speed(spreads: Sequence[DynamicSpread]) -> Figure:
+def errors_by_speed(findings: DynamicFindings) -> Figure:
     """RMS error against speed: a row for each source, a column for each motion."""
-    figure, panels = _panels(spreads)
-    for (source, motion), axes in panels.items():
+
+    def draw(axes: Axes, source: str, motion: str) -> None:
         axes.axhline(ACCEPTABLE_ERROR_MM, color=GREY, lw=0.8, ls=":")
-        for way in COMPARED:
-            for latency, dashes in zip(LATENCIES_S, _DASHES, strict=True):
-                rows = [s for s in spreads if s[:3] == (source, motion, way.name)]
-                rows = [s for s in rows if s.latency_s == latency]
-                label = "stamped" if latency == 0 else f"{1000 * latency:g} ms late"
-                axes.plot(
-                    [s.speed_mm_s for s in rows],
-                    _drawn([s.rms_error_mm for s in rows]),
-                    color=WAY_COLOURS[way.name],
-                    ls=dashes,
-                    marker="o",
-                    ms=3,
-                    label=f"{way.name}, {label}",
-                )
-    _finish(figure, panels, "RMS error (mm)", speeds=_speeds(spreads), columns=2)
-    return figure
+        for way, colour in _WAY_COLOURS.items():
+            for latency, dashes in _DASHES.items():
+                rows = findings.by_speed(source, motion, way.name, latency)
+                x, y = [s.speed_mm_s for s in rows], _drawn([s.rms_error_mm for s in rows])
+                label = f"{way.name}, {1000 * latency:g} ms late"
+                axes.plot(x, y, color=colour, ls=dashes, marker="o", ms=3, label=label)
+
+    return _by_source_and_motion(findings, draw, y="RMS error (mm)")
 
 
-def parts_by_speed(spreads: Sequence[DynamicSpread], *, way: str) -> Figure:
-    """RMS of each part of one way's error against speed; the latest pose of all."""
-    figure, panels = _panels(spreads)
-    for (source, motion), axes in panels.items():
-        rows = [s for s in spreads if s[:3] == (source, motion, way)]
-        rows = [s for s in rows if s.latency_s == LATENCIES_S[-1]]
+def parts_by_speed(findings: DynamicFindings, *, way: str) -> Figure:
+    """RMS of each part of one way's error against speed, with the latest poses."""
+
+    def draw(axes: Axes, source: str, motion: str) -> None:
+        rows = findings.by_speed(source, motion, way, LATENCIES_S[-1])
         x = [s.speed_mm_s for s in rows]
-        for part in PARTS:
-            y = [getattr(s, f"rms_{part}_mm") for s in rows]
-            axes.plot(x, _drawn(y), color=PART_COLOURS[part], marker="o", ms=3, label=part)
+        for part, colour in _PART_COLOURS.items():
+            y = _drawn([getattr(s, f"rms_{part}_mm") for s in rows])
+            axes.plot(x, y, color=colour, marker="o", ms=3, label=part)
         axes.plot(x, [s.rms_error_mm for s in rows], color=BLACK, ls="--", label="error")
-    _finish(figure, panels, "RMS (mm)", speeds=_speeds(spreads), columns=5)
-    return figure
+
+    return _by_source_and_motion(findings, draw, y="RMS (mm)")
 
 
-def frame_by_frame(rows: Sequence[DynamicError]) -> Figure:
+def frame_by_frame(findings: DynamicFindings) -> Figure:
     """Error of every frame with stamped poses against the tip's speed in it."""
-    stamped = [row for row in rows if row.latency_s == LATENCIES_S[0] and not row.doubt]
-    sources = list(dict.fromkeys(row.source for row in rows))
-    figure = Figure(figsize=(10.0, 3.2 * len(sources) + 0.4), layout="constrained")
-    grid = figure.subplots(len(sources), len(COMPARED), sharex=True, squeeze=False)
-    for line, source in zip(grid, sources, strict=True):
-        for axes, way in zip(line, COMPARED, strict=True):
-            axes.axhline(0, color=GREY, lw=0.8)
-            for motion, (colour, marker) in zip(MOTIONS, _MARKS, strict=True):
-                here = [r for r in stamped if (r.source, r.motion) == (source, motion)]
-                here = [r for r in here if r.way == way.name]
-                x, y = [r.speed_mm_s for r in here], [r.error_mm for r in here]
-                axes.plot(x, y, ls="", marker=marker, ms=3, color=colour, label=motion)
-            axes.set_title(f"{source}, {way.name}")
-        line[0].set_ylabel("error (mm)")
-    for axes in grid[-1]:
-        axes.set_xlabel(SPEED)
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    return figure
+
+    def draw(axes: Axes, source: str, way: str) -> None:
+        axes.axhline(0, color=GREY, lw=0.8)
+        for motion, (colour, marker) in _MARKS.items():
+            key = source, motion, way
+            here = [row for row in findings.stamped if row[:3] == key and not row.doubt]
+            x, y = [r.speed_mm_s for r in here], [r.error_mm for r in here]
+            axes.plot(x, y, ls="", marker=marker, ms=3, color=colour, label=motion)
+
+    ways = [way.name for way in COMPARED]
+    rows = findings.sources
+    return small_multiples(draw, rows=rows, columns=ways, x=_SPEED, y="error (mm)", sharex=True)
 
 
-def _panels(spreads: Sequence[DynamicSpread]) -> tuple[Figure, dict[tuple[str, str], Axes]]:
-    sources = list(dict.fromkeys(s.source for s in spreads))
-    figure = Figure(figsize=(10.0, 2.8 * len(sources) + 0.8), layout="constrained")
-    grid = figure.subplots(len(sources), len(MOTIONS), sharex=True, sharey=True, squeeze=False)
-    return figure, {
-        (source, motion): axes
-        for line, source in zip(grid, sources, strict=True)
-        for motion, axes in zip(MOTIONS, line, strict=True)
-    }
+def _by_source_and_motion(
+    findings: DynamicFindings, draw: Callable[[Axes, str, str], None], *, y: str
+) -> Figure:
+    speeds = sorted({s.speed_mm_s for s in findings.spreads})
 
-
-def _finish(
-    figure: Figure,
-    panels: dict[tuple[str, str], Axes],
-    quantity: str,
-    *,
-    speeds: Sequence[float],
-    columns: int,
-) -> None:
-    for (source, motion), axes in panels.items():
-        axes.set(title=f"{source}, {motion}", xscale="log", yscale="log")
+    def drawn(axes: Axes, source: str, motion: str) -> None:
+        draw(axes, source, motion)
+        axes.set(xscale="log", yscale="log", xticks=speeds)
         axes.set_ylim(bottom=_LEAST_MM)
-        axes.set_xticks(speeds)
         axes.minorticks_off()
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter("{x:g}")
-        axes.set(xlabel=SPEED, ylabel=quantity)
-        axes.label_outer()
-    first = next(iter(panels.values()))
-    handles = first.get_legend_handles_labels()
-    figure.legend(*handles, loc="outside lower center", ncols=columns)
 
-
-def _speeds(spreads: Sequence[DynamicSpread]) -> list[float]:
-    return sorted({s.speed_mm_s for s in spreads})
+    rows, columns = findings.sources, list(MOTIONS)
+    return small_multiples(
+        drawn, rows=rows, columns=columns, x=_SPEED, y=y, sharex=True, sharey=True
+    )
 
 
 def _drawn(sizes: Sequence[float]) -> list[float]:
-    """With zeros lifted to the foot of the axis; NaN stays."""
+    """The sizes with zeros lifted to the foot of the axis; NaN stays."""
     return [size if math.isnan(size) else max(size, _LEAST_MM) for size in sizes]

@@ -8,10 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.evaluation import VISIBLE_ENOUGH, Way, calibration, track_stack, true_calibration
+from benchmarks.evaluation import (
+    LITERAL,
+    VISIBLE_ENOUGH,
+    Way,
+    calibration,
+    track_stack,
+    true_calibration,
+)
 from benchmarks.studies.dynamic import parts as dynamic_parts
-from benchmarks.studies.dynamic.parts import DynamicError
-from benchmarks.studies.dynamic.trials import LATENCIES_S, LITERAL, Trial
+from benchmarks.studies.dynamic.findings import LATENCIES_S, DynamicError
+from benchmarks.studies.dynamic.trials import MovingTrial
 from calibration import fit_plane
 from estimator import (
     MicroscopeFile,
@@ -30,16 +37,16 @@ _SAME_FRAME = (0.0, 0.0, 0.0, 1.0)  # the rendered robot reports in the eye's fr
 
 
 def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
-    """What makes distances of a way's spots.
+    """The ranger that computes distances from a way's spots.
 
-    Literal mode has the paper's model with the k and b that the withdrawal at rest gives it, as on
+    Literal mode has the paper's model with the k and b fitted to the withdrawal at rest, as on
     the paper's rig; the sub-pixel mode has the true source and its exact geometry.
 
     Args:
         rest: of `dynamic_trials.at_rest(scene)`.
         scene: of the study, with its source.
         way: of measuring.
-        spots_file: to write, with the spots that k and b come from.
+        spots_file: file to write, with the spots that k and b come from.
 
     Raises:
         ValueError: too few spots at rest.
@@ -67,7 +74,7 @@ def small_plane_line(
     distance: np.ndarray,
     microscope: MicroscopeFile,
 ) -> dict[str, float]:
-    """k and b of the paper's model: a line, once its sagitta is taken off the distance.
+    """k and b of the paper's model: a line, after subtracting its sagitta from the distance.
 
     d - (r - sqrt(r^2 - e1^2)) = k e1 + b with e1 = delta e1' cos(phi) (Zhou et al. 2020, eq. 11).
 
@@ -87,10 +94,12 @@ def small_plane_line(
     return {"k": line.delta_k / scale, "b": line.b}
 
 
-def errors(trial: Trial, *, moving: Stack, frozen: Stack, ranger: Ranger) -> Iterator[DynamicError]:
+def errors(
+    trial: MovingTrial, *, moving: Stack, frozen: Stack, ranger: Ranger
+) -> Iterator[DynamicError]:
     """Rows of a trial, latency by latency; its first frame and its last are not among them.
 
-    Those stand at the ends of the motion, where half of an exposure sees a tip at rest.
+    They are at the ends of the motion, where the tip is at rest for half of the exposure.
     """
     poses = read_poses(moving.folder / "kinematics.csv")
     wall = World(trial.moving).wall

@@ -8,13 +8,13 @@ DIR/dynamic_error.csv  one row a frame and latency: estimate, the robot's readin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import scenes
 from benchmarks.reporting import Request, Study
 from benchmarks.studies.dynamic import measure as dynamic_measure
-from benchmarks.studies.dynamic.parts import DynamicError, DynamicSpread, spreads
-from benchmarks.studies.dynamic.trials import COMPARED, at_rest, sensitivity, trials
+from benchmarks.studies.dynamic.findings import COMPARED, DynamicError, DynamicFindings
+from benchmarks.studies.dynamic.parts import spreads
+from benchmarks.studies.dynamic.report import report
+from benchmarks.studies.dynamic.trials import at_rest, sensitivity, trials
 from scenes import Scene, SceneError
 
 SPEEDS_MM_S = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
@@ -25,28 +25,7 @@ _RUNS = 2
 _DEFAULTS = ("clocks.kinematics_jitter_s=0.001",)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Findings:
-    """What the report is made of.
-
-    Attributes:
-        scene: the study's.
-        exposure_ms: at the mean distance.
-        sources: kinds of light that were seen moving.
-        speeds: mm/s.
-        rows: every frame at every latency.
-        spreads: by speed.
-    """
-
-    scene: Scene
-    exposure_ms: float
-    sources: tuple[str, ...]
-    speeds: tuple[float, ...]
-    rows: list[DynamicError]
-    spreads: list[DynamicSpread]
-
-
-def run(request: Request) -> Findings:
+def run(request: Request) -> DynamicFindings:
     """Render, read, split and report.
 
     Args:
@@ -54,14 +33,10 @@ def run(request: Request) -> Findings:
             "exposure-ms" the exposure at the mean distance; metered ones grow with the distance.
 
     Raises:
-        SceneError: the scene is no eyeball, or the spot leaves its view.
-        ValueError: the folder holds something else.
+        SceneError: the wall is no eyeball, or the spot leaves the view.
+        ValueError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
-    from benchmarks.studies.dynamic import (
-        report as dynamic_report,  # figures, needed at the end only
-    )
-
     study = Study("dynamic", request, defaults=_DEFAULTS, check=check)
     asked = str(request.options["source"])
     sources = ("cone", "lens") if asked == "both" else (asked,)
@@ -71,7 +46,7 @@ def run(request: Request) -> Findings:
         for source in sources
         for row in _rows(study, source, speeds=speeds, runs=1 if request.quick else _RUNS)
     ]
-    findings = Findings(
+    findings = DynamicFindings(
         scene=study.scene,
         exposure_ms=float(request.options["exposure-ms"]),
         sources=sources,
@@ -79,19 +54,19 @@ def run(request: Request) -> Findings:
         rows=rows,
         spreads=spreads(rows, speeds),
     )
-    study.publish(dynamic_report.report(findings))
+    study.publish(report, findings)
     return findings
 
 
 def check(scene: Scene) -> None:
-    """Refuse a scene whose wall the models do not know.
+    """Refuse a scene without an eyeball, which the models need.
 
     Raises:
         SceneError: saying what to change.
     """
     if scene.phantom.kind != "eyeball":
         raise SceneError(
-            "the study's models know the eyeball; got phantom.kind "
+            "the study's models are those of the eyeball; got phantom.kind "
             f"'{scene.phantom.kind}'. Set phantom.kind=eyeball."
         )
 
@@ -114,7 +89,7 @@ def _rows(study: Study, source: str, *, speeds: tuple[float, ...], runs: int) ->
         )
     ]
     for trial in wanted:
-        if trial.speed_mm_s == speeds[-1]:  # reaches furthest: sooner refused than later
+        if trial.speed_mm_s == speeds[-1]:  # reaches furthest, so refuse it before rendering
             scenes.check_scene(trial.moving)
     with study.timed(f"{source}: render motions"):
         moving = study.stacks({trial.name: trial.moving for trial in wanted})

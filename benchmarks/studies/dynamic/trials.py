@@ -1,4 +1,4 @@
-"""The scenes of the dynamic study: moving tips at several speeds, and their twins held still."""
+"""The scenes of the dynamic study: tips moving at several speeds, and the same without blur."""
 
 from __future__ import annotations
 
@@ -7,44 +7,30 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import scenes
-from benchmarks.evaluation import WAYS, Way
+from benchmarks.evaluation import Way
 from estimator import Stack
 from scenes import Scene
-
-LITERAL, SUBPIXEL = WAYS[0], WAYS[-1]
-"""The paper's way of measuring, at its fixed exposure, and ours."""
-
-COMPARED = (LITERAL, SUBPIXEL)
-
-MOTIONS = {
-    "withdrawal": "along the beam",
-    "scan": "across the wall",
-    "hand": "in a hand",
-}
-
-LATENCIES_S = (0.0, 0.05, 0.1)
-"""How late a pose is read that carries no stamp of its own."""
 
 _MEAN_DISTANCE_MM = 3.0
 _STRAIGHT_FRAMES = 5  # as many as fit into the view at the top speed
 _HAND_FRAMES = 10
-_SLOWEST_HAND_MM_S = 2.0  # below, what the robot leaves of the tremor is faster than the hand
+_SLOWEST_HAND_MM_S = 2.0  # below, the residual tremor is faster than the hand
 _FREEZES = 1e4  # how much shorter exposures are under so much more light
 
 _REST = {"start_mm": 1.0, "travel_mm": 3.5, "speed_mm_s": 0.1, "frames": 15}
 """A withdrawal as long and as slow as the paper's (2 um in 20 ms), over what motions reach."""
 
 
-class Trial(NamedTuple):
-    """One motion at one speed, seen in one way.
+class MovingTrial(NamedTuple):
+    """One motion at one speed, measured in one way.
 
     Attributes:
         motion: one of `MOTIONS`.
         way: of measuring.
-        speed_mm_s: of a straight motion; a hand's highest.
+        speed_mm_s: of a straight motion, or a hand's highest.
         run: from 1, each with noise, texture and hand of its own.
         moving: the scene.
-        frozen: the same with exposures too short for blur: same poses, noise and brightness.
+        frozen: the same poses, noise and brightness with exposures too short for blur.
     """
 
     motion: str
@@ -56,7 +42,7 @@ class Trial(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Of its stack; the frozen one's ends with -frozen."""
+        """The name of its stack; the frozen one's ends with -frozen."""
         kind, speed = self.moving.source.kind, f"{self.speed_mm_s:g}"
         return "-".join([kind, self.motion, speed, self.way.slug, str(self.run)])
 
@@ -87,7 +73,7 @@ def trials(
     sensitivity: float,
     speeds: Sequence[float],
     run: int,
-) -> list[Trial]:
+) -> list[MovingTrial]:
     """Every motion at every speed, once; runs count from 1."""
     hands = [speed for speed in speeds if speed >= _SLOWEST_HAND_MM_S]
     wanted = [(motion, speed) for motion in ("withdrawal", "scan") for speed in speeds]
@@ -107,7 +93,7 @@ def trials(
     for motion, speed in wanted:
         path = _path(motion, speed, interval_s=1 / scene.clocks.camera_hz, seed=own.seed)
         moving, still = (_with_motion(s, motion, path) for s in (own, frozen))
-        found.append(Trial(motion, way, speed, run, moving, still))
+        found.append(MovingTrial(motion, way, speed, run, moving, still))
     return found
 
 
@@ -144,5 +130,5 @@ def _with_motion(scene: Scene, kind: str, path: dict[str, float | int]) -> Scene
 
 
 def nearest_speed(speed: float, speeds: Sequence[float]) -> float:
-    """Of the study's speeds the one that a frame counts for."""
+    """The one of the study's speeds that a frame counts for."""
     return min(speeds, key=lambda s: (math.fabs(s - speed), s))

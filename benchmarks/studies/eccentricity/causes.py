@@ -2,11 +2,11 @@
 
 The players are the five links of `chain`, and four more: what a rendered frame adds to e1' at its
 edge (half-maximum, falling light, texture, shadow; seen without noise at twice the resolution) and
-by pixels and noise (the rest), and an r and a c that the models were given wrong. The worth of a
-set of players is a model's error when they are real and the others ideal; it is computed for all
+by pixels and noise (the rest), and a wrong r and a wrong c that the models are given. The worth of
+a set of players is a model's error when they are real and the others ideal; it is computed for all
 512 sets, so Shapley's values are exact.
 
-The two that a rendering measures are differences of e1' in px, taken once for each geometry, in the
+The two that a rendering gives are differences of e1' in px, taken once for each geometry, in the
 real world, and added in every other as they are: what noise and edges do to a contour depends on
 its size and light, which the geometric links change by a few per cent.
 """
@@ -24,6 +24,7 @@ import optics
 from benchmarks.evaluation import Geometry, place
 from benchmarks.studies.eccentricity import chain
 from benchmarks.studies.eccentricity.chain import LINKS, Eye, Links
+from benchmarks.studies.eccentricity.findings import CauseShare
 from benchmarks.studies.eccentricity.shapley import coalitions, shapley_values
 
 CAUSES = (*LINKS, "edge and radiometry", "pixels and noise", "wrong r", "wrong c")
@@ -50,30 +51,9 @@ class Shift(NamedTuple):
     pixels: np.ndarray
 
 
-class Part(NamedTuple):
-    """Row of causes.csv: what one cause adds to a model's error.
-
-    `whole_mm` is the error with all causes, to which the parts of a geometry sum.
-    """
-
-    model: str
-    cause: str
-    medium: str
-    c_mm: float
-    d_mm: float
-    r_mm: float
-    z_f_mm: float
-    incidence_deg: float
-    azimuth_deg: float
-    half_angle_deg: float
-    apex_offset_mm: float
-    part_mm: float
-    whole_mm: float
-
-
-def parts(
+def shares(
     geometry: Geometry, *, medium: str, c: np.ndarray, d: np.ndarray, shift: Shift
-) -> list[Part]:
+) -> list[CauseShare]:
     """The errors of all models at eccentricities and distances (mm), each cause a row.
 
     Args:
@@ -84,14 +64,14 @@ def parts(
         shift: what rendering adds, n each.
     """
     worth = worths(eyes(geometry, c=c), d=d, shift=shift)
-    shares = shapley_values(worth)
+    values = shapley_values(worth)
     return [
-        Part(
+        CauseShare(
             model=model,
             cause=cause,
             medium=medium,
             **place(geometry, c=c[i], d=d[i]),
-            part_mm=float(shares[i, m, p]),
+            part_mm=float(values[i, m, p]),
             whole_mm=float(worth[i, m, -1]),
         )
         for i in range(len(c))

@@ -116,11 +116,11 @@ def closed_forms(
     radius, c = believed.radius, believed.eccentricity
     kappa = jnp.where(links.magnification, believed.inverse_working_distance, 0.0)
     cos_phi = optics.paper_foreshortening(eccentricity=c, eye_radius=radius)
+    curved = jnp.where(links.sagitta, radius, jnp.inf)
+    spot = believed.scale * semi_minor_px
 
     def on_sphere(factor: Float[Array, ""]) -> Float[Array, ""]:
-        spot = believed.scale * semi_minor_px * factor
-        depth = optics.sagitta(spot_radius=spot, eye_radius=radius)
-        return k * spot + b + jnp.where(links.sagitta, depth, 0.0)
+        return optics.sphere_distance(spot_radius=spot * factor, k=k, b=b, eye_radius=curved)
 
     factor = optics.corrected_factor(
         eccentricity=c, eye_radius=radius, inverse_working_distance=kappa
@@ -128,7 +128,9 @@ def closed_forms(
     # On a wall that faces the microscope only the height counts.
     upright = 1.0 - kappa * radius * (1.0 - cos_phi)
     return {
-        "planar": believed.scale * k * semi_minor_px + b,
+        "planar": optics.planar_distance(
+            semi_minor_px=semi_minor_px, scale=believed.scale, k=k, b=b
+        ),
         "small_plane": on_sphere(jnp.where(links.foreshortening, cos_phi, 1.0)),
         "corrected": on_sphere(jnp.where(links.foreshortening, factor, upright)),
     }
@@ -147,7 +149,7 @@ def inverse(eye: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL) -> F
         before, miss_before, reach = state
         miss = reach * semi_minor_px / semi_minor(eye, reach + apex, links) - reach
         change = miss - miss_before
-        # The first step has no secant yet, and what has settled has none any more.
+        # The first step has no secant yet, and a settled distance has none any more.
         plain = (step == 0) | (change == 0)
         gain = -miss * (reach - before) / jnp.where(plain, 1.0, change)
         return reach, miss, reach + jnp.where(plain, miss, gain)
@@ -211,7 +213,7 @@ def _half_width(contour: Float[Array, "n 2"], angle: Float[Array, ""]) -> Float[
 
 
 def _greatest(periodic: Float[Array, "n"]) -> Float[Array, ""]:
-    """Greatest value of a periodic sequence, between its samples too.
+    """Greatest value of a periodic sequence, also between its samples.
 
     A sinusoid goes through the greatest sample and its neighbours: right for every ellipse.
     """

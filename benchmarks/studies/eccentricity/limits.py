@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,60 +11,19 @@ from benchmarks.evaluation import (
     Geometry,
     ModelError,
     degrees,
+    largest,
+    limit_eccentricity,
     model_errors,
     refitted_errors,
     semi_minor,
 )
-from benchmarks.studies.validate import limit_eccentricity
-
-LIMITS_MM = (0.1, 0.5)
-"""Errors whose crossing is told; 0.5 mm is what the paper calls acceptable."""
-
-DISTANCES_MM = tuple(0.5 * n for n in range(1, 13))
-"""Of one withdrawal, 0.5 to 6 mm."""
-
-
-class Limit(NamedTuple):
-    """Row of limits.csv: the smallest c at which the largest error over all d reaches the limit.
-
-    `c_mm` is empty where that does not happen up to the largest c; 0 where it is so from the start.
-    """
-
-    model: str
-    refit: bool
-    z_f_mm: float
-    incidence_deg: float
-    limit_mm: float
-    c_mm: float
-
-
-class Refit(NamedTuple):
-    """Row of refit.csv: c fitted to one withdrawal, and the error before and after.
-
-    `hidden_mm` is the part of the largest error that the fitted c takes away.
-    """
-
-    source: str
-    z_f_mm: float
-    incidence_deg: float
-    c_mm: float
-    fitted_c_mm: float
-    at_bound: bool
-    largest_error_mm: float
-    largest_residual_mm: float
-    hidden_mm: float
-
-
-class Withdrawals(NamedTuple):
-    """Errors over a grid of c and d for one pinhole and incidence.
-
-    Attributes:
-        errors: of all models with the true c, then of small_plane with the fitted one.
-        refits: a fit for each c.
-    """
-
-    errors: list[ModelError]
-    refits: list[Refit]
+from benchmarks.studies.eccentricity.findings import (
+    DISTANCES_MM,
+    LIMITS_MM,
+    Limit,
+    Refit,
+    Withdrawals,
+)
 
 
 def withdrawals(geometry: Geometry, *, eccentricities: np.ndarray, medium: str) -> Withdrawals:
@@ -82,7 +39,7 @@ def withdrawals(geometry: Geometry, *, eccentricities: np.ndarray, medium: str) 
         semi_minor_px=seen,
         models=optics.MODELS,
     )
-    found = Withdrawals(list(errors), [])
+    refits = []
     for value in eccentricities.tolist():
         rows, refit = refitted(
             geometry,
@@ -93,9 +50,9 @@ def withdrawals(geometry: Geometry, *, eccentricities: np.ndarray, medium: str) 
             d=d[c == value],
             semi_minor_px=seen[c == value],
         )
-        found.errors.extend(rows)
-        found.refits.append(refit)
-    return found
+        errors += rows
+        refits.append(refit)
+    return Withdrawals(errors, refits)
 
 
 def refitted(
@@ -123,7 +80,7 @@ def refitted(
         geometry, source=source, medium=medium, c=c, d=d, semi_minor_px=semi_minor_px
     )
     true_c = [e for e in before if e.model == "small_plane"]
-    largest, residual = (max(abs(e.error_mm) for e in found) for found in (true_c, rows))
+    before_mm, after_mm = (largest(e.error_mm for e in found) for found in (true_c, rows))
     return rows, Refit(
         source=source,
         z_f_mm=geometry.pinhole_height,
@@ -131,9 +88,9 @@ def refitted(
         c_mm=c,
         fitted_c_mm=fit.c,
         at_bound=fit.at_bound,
-        largest_error_mm=largest,
-        largest_residual_mm=residual,
-        hidden_mm=largest - residual,
+        largest_error_mm=before_mm,
+        largest_residual_mm=after_mm,
+        hidden_mm=before_mm - after_mm,
     )
 
 
@@ -142,9 +99,8 @@ def limits(errors: Sequence[ModelError]) -> list[Limit]:
     groups: dict[tuple[str, bool, float, float], list[ModelError]] = {}
     for e in errors:
         groups.setdefault((e.model, e.refit, e.z_f_mm, e.incidence_deg), []).append(e)
-    rows = []
-    for key, group in groups.items():
-        for limit in LIMITS_MM:
-            c = limit_eccentricity(group, limit)
-            rows.append(Limit(*key, limit_mm=limit, c_mm=math.nan if c is None else c))
-    return rows
+    return [
+        Limit(*key, limit_mm=limit, c_mm=limit_eccentricity(group, limit))
+        for key, group in groups.items()
+        for limit in LIMITS_MM
+    ]

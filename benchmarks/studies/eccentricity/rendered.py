@@ -1,8 +1,7 @@
-"""The rendered part: frames, spots measured in them, and what rendering adds to their size."""
+"""The rendered part: frames, the spots measured in them, and what rendering adds to their size."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,13 +9,21 @@ import numpy as np
 
 import optics
 import scenes
-from benchmarks.evaluation import WAYS, Geometry, ModelError, Tracked, measured_errors, track_stack
+from benchmarks.evaluation import (
+    SUBPIXEL,
+    ModelError,
+    Tracked,
+    geometry_of,
+    measured_errors,
+    track_stack,
+)
 from benchmarks.reporting import Study
 from benchmarks.studies.eccentricity import causes
-from benchmarks.studies.eccentricity.causes import Part, Shift
-from benchmarks.studies.eccentricity.limits import Refit, refitted
+from benchmarks.studies.eccentricity.causes import Shift
+from benchmarks.studies.eccentricity.findings import CauseShare, Refit, RenderedErrors
+from benchmarks.studies.eccentricity.limits import refitted
+from estimator import Stack
 from scenes import Scene
-from scenes.world import World
 
 _FINER = 2
 """Pixels of a noise-free frame for one of the camera's, along each side."""
@@ -32,39 +39,21 @@ _NOISE_FREE = {
     "camera.jpeg_quality": 0,
 }
 
-_FEWEST_SPOTS = 3  # a fit of c through fewer says nothing
+_FEWEST_SPOTS = 3  # fewer do not determine c
 
 
-class Trial(NamedTuple):
+class EccentricTrial(NamedTuple):
     """A withdrawal: one pinhole, incidence and eccentricity.
 
     Attributes:
         name: of its stack.
         scene: with the instrument in view, or square to the wall and without it.
-        noise_free: the same at twice the resolution without noise; None where not wanted.
+        noise_free: the same at twice the resolution without noise; None if not wanted.
     """
 
     name: str
     scene: Scene
     noise_free: Scene | None
-
-
-class Rendered(NamedTuple):
-    """What the rendered part found.
-
-    Attributes:
-        errors: of all models on every measured spot, and of small_plane with c fitted.
-        refits: a fit for each trial with enough spots.
-        parts: the errors by cause, where a noise-free frame tells edge from noise.
-        frames: rendered for the errors.
-        left_out: of these, without a spot that counts.
-    """
-
-    errors: list[ModelError]
-    refits: list[Refit]
-    parts: list[Part]
-    frames: int
-    left_out: int
 
 
 def trials(
@@ -74,7 +63,7 @@ def trials(
     eccentricities: Sequence[float],
     few: Sequence[float],
     frames: int,
-) -> list[Trial]:
+) -> list[EccentricTrial]:
     """Withdrawals at the scene's incidence, and square ones without the instrument.
 
     Args:
@@ -93,42 +82,36 @@ def trials(
     ]
 
 
-def measure(study: Study, every: Sequence[Trial]) -> Rendered:
+def measure(study: Study, every: Sequence[EccentricTrial]) -> RenderedErrors:
     """Render, track and compare."""
     wanted = {trial.name: trial.scene for trial in every}
     wanted |= {_fine(t): t.noise_free for t in every if t.noise_free is not None}
-    stacks = study.stacks(wanted)
     spots = study.folder / "spots"
     spots.mkdir(exist_ok=True)
-    tracked = {
-        name: track_stack(stack, WAYS[-1], spots_file=spots / f"{name}.csv")
-        for name, stack in stacks.items()
-    }
-    found = Rendered([], [], [], *_counts([tracked[trial.name] for trial in every]))
-    for trial in every:
-        _compare(trial, tracked[trial.name], found)
-        if trial.noise_free is not None:
-            found.parts.extend(_split(trial, tracked[trial.name], tracked[_fine(trial)]))
-    return found
 
+    def track(name: str, stack: Stack) -> Tracked:
+        return track_stack(stack, SUBPIXEL, spots_file=spots / f"{name}.csv")
 
-def geometry_of(scene: Scene) -> Geometry:
-    """What the models are told of a scene."""
-    half_angle, b = World(scene).cone
-    return Geometry(
-        scale=scene.microscope.scale_mm_px,
-        pinhole_height=scene.microscope.pinhole_height_mm,
-        eye_radius=scene.phantom.radius_mm,
-        half_angle=half_angle,
-        apex_offset=b,
-        incidence=math.radians(scene.spot.incidence_deg),
-        incidence_azimuth=math.radians(scene.spot.incidence_azimuth_deg),
+    tracked = study.measured(wanted, track)
+    compared = [_compared(trial, tracked[trial.name]) for trial in every]
+    used = np.concatenate([tracked[trial.name].used for trial in every])
+    return RenderedErrors(
+        errors=[error for errors, _ in compared for error in errors],
+        refits=[refit for _, refits in compared for refit in refits],
+        shares=[
+            share
+            for trial in every
+            if trial.noise_free is not None
+            for share in _shares(trial, tracked[trial.name], tracked[_fine(trial)])
+        ],
+        frames=used.size,
+        left_out=int(np.count_nonzero(~used)),
     )
 
 
 def _trial(
     scene: Scene, *, z_f: float, c: float, square: bool, noise_free: bool, frames: int
-) -> Trial:
+) -> EccentricTrial:
     own = scenes.changed(
         scene,
         {
@@ -150,41 +133,35 @@ def _trial(
     }
     kind = "square" if square else "tilted"
     again = scenes.changed(own, finer | _NOISE_FREE) if noise_free and not square else None
-    return Trial(f"{kind}-pinhole-{z_f:g}-c-{c:g}", own, again)
+    return EccentricTrial(f"{kind}-pinhole-{z_f:g}-c-{c:g}", own, again)
 
 
-def _fine(trial: Trial) -> str:
+def _fine(trial: EccentricTrial) -> str:
     return f"{trial.name}-noise-free"
 
 
-def _counts(tracked: Sequence[Tracked]) -> tuple[int, int]:
-    used = np.concatenate([t.used for t in tracked])
-    return used.size, int(np.count_nonzero(~used))
-
-
-def _compare(trial: Trial, tracked: Tracked, found: Rendered) -> None:
-    """Add the trial's errors, and its fit of c."""
+def _compared(trial: EccentricTrial, tracked: Tracked) -> tuple[list[ModelError], list[Refit]]:
+    """The trial's errors, and its fit of c if there are enough spots."""
     labels, seen = tracked.used_labels, tracked.semi_minor_px
     if not labels:
-        return
+        return [], []
     geometry = geometry_of(trial.scene)
     errors = measured_errors(geometry, labels=labels, semi_minor_px=seen, models=optics.MODELS)
-    found.errors.extend(errors)
-    if len(labels) >= _FEWEST_SPOTS:
-        rows, refit = refitted(
-            geometry,
-            before=errors,
-            source="rendered",
-            medium=trial.scene.source.medium,
-            c=labels[0].c_mm,
-            d=np.array([row.d_mm for row in labels]),
-            semi_minor_px=seen,
-        )
-        found.errors.extend(rows)
-        found.refits.append(refit)
+    if len(labels) < _FEWEST_SPOTS:
+        return errors, []
+    rows, refit = refitted(
+        geometry,
+        before=errors,
+        source="rendered",
+        medium=trial.scene.source.medium,
+        c=labels[0].c_mm,
+        d=np.array([row.d_mm for row in labels]),
+        semi_minor_px=seen,
+    )
+    return errors + rows, [refit]
 
 
-def _split(trial: Trial, seen: Tracked, noise_free: Tracked) -> list[Part]:
+def _shares(trial: EccentricTrial, seen: Tracked, noise_free: Tracked) -> list[CauseShare]:
     """The trial's errors by cause, in frames in which both measurements found the spot."""
     both = np.flatnonzero(seen.used & noise_free.used)
     if not both.size:
@@ -195,7 +172,7 @@ def _split(trial: Trial, seen: Tracked, noise_free: Tracked) -> list[Part]:
     )
     ideal = np.array([seen.labels[i].cone_semi_minor_px for i in both])
     fine = fine / _FINER
-    return causes.parts(
+    return causes.shares(
         geometry_of(trial.scene),
         medium=trial.scene.source.medium,
         c=np.array([seen.labels[i].c_mm for i in both]),

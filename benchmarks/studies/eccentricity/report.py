@@ -1,242 +1,342 @@
-"""The report of the study of eccentricity: pictures and tables, all from this run's numbers."""
+"""The report of the study of eccentricity."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-
-import matplotlib
-import numpy as np
+from collections.abc import Iterator
 
 import optics
-from benchmarks.reporting import Data, Picture, Report, Row, Section, Table
-from benchmarks.studies.eccentricity import causes
-from benchmarks.studies.eccentricity import figures as pictures
-from benchmarks.studies.eccentricity.causes import CAUSES, Part
-from benchmarks.studies.eccentricity.conclusions import SHOWN_C_MM, conclusions, limit_of
-from benchmarks.studies.eccentricity.limits import LIMITS_MM, Limit, Refit
-from benchmarks.studies.eccentricity.run import LARGEST_C_MM, Findings, pinhole_heights
-from benchmarks.studies.eccentricity.space import AXES, PINHOLES, Sensitivity, Spread
-from benchmarks.studies.validate import figures
+from benchmarks.evaluation import (
+    MICROSCOPE_MM,
+    Accuracy,
+    ModelError,
+    accuracy,
+    largest,
+    model_error_figure,
+)
+from benchmarks.reporting import Claim, Column, Data, Picture, Report, Section, Table
+from benchmarks.studies.eccentricity import figures
+from benchmarks.studies.eccentricity.causes import CAUSES, WRONG_C_MM, WRONG_R_MM
+from benchmarks.studies.eccentricity.findings import (
+    AXES,
+    LARGEST_C_MM,
+    LIMITS_MM,
+    PINHOLES,
+    SHOWN_C_MM,
+    BinSpread,
+    CauseShare,
+    EccentricityFindings,
+    Limit,
+    Refit,
+    Sensitivity,
+)
 
 
-def report(findings: Findings) -> Report:
+def report(findings: EccentricityFindings) -> Report:
     """The report of a run."""
-    spreads = findings.space.spreads()
-    with matplotlib.rc_context(figures.STYLE):
-        return Report(
-            title="How wrong is the distance, at which eccentricity, and why?",
-            lead="Five models from spot size to distance against the exact geometry: on exact "
-            "contours, and on spots measured in rendered frames.",
-            found=list(conclusions(findings, spreads)),
-            sections=[
-                _errors(findings),
-                _limits(findings),
-                _refit(findings),
-                _causes(findings),
-                _space(findings, spreads),
-            ],
-            data=[
-                "model_error.csv",
-                Data("limits.csv", Limit, findings.limits),
-                Data("refit.csv", Refit, findings.refits + findings.rendered.refits),
-                Data("causes.csv", Part, findings.rendered.parts),
-                Data("space.csv", Spread, spreads),
-                Data("sensitivity.csv", Sensitivity, findings.space.sensitivities()),
-            ],
+    return Report(
+        title="How wrong is the distance, at which eccentricity, and why?",
+        lead="Five models from spot size to distance against the exact geometry: on exact "
+        "contours, and on spots measured in rendered frames.",
+        claims=list(_claims(findings)),
+        sections=[
+            _errors(findings),
+            _limits(findings),
+            _refit(findings),
+            _causes(findings),
+            _space(findings),
+        ],
+        data=[
+            "model_error.csv",
+            Data("limits.csv", Limit, findings.limits),
+            Data("refit.csv", Refit, findings.refits + findings.rendered.refits),
+            Data("causes.csv", CauseShare, findings.rendered.shares),
+            Data("space.csv", BinSpread, findings.spreads),
+            Data("sensitivity.csv", Sensitivity, findings.sensitivities),
+        ],
+    )
+
+
+def _claims(findings: EccentricityFindings) -> Iterator[Claim]:
+    spot = findings.scene.spot
+    for height in findings.heights:
+        for model in optics.MODELS:
+            yield Claim(
+                name=f"z_F = {height:g} mm, {model}",
+                sentence="At {incidence:g}° incidence (azimuth {azimuth:g}°) the largest error "
+                "over d = 0.5 to 6 mm reaches {limits:g} mm at c = {value:.2f} mm (a dash: not up "
+                "to c = {end:g} mm).",
+                value=findings.limits_of(model, height, spot.incidence_deg),
+                numbers={
+                    "incidence": spot.incidence_deg,
+                    "azimuth": spot.incidence_azimuth_deg,
+                    "limits": LIMITS_MM,
+                    "end": LARGEST_C_MM,
+                },
+            )
+    for height in findings.heights:
+        yield _hidden(findings, height)
+    for height in findings.heights:
+        yield from _main_cause(findings, height)
+    yield from _measured(findings)
+    yield Claim(
+        name="space",
+        sentence="Within {limit:g} mm in {value:.0%} of {geometries:,} geometries ({models}): over "
+        "the ranges of c, d, r, incidence, azimuth and half-angle below, a quarter of them with "
+        "each pinhole.",
+        value=tuple(findings.within.values()),
+        numbers={
+            "limit": LIMITS_MM[-1],
+            "geometries": findings.geometries,
+            "models": tuple(findings.within),
+        },
+    )
+    yield _azimuth(findings)
+
+
+def _hidden(findings: EccentricityFindings, height: float) -> Claim:
+    incidence = findings.scene.spot.incidence_deg
+    rows = [r for r in findings.refits if (r.z_f_mm, r.incidence_deg) == (height, incidence)]
+    row = min(rows, key=lambda r: abs(r.c_mm - SHOWN_C_MM))
+    return Claim(
+        name=f"z_F = {height:g} mm, fitted c",
+        sentence="Fitting c hides {value:.0%} of the error of small_plane at c = {row.c_mm:g} mm. "
+        "The fit finds c = {row.fitted_c_mm:.2f} mm and has residuals of up to "
+        "{row.largest_residual_mm:.3f} mm, where the error with the true c is "
+        "{row.largest_error_mm:.3f} mm. The residuals reach {limits:g} mm at c = {reached:.2f} mm "
+        "(a dash: not up to c = {end:g} mm).",
+        value=row.hidden_mm / row.largest_error_mm,
+        numbers={
+            "row": row,
+            "limits": LIMITS_MM,
+            "reached": findings.limits_of("small_plane", height, incidence, refit=True),
+            "end": LARGEST_C_MM,
+        },
+    )
+
+
+def _main_cause(findings: EccentricityFindings, height: float) -> Iterator[Claim]:
+    shares = findings.rendered.shares
+    here = [p for p in shares if (p.z_f_mm, p.model) == (height, "small_plane")]
+    if not here:
+        return
+    nearest = min(here, key=lambda p: (abs(p.c_mm - SHOWN_C_MM), abs(p.d_mm - SHOWN_C_MM)))
+    spot = [p for p in here if (p.c_mm, p.d_mm) == (nearest.c_mm, nearest.d_mm)]
+    ordered = sorted(spot, key=lambda p: -abs(p.part_mm))
+    yield Claim(
+        name=f"z_F = {height:g} mm, causes",
+        sentence="At c = {spot.c_mm:.1f} mm and d = {spot.d_mm:.1f} mm the error of small_plane is "
+        "{value:+.3f} mm. Its causes, the largest first: {causes}. Their parts in mm: {parts:+.3f}"
+        ".",
+        value=nearest.whole_mm,
+        numbers={
+            "spot": nearest,
+            "causes": tuple(p.cause for p in ordered),
+            "parts": tuple(p.part_mm for p in ordered),
+        },
+    )
+
+
+def _measured(findings: EccentricityFindings) -> Iterator[Claim]:
+    found = findings.rendered
+    if found.with_true_c:
+        yield Claim(
+            name="rendered spots",
+            sentence="Largest errors over {spots} spots: {value:.3f} mm ({models}); k, b, c and r "
+            "are given. {left_out} frames have no spot that counts.",
+            value=tuple(
+                largest(e.error_mm for e in found.with_true_c if e.model == model)
+                for model in optics.MODELS
+            ),
+            numbers={
+                "models": optics.MODELS,
+                "spots": found.frames - found.left_out,
+                "left_out": found.left_out,
+            },
         )
 
 
-def _errors(findings: Findings) -> Section:
-    measured = [e for e in findings.rendered.errors if not e.refit]
-    rows: list[Row] = []
-    for model in optics.MODELS:
-        for height in pinhole_heights(findings.scene):
-            errors = np.array(
-                [e.error_mm for e in measured if (e.model, e.z_f_mm) == (model, height)]
-            )
-            if errors.size:
-                largest = float(np.max(np.abs(errors)))
-                rows.append((model, f"{height:g}", float(errors.mean()), largest, int(errors.size)))
+def _azimuth(findings: EccentricityFindings) -> Claim:
+    key = ("corrected", f"{MICROSCOPE_MM:g}", "azimuth_deg")
+    bins = [s for s in findings.spreads if s[:3] == key]
+    best, worst = (choose(bins, key=lambda s: s.percentile_95_mm) for choose in (min, max))
+    return Claim(
+        name=f"z_F = {MICROSCOPE_MM:g} mm, azimuth",
+        sentence="The error of corrected depends on the azimuth of the beam's tilt: 95 % of the "
+        "errors are below {best.percentile_95_mm:.3f} mm at azimuths of {best.from_value:g} to "
+        "{best.to_value:g}°, and below {value:.3f} mm at azimuths of {worst.from_value:g} to "
+        "{worst.to_value:g}°. The model is one of a square beam. A tilt along the meridian of O "
+        "(azimuth 0 or 180°) makes the spot longer where the image makes it shorter. exact is "
+        "given the beam's direction.",
+        value=worst.percentile_95_mm,
+        numbers={"best": best, "worst": worst},
+    )
+
+
+def _errors(findings: EccentricityFindings) -> Section:
+    measured: list[ModelError] = findings.rendered.with_true_c
+    limits = " and ".join(f"{limit:g}" for limit in LIMITS_MM)
     return Section(
         "Error against eccentricity",
         Picture(
             "model_error",
-            figures.model_error(findings.analytic, measured, models=optics.MODELS),
+            model_error_figure(findings.analytic, measured, models=optics.MODELS),
             "Error of every model against c: a row for each pinhole height, a column for each "
-            "model. k, b, c and r are given to every model, as they are.",
+            "model. Lines: exact contours (dotted: square beam). Dots: rendered spots. Every model "
+            "is given the true k, b, c and r.",
             data="model_error.csv",
         ),
         Picture(
             "largest_error",
-            pictures.largest_errors(findings.withdrawals, measured),
+            figures.worst_errors(findings),
             "Largest absolute error over d = 0.5 to 6 mm, on exact contours (lines) and on "
-            "rendered spots (dots); dashed: with c fitted to the withdrawal itself; dotted: "
-            f"{' and '.join(f'{x:g}' for x in LIMITS_MM)} mm. On exact contours exact is right to "
-            "rounding and not drawn.",
+            "rendered spots (dots). Dashed: with c fitted to the withdrawal itself. Dotted: "
+            f"{limits} mm. On exact contours, exact is right to rounding and not drawn.",
             data="model_error.csv",
         ),
-        Table(
-            ("model", "z_F, mm", "mean error, mm", "largest |error|, mm", "spots"),
-            rows,
+        Table.of(
+            Accuracy,
+            accuracy(measured),
             "Errors on rendered spots, sub-pixel mode, all c and d together.",
-            digits=4,
             data="model_error.csv",
         ),
     )
 
 
-def _limits(findings: Findings) -> Section:
-    scene = findings.scene
-    keys = [
-        (height, incidence, limit)
-        for height in pinhole_heights(scene)
-        for incidence in dict.fromkeys((0.0, scene.spot.incidence_deg))
-        for limit in LIMITS_MM
-    ]
+def _limits(findings: EccentricityFindings) -> Section:
     models = [(model, False) for model in optics.MODELS] + [("small_plane", True)]
-    rows: list[Row] = [
-        [f"{value:g}" for value in key]
-        + [limit_of(findings, model, refit, *key) for model, refit in models]
-        for key in keys
-    ]
+    rows = []
+    for height in findings.heights:
+        for incidence in dict.fromkeys((0.0, findings.scene.spot.incidence_deg)):
+            reached = [findings.limits_of(m, height, incidence, refit=refit) for m, refit in models]
+            for limit, eccentricities in zip(LIMITS_MM, zip(*reached, strict=True), strict=True):
+                rows.append((height, incidence, limit, *eccentricities))
+    headings = ("z_F, mm", "incidence, °", "limit, mm", *optics.MODELS, "small_plane, c fitted")
     return Section(
-        f"Where each model leaves {' and '.join(f'{x:g}' for x in LIMITS_MM)} mm",
+        "Where each model reaches the limits",
         Table(
-            ("z_F, mm", "incidence, °", "limit, mm", *optics.MODELS, "small_plane, c fitted"),
+            [Column(heading, 2) for heading in headings],
             rows,
             "Smallest c in mm at which the largest error over d = 0.5 to 6 mm reaches the limit; a "
             f"dash: not up to c = {LARGEST_C_MM:g} mm.",
-            digits=2,
             data="limits.csv",
         ),
     )
 
 
-def _refit(findings: Findings) -> Section:
+def _refit(findings: EccentricityFindings) -> Section:
     incidence = findings.scene.spot.incidence_deg
     chosen = [
         r
         for r in findings.refits
-        if r.z_f_mm in pinhole_heights(findings.scene)
+        if r.z_f_mm in findings.heights
         and r.incidence_deg == incidence
         and math.isclose(r.c_mm % 1.0, 0.0)
         and r.c_mm > 0
     ]
     return Section(
         "What fitting c hides",
-        "The paper finds c by fitting its model to the very distances that it is then judged by "
-        "(Table II). A wrong factor is taken up by a wrong c as long as the right one is below 1; "
-        "where it is above, the fit ends at c = 0.",
+        "The paper finds c by fitting its model to the same distances by which it then judges the "
+        "model (Table II). A wrong c compensates for a wrong factor as long as the right factor is "
+        "below 1; where it is above, the fit ends at c = 0.",
         Picture(
             "refit",
-            pictures.fitted_eccentricity(findings.refits),
+            figures.fitted_eccentricity(findings),
             f"Left: fitted against true c at {incidence:g}° incidence; grey: where they agree. "
             "Right: largest error with the true c (lines) and largest residual with the fitted one "
             "(dashed).",
             data="refit.csv",
         ),
-        Table(
-            ("z_F, mm", "true c, mm", "fitted c, mm", "error, mm", "residual, mm", "hidden, mm"),
-            [
-                (
-                    f"{r.z_f_mm:g}",
-                    f"{r.c_mm:g}",
-                    r.fitted_c_mm,
-                    r.largest_error_mm,
-                    r.largest_residual_mm,
-                    r.hidden_mm,
-                )
-                for r in chosen
-            ],
+        Table.of(
+            Refit,
+            chosen,
             "Largest error over d with the true c, largest residual with the fitted one, and the "
-            "difference, which is what the fit hides; exact contours.",
+            "difference, which the fit hides; exact contours.",
             data="refit.csv",
         ),
     )
 
 
-def _causes(findings: Findings) -> Section:
-    parts = findings.rendered.parts
+def _causes(findings: EccentricityFindings) -> Section:
+    shares = findings.rendered.shares
     text = (
-        "Each link between distance and spot is real or ideal, with the model's own term for it; "
-        "so every model is right when all are ideal. Each cause's part is its Shapley value, "
-        f"exact over all {1 << len(CAUSES):,} sets of causes, and the parts sum to the error. Edge "
-        "and pixels are measured in rendered frames: with noise, and without it at twice the "
-        f"resolution. The models were given r {causes.WRONG_R_MM:g} mm and c "
-        f"{causes.WRONG_C_MM:g} mm too large, which is also why exact owes "
-        "something to links that it knows. The paper's cos φ counts as a term for "
-        "foreshortening, which is how the paper derives it."
+        "Each link between distance and spot is real or ideal, together with the model's own term "
+        "for it; every model is right when all links are ideal. Each cause's part is its Shapley "
+        f"value, exact over all {1 << len(CAUSES):,} sets of causes, and the parts sum to the "
+        "error. Edge and pixels are measured in rendered frames: with noise, and without it at "
+        f"twice the resolution. The models are given an r {WRONG_R_MM:g} mm and a c "
+        f"{WRONG_C_MM:g} mm too large, which is also why exact has parts of links that it models. "
+        "The paper's cos φ counts as a term for foreshortening, as the paper derives it."
     )
-    if not parts:
+    if not shares:
         return Section("Causes", text, "No rendered spot counts in this run.")
     # The distance that most spots share, nearest to the middle of the range.
-    d = min({round(p.d_mm, 6) for p in parts}, key=lambda d: abs(d - SHOWN_C_MM))
-    far = max({round(p.c_mm, 6) for p in parts if abs(p.d_mm - d) < 1e-6})
-    far_ones = [p for p in parts if abs(p.d_mm - d) < 1e-6 and abs(p.c_mm - far) < 1e-6]
-    tables = [
-        _cause_table([p for p in far_ones if p.z_f_mm == height])
-        for height in dict.fromkeys(p.z_f_mm for p in far_ones)
-    ]
+    d = min({round(p.d_mm, 6) for p in shares}, key=lambda d: abs(d - SHOWN_C_MM))
+    there = [p for p in shares if abs(p.d_mm - d) < 1e-6]
+    far = max(round(p.c_mm, 6) for p in there)
+    far_ones = [p for p in there if abs(p.c_mm - far) < 1e-6]
     return Section(
         "Causes",
         text,
         Picture(
             "causes",
-            pictures.causes(parts, d=d),
+            figures.causes(findings, d=d),
             f"Parts of the error at d = {d:.3g} mm, {findings.scene.spot.incidence_deg:g}° "
             "incidence; diamonds: the error, their sum. Each panel has a scale of its own.",
             data="causes.csv",
         ),
-        *tables,
+        *(
+            _cause_table([p for p in far_ones if p.z_f_mm == height])
+            for height in dict.fromkeys(p.z_f_mm for p in far_ones)
+        ),
     )
 
 
-def _cause_table(parts: list[Part]) -> Table:
+def _cause_table(shares: list[CauseShare]) -> Table:
     """The parts of all models at one geometry."""
-    first = parts[0]
-    rows: list[Row] = [[cause, *(p.part_mm for p in parts if p.cause == cause)] for cause in CAUSES]
-    rows.append(["whole", *(p.whole_mm for p in parts if p.cause == CAUSES[0])])
+    first = shares[0]
+    rows = [(cause, *(p.part_mm for p in shares if p.cause == cause)) for cause in CAUSES]
+    whole = ("whole", *(p.whole_mm for p in shares if p.cause == CAUSES[0]))
     return Table(
-        ("cause", *optics.MODELS),
-        rows,
+        [Column("cause"), *(Column(model, 4) for model in optics.MODELS)],
+        [*rows, whole],
         f"Parts in mm at c = {first.c_mm:.3g} mm and d = {first.d_mm:.3g} mm, "
         f"z_F = {first.z_f_mm:g} mm.",
-        digits=4,
         data="causes.csv",
     )
 
 
-def _space(findings: Findings, spreads: Sequence[Spread]) -> Section:
-    space = findings.space
-    found = {(s.model, s.pinhole, s.axis): s.first_order for s in space.sensitivities()}
+def _space(findings: EccentricityFindings) -> Section:
+    units = {"mm": "mm", "deg": "°"}
+    axes = {name: name.replace("_", "-").rsplit("-", 1) for name in AXES}
     ranges = ", ".join(
-        f"{name.rsplit('_', 1)[0].replace('_', '-')} {low:g} to {high:g} "
-        f"{name.rsplit('_', 1)[1].replace('deg', '°')}"
-        for name, (low, high) in AXES.items()
+        f"{title} {AXES[name][0]:g} to {AXES[name][1]:g} {units[unit]}"
+        for name, (title, unit) in axes.items()
     )
-    models = [model for model in optics.MODELS if model != "exact"]
+    found = {s[:3]: s.first_order for s in findings.sensitivities}
+    rows = [
+        (model, pinhole, *(found[model, pinhole, axis] for axis in AXES))
+        for model in optics.MODELS
+        if model != "exact"
+        for pinhole in PINHOLES
+    ]
+    headings = ("model", "pinhole", *(title for title, _ in axes.values()))
     return Section(
         "The whole space",
-        f"{space.count:,} geometries, a scrambled Sobol sequence: {ranges}; z_F = 0, r, 200 mm and "
-        "infinite. Whatever the cone's angle, the spot at contact keeps the scene's size.",
+        f"{findings.geometries:,} geometries, a scrambled Sobol sequence: {ranges}; z_F = 0, r, "
+        "200 mm and infinite. For every half-angle the spot at contact has the scene's size.",
         Picture(
             "space",
-            pictures.spreads(spreads),
+            figures.spreads(findings),
             "Absolute error along each axis over all others: median (lines) and 95th percentile "
             "(dotted).",
             data="space.csv",
         ),
         Table(
-            ("model", "pinhole", *(name.rsplit("_", 1)[0].replace("_", "-") for name in AXES)),
-            [
-                (model, p, *(found[model, p, axis] for axis in AXES))
-                for model in models
-                for p in PINHOLES
-            ],
+            [Column(heading, 2) for heading in headings],
+            rows,
             "Part of the error's variance that each axis alone explains (first-order Sobol "
-            "index); what is missing to 1 is due to axes together.",
-            digits=2,
+            "index). The rest is due to axes together.",
             data="sensitivity.csv",
         ),
     )

@@ -1,80 +1,47 @@
 """`eyespot study eccentricity`: how wrong each model is, where, and by which cause.
 
 DIR/model_error.csv  every error of every model, analytic and rendered
-    limits.csv       at which c a model leaves 0.1 and 0.5 mm
+    limits.csv       at which c a model's error reaches 0.1 and 0.5 mm
     refit.csv        c fitted as the paper does, and how much of the error that hides
     causes.csv       Shapley's share of each cause
     space.csv, sensitivity.csv  errors over the whole space, and which axis they come from
-    stacks/, spots/  what was rendered, and measured in it
+    stacks/, spots/  rendered frames, and the spots measured in them
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 import scenes
-from benchmarks.evaluation import ModelError
-from benchmarks.reporting import MICROSCOPE_MM, Request, Study, require_roomy_eyeball
+from benchmarks.evaluation import ModelError, geometry_of, require_roomy_eyeball
+from benchmarks.reporting import Request, Study
 from benchmarks.studies.eccentricity import limits, rendered, space
-from benchmarks.studies.eccentricity.limits import Limit, Refit, Withdrawals
-from benchmarks.studies.eccentricity.rendered import Rendered
+from benchmarks.studies.eccentricity.findings import (
+    LARGEST_C_MM,
+    LIMITS_MM,
+    EccentricityFindings,
+    Withdrawals,
+    pinhole_heights,
+)
+from benchmarks.studies.eccentricity.report import report
 from benchmarks.studies.eccentricity.space import Space
 from scenes import Scene
 
-LARGEST_C_MM = 8.0
-"""End of the axis c of every part."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class Findings:
-    """What the report is made of.
-
-    Attributes:
-        scene: the study's.
-        quick: coarse grids and few frames.
-        withdrawals: on exact contours, by (z_F in mm, incidence in degrees).
-        limits: where models leave the limits, among the withdrawals.
-        rendered: what was measured in frames.
-        space: errors over the whole space.
-    """
-
-    scene: Scene
-    quick: bool
-    withdrawals: dict[tuple[float, float], Withdrawals]
-    limits: list[Limit]
-    rendered: Rendered
-    space: Space
-
-    @property
-    def analytic(self) -> list[ModelError]:
-        """Errors on exact contours of all withdrawals, with the true c."""
-        return [e for w in self.withdrawals.values() for e in w.errors if not e.refit]
-
-    @property
-    def refits(self) -> list[Refit]:
-        """Fits of c on exact contours."""
-        return [refit for w in self.withdrawals.values() for refit in w.refits]
-
-
-def run(request: Request) -> Findings:
+def run(request: Request) -> EccentricityFindings:
     """Compute, render, compare and report.
 
     Args:
-        request: what was asked for; its option "geometries" is how many the space is filled with.
+        request: what was asked for; its option "geometries" is their number in the space.
 
     Raises:
-        SceneError: the scene is no eyeball, or too small a one.
-        ValueError: the folder holds something else.
+        SceneError: the wall is no eyeball, or too small.
+        ValueError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
-    from benchmarks.studies.eccentricity import (
-        report as eccentricity_report,  # figures, needed at the end only
-    )
-
     study = Study("eccentricity", request, defaults=("source.kind=cone",), check=check)
     scene = study.scene
     with study.timed("render and measure"):
@@ -90,15 +57,17 @@ def run(request: Request) -> Findings:
             csv_file=study.folder / "model_error.csv",
             before=rows,
         )
-    findings = Findings(
+    findings = EccentricityFindings(
         scene=scene,
-        quick=request.quick,
         withdrawals=exact,
         limits=limits.limits([e for w in exact.values() for e in w.errors]),
         rendered=found,
-        space=filled,
+        geometries=filled.count,
+        spreads=filled.spreads(),
+        sensitivities=filled.sensitivities(),
+        within=filled.within(LIMITS_MM[-1]),
     )
-    study.publish(eccentricity_report.report(findings))
+    study.publish(report, findings)
     return findings
 
 
@@ -111,11 +80,6 @@ def check(scene: Scene) -> None:
     require_roomy_eyeball(scene, f"c reaches {LARGEST_C_MM:g} mm")
 
 
-def pinhole_heights(scene: Scene) -> tuple[float, float]:
-    """z_F of the paper's geometry, on the sphere, and of a microscope, mm."""
-    return scene.phantom.radius_mm, MICROSCOPE_MM
-
-
 def fill_space(
     scene: Scene, *, count: int, seed: int, csv_file: Path, before: Iterable[ModelError] = ()
 ) -> Space:
@@ -125,10 +89,10 @@ def fill_space(
         scene: gives the scale, the spot's size at contact and the medium.
         count: of geometries, rounded up to a power of two or to whole blocks of such.
         seed: of the points.
-        csv_file: file to write; it appears under its name once it is whole.
-        before: rows that stand before those of the space.
+        csv_file: file to write; it gets its name when it is complete.
+        before: rows to write before those of the space.
     """
-    cone = rendered.geometry_of(scene)
+    cone = geometry_of(scene)
     filled = Space()
     partial = csv_file.with_suffix(".partial")
     with partial.open("w", encoding="utf-8") as file:
@@ -146,7 +110,7 @@ def fill_space(
     return filled
 
 
-def _trials(scene: Scene, *, quick: bool) -> list[rendered.Trial]:
+def _trials(scene: Scene, *, quick: bool) -> list[rendered.EccentricTrial]:
     return rendered.trials(
         scene,
         pinhole_heights=pinhole_heights(scene),
@@ -170,7 +134,7 @@ def _withdrawals(scene: Scene, *, quick: bool) -> dict[tuple[float, float], With
                 },
             )
             found[height, incidence_deg] = limits.withdrawals(
-                rendered.geometry_of(own),
+                geometry_of(own),
                 eccentricities=eccentricities,
                 medium=scene.source.medium,
             )

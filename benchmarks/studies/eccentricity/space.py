@@ -14,19 +14,7 @@ import optics
 from benchmarks.evaluation import ModelError
 from benchmarks.studies.eccentricity import chain
 from benchmarks.studies.eccentricity.chain import Eye
-
-AXES = {
-    "c_mm": (0.0, 8.0),
-    "d_mm": (0.5, 6.0),
-    "r_mm": (10.5, 12.5),
-    "incidence_deg": (0.0, 45.0),
-    "azimuth_deg": (0.0, 360.0),
-    "half_angle_deg": (2.0, 8.0),
-}
-"""What is varied continuously, and its range; columns of model_error.csv."""
-
-PINHOLES = ("centre", "sphere", "200", "inf")
-"""z_F: the eyeball's centre (0), on the sphere (r), 200 mm, telecentric."""
+from benchmarks.studies.eccentricity.findings import AXES, PINHOLES, BinSpread, Sensitivity
 
 BLOCK = 1 << 14
 """Geometries at a time; a Sobol sequence is balanced over powers of two."""
@@ -103,7 +91,7 @@ def csv_line(row: ModelError) -> str:
 def csv_text(block: Block, *, medium: str) -> str:
     """The block's lines of model_error.csv.
 
-    Numbers are written once a geometry, not once a model, which is most of what a million take.
+    Numbers are formatted once per geometry, not once per model, which saves most of the time.
     """
     axes = {**block.axes, "z_f_mm": block.z_f_mm, "apex_offset_mm": block.apex_offset_mm}
     between = ModelError._fields[_FIRST_NUMBER:-2]
@@ -116,32 +104,6 @@ def csv_text(block: Block, *, medium: str) -> str:
         both = zip(shared, estimate.tolist(), block.error(model).tolist(), strict=True)
         lines += [f"{head}{place},{value:.6f},{error:.6f}\n" for place, value, error in both]
     return "".join(lines)
-
-
-class Spread(NamedTuple):
-    """Row of space.csv: the size of a model's error in one bin of one axis, over all others."""
-
-    model: str
-    pinhole: str
-    axis: str
-    from_value: float
-    to_value: float
-    geometries: int
-    median_mm: float
-    percentile_95_mm: float
-
-
-class Sensitivity(NamedTuple):
-    """Row of sensitivity.csv: part of a model's error variance that one axis alone explains.
-
-    The first-order Sobol index (Sobol 1993), in [0, 1]; what is missing to 1 over the axes is due
-    to axes together.
-    """
-
-    model: str
-    pinhole: str
-    axis: str
-    first_order: float
 
 
 class Space:
@@ -165,14 +127,21 @@ class Space:
         """Number of geometries."""
         return sum(map(len, self._pinhole))
 
+    def within(self, limit: float) -> dict[str, float]:
+        """Part of the geometries in which each model's error is within a limit (mm)."""
+        return {
+            model: float(np.mean(np.abs(np.concatenate(errors)) <= limit))
+            for model, errors in self._errors.items()
+        }
+
     def errors(self, model: str, pinhole: str) -> np.ndarray:
         """A model's errors with one pinhole, mm."""
         return np.concatenate(self._errors[model])[self._seen_by(pinhole)]
 
-    def spreads(self, *, bins: int = 16) -> list[Spread]:
+    def spreads(self, *, bins: int = 16) -> list[BinSpread]:
         """Size of the errors along every axis."""
         return [
-            Spread(
+            BinSpread(
                 model=model,
                 pinhole=pinhole,
                 axis=axis,
@@ -189,7 +158,7 @@ class Space:
         ]
 
     def sensitivities(self) -> list[Sensitivity]:
-        """What every axis alone explains of the errors' variance; not of `exact`'s rounding."""
+        """The part of the errors' variance that each axis alone explains; `exact` has no error."""
         return [
             Sensitivity(model, pinhole, axis, self._explained(model, pinhole, axis))
             for model in optics.MODELS
@@ -222,7 +191,7 @@ def _estimates(eye: Eye, d: jax.Array) -> dict[str, jax.Array]:
     def of(spot: tuple[Eye, jax.Array]) -> dict[str, jax.Array]:
         eye, d = spot
         seen = chain.semi_minor(eye, d)
-        # With every link real it has a closed form, which spares half of the time.
+        # With every link real there is a closed form, which saves half of the time.
         stereographic = optics.stereographic_distance(
             semi_minor_px=seen,
             scale=eye.scale,

@@ -8,19 +8,17 @@ from pathlib import Path
 import numpy as np
 
 import scenes
-from benchmarks.evaluation import WAYS, Tracked, calibration, track_stack, true_calibration
+from benchmarks.evaluation import SUBPIXEL, Tracked, calibration, track_stack, true_calibration
 from benchmarks.reporting import Study
-from benchmarks.studies.medium.light import (
+from benchmarks.studies.medium.findings import (
     AIR,
-    AIR_CONE,
     CONE,
     FARTHEST_MM,
-    LENS,
-    LENS_CONE,
     NEAREST_MM,
     VITREOUS,
     Curve,
     MediumError,
+    Method,
 )
 from calibration import PlaneFit, fit_plane
 from estimator import Calibration, Ranger, Spot, Stack, read_microscope
@@ -72,28 +70,30 @@ def measure(
     """
     lights = list(dict.fromkeys(light for light, _ in curves))
     every = trials(study.scene, lights=lights, frames=frames)
-    stacks = study.stacks(every)
     spots = study.folder / "spots"
     spots.mkdir(exist_ok=True)
-    tracked = {
-        name: track_stack(stack, WAYS[-1], spots_file=spots / f"{name}.csv")
-        for name, stack in stacks.items()
-    }
+
+    def track(name: str, stack: Stack) -> tuple[Stack, Tracked]:
+        return stack, track_stack(stack, SUBPIXEL, spots_file=spots / f"{name}.csv")
+
+    tracked = study.measured(every, track)
     fits, rows = {}, []
     for light in lights:
-        seen = tracked[f"{_slug(light)}-{AIR}-plane"]
+        _, seen = tracked[f"{_slug(light)}-{AIR}-plane"]
         # The robot's reading since the first frame, whose distance is known here.
         reading = NEAREST_MM + seen.travel_mm
         fits[light] = fit_plane(semi_minor_px=seen.semi_minor_px, distance=reading)
         for medium in (AIR, VITREOUS):
             name = f"{_slug(light)}-{medium}-eyeball"
-            calibrations = {AIR_CONE: _of_fit(fits[light], study.scene)}
+            calibrations: dict[Method, Calibration] = {
+                Method.AIR_CONE: _of_fit(fits[light], study.scene)
+            }
             if light != CONE and medium == VITREOUS:
                 regression = curves[light, medium].regression
                 values = {"k": regression.k, "b": regression.b_mm}
-                calibrations[LENS_CONE] = calibration("planar", values, medium=medium)
-                calibrations[LENS] = true_calibration(every[name])
-            rows += _errors(every[name], stacks[name], tracked[name], calibrations)
+                calibrations[Method.LENS_CONE] = calibration("planar", values, medium=medium)
+                calibrations[Method.LENS] = true_calibration(every[name])
+            rows += _errors(every[name], *tracked[name], calibrations)
     return fits, rows
 
 
@@ -103,7 +103,7 @@ def _slug(light: str) -> str:
 
 
 def _errors(
-    scene: Scene, stack: Stack, tracked: Tracked, calibrations: Mapping[str, Calibration]
+    scene: Scene, stack: Stack, tracked: Tracked, calibrations: Mapping[Method, Calibration]
 ) -> list[MediumError]:
     light = CONE if scene.source.kind == CONE else scene.source.lens
     microscope = read_microscope(stack.folder / "microscope.json")

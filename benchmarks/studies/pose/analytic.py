@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import partial
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,56 +13,25 @@ import numpy as np
 from scipy.stats import qmc
 
 import optics
-from benchmarks.studies.pose.errors import (
-    FREE,
-    KNOWN,
-    PRIOR,
-    PRIOR_DEG,
+from benchmarks.studies.pose.errors import Estimate, Place, drawn_prior, place_at, pose_error
+from benchmarks.studies.pose.findings import (
+    FARTHEST_MM,
+    HALF_WIDTH_MM,
+    INCIDENCE_DEG,
+    NEAREST_MM,
+    NOISE_PX,
     PoseError,
-    angle_deg,
-    drawn_prior,
-    is_mirrored,
+    Prior,
 )
-from benchmarks.studies.pose.tool import (
+from calibration.spots import (
     Tool,
     ToolPose,
-    bound,
-    contours,
-    fit,
-    mismatch_covariance,
-    normals,
+    contour_mismatch_covariance,
+    contour_normals,
+    fit_tool,
+    tool_contours,
+    tool_pose_bound,
 )
-
-HALF_WIDTH_MM = 5.0
-"""Of the square about the microscope's axis in which O lies: 10 mm x 10 mm."""
-NEAREST_MM, FARTHEST_MM = 0.5, 5.5
-"""Tip to wall along the beam: 5 mm of depth."""
-INCIDENCE_DEG = (10.0, 30.0)
-NOISE_PX = 0.05
-"""Across the contour, of each of 128 points."""
-
-NO_WEIGHT_RAD = 1e6
-"""Of an axis that says nothing."""
-
-HELD_RAD = 1e-6
-"""Of an axis that is known."""
-
-
-class Place(NamedTuple):
-    """A pose of the working volume.
-
-    Attributes:
-        pose: of the tool.
-        c_mm, d_mm, incidence_deg, azimuth_deg: where that is.
-        outward: wall's normal at O.
-    """
-
-    pose: ToolPose
-    c_mm: float
-    d_mm: float
-    incidence_deg: float
-    azimuth_deg: float
-    outward: np.ndarray
 
 
 def places(wall: optics.Sphere, *, count: int, seed: int) -> list[Place]:
@@ -90,32 +59,6 @@ def places(wall: optics.Sphere, *, count: int, seed: int) -> list[Place]:
     ]
 
 
-def place_at(
-    wall: optics.Sphere,
-    *,
-    c: float,
-    around_deg: float,
-    d: float,
-    incidence_deg: float,
-    azimuth_deg: float,
-    roll: float = 0.0,
-) -> Place:
-    """The pose by where its axis meets the wall; arguments as of `optics.beam_at_spot`."""
-    beam = optics.beam_at_spot(
-        wall,
-        eccentricity=c,
-        azimuth=math.radians(around_deg),
-        distance=d,
-        incidence=math.radians(incidence_deg),
-        incidence_azimuth=math.radians(azimuth_deg),
-        half_angle=0.0,
-        apex_offset=0.0,
-    )
-    tip, axis = np.asarray(beam.tip), np.asarray(beam.axis)
-    outward = (tip + d * axis) / float(wall.radius)
-    return Place(ToolPose(tip, axis, roll), c, d, incidence_deg, azimuth_deg, outward)
-
-
 def errors(
     tool: Tool,
     every: list[Place],
@@ -124,58 +67,41 @@ def errors(
     *,
     seed: int,
 ) -> list[PoseError]:
-    """A noisy contour at each place, its pose with a drawn prior, without one, with a known axis.
+    """Errors of the poses from a noisy contour at each place, with each kind of prior.
 
-    One spot is solved by `optics.pose_from_contour`, several by `pose_tool.fit` from the ellipses
-    of the same noisy contours.
+    One spot is solved by `optics.pose_from_contour`, several by `calibration.spots.fit_tool` from
+    the ellipses of the same noisy contours.
     """
     rng = np.random.default_rng([seed, tool.cones])
     poses = ToolPose(*map(np.array, zip(*(place.pose for place in every), strict=True)))
     clean, bounds, known = map(np.asarray, _contours_and_bounds(tool, poses, wall, view))
     noise = NOISE_PX * rng.standard_normal(clean.shape[:-1])
-    noisy = clean + noise[..., None] * np.asarray(normals(clean))
-    priors = np.stack([drawn_prior(np.asarray(place.pose.axis), rng) for place in every])
-    rows = []
+    noisy = clean + noise[..., None] * np.asarray(contour_normals(clean))
+    drawn = np.stack([drawn_prior(np.asarray(place.pose.axis), rng) for place in every])
     truth = np.stack([np.asarray(place.pose.axis) for place in every])
-    for name, axes, sigma in (
-        (PRIOR, priors, math.radians(PRIOR_DEG)),
-        (FREE, priors, NO_WEIGHT_RAD),
-        (KNOWN, truth, HELD_RAD),
-    ):
-        tips, found, distances, sigmas = _solved(tool, noisy, axes, sigma, wall, view)
-        for i, place in enumerate(every):
-            covariance = known[i] if name == KNOWN else bounds[i]
-            rows.append(
-                PoseError(
-                    source="analytic",
-                    spots=tool.cones,
-                    prior=name,
-                    z_f_mm=float(view.pinhole_height),
-                    c_mm=place.c_mm,
-                    d_mm=place.d_mm,
-                    incidence_deg=place.incidence_deg,
-                    azimuth_deg=place.azimuth_deg,
-                    noise_px=NOISE_PX,
-                    mirrored=is_mirrored(found[i], truth[i], place.outward),
-                    tip_error_mm=float(np.linalg.norm(tips[i] - np.asarray(place.pose.tip))),
-                    axis_error_deg=angle_deg(found[i], truth[i]),
-                    distance_error_mm=float(distances[i] - place.d_mm),
-                    tip_bound_mm=tip_bound(covariance),
-                    axis_bound_deg=axis_bound_deg(covariance),
-                    sigma_distance_mm=float(sigmas[i]),
-                )
-            )
-    return rows
-
-
-def tip_bound(covariance: np.ndarray) -> float:
-    """Standard deviation of the tip in three dimensions, mm."""
-    return float(np.sqrt(np.trace(covariance[:3, :3])))
-
-
-def axis_bound_deg(covariance: np.ndarray) -> float:
-    """Standard deviation of the axis, both ways together; 0 where it is known."""
-    return math.degrees(np.sqrt(np.trace(covariance[3:, 3:])))
+    return [
+        pose_error(
+            place,
+            found,
+            source="analytic",
+            spots=tool.cones,
+            prior=prior,
+            pinhole_height=float(view.pinhole_height),
+            noise_px=NOISE_PX,
+            covariance=covariance,
+        )
+        for prior, axes, covariances in (
+            (Prior.ROUGH, drawn, bounds),
+            (Prior.NONE, drawn, bounds),
+            (Prior.KNOWN, truth, known),
+        )
+        for place, found, covariance in zip(
+            every,
+            _solved(tool, noisy, axes, prior.sigma_rad, wall, view),
+            covariances,
+            strict=True,
+        )
+    ]
 
 
 def _solved(
@@ -185,14 +111,23 @@ def _solved(
     sigma: float,
     wall: optics.Sphere,
     view: optics.Microscope,
-) -> tuple[np.ndarray, ...]:
-    """Tips, axes, distances, and the distances' standard errors (NaN of several spots)."""
+) -> list[Estimate]:
+    """Estimates at all places; the distance's sigma is NaN for several spots."""
     if tool.cones == 1:
-        best = _one_by_contour(noisy[:, 0], axes, np.asarray(sigma), wall, view, *tool.cone)
-        return tuple(map(np.asarray, (best.tip, best.axis, best.distance, best.distance_error)))
+        best = _one_by_contour(
+            noisy[:, 0],
+            axes,
+            np.asarray(sigma),
+            wall,
+            view,
+            tool.half_angle,
+            tool.apex_offset,
+        )
+        columns = (best.tip, best.axis, best.distance, best.distance_error)
+        return [Estimate(*row) for row in zip(*map(np.asarray, columns), strict=True)]
     ellipses, covariances = _ellipses(noisy)
     fits = [
-        fit(
+        fit_tool(
             tool,
             jax.tree.map(itemgetter(i), ellipses),
             covariances[i],
@@ -202,12 +137,10 @@ def _solved(
         )
         for i in range(len(noisy))
     ]
-    return (
-        np.stack([np.asarray(found.best.tip) for found in fits]),
-        np.stack([np.asarray(found.best.axis) for found in fits]),
-        np.array([found.distance for found in fits]),
-        np.full(len(fits), math.nan),
-    )
+    return [
+        Estimate(np.asarray(f.best.tip), np.asarray(f.best.axis), f.distance, math.nan)
+        for f in fits
+    ]
 
 
 @partial(jax.jit, static_argnums=0)
@@ -217,9 +150,9 @@ def _contours_and_bounds(
     def of(pose: ToolPose) -> tuple[Any, Any, Any]:
         given = tool, pose, wall, view
         return (
-            contours(*given),
-            bound(*given, sigma_px=NOISE_PX),
-            bound(*given, sigma_px=NOISE_PX, axis_known=True),
+            tool_contours(*given),
+            tool_pose_bound(*given, sigma_px=NOISE_PX),
+            tool_pose_bound(*given, sigma_px=NOISE_PX, axis_known=True),
         )
 
     return jax.vmap(of)(poses)
@@ -246,5 +179,5 @@ def _one_by_contour(
 @jax.jit
 def _ellipses(noisy: Any) -> tuple[optics.Ellipse, Any]:
     ellipses = optics.ellipse_of_contour(noisy)
-    of = jax.vmap(jax.vmap(lambda c, e: mismatch_covariance(c, e, NOISE_PX)))
+    of = jax.vmap(jax.vmap(lambda c, e: contour_mismatch_covariance(c, e, NOISE_PX)))
     return ellipses, of(noisy, ellipses)

@@ -1,106 +1,141 @@
-"""Rows of pose_error.csv, how priors are drawn, and what many rows amount to."""
+"""A pose of the working volume, and how far an estimate is from it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 import optics
-
-PRIOR_DEG = 5.0
-"""Standard deviation of the direction prior across the axis: a robot's, roughly known."""
+from benchmarks.studies.pose.findings import PRIOR_DEG, PoseError, Prior
+from calibration.spots import Tool, ToolPose
 
 _MIRRORED_DEG = 2.0
-"""An axis farther off than this, and by more than half of the way to the mirror, is mirrored."""
+"""An axis farther off than this, and nearer to the mirror image than to the truth, is mirrored."""
 
-FREE, PRIOR, KNOWN = "none", "5 deg", "axis known"
-NAMES = {1: "one spot", 3: "three spots"}
-
-REPORTED = {1: (0.029, 0.124), 3: (0.025, 0.101)}
-"""Mean errors of tip (mm) and axis (degrees) by number of spots: Zhou et al., "Theoretical error
-analysis of spotlight-based instrument localization for retinal surgery", Robotica 2023; rendered
-in Blender, with a light and an eye of their own."""
-
-ASKED_TIP_MM, ASKED_AXIS_DEG, ASKED_DISTANCE_MM = 0.010, 0.1, 0.005
-"""Root mean square errors that rendered spots shall not exceed."""
+_FIBRE_MM, _SPLAY_DEG = 0.5, 10.0
 
 
-class PoseError(NamedTuple):
-    """Row of pose_error.csv; errors are estimate - truth, or lengths and angles between the two.
+def one_spot(half_angle: float, apex_offset: float) -> Tool:
+    """A cone (rad, mm) along the tool's axis."""
+    return Tool(half_angle, apex_offset, 1, 0.0, 0.0)
 
-    `prior` of the direction: "none", "5 deg", or "axis known"; `mirrored`: the solution with the
-    incidence reversed was taken; bounds are Cramer and Rao's standard deviations of the same
-    quantities, for the noise of the row; `sigma_distance_mm` is what the estimator says itself.
+
+def three_spots(half_angle: float, apex_offset: float) -> Tool:
+    """Three fibres that touch each other, splayed, with equal cones (rad, mm).
+
+    The tool of Zhou et al. (2023) has three spotlights; more of it is not published. Here they are
+    lit one after the other, so that spots neither overlap nor are confused.
+    """
+    circle = _FIBRE_MM / math.sqrt(3.0)
+    return Tool(half_angle, apex_offset, 3, circle, math.radians(_SPLAY_DEG))
+
+
+class Place(NamedTuple):
+    """A pose of the working volume.
+
+    Attributes:
+        pose: of the tool.
+        c_mm, d_mm, incidence_deg, azimuth_deg: the same by where the axis meets the wall.
+        outward: wall's normal at O.
     """
 
-    source: str
-    spots: int
-    prior: str
-    z_f_mm: float
+    pose: ToolPose
     c_mm: float
     d_mm: float
     incidence_deg: float
     azimuth_deg: float
-    noise_px: float
-    mirrored: bool
-    tip_error_mm: float
-    axis_error_deg: float
-    distance_error_mm: float
-    tip_bound_mm: float
-    axis_bound_deg: float
-    sigma_distance_mm: float
+    outward: np.ndarray
 
 
-class Scatter(NamedTuple):
-    """What rows amount to.
+def place_at(
+    wall: optics.Sphere,
+    *,
+    c: float,
+    around_deg: float,
+    d: float,
+    incidence_deg: float,
+    azimuth_deg: float,
+    roll: float = 0.0,
+) -> Place:
+    """The pose whose axis meets the wall there; arguments as of `optics.beam_at_spot`."""
+    beam = optics.beam_at_spot(
+        wall,
+        eccentricity=c,
+        azimuth=math.radians(around_deg),
+        distance=d,
+        incidence=math.radians(incidence_deg),
+        incidence_azimuth=math.radians(azimuth_deg),
+        half_angle=0.0,
+        apex_offset=0.0,
+    )
+    tip, axis = np.asarray(beam.tip), np.asarray(beam.axis)
+    outward = (tip + d * axis) / float(wall.radius)
+    return Place(ToolPose(tip, axis, roll), c, d, incidence_deg, azimuth_deg, outward)
 
-    Attributes:
-        poses: how many.
-        mirrored: share of them with the mirrored solution.
-        tip_mm: root mean square error of the tip, of those that are not mirrored.
-        tip_mean_mm: mean error of the tip, likewise.
-        tip_all_mm: root mean square error of the tip, mirrored solutions included.
-        axis_deg: root mean square error of the axis, of those that are not mirrored.
-        axis_mean_deg: mean error of the axis, likewise.
-        distance_mm: root mean square error of the distance, of all.
-        tip_bound_mm: root mean square of the bounds; axis_bound_deg likewise.
+
+class Estimate(NamedTuple):
+    """An estimated pose: tip (3,) and distance in mm, axis (3,), the distance's own sigma in mm."""
+
+    tip: np.ndarray
+    axis: np.ndarray
+    distance: float
+    sigma_distance: float
+
+
+def pose_error(
+    place: Place,
+    found: Estimate,
+    *,
+    source: str,
+    spots: int,
+    prior: Prior,
+    pinhole_height: float,
+    noise_px: float,
+    covariance: np.ndarray,
+) -> PoseError:
+    """The row of an estimate.
+
+    Args:
+        place: the true pose.
+        found: the estimate.
+        source: "analytic" or "rendered".
+        spots: number of spots.
+        prior: of the axis.
+        pinhole_height: z_F, mm.
+        noise_px: of the contour's points.
+        covariance: the bound, of tip and axis or of the tip only.
     """
-
-    poses: int
-    mirrored: float
-    tip_mm: float
-    tip_mean_mm: float
-    tip_all_mm: float
-    axis_deg: float
-    axis_mean_deg: float
-    distance_mm: float
-    tip_bound_mm: float
-    axis_bound_deg: float
-
-
-def scatter(rows: Sequence[PoseError]) -> Scatter:
-    """Root mean squares and means over rows."""
-    right = [row for row in rows if not row.mirrored]
-    return Scatter(
-        poses=len(rows),
-        mirrored=1.0 - len(right) / len(rows) if rows else math.nan,
-        tip_mm=rms([row.tip_error_mm for row in right]),
-        tip_mean_mm=_mean([row.tip_error_mm for row in right]),
-        tip_all_mm=rms([row.tip_error_mm for row in rows]),
-        axis_deg=rms([row.axis_error_deg for row in right]),
-        axis_mean_deg=_mean([row.axis_error_deg for row in right]),
-        distance_mm=rms([row.distance_error_mm for row in rows]),
-        tip_bound_mm=rms([row.tip_bound_mm for row in right]),
-        axis_bound_deg=rms([row.axis_bound_deg for row in right]),
+    true = np.asarray(place.pose.axis)
+    return PoseError(
+        source=source,
+        spots=spots,
+        prior=prior,
+        z_f_mm=pinhole_height,
+        c_mm=place.c_mm,
+        d_mm=place.d_mm,
+        incidence_deg=place.incidence_deg,
+        azimuth_deg=place.azimuth_deg,
+        noise_px=noise_px,
+        mirrored=is_mirrored(found.axis, true, place.outward),
+        tip_error_mm=float(np.linalg.norm(found.tip - np.asarray(place.pose.tip))),
+        axis_error_deg=angle_deg(found.axis, true),
+        distance_error_mm=float(found.distance - place.d_mm),
+        tip_bound_mm=tip_bound(covariance),
+        axis_bound_deg=axis_bound_deg(covariance),
+        sigma_distance_mm=float(found.sigma_distance),
     )
 
 
-def rms(values: Sequence[float]) -> float:
-    """Root mean square; NaN of nothing."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
+def tip_bound(covariance: np.ndarray) -> float:
+    """Standard deviation of the tip in three dimensions, mm."""
+    return float(np.sqrt(np.trace(covariance[:3, :3])))
+
+
+def axis_bound_deg(covariance: np.ndarray) -> float:
+    """Standard deviation of the axis, both perpendiculars together; 0 if the axis is known."""
+    return math.degrees(np.sqrt(np.trace(covariance[3:, 3:])))
 
 
 def drawn_prior(axis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -112,7 +147,7 @@ def drawn_prior(axis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def angle_deg(axis: np.ndarray, other: np.ndarray) -> float:
-    """Between unit vectors, exact for small ones too."""
+    """Angle between unit vectors, accurate for small ones too."""
     sine = np.linalg.norm(np.cross(axis, other))
     return math.degrees(math.atan2(sine, float(np.dot(axis, other))))
 
@@ -122,12 +157,3 @@ def is_mirrored(found: np.ndarray, true: np.ndarray, outward: np.ndarray) -> boo
     mirror = 2.0 * np.dot(outward, true) * outward - true
     off = angle_deg(found, true)
     return off > _MIRRORED_DEG and angle_deg(found, mirror) < off
-
-
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values)) if len(values) else math.nan
-
-
-def some_of(rows: Sequence[PoseError], source: str, spots: int, prior: str) -> list[PoseError]:
-    """The rows of one source, number of spots and prior."""
-    return [r for r in rows if (r.source, r.spots, r.prior) == (source, spots, prior)]

@@ -1,93 +1,81 @@
-"""Pictures of the study of poses: errors beside their bounds and the best reported figures."""
+"""Figures of the study of poses: errors beside their bounds and the best reported ones."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.studies.pose import analytic
-from benchmarks.studies.pose.errors import (
-    ASKED_DISTANCE_MM,
-    KNOWN,
+from benchmarks.evaluation import ECCENTRICITY, mean, rms
+from benchmarks.reporting import BLUE, VERMILION, limit_lines, small_multiples
+from benchmarks.studies.pose.findings import (
+    INCIDENCE_DEG,
     NAMES,
-    PRIOR,
     REPORTED,
-    PoseError,
-    rms,
-    some_of,
+    REQUIRED_DISTANCE_MM,
+    PoseFindings,
+    Prior,
 )
-from benchmarks.studies.validate import BLACK, BLUE, GREY, VERMILION, figures
 
 _COLOURS = {1: BLUE, 3: VERMILION}
+_MARKS: dict[str, dict[str, Any]] = {
+    "analytic": {"marker": ".", "ms": 4, "alpha": 0.45},
+    "rendered": {"marker": "x", "ms": 6},
+}
 _ASIDE = 0.1
-"""Spots of one eccentricity are drawn side by side, by their distance."""
+"""Spots of one eccentricity are drawn side by side, in the order of their distances."""
+
+_QUANTITIES = {"error of the tip (mm)": "tip_{}_mm", "error of the axis (°)": "axis_{}_deg"}
 
 
-def by_incidence(rows: Sequence[PoseError]) -> Figure:
+def by_incidence(findings: PoseFindings) -> Figure:
     """Errors of tip and axis against the incidence, for the first row's pinhole."""
-    page = Figure(figsize=(10.0, 4.2), layout="constrained")
-    height = rows[0].z_f_mm
-    for axes, (name, error, limit, unit) in zip(
-        page.subplots(1, 2),
-        (
-            ("tip", "tip_error_mm", "tip_bound_mm", "mm"),
-            ("axis", "axis_error_deg", "axis_bound_deg", "°"),
-        ),
-        strict=True,
-    ):
+    height = findings.rows[0].z_f_mm
+    edges = np.linspace(*INCIDENCE_DEG, 6)
+
+    def draw(axes: Axes, _: str, quantity: str) -> None:
+        error, bound = (_QUANTITIES[quantity].format(name) for name in ("error", "bound"))
         for spots, colour in _COLOURS.items():
-            for source, marker in (("analytic", "."), ("rendered", "x")):
-                some = [r for r in some_of(rows, source, spots, PRIOR) if not r.mirrored]
-                some = [row for row in some if row.z_f_mm == height]
-                x = [row.incidence_deg for row in some]
-                y = [getattr(row, error) for row in some]
-                axes.plot(
-                    x,
-                    y,
-                    ls="",
-                    marker=marker,
-                    ms=4 if marker == "." else 6,
-                    color=colour,
-                    alpha=0.45 if marker == "." else 1.0,
-                    label=f"{NAMES[spots]}, {source}",
-                )
-            axes.plot(*_binned(rows, spots, limit), color=colour, lw=1.6)
-            axes.axhline(REPORTED[spots][unit == "°"], color=colour, ls=":", lw=1.0)
-        axes.set(yscale="log", xlabel="incidence (°)", ylabel=f"error of the {name} ({unit})")
-    page.legend(*page.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    return page
+            for source, marks in _MARKS.items():
+                rows = findings.some(source, spots, Prior.ROUGH)
+                shown = [r for r in rows if not r.mirrored and r.z_f_mm == height]
+                x = [row.incidence_deg for row in shown]
+                y = [getattr(row, error) for row in shown]
+                axes.plot(x, y, ls="", color=colour, label=f"{NAMES[spots]}, {source}", **marks)
+            rows = findings.some("analytic", spots, Prior.ROUGH)
+            bounds = [
+                rms(getattr(row, bound) for row in rows if low <= row.incidence_deg < high)
+                for low, high in itertools.pairwise(edges)
+            ]
+            axes.plot(0.5 * (edges[:-1] + edges[1:]), bounds, color=colour, lw=1.6)
+            reported = dict(zip(_QUANTITIES, REPORTED[spots], strict=True))[quantity]
+            axes.axhline(reported, color=colour, ls=":", lw=1.0)
+        axes.set(yscale="log")
+
+    columns = list(_QUANTITIES)
+    return small_multiples(draw, rows=[""], columns=columns, x="incidence (°)", y="", height=3.7)
 
 
-def _binned(rows: Sequence[PoseError], spots: int, limit: str) -> tuple[np.ndarray, list[float]]:
-    """Root mean square of the analytic bounds over parts of the incidence's range."""
-    edges = np.linspace(*analytic.INCIDENCE_DEG, 6)
-    some = some_of(rows, "analytic", spots, PRIOR)
-    parts = [
-        [getattr(row, limit) for row in some if low <= row.incidence_deg < high]
-        for low, high in itertools.pairwise(edges)
-    ]
-    return 0.5 * (edges[:-1] + edges[1:]), [rms(part) for part in parts]
+def known_axis(findings: PoseFindings) -> Figure:
+    """Errors of the distance in rendered frames with a known axis, against c."""
+    rows = findings.some("rendered", 1, Prior.KNOWN)
+    middle = mean(row.d_mm for row in rows)
 
+    def draw(axes: Axes, *_: str) -> None:
+        limit_lines(axes, 1e3 * REQUIRED_DISTANCE_MM)
+        axes.errorbar(
+            [row.c_mm + _ASIDE * (row.d_mm - middle) for row in rows],
+            [1e3 * row.distance_error_mm for row in rows],
+            yerr=[1e3 * row.sigma_distance_mm for row in rows],
+            fmt="x",
+            capsize=2,
+            color=BLUE,
+        )
 
-def known_axis(rows: Sequence[PoseError]) -> Figure:
-    """Errors of the distance on rendered frames, the axis known, against c."""
-    page = Figure(figsize=(10.0, 3.2), layout="constrained")
-    axes = page.subplots()
-    some = some_of(rows, "rendered", 1, KNOWN)
-    middle = float(np.mean([row.d_mm for row in some]))
-    axes.axhline(0, color=GREY, lw=0.8)
-    for limit in (-ASKED_DISTANCE_MM, ASKED_DISTANCE_MM):
-        axes.axhline(1e3 * limit, color=BLACK, lw=0.8, ls="--")
-    axes.errorbar(
-        [row.c_mm + _ASIDE * (row.d_mm - middle) for row in some],
-        [1e3 * row.distance_error_mm for row in some],
-        yerr=[1e3 * row.sigma_distance_mm for row in some],
-        fmt="x",
-        capsize=2,
-        color=BLUE,
+    y = "error of $d$ (µm)"
+    return small_multiples(
+        draw, rows=[""], columns=[""], x=ECCENTRICITY, y=y, height=3.2, legend_columns=0
     )
-    axes.set(xlabel=figures.ECCENTRICITY, ylabel="error of $d$ (µm)")
-    return page

@@ -15,26 +15,19 @@ import optics
 import scenes
 from benchmarks.evaluation import true_calibration
 from benchmarks.reporting import Study
-from benchmarks.studies.pose.analytic import (
-    HELD_RAD,
-    NO_WEIGHT_RAD,
-    Place,
-    axis_bound_deg,
-    place_at,
-    tip_bound,
-)
 from benchmarks.studies.pose.errors import (
-    FREE,
-    KNOWN,
-    PRIOR,
-    PRIOR_DEG,
-    PoseError,
-    angle_deg,
+    Estimate,
+    Place,
     drawn_prior,
-    is_mirrored,
+    one_spot,
+    place_at,
+    pose_error,
+    three_spots,
 )
-from benchmarks.studies.pose.tool import Tool, ToolPose, beams, bound, fit, one_spot, three_spots
+from benchmarks.studies.pose.findings import PoseError, Prior
+from calibration.spots import Tool, ToolPose, fit_tool, tool_beams, tool_pose_bound
 from estimator import (
+    MicroscopeFile,
     NoSpot,
     Ranger,
     Spot,
@@ -53,23 +46,23 @@ STILL = {
     "phantom.wall": "uniform",
     "instrument.visible": False,
     "exposures.kinds": ["metered"],
-    "microscope.width_px": 800,  # three spots are wider apart than one is wide
+    "microscope.width_px": 800,  # three spots need more room than one
     "microscope.height_px": 720,
     "clocks.camera_hz": 1.0,
 }
 """A frame a second, in which the tool stands still."""
 
-_REST_S = 0.45  # before and after the middle of an exposure
+_REST_S = 0.45  # time at rest before and after the middle of an exposure
 _INCIDENCES_DEG = (10.0, 20.0, 30.0)
 _FAR_MM = 4.0  # farther, splayed spots leave the window
-_GOLDEN_DEG = 180.0 * (3.0 - math.sqrt(5.0))  # turns that repeat nothing
+_GOLDEN_DEG = 180.0 * (3.0 - math.sqrt(5.0))  # the golden angle: azimuths never repeat
 _POINTS = 128
 
 
 def places_at(scene: Scene, *, c: float, poses: int) -> list[Place]:
     """Poses with their axis through one point of the wall, at several distances and incidences."""
     surface = World(scene).wall
-    assert isinstance(surface, optics.Sphere)  # the study's check
+    assert isinstance(surface, optics.Sphere)  # by the study's check
     return [
         place_at(
             surface,
@@ -93,7 +86,7 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[Po
         poses: at each of them.
     """
     given = World(study.scene).cone
-    tools = (one_spot(given), three_spots(given))
+    tools = (one_spot(*given), three_spots(*given))
     trials, every = {}, {}
     for c in eccentricities:
         name = f"c-{c:g}"
@@ -104,14 +97,17 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[Po
             study.scene,
             STILL | {"spot.eccentricity_mm": c, "motion": {"kind": "recorded", "file": str(file)}},
         )
-    stacks = study.stacks(trials)
     spots = study.folder / "spots"
     spots.mkdir(exist_ok=True)
+
+    def track(name: str, stack: Stack) -> tuple[MicroscopeFile, list[Spot | NoSpot]]:
+        microscope = read_microscope(stack.folder / "microscope.json")
+        return microscope, _spots(stack, spots / f"{name}.csv")
+
     rng = np.random.default_rng([study.seed, 2])
     rows = []
-    for name, stack in stacks.items():
-        results = iter(_spots(stack, spots / f"{name}.csv"))
-        microscope = read_microscope(stack.folder / "microscope.json")
+    for name, (microscope, measured_spots) in study.measured(trials, track).items():
+        results = iter(measured_spots)
         ranger = Ranger(true_calibration(trials[name]), microscope)
         for place in every[name]:
             of_tool = {tool: [next(results) for _ in range(tool.cones)] for tool in tools}
@@ -124,7 +120,7 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[Po
 
 
 def _spots(stack: Stack, file: Path) -> list[Spot | NoSpot]:
-    """Spots of single frames: from one to the next they jump farther than a tracker believes."""
+    """Spots of single frames, since a tracker rejects the jumps from one frame to the next."""
     results = [
         measured(stack.image(label), TrackState(), SubpixelSettings())[0] for label in stack.labels
     ]
@@ -145,7 +141,7 @@ def _spots(stack: Stack, file: Path) -> list[Spot | NoSpot]:
 
 
 def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None:
-    """A beam a second, at rest while the camera exposes."""
+    """Write one beam a second, at rest while the camera exposes."""
     file.parent.mkdir(exist_ok=True)
     lit = [
         pose
@@ -165,56 +161,47 @@ def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None
 def _errors(
     tool: Tool, place: Place, seen: list[Spot], prior: np.ndarray, ranger: Ranger
 ) -> list[PoseError]:
-    """With the prior, without, and with the axis known, all from the same spots."""
+    """Errors with each kind of prior, all from the same spots."""
     microscope = ranger.microscope
     surface, view = optics.Sphere(microscope.eye_radius_mm), microscope.ideal_microscope()
-    # Noise of each of 128 points that a circle's semi-axis of this error has (DESIGN §7).
+    # The noise of each of n = 128 points that gives a circle's semi-axis this standard error. The
+    # semi-axis is the sum of two independent terms of the radius, of 1 and of cos 2t, whose
+    # variances are 1/n and 2/n of the noise's.
     sigma = float(np.mean([spot.sigma_semi_minor_px for spot in seen])) * math.sqrt(_POINTS / 3)
     true = np.asarray(place.pose.axis)
     rows = []
-    for name, axis, weight in (
-        (PRIOR, prior, math.radians(PRIOR_DEG)),
-        (FREE, prior, NO_WEIGHT_RAD),
-        (KNOWN, true, HELD_RAD),
-    ):
-        # With an axis held tight the ranger may end with the cone's apex on the wall; see `fit`.
-        if tool.cones == 1 and name != KNOWN:
-            found = ranger.distance(seen[0], axis=axis, axis_sigma_rad=weight)
-            tip, towards = found.poses[0].tip_mm, found.poses[0].axis
-            distance, own = found.distance_mm, found.sigma_mm
+    for kind in Prior:
+        known = kind == Prior.KNOWN
+        axis = true if known else prior
+        covariance = np.asarray(
+            tool_pose_bound(tool, place.pose, surface, view, sigma_px=sigma, axis_known=known)
+        )
+        # With a fixed axis the ranger may end with the cone's apex on the wall; see `fit_tool`.
+        if tool.cones == 1 and not known:
+            alone = ranger.distance(seen[0], axis=axis, axis_sigma_rad=kind.sigma_rad)
+            pose = alone.poses[0]
+            found = Estimate(pose.tip_mm, pose.axis, alone.distance_mm, alone.sigma_mm)
         else:
             ellipses = _ellipses(seen)
             spread = jnp.stack([jnp.asarray(spot.covariance) for spot in seen])
             covariances = np.asarray(_mismatch_covariances(ellipses, spread))
-            led = optics.DirectionPrior(jnp.asarray(axis), weight)
-            together = fit(tool, ellipses, covariances, surface, view, led)
-            tip, towards = np.asarray(together.best.tip), np.asarray(together.best.axis)
-            distance, own = together.distance, math.nan
-        covariance = np.asarray(
-            bound(tool, place.pose, surface, view, sigma_px=sigma, axis_known=name == KNOWN)
-        )
-        if name == KNOWN:
-            # A shift of the tip along the wall leaves the distance as it is, to first order.
+            led = optics.DirectionPrior(jnp.asarray(axis), kind.sigma_rad)
+            fit = fit_tool(tool, ellipses, covariances, surface, view, led)
+            # A shift of the tip along the wall does not change the distance, to first order.
             per_mm = place.outward / float(place.outward @ true)
-            own = math.sqrt(per_mm @ covariance @ per_mm)
+            sigma_distance = math.sqrt(per_mm @ covariance @ per_mm) if known else math.nan
+            tip, towards = np.asarray(fit.best.tip), np.asarray(fit.best.axis)
+            found = Estimate(tip, towards, fit.distance, sigma_distance)
         rows.append(
-            PoseError(
+            pose_error(
+                place,
+                found,
                 source="rendered",
                 spots=tool.cones,
-                prior=name,
-                z_f_mm=microscope.pinhole_height_mm,
-                c_mm=place.c_mm,
-                d_mm=place.d_mm,
-                incidence_deg=place.incidence_deg,
-                azimuth_deg=place.azimuth_deg,
+                prior=kind,
+                pinhole_height=microscope.pinhole_height_mm,
                 noise_px=sigma,
-                mirrored=is_mirrored(towards, true, place.outward),
-                tip_error_mm=float(np.linalg.norm(tip - np.asarray(place.pose.tip))),
-                axis_error_deg=angle_deg(towards, true),
-                distance_error_mm=distance - place.d_mm,
-                tip_bound_mm=tip_bound(covariance),
-                axis_bound_deg=axis_bound_deg(covariance),
-                sigma_distance_mm=own,
+                covariance=covariance,
             )
         )
     return rows
@@ -231,7 +218,7 @@ def _ellipses(spots: list[Spot]) -> optics.Ellipse:
 
 @partial(jax.jit, static_argnums=0)
 def _tips_and_axes(tool: Tool, pose: ToolPose) -> tuple[jax.Array, jax.Array]:
-    lit = beams(tool, pose)
+    lit = tool_beams(tool, pose)
     return lit.tip, lit.axis
 
 

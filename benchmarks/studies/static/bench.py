@@ -9,40 +9,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.evaluation import LITERAL, Photographer, Shot, Way
-from benchmarks.studies.static.causes import ALL, NONE, Draws
+from benchmarks.studies.static.causes import Draws
+from benchmarks.studies.static.findings import ALL, FROM_MM, NONE, Measured
 
 EVEN = -1
 """Number of the even wall among the textures."""
-
-FROM_MM = 0.5
-"""Readings from here on enter the fits: nearer, the fibre hides a good part of the spot."""
 
 Key = tuple[int, int, int]
 """Trial, texture, tilt (-1, 0 or 1)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
-    """Spots of one way of measuring under one set of causes.
-
-    Attributes:
-        semi_minor: runs x trials x frames, px; NaN where no spot counts.
-        readings: the same, mm.
-    """
-
-    semi_minor: np.ndarray
-    readings: np.ndarray
-
-
-@dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Photographs what was rendered.
+    """Photographs and measures rendered withdrawals.
 
     Attributes:
         planes: withdrawals from the plane.
-        spheres: in the eyeball.
+        spheres: withdrawals in the eyeball.
         draws: sizes of the causes.
-        pool: measures.
+        pool: workers that measure.
     """
 
     planes: Mapping[Key, Photographer]
@@ -89,7 +74,7 @@ class Bench:
         )
 
     def curved(self, way: Way) -> Measured:
-        """Spheres under all causes that can be there: one wall, and no plane to tilt."""
+        """Spheres under all causes that apply: they have one wall, and no plane to tilt."""
         tasks = [
             (self.spheres[trial], self._shot(way, run, trial))
             for run, trial in np.ndindex(self.draws.touch.shape)
@@ -98,7 +83,7 @@ class Bench:
 
     def _shot(self, way: Way, run: int, trial: int) -> Shot:
         shot = Shot(seed=_seed(run, trial))
-        if way is not LITERAL:  # metered, and without a threshold
+        if way is not LITERAL:  # metered frames, no threshold
             return shot
         return shot._replace(
             light=float(self.draws.light[run, trial]), threshold=int(self.draws.threshold[run])
@@ -129,7 +114,7 @@ class Bench:
         )
 
     def _touched(self, measured: Measured) -> Measured:
-        """Readings that count from a missed touch."""
+        """The same with readings that count from a missed touch."""
         return Measured(
             semi_minor=measured.semi_minor,
             readings=measured.readings - self.draws.touch[..., None],

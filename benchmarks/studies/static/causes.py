@@ -4,28 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.evaluation import Lines, fit_lines
-
-TOUCH_MM = 0.1
-TILT_DEG = 5.0
-LIGHT = 0.1
-THRESHOLD_DN = 10
-
-CAUSES = {
-    "noise": "the camera's",
-    "texture": "printed retina in place of an even wall",
-    "touch": f"{TOUCH_MM:g} mm, normal, a trial",
-    "tilt": f"plane {TILT_DEG:g}° either way, a trial",
-    "exposure": f"{100 * LIGHT:g} %, normal, a trial",
-    "threshold": f"{THRESHOLD_DN:g} grey levels, normal, a run",
-}
-"""The causes and their sizes: assumptions, which the paper says nothing of."""
-
-NONE, ALL = "none", "all"
+from benchmarks.studies.static.findings import (
+    ALL,
+    CAUSES,
+    LIGHT,
+    NONE,
+    THRESHOLD_DN,
+    TOGETHER,
+    TOUCH_MM,
+    CausePart,
+    Scope,
+)
+from calibration import Lines, fit_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +26,7 @@ class Draws:
     """Sizes of the causes by run (rows) and trial (columns).
 
     Attributes:
-        touch: mm that readings are short of the distance since contact.
+        touch: how much readings are smaller than the distance since contact, mm.
         tilt: -1, or 1, times TILT_DEG.
         light: factor on the exposure.
         threshold: of the literal mode, by run.
@@ -60,22 +53,6 @@ class Draws:
         )
 
 
-class Part(NamedTuple):
-    """Row of static_causes.csv: what a cause alone adds to the mean square error.
-
-    `scope`: of the line through all trials, or of each trial's own, in the mean. The parts, with
-    what all causes add beyond their sum ("together"), lead from the error without any to that with
-    all.
-    """
-
-    scope: str
-    cause: str
-    size: str
-    part_mm2: float
-    standard_error_mm2: float
-    rmse_mm: float
-
-
 def lines(semi_minor: np.ndarray, reading: np.ndarray) -> tuple[Lines, Lines]:
     """Each trial's line, and the line through all.
 
@@ -99,20 +76,20 @@ def parts(
     readings: Mapping[str, np.ndarray],
     *,
     texture: np.ndarray,
-) -> list[Part]:
+) -> list[CausePart]:
     """Split the mean square error by cause, over paired runs.
 
     Args:
         semi_minor: e1' by variant, runs x trials x frames, px: of NONE, of each cause, of ALL.
         readings: d_r likewise, mm.
-        texture: which wall each run has; what runs share a wall for is counted once.
+        texture: which wall each run has; runs that share a wall count once in its standard error.
     """
     both = {name: lines(semi_minor[name], readings[name]) for name in semi_minor}
     squares = {
-        "each trial": {name: (own.rmse**2).mean(axis=1) for name, (own, _) in both.items()},
-        "all trials": {name: pooled.rmse**2 for name, (_, pooled) in both.items()},
+        Scope.OWN: {name: (own.rmse**2).mean(axis=1) for name, (own, _) in both.items()},
+        Scope.POOLED: {name: pooled.rmse**2 for name, (_, pooled) in both.items()},
     }
-    rows: list[Part] = []
+    rows: list[CausePart] = []
     for scope, of in squares.items():
         causes = [name for name in CAUSES if name in of]
         alone = {name: of[name] - of[NONE] for name in causes}
@@ -123,18 +100,20 @@ def parts(
             if name == "texture":
                 walls = [alone[name][texture == wall].mean() for wall in np.unique(texture)]
                 rows[-1] = rows[-1]._replace(standard_error_mm2=_standard_error(np.array(walls)))
-        rows.append(_part(scope, "together", "beyond their sum", together, None))
+        rows.append(_part(scope, TOGETHER, "beyond their sum", together, None))
         rows.append(_part(scope, ALL, "", of[ALL], of[ALL]))
     return rows
 
 
-def _part(scope: str, cause: str, size: str, part: np.ndarray, whole: np.ndarray | None) -> Part:
+def _part(
+    scope: Scope, cause: str, size: str, part: np.ndarray, whole: np.ndarray | None
+) -> CausePart:
     rmse = float("nan") if whole is None else float(whole.mean()) ** 0.5
-    return Part(scope, cause, size, float(part.mean()), _standard_error(part), rmse)
+    return CausePart(scope, cause, size, float(part.mean()), _standard_error(part), rmse)
 
 
 def _standard_error(values: np.ndarray) -> float:
-    """Of the mean; NaN of a single value."""
+    """Standard error of the mean; NaN for a single value."""
     if values.size < 2:
         return float("nan")
     return float(values.std(ddof=1) / np.sqrt(values.size))

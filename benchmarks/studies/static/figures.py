@@ -1,52 +1,57 @@
-"""Pictures of the static study."""
+"""Figures of the static study."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.evaluation import LITERAL, SUBPIXEL, TABLE_I, TABLE_II
-from benchmarks.studies.static.causes import ALL, NONE, Part
-from benchmarks.studies.static.run import Findings
-from benchmarks.studies.validate import ALL_PLANES, BLUE, GREY, MEASURED, READING, TRIAL_COLOURS
+from benchmarks.evaluation import (
+    ALL_PLANES,
+    LITERAL,
+    MEASURED,
+    PAPERS_PLANES,
+    READING,
+    SUBPIXEL,
+    TABLE_I,
+    TRIAL_COLOURS,
+)
+from benchmarks.reporting import BLUE, GREY, small_multiples
+from benchmarks.studies.static.findings import ALL, NONE, CausePart, Scope, StaticFindings
 
 
-def trials(findings: Findings) -> Figure:
+def trials(findings: StaticFindings) -> Figure:
     """d_r against e1' of all runs: planes and spheres (rows), by way of measuring (columns)."""
-    page = Figure(figsize=(10.0, 6.4), layout="constrained")
-    grid = page.subplots(2, 2, sharex=True, sharey=True)
-    planes = {LITERAL.name: findings.planes[ALL], SUBPIXEL.name: findings.subpixel}
-    names = [name for name in TABLE_I if name != ALL_PLANES]
-    for row, by_way, trials in (
-        (grid[0], planes, names),
-        (grid[1], findings.spheres, list(TABLE_II)),
-    ):
-        for axes, (way, measured) in zip(row, by_way.items(), strict=True):
-            for n, (trial, colour) in enumerate(zip(trials, TRIAL_COLOURS, strict=True)):
-                spots = measured.semi_minor[:, n].ravel(), measured.readings[:, n].ravel()
-                axes.plot(*spots, ".", ms=2.5, alpha=0.5, color=colour, label=trial)
-            axes.set_title(way)
-            axes.legend(loc="lower right", markerscale=3)
-    low, high = grid[0, 0].get_ylim()
-    d = np.array([max(low, 0.0), high])
-    for axes in grid[0]:
-        for trial, colour in zip(names, TRIAL_COLOURS, strict=True):
-            line = TABLE_I[trial]
-            axes.plot((d - line.b) / line.delta_k, d, color=colour, lw=0.8)
-    for axes in grid[1]:
-        axes.set_xlabel(MEASURED)
-    for axes in grid[:, 0]:
-        axes.set_ylabel(READING)
-    return page
+    highest = max(np.nanmax(m.readings) for _, m in findings.with_all.values())
+
+    def draw(axes: Axes, wall: str, way: str) -> None:
+        names, measured = findings.with_all[wall, way]
+        for n, (name, colour) in enumerate(zip(names, TRIAL_COLOURS, strict=True)):
+            spots = measured.semi_minor[:, n].ravel(), measured.readings[:, n].ravel()
+            axes.plot(*spots, ".", ms=2.5, alpha=0.5, color=colour, label=name)
+        if wall == "plane":
+            d = np.array([0.0, highest])
+            for line, colour in zip(PAPERS_PLANES.values(), TRIAL_COLOURS, strict=True):
+                axes.plot((d - line.b) / line.delta_k, d, color=colour, lw=0.8)
+        axes.legend(loc="lower right", markerscale=3)
+
+    return small_multiples(
+        draw,
+        rows=["plane", "sphere"],
+        columns=[LITERAL.name, SUBPIXEL.name],
+        x=MEASURED,
+        y=READING,
+        height=3.2,
+        legend_columns=0,
+        sharex=True,
+        sharey=True,
+    )
 
 
-def causes(parts: Sequence[Part]) -> Figure:
+def causes(parts: list[CausePart]) -> Figure:
     """Parts of the mean square error, of each trial's line and of all trials' line."""
-    scopes = list(dict.fromkeys(part.scope for part in parts))
-    page = Figure(figsize=(10.0, 3.2), layout="constrained")
-    for axes, scope in zip(page.subplots(1, len(scopes)), scopes, strict=True):
+
+    def draw(axes: Axes, _: str, scope: Scope) -> None:
         rows = [part for part in parts if part.scope == scope][::-1]
         axes.barh(
             [part.cause for part in rows],
@@ -55,10 +60,11 @@ def causes(parts: Sequence[Part]) -> Figure:
             color=[GREY if part.cause in (NONE, ALL) else BLUE for part in rows],
             height=0.6,
         )
-        pooled = scope == "all trials"
-        for name, row in TABLE_I.items():
-            if pooled == (name == ALL_PLANES):
-                axes.axvline(1e3 * row.rmse**2, color=GREY, lw=0.8, ls=":")
-        axes.set_title(f"line of {scope}")
-        axes.set_xlabel("mean square error (10$^{-3}$ mm²)")
-    return page
+        printed = [TABLE_I[ALL_PLANES]] if scope == Scope.POOLED else PAPERS_PLANES.values()
+        for line in printed:
+            axes.axvline(1e3 * line.rmse**2, color=GREY, lw=0.8, ls=":")
+
+    x = "mean square error (10$^{-3}$ mm²)"
+    return small_multiples(
+        draw, rows=["line of"], columns=list(Scope), x=x, y="", height=3.2, legend_columns=0
+    )

@@ -1,222 +1,192 @@
-"""The report of the static study: sentences, tables and pictures, all from this run's numbers."""
+"""The report of the static study."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
-import matplotlib
+from benchmarks.evaluation import (
+    ALL_PLANES,
+    LITERAL,
+    PAPERS_PLANES,
+    SUBPIXEL,
+    TABLE_I,
+    TABLE_II,
+)
+from benchmarks.reporting import Claim, Column, Data, Picture, Report, Section, Table, number
+from benchmarks.studies.static import figures
+from benchmarks.studies.static.findings import (
+    ALL,
+    CAUSES,
+    FROM_MM,
+    NONE,
+    TOGETHER,
+    CausePart,
+    Entry,
+    RunSpread,
+    Scope,
+    StaticFindings,
+    StaticSpot,
+)
 
-from benchmarks.evaluation import LITERAL, SUBPIXEL, TABLE_I, TABLE_II
-from benchmarks.reporting import Data, Picture, Report, Row, Section, Table
-from benchmarks.studies.static import figures as pictures
-from benchmarks.studies.static.bench import FROM_MM
-from benchmarks.studies.static.causes import ALL, CAUSES, NONE, Part
-from benchmarks.studies.static.run import Findings
-from benchmarks.studies.static.tables import Entry, Spread
-from benchmarks.studies.validate import ALL_PLANES, Conclusion, figures, number
-
-_POOLED, _OWN = "all trials", "each trial"
-_DIGITS = {"delta_k": 4, "b": 2, "r_squared": 4, "c": 2}
-
-
-class Spot(NamedTuple):
-    """Row of static_spots.csv: a frame of the first run, with all causes but a plane's tilt."""
-
-    trial: str
-    way: str
-    d_r_mm: float
-    semi_minor_px: float
+_WAYS = (LITERAL.name, SUBPIXEL.name)
+_COLUMNS = {
+    "delta_k": Column("δk, mm/px", 4),
+    "b": Column("b, mm", 2),
+    "r_squared": Column("R²", 4),
+    "rmse": Column("RMSE, mm"),
+    "c": Column("c, mm", 2),
+    "standard_deviation": Column("standard deviation, mm"),
+    "mean_absolute_error": Column("mean |error|, mm"),
+    "max_error": Column("largest |error|, mm"),
+}
+"""The quantities of Tables I and II."""
 
 
-def report(findings: Findings) -> Report:
+def report(findings: StaticFindings) -> Report:
     """The report of a run."""
-    with matplotlib.rc_context(figures.STYLE):
-        return Report(
-            title="How far do the paper's Tables I and II spread, and what adds to their error?",
-            lead=f"The paper's static experiment rendered, photographed and fitted {findings.runs} "
-            "times: each run with its own noise, wall, touch, tilt, exposure and threshold. "
-            f"Readings from {FROM_MM:g} mm on count; nearer to contact the fibre hides a good part "
-            "of the spot.",
-            found=list(_found(findings)),
-            sections=[_tables(findings), _causes(findings)],
-            data=[
-                Data("static_tables.csv", Entry, findings.entries),
-                Data("static_spread.csv", Spread, findings.spreads),
-                Data("static_causes.csv", Part, findings.parts),
-                Data("static_spots.csv", Spot, _spots(findings)),
-            ],
-        )
-
-
-def _found(findings: Findings) -> Iterator[Conclusion]:
-    for way in (LITERAL.name, SUBPIXEL.name):
-        of = {s.quantity: s for s in findings.spreads if (s.way, s.trial) == (way, ALL_PLANES)}
-        if not of:
-            continue
-        yield Conclusion(
-            f"table I, {way}",
-            f"Table I, {way}: δk {_pm(of['delta_k'])} mm/px and b {_pm(of['b'])} mm.",
-            f"All planes over {of['delta_k'].runs} runs, mean ± standard deviation: R² "
-            f"{_pm(of['r_squared'])}, RMSE {_pm(of['rmse'])} mm. Printed are "
-            f"{number(of['delta_k'].paper, 4)} mm/px, {number(of['b'].paper, 3)} mm, "
-            f"{number(of['r_squared'].paper, 4)} and {number(of['rmse'].paper, 3)} mm.",
-        )
-    for way in (LITERAL.name, SUBPIXEL.name):
-        c = [s for s in findings.spreads if (s.way, s.quantity) == (way, "c")]
-        if c:
-            yield Conclusion(
-                f"table II, {way}",
-                f"Table II, {way}: c comes out as " + ", ".join(_pm(s) for s in c) + " mm.",
-                "Its true values are those that the paper prints: "
-                + ", ".join(number(s.paper, 2) for s in c)
-                + " mm.",
-            )
-    yield _largest(findings)
-    yield _enough(findings)
-
-
-def _largest(findings: Findings) -> Conclusion:
-    pooled = [p for p in findings.parts if p.scope == _POOLED]
-    causes = sorted((p for p in pooled if p.cause in CAUSES), key=lambda p: -p.part_mm2)
-    first = causes[0]
-    share = ", ".join(
-        f"{p.cause} {number(1e3 * p.part_mm2, 2, sign=True)} ± "
-        f"{number(1e3 * p.standard_error_mm2, 2)}"
-        for p in causes
-    )
-    none, together, whole = (_part(pooled, name) for name in (NONE, "together", ALL))
-    return Conclusion(
-        "causes",
-        f"Of the causes, {first.cause} ({first.size}) adds most to the RMSE of all planes.",
-        f"Mean square error in 10⁻³ mm², ± standard error over runs: without causes "
-        f"{number(1e3 * none.part_mm2, 2)} (RMSE {number(none.rmse_mm, 3)} mm); {share}; together "
-        f"beyond their sum {number(1e3 * together.part_mm2, 2, sign=True)} ± "
-        f"{number(1e3 * together.standard_error_mm2, 2)}; with all "
-        f"{number(1e3 * whole.part_mm2, 2)} (RMSE {number(whole.rmse_mm, 3)} mm).",
-    )
-
-
-def _enough(findings: Findings) -> Conclusion:
-    """Whether causes of these sizes make the paper's errors."""
-    own = _part([p for p in findings.parts if p.scope == _OWN], ALL)
-    pooled = _part([p for p in findings.parts if p.scope == _POOLED], ALL)
-    printed = [row.rmse for name, row in TABLE_I.items() if name != ALL_PLANES]
-    low, high, whole = min(printed), max(printed), TABLE_I[ALL_PLANES].rmse
-    place = "within" if low <= own.rmse_mm <= high else "outside"
-    return Conclusion(
-        "the paper's RMSE",
-        f"With all causes a trial's RMSE is {number(own.rmse_mm, 3)} mm, {place} the paper's "
-        f"{number(low, 3)} to {number(high, 3)} mm.",
-        f"All planes together: {number(pooled.rmse_mm, 3)} mm, the paper's {number(whole, 3)} mm.",
-        holds=bool(low <= own.rmse_mm <= high),
-    )
-
-
-def _tables(findings: Findings) -> Section:
-    def rows(trials: Iterable[str], quantities: Iterable[str]) -> list[Row]:
-        of = {(s.way, s.trial, s.quantity): s for s in findings.spreads}
-        ours: list[Row] = [
-            (
-                way,
-                trial,
-                *(_pm(of[way, trial, q]) if (way, trial, q) in of else "–" for q in quantities),
-            )
-            for way in (LITERAL.name, SUBPIXEL.name)
-            for trial in trials
-        ]
-        printed = {**TABLE_I, **TABLE_II}
-        return ours + [
-            (
-                "paper",
-                trial,
-                *(number(getattr(printed[trial], q), _DIGITS.get(q, 3)) for q in quantities),
-            )
-            for trial in trials
-        ]
-
-    first = ("delta_k", "b", "r_squared", "rmse")
-    second = ("c", "standard_deviation", "mean_absolute_error", "max_error")
-    return Section(
-        "Tables I and II over many runs",
-        Picture(
-            "static_trials",
-            pictures.trials(findings),
-            "Spots of all runs with all causes, on the planes (top) and in the eyeball (bottom); "
-            "lines: those of the paper's Table I.",
-            data="static_spots.csv",
-        ),
-        Table(
-            ("way", "trial", "δk, mm/px", "b, mm", "R²", "RMSE, mm"),
-            rows(TABLE_I, first),
-            "Table I with all causes, mean ± standard deviation over runs.",
-            data="static_spread.csv",
-        ),
-        Table(
-            (
-                "way",
-                "trial",
-                "c, mm",
-                "standard deviation, mm",
-                "mean |error|, mm",
-                "largest |error|, mm",
+    return Report(
+        title="How far do the paper's Tables I and II spread, and what adds to their error?",
+        lead=f"The paper's static experiment rendered, photographed and fitted {findings.runs} "
+        "times: each run with its own noise, wall, touch, tilt, exposure and threshold. "
+        f"Only readings from {FROM_MM:g} mm on count; nearer to contact the fibre hides a good "
+        "part of the spot.",
+        claims=list(_claims(findings)),
+        sections=[
+            Section(
+                "Tables I and II over many runs",
+                Picture(
+                    "static_trials",
+                    figures.trials(findings),
+                    "Spots of all runs with all causes, on the planes (top) and in the eyeball "
+                    "(bottom); lines: those of the paper's Table I.",
+                    data="static_spots.csv",
+                ),
+                _table(
+                    findings,
+                    TABLE_I,
+                    "Table I with all causes, mean ± standard deviation over runs.",
+                ),
+                _table(
+                    findings,
+                    TABLE_II,
+                    "Table II likewise: the small-plane model with each run's own δk and b.",
+                ),
             ),
-            rows(TABLE_II, second),
-            "Table II likewise: the small-plane model with each run's own δk and b.",
-            data="static_spread.csv",
-        ),
+            Section(
+                "What adds to the RMSE",
+                Picture(
+                    "static_causes",
+                    figures.causes(findings.parts),
+                    "Mean square error that each cause adds alone, and all together beyond their "
+                    "sum, with standard errors over paired runs; dotted: the paper's mean square "
+                    "error.",
+                    data="static_causes.csv",
+                ),
+                Table.of(
+                    CausePart,
+                    findings.parts,
+                    "Parts of the mean square error in literal mode. The first row is the error "
+                    "without any cause: a lens's light makes no exact line. The parts and "
+                    "“together” lead from it to “all”. The sizes are assumptions; small causes add "
+                    "in proportion to the square of their size. Runs share walls in turn, which "
+                    "the standard error of texture allows for.",
+                    data="static_causes.csv",
+                ),
+            ),
+        ],
+        data=[
+            Data("static_tables.csv", Entry, findings.entries),
+            Data("static_spread.csv", RunSpread, findings.spreads),
+            Data("static_causes.csv", CausePart, findings.parts),
+            Data("static_spots.csv", StaticSpot, findings.first_run),
+        ],
     )
 
 
-def _causes(findings: Findings) -> Section:
-    rows: list[Row] = [
-        (
-            p.scope,
-            p.cause,
-            p.size,
-            1e3 * p.part_mm2,
-            1e3 * p.standard_error_mm2,
-            p.rmse_mm,
-        )
-        for p in findings.parts
+def _claims(findings: StaticFindings) -> Iterator[Claim]:
+    for way in _WAYS:
+        for quantity in TABLE_I[ALL_PLANES]._fields:
+            spread = findings.spread(way, ALL_PLANES, quantity)
+            if spread is not None:
+                yield _spread_claim(f"Table I, {way}", spread)
+    for way in _WAYS:
+        for trial in TABLE_II:
+            spread = findings.spread(way, trial, "c")
+            if spread is not None:
+                yield _spread_claim(f"Table II, {way}, {trial}", spread)
+    yield _causes(findings)
+    printed = [row.rmse for row in PAPERS_PLANES.values()]
+    yield Claim(
+        name="the paper's RMSE",
+        sentence="With all causes a trial's RMSE is {value:.3f} mm (the paper's trials: {low:.3f} "
+        "to {high:.3f} mm). For all planes together it is {pooled:.3f} mm (the paper's: "
+        "{paper:.3f} mm).",
+        value=findings.part(Scope.OWN, ALL).rmse_mm,
+        low=min(printed),
+        high=max(printed),
+        numbers={
+            "pooled": findings.part(Scope.POOLED, ALL).rmse_mm,
+            "paper": TABLE_I[ALL_PLANES].rmse,
+        },
+    )
+
+
+def _spread_claim(where: str, spread: RunSpread) -> Claim:
+    column = _COLUMNS[spread.quantity]
+    digits = f".{column.digits}f"
+    return Claim(
+        name=f"{where}, {column.heading}",
+        sentence=f"{{value:{digits}}} ± {{spread.standard_deviation:{digits}}}, mean ± standard "
+        f"deviation over {{spread.runs}} runs; the paper prints {{spread.paper:{digits}}}.",
+        value=spread.mean,
+        numbers={"spread": spread},
+    )
+
+
+def _causes(findings: StaticFindings) -> Claim:
+    parts = {c: findings.part(Scope.POOLED, c) for c in (NONE, *CAUSES, TOGETHER, ALL)}
+    ordered = sorted((parts[cause] for cause in CAUSES), key=lambda part: -part.part_mm2)
+    return Claim(
+        name="causes",
+        sentence="Of the causes, {causes[0]} adds most to the mean square error of all planes. "
+        "In 10⁻³ mm², with standard errors over runs: {causes} add {parts:+.2f} ± {errors:.2f}; "
+        "together beyond their sum {together:+.2f} ± {together_error:.2f}. Without causes the "
+        "error is {none:.2f} (RMSE {none_rmse:.3f} mm), with all {value:.2f} (RMSE {all_rmse:.3f} "
+        "mm).",
+        value=1e3 * parts[ALL].part_mm2,
+        numbers={
+            "causes": tuple(part.cause for part in ordered),
+            "parts": tuple(1e3 * part.part_mm2 for part in ordered),
+            "errors": tuple(1e3 * part.standard_error_mm2 for part in ordered),
+            "together": 1e3 * parts[TOGETHER].part_mm2,
+            "together_error": 1e3 * parts[TOGETHER].standard_error_mm2,
+            "none": 1e3 * parts[NONE].part_mm2,
+            "none_rmse": parts[NONE].rmse_mm,
+            "all_rmse": parts[ALL].rmse_mm,
+        },
+    )
+
+
+def _table(findings: StaticFindings, printed: Mapping[str, Any], caption: str) -> Table:
+    quantities = next(iter(printed.values()))._fields
+    columns = [Column("way"), Column("trial"), *(_COLUMNS[name] for name in quantities)]
+    rows = [
+        (way, trial, *(_mean_and_deviation(findings.spread(way, trial, q)) for q in quantities))
+        for way in _WAYS
+        for trial in printed
     ]
-    return Section(
-        "What adds to the RMSE",
-        Picture(
-            "static_causes",
-            pictures.causes(findings.parts),
-            "Mean square error that each cause adds alone, and all together beyond their sum, "
-            "with standard errors over paired runs; dotted: the paper's mean square error.",
-            data="static_causes.csv",
-        ),
-        Table(
-            ("line of", "cause", "size", "part, 10⁻³ mm²", "standard error", "RMSE, mm"),
-            rows,
-            "Parts of the mean square error in literal mode. The first row is the error without "
-            "any cause: a lens's light makes no exact line. The parts and together lead from it to "
-            "all. Sizes are assumptions: small ones add in proportion to their square. Runs share "
-            "walls in turn, which the standard error of texture allows for.",
-            data="static_causes.csv",
-        ),
-    )
+    paper = [("paper", trial, *_rounded(quantities, row)) for trial, row in printed.items()]
+    return Table(columns, [*rows, *paper], caption, "static_spread.csv")
 
 
-def _spots(findings: Findings) -> Iterator[Spot]:
-    planes = {LITERAL.name: findings.planes[ALL], SUBPIXEL.name: findings.subpixel}
-    names = [name for name in TABLE_I if name != ALL_PLANES]
-    for trials, by_way in ((names, planes), (list(TABLE_II), findings.spheres)):
-        for way, measured in by_way.items():
-            for trial, axis, reading in zip(
-                trials, measured.semi_minor[0], measured.readings[0], strict=True
-            ):
-                for e, d in zip(axis, reading, strict=True):
-                    yield Spot(trial, way, float(d), float(e))
+def _mean_and_deviation(spread: RunSpread | None) -> str:
+    if spread is None:
+        return "–"
+    return " ± ".join(_rounded([spread.quantity] * 2, (spread.mean, spread.standard_deviation)))
 
 
-def _part(parts: Iterable[Part], cause: str) -> Part:
-    return next(part for part in parts if part.cause == cause)
-
-
-def _pm(spread: Spread) -> str:
-    digits = _DIGITS.get(spread.quantity, 3)
-    return f"{number(spread.mean, digits)} ± {number(spread.standard_deviation, digits)}"
+def _rounded(quantities: Iterable[str], values: Iterable[float]) -> list[str]:
+    return [
+        number(value, _COLUMNS[name].digits) for name, value in zip(quantities, values, strict=True)
+    ]

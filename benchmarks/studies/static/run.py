@@ -4,65 +4,39 @@ DIR/static_tables.csv  every run's Table I and II, in both modes
     static_spread.csv  mean and standard deviation over runs beside the paper's figures
     static_causes.csv  what touch, tilt, exposure, texture, threshold and noise add to the error
     static_spots.csv   e1' of every frame of the first run
-    stacks/            what was rendered, with the noise-free frames that all runs photograph
+    stacks/            rendered frames, with the noise-free ones that all runs photograph
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import scenes
-from benchmarks.evaluation import LITERAL, SUBPIXEL, Photographer, Trial, paper_trials
+from benchmarks.evaluation import LITERAL, SUBPIXEL, Photographer, StaticTrial, paper_trials
 from benchmarks.reporting import Request, Study
 from benchmarks.studies.static import causes as static_causes
-from benchmarks.studies.static.bench import EVEN, Bench, Key, Measured
-from benchmarks.studies.static.causes import ALL, TILT_DEG, Draws, Part
-from benchmarks.studies.static.tables import Entry, Spread, entries, spreads
+from benchmarks.studies.static.bench import EVEN, Bench, Key
+from benchmarks.studies.static.causes import Draws
+from benchmarks.studies.static.findings import ALL, TILT_DEG, StaticFindings
+from benchmarks.studies.static.report import report
+from benchmarks.studies.static.tables import entries, spreads
 from scenes import Scene, SceneError
 
 # Table I's R² and RMSE imply trials of 3.0, 3.5 and 3.7 mm (`eyespot study table-one`).
 _DEFAULTS = ("motion.travel_mm=3.5",)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Findings:
-    """What the report is made of.
-
-    Attributes:
-        scene: the study's.
-        runs: number of paired runs.
-        planes: literal mode on planes by variant: NONE, each cause, ALL.
-        subpixel: sub-pixel mode on planes under all causes.
-        spheres: by way of measuring, under all causes but tilt.
-        entries: Tables I and II of every run.
-        spreads: over runs.
-        parts: of the error, by cause.
-    """
-
-    scene: Scene
-    runs: int
-    planes: dict[str, Measured]
-    subpixel: Measured
-    spheres: dict[str, Measured]
-    entries: list[Entry]
-    spreads: list[Spread]
-    parts: list[Part]
-
-
-def run(request: Request) -> Findings:
+def run(request: Request) -> StaticFindings:
     """Render once, photograph and measure many times, fit and compare.
 
     Args:
         request: what was asked for.
 
     Raises:
-        SceneError: the scene is no withdrawal from contact.
-        ValueError: the folder holds something else.
+        SceneError: the scene is not a withdrawal from contact.
+        ValueError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
-    from benchmarks.studies.static import report as static_report  # figures, needed at the end only
-
     study = Study("static", request, defaults=_DEFAULTS, check=check)
     runs, textures, frames = (4, 1, 5) if request.quick else (20, 4, 21)
     with study.timed("render"):
@@ -79,14 +53,9 @@ def run(request: Request) -> Findings:
         table = [
             row
             for way, plane in literal.items()
-            for row in entries(
-                way,
-                planes=(plane.semi_minor, plane.readings),
-                spheres=(curved[way].semi_minor, curved[way].readings),
-                scene=study.scene,
-            )
+            for row in entries(way, planes=plane, spheres=curved[way], scene=study.scene)
         ]
-        findings = Findings(
+        findings = StaticFindings(
             scene=study.scene,
             runs=runs,
             planes=measured,
@@ -100,7 +69,7 @@ def run(request: Request) -> Findings:
                 texture=draws.texture,
             ),
         )
-    study.publish(static_report.report(findings))
+    study.publish(report, findings)
     return findings
 
 
@@ -137,14 +106,14 @@ def _planes(study: Study, *, textures: int, frames: int) -> dict[Key, Photograph
     }
 
 
-def plane(scene: Scene, place: Trial, *, texture: int, tilt: int, frames: int) -> Scene:
+def plane(scene: Scene, place: StaticTrial, *, texture: int, tilt: int, frames: int) -> Scene:
     """A trial on the plane; the instrument keeps its direction when the plane tilts under it.
 
     Args:
         scene: the study's.
-        place: whose place on the wall is taken.
+        place: the trial that gives the place on the wall.
         texture: number of the wall, EVEN for the even one.
-        tilt: 1 where the plane's normal leans the way the beam travels, -1 against it, 0 for none.
+        tilt: 1 if the plane's normal leans the way the beam travels, -1 against it, 0 for none.
         frames: of the withdrawal.
     """
     base = scene.spot
@@ -178,11 +147,11 @@ def _spheres(study: Study, *, frames: int) -> list[Photographer]:
     return [Photographer(scene=scene, stack=stacks[name]) for name, scene in wanted.items()]
 
 
-def _places(kind: str) -> list[Trial]:
+def _places(kind: str) -> list[StaticTrial]:
     return [t for t in paper_trials(source="lens", quick=True, seed=0) if t.kind == kind]
 
 
-def _shared(place: Trial, *, frames: int) -> dict[str, object]:
+def _shared(place: StaticTrial, *, frames: int) -> dict[str, object]:
     return {
         "spot.eccentricity_mm": place.scene.spot.eccentricity_mm,
         "spot.azimuth_deg": place.scene.spot.azimuth_deg,

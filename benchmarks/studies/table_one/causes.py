@@ -1,14 +1,16 @@
-"""What makes trials of one lens differ: each cause's own mark on delta k, b and -b/delta k."""
+"""What makes trials of one lens differ: each cause's effect on delta k, b and -b/delta k."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.evaluation import Lines, PlaneRow, fit_lines
-from benchmarks.studies.table_one.scan import Choice, Isophotes, readings
+from benchmarks.evaluation import PlaneRow
+from benchmarks.studies.table_one.findings import CauseLine, LensChoice, LensMark
+from benchmarks.studies.table_one.isophotes import Isophotes
+from benchmarks.studies.table_one.scan import readings
+from calibration import Lines, fit_lines
 from scenes import Scene
 
 TOUCH_MM = 0.5
@@ -18,42 +20,8 @@ HEIGHT_MM = 1.0
 MORE_LIGHT = 0.1
 
 
-class Cause(NamedTuple):
-    """Row of table_one_causes.csv: change of a trial's line under one cause of a stated size."""
-
-    cause: str
-    delta_k_mm_px: float
-    b_mm: float
-    contact_radius_px: float
-    r_squared: float
-    rmse_mm: float
-    delta_k_change_percent: float
-    b_change_mm: float
-    contact_radius_change_px: float
-
-
-class Mark(NamedTuple):
-    """Row of table_one_marks.csv: what tells a lens from another that gives the same line.
-
-    `growth_px` is how much the thresholded spot grows by a tenth more light, at the range's middle;
-    the half maximum's line over the same range is what sub-pixel mode sees.
-    """
-
-    numerical_aperture: float
-    sag_mm: float
-    level: float
-    from_mm: float
-    to_mm: float
-    contact_radius_px: float
-    growth_px: float
-    half_maximum_delta_k_mm_px: float
-    half_maximum_b_mm: float
-    half_maximum_r_squared: float
-    half_maximum_turns_at_mm: float
-
-
-def causes(isophotes: Isophotes, choice: Choice, scene: Scene) -> list[Cause]:
-    """The choice's line, and what each cause alone makes of it.
+def causes(isophotes: Isophotes, choice: LensChoice, scene: Scene) -> list[CauseLine]:
+    """The choice's line, without a cause and with each cause alone.
 
     A wrong touch shifts all readings alike, so b by as much and nothing else. More light lowers the
     level that the threshold stands for, a steeper tilt raises it. A lower wall is seen smaller.
@@ -80,11 +48,11 @@ def causes(isophotes: Isophotes, choice: Choice, scene: Scene) -> list[Cause]:
         f"wall {HEIGHT_MM:g} mm lower": own._replace(delta_k=own.delta_k / smaller),
         f"readings up to {longer:.1f} mm": line(readings(choice.from_mm, longer)),
     }
-    return [_cause(name, row, own) for name, row in changed.items()]
+    return [cause_line(name, row, own) for name, row in changed.items()]
 
 
-def mark(isophotes: Isophotes, choice: Choice) -> Mark:
-    """What tells this lens from others."""
+def mark(isophotes: Isophotes, choice: LensChoice) -> LensMark:
+    """What distinguishes this lens from others."""
     reading = readings(choice.from_mm, choice.to_mm)
     middle = np.array([0.5 * (choice.from_mm + choice.to_mm)])
     sizes = [
@@ -93,7 +61,7 @@ def mark(isophotes: Isophotes, choice: Choice) -> Mark:
     ]
     half = isophotes.half_maximum(reading)
     line = fit_lines(half / choice.scale_mm_px, reading)
-    return Mark(
+    return LensMark(
         *isophotes.family,
         level=choice.level,
         from_mm=choice.from_mm,
@@ -108,20 +76,21 @@ def mark(isophotes: Isophotes, choice: Choice) -> Mark:
 
 
 def light_and_touch(row: PlaneRow, other: PlaneRow) -> tuple[float, float]:
-    """What light and touch set two lines of one lens apart, if nothing else does.
+    """The light and the missed touch that explain the difference of two lines of one lens.
 
     Light moves delta k and b in proportion, so that -b/delta k stays; touch moves b alone.
 
     Returns:
-        Ratio of the slopes, which is light's; what touch adds to b, mm.
+        Ratio of the slopes, due to light; what touch adds to b, mm.
     """
     ratio = row.delta_k / other.delta_k
     return ratio, row.b - ratio * other.b
 
 
-def _cause(name: str, row: Lines, own: Lines) -> Cause:
+def cause_line(name: str, row: Lines | PlaneRow, own: Lines | PlaneRow) -> CauseLine:
+    """The row of a line, with its change from the own one."""
     contact = -row.b / row.delta_k
-    return Cause(
+    return CauseLine(
         name,
         delta_k_mm_px=float(row.delta_k),
         b_mm=float(row.b),

@@ -1,9 +1,9 @@
-r"""What the printed figures of Table I say of the distances behind them, by arithmetic alone.
+r"""What the printed figures of Table I imply for the distances behind them, by arithmetic.
 
 R² and RMSE of a line give the spread of its readings, $\sigma_d^2 = \mathrm{RMSE}^2/(1 - R^2)$;
 with slope and intercept they give every second moment of a trial but its mean distance. The line of
 all trials together follows from these moments, the means and the numbers of spots, whatever the
-lens. So the printed pooled row says at which distances the trials can have been.
+lens. So the printed pooled row limits the distances at which the trials can have been.
 """
 
 from __future__ import annotations

@@ -6,97 +6,38 @@ import os
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import tomli_w
 
 import scenes
 from benchmarks.evaluation import (
+    ALL_PLANES,
     LITERAL,
+    PAPERS_PLANES,
     SUBPIXEL,
-    TABLE_I,
     Photographer,
     PlaneRow,
     Shot,
-    fit_lines,
     paper_trials,
 )
 from benchmarks.reporting import Study
-from benchmarks.studies.table_one.scan import NEAR_CONTACT_MM, Choice, Family, misses
-from benchmarks.studies.validate import ALL_PLANES, Criterion, reproduction
+from benchmarks.studies.table_one.findings import ConfirmedLens, LensChoice, RenderedLine
+from benchmarks.studies.table_one.isophotes import Family
+from benchmarks.studies.table_one.scan import NEAR_CONTACT_MM, misses
+from calibration import fit_lines
 from scenes import Scene
 
 LIGHTS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2)
-"""Factors on the fixed exposure: the light that a place's picture throws back is not its mean."""
-_TRIALS = tuple(name for name in TABLE_I if name != ALL_PLANES)
+"""Factors on the fixed exposure: a place of the picture reflects more or less than the mean."""
+_TRIALS = tuple(PAPERS_PLANES)
 
 
-class Line(NamedTuple):
-    """Row of table_one_rendered.csv: a line through measured spots of one lens.
-
-    `level` is the threshold over the peak at 5 mm on a wall of the mean colour.
-    """
-
-    numerical_aperture: float
-    sag_mm: float
-    level: float
-    from_mm: float
-    to_mm: float
-    scale_mm_px: float
-    way: str
-    trial: str
-    delta_k_mm_px: float
-    b_mm: float
-    r_squared: float
-    rmse_mm: float
-    contact_radius_px: float
-    spots: int
-
-
-class Confirmed(NamedTuple):
-    """A choice of the scan on rendered stacks.
-
-    Attributes:
-        choice: of the scan, with the threshold and the first reading at which the rendered spots
-            come nearest to Table I.
-        spots: e1' (px, NaN where none counts) and d_r (mm) by (way, trial).
-        lines: by (way, trial), "all planes" among them.
-    """
-
-    choice: Choice
-    spots: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]
-    lines: dict[tuple[str, str], Line]
-
-    def criteria(self, way: str) -> list[Criterion]:
-        """What Table I asks of one way of measuring, and whether it is met."""
-        return reproduction(
-            {
-                trial: PlaneRow(line.delta_k_mm_px, line.b_mm, line.r_squared, line.rmse_mm)
-                for (measured, trial), line in self.lines.items()
-                if measured == way
-            }
-        )
-
-    @property
-    def reproduces(self) -> bool:
-        """Whether literal mode meets all that Table I asks, scatter as large as the paper's too."""
-        return all(c.met for c in self.criteria(LITERAL.name))
-
-    @property
-    def straight(self) -> bool:
-        """Whether it does but for a scatter that may be smaller than the paper's."""
-        return all(
-            all(value <= c.high for value in c.values) if c.low == 0.05 else c.met
-            for c in self.criteria(LITERAL.name)
-        )
-
-
-def confirm(study: Study, choices: Sequence[Choice], *, frames: int) -> list[Confirmed]:
+def confirm(study: Study, choices: Sequence[LensChoice], *, frames: int) -> list[ConfirmedLens]:
     """Render, track and fit.
 
     Args:
-        study: its folder takes lens files and stacks.
+        study: lens files and stacks are written into its folder.
         choices: of the scan.
         frames: of a trial.
     """
@@ -115,7 +56,7 @@ def confirm(study: Study, choices: Sequence[Choice], *, frames: int) -> list[Con
     ]
 
 
-def _scenes(study: Study, choice: Choice, *, frames: int) -> Mapping[str, Scene]:
+def _scenes(study: Study, choice: LensChoice, *, frames: int) -> Mapping[str, Scene]:
     """The paper's three places on the plane, with a lens, threshold, range and scale."""
     lens = _lens_file(study.folder / "lenses", choice.family)
     places = [t for t in paper_trials(source="lens", quick=True, seed=0) if t.group in _TRIALS]
@@ -140,7 +81,7 @@ def _scenes(study: Study, choice: Choice, *, frames: int) -> Mapping[str, Scene]
 
 
 def _lens_file(folder: Path, family: Family) -> Path:
-    folder = folder.absolute()  # the stacks name the file, from wherever they are gone on with
+    folder = folder.absolute()  # the stacks name the file; a run may resume elsewhere
     folder.mkdir(exist_ok=True)
     path = folder / f"{family.name}.toml"
     partial = path.with_suffix(".partial")
@@ -149,11 +90,11 @@ def _lens_file(folder: Path, family: Family) -> Path:
     return path
 
 
-def _name(choice: Choice, trial: str) -> str:
+def _name(choice: LensChoice, trial: str) -> str:
     return f"{choice.family.name}-{trial.replace(' ', '-')}"
 
 
-def _confirmed(choice: Choice, trials: Mapping[str, Photographer]) -> Confirmed:
+def _confirmed(choice: LensChoice, trials: Mapping[str, Photographer]) -> ConfirmedLens:
     measured = {
         trial: p.measure(LITERAL, [Shot(seed=p.scene.seed, light=light) for light in LIGHTS])
         for trial, p in trials.items()
@@ -169,7 +110,7 @@ def _confirmed(choice: Choice, trials: Mapping[str, Photographer]) -> Confirmed:
         spots = literal[light]
         pooled = fit_lines(*_from(start, spots, readings))
         own = [fit_lines(*_from(start, {t: spots[t]}, readings)) for t in _TRIALS]
-        # Table I's slope is asked of all trials together, its scatter of each.
+        # The slope of Table I is that of all trials together, its scatter that of each.
         asked = [line._replace(delta_k=pooled.delta_k, b=pooled.b) for line in own]
         return max(float(misses(line, scale=1.0)) for line in asked)
 
@@ -187,7 +128,7 @@ def _confirmed(choice: Choice, trials: Mapping[str, Photographer]) -> Confirmed:
             own = _from(start, {trial: spots[trial]}, readings)
             lines[way, trial] = _line(choice, way, trial, *own)
         lines[way, ALL_PLANES] = _line(choice, way, ALL_PLANES, *_from(start, spots, readings))
-    return Confirmed(
+    return ConfirmedLens(
         choice,
         {(way, t): (spots[t], readings[t]) for way, spots in seen.items() for t in _TRIALS},
         lines,
@@ -205,25 +146,8 @@ def _from(
 
 
 def _line(
-    choice: Choice,
-    way: str,
-    trial: str,
-    semi_minor_px: np.ndarray,
-    reading: np.ndarray,
-) -> Line:
-    delta_k, b, r_squared, rmse = (float(x) for x in fit_lines(semi_minor_px, reading))
-    return Line(
-        *choice.family,
-        level=choice.level,
-        from_mm=choice.from_mm,
-        to_mm=choice.to_mm,
-        scale_mm_px=choice.scale_mm_px,
-        way=way,
-        trial=trial,
-        delta_k_mm_px=delta_k,
-        b_mm=b,
-        r_squared=r_squared,
-        rmse_mm=rmse,
-        contact_radius_px=-b / delta_k,
-        spots=int(np.count_nonzero(np.isfinite(semi_minor_px))),
-    )
+    choice: LensChoice, way: str, trial: str, semi_minor_px: np.ndarray, reading: np.ndarray
+) -> RenderedLine:
+    line = PlaneRow(*(float(x) for x in fit_lines(semi_minor_px, reading)))
+    spots = int(np.count_nonzero(np.isfinite(semi_minor_px)))
+    return RenderedLine.of(choice, way, trial, line, spots=spots)

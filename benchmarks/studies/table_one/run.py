@@ -2,22 +2,21 @@
 
 DIR/table_one_scan.csv      each lens at the threshold and range that come nearest to the table
     table_one_rendered.csv  the best of them, and some that fail, on rendered stacks
-    table_one_marks.csv     what would tell lenses apart that give the same line
+    table_one_marks.csv     what distinguishes lenses that give the same line
     table_one_causes.csv    what touch, light, tilt, height and range do to a line
-    lenses/, stacks/, spots/  what was rendered, and measured in it
+    lenses/, stacks/        rendered lenses and frames
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 from benchmarks.reporting import Request, Study
 from benchmarks.studies.table_one import causes, rendered, scan
-from benchmarks.studies.table_one.causes import Cause, Mark
-from benchmarks.studies.table_one.rendered import Confirmed
-from benchmarks.studies.table_one.scan import AT_SCALE, Choice, Family, Isophotes
+from benchmarks.studies.table_one.findings import Demand, LensChoice, TableOneFindings
+from benchmarks.studies.table_one.isophotes import Family, Isophotes, families, paper_candidate
+from benchmarks.studies.table_one.report import report
 from scenes import Scene, SceneError
 
 WIDE_APERTURE = 0.15
@@ -25,47 +24,17 @@ WIDE_APERTURE = 0.15
 _CURVED_MM = 0.02
 
 
-@dataclass(frozen=True, kw_only=True)
-class Findings:
-    """What the report is made of.
-
-    Attributes:
-        scene: the study's.
-        isophotes: of all lenses of the scan.
-        choices: of each lens, by both ways of asking.
-        confirmed: lenses on rendered stacks: those that give the table, those that give its line,
-            the others; of a kind the best of the scan first.
-        marks: of the same lenses.
-        causes: what makes trials of the best lens differ.
-    """
-
-    scene: Scene
-    isophotes: dict[Family, Isophotes]
-    choices: list[Choice]
-    confirmed: list[Confirmed]
-    marks: list[Mark]
-    causes: list[Cause]
-
-    def asked(self, way: str) -> list[Choice]:
-        """Choices by one way of asking."""
-        return [choice for choice in self.choices if choice.asked == way]
-
-
-def run(request: Request) -> Findings:
+def run(request: Request) -> TableOneFindings:
     """Scan, render, compare and report.
 
     Args:
         request: what was asked for.
 
     Raises:
-        SceneError: the scene is no withdrawal of a lens from a plane.
-        ValueError: the folder holds something else.
+        SceneError: the scene is not a withdrawal of a lens from a plane.
+        ValueError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
-    from benchmarks.studies.table_one import (
-        report as table_one_report,  # figures, needed at the end only
-    )
-
     study = Study("table-one", request, defaults=("phantom.kind=plane",), check=check)
     scene = study.scene
     with study.timed("scan of lenses"):
@@ -75,7 +44,7 @@ def run(request: Request) -> Findings:
             for one in isophotes.values()
             for choice in scan.best_choices(one, scale=scene.microscope.scale_mm_px)
         ]
-    chosen = to_render([c for c in choices if c.asked == AT_SCALE], quick=request.quick)
+    chosen = to_render([c for c in choices if c.asked == Demand.AT_SCALE], quick=request.quick)
     with study.timed("render and measure"):
         confirmed = sorted(
             rendered.confirm(study, chosen, frames=7 if request.quick else 31),
@@ -83,7 +52,7 @@ def run(request: Request) -> Findings:
             reverse=True,
         )
     best = confirmed[0].choice
-    findings = Findings(
+    findings = TableOneFindings(
         scene=scene,
         isophotes=isophotes,
         choices=choices,
@@ -91,12 +60,12 @@ def run(request: Request) -> Findings:
         marks=[causes.mark(isophotes[one.choice.family], one.choice) for one in confirmed],
         causes=causes.causes(isophotes[best.family], best, scene),
     )
-    study.publish(table_one_report.report(findings))
+    study.publish(report, findings)
     return findings
 
 
 def check(scene: Scene) -> None:
-    """Refuse a scene that Table I cannot be asked of.
+    """Refuse a scene that cannot be compared with Table I.
 
     Raises:
         SceneError: saying what to change.
@@ -123,13 +92,13 @@ def check(scene: Scene) -> None:
 def lenses(*, quick: bool) -> list[Family]:
     """The lenses of the scan."""
     if quick:
-        return scan.families((0.05, 0.10, 0.15, 0.20), (0.0, 0.12))
-    return scan.families(
+        return families((0.05, 0.10, 0.15, 0.20), (0.0, 0.12))
+    return families(
         (0.05, 0.08, 0.10, 0.12, 0.15, 0.20), (0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.12)
     )
 
 
-def to_render(choices: Sequence[Choice], *, quick: bool) -> list[Choice]:
+def to_render(choices: Sequence[LensChoice], *, quick: bool) -> list[LensChoice]:
     """The best, and of those that fail the nearest of several kinds.
 
     Args:
@@ -137,10 +106,10 @@ def to_render(choices: Sequence[Choice], *, quick: bool) -> list[Choice]:
         quick: the best, and the nearest with a round cap, alone.
 
     Returns:
-        The two best, the preset `paper-candidate`, whose claim is to be tried, and those that fail.
+        The two best, the preset `paper-candidate`, and those that fail.
     """
     ranked = sorted(choices, key=lambda choice: choice.miss)
-    kinds: list[Callable[[Choice], bool]] = [
+    kinds: list[Callable[[LensChoice], bool]] = [
         lambda choice: choice.sag_mm >= _CURVED_MM,
         lambda choice: choice.numerical_aperture >= WIDE_APERTURE and choice.sag_mm == 0,
     ]
@@ -148,7 +117,7 @@ def to_render(choices: Sequence[Choice], *, quick: bool) -> list[Choice]:
         next((choice for choice in ranked if of_kind(choice) and choice.miss > 1), None)
         for of_kind in (kinds[:1] if quick else kinds)
     ]
-    candidate = [choice for choice in ranked if choice.family == scan.candidate()]
+    candidate = [choice for choice in ranked if choice.family == paper_candidate()]
     chosen = ranked[:1] if quick else [*ranked[:2], *candidate]
     chosen += [choice for choice in failing if choice is not None]
     return list(dict.fromkeys(chosen))

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 
-from benchmarks.evaluation import WAYS, Trial, Way
-from benchmarks.studies.validate.figures import ORANGE, SKY
-from benchmarks.studies.validate.run import Findings
+from benchmarks.evaluation import WAYS, StaticTrial, Way
+from benchmarks.reporting import ORANGE, SKY
+from benchmarks.studies.validate.findings import ValidateFindings
 from estimator import FrameLabels, NoSpot, Spot, read_stack
 
 _COLUMNS = 7
@@ -23,14 +23,18 @@ _MARGIN = 1.5  # of the view, in units of the largest spot
 _GAP, _CAPTION = 6, 44  # between frames, and below one, px of the frames
 _WIDTH_IN, _LEGEND_IN, _LEFT = 10.0, 0.25, 0.04
 _DASHES = (0, (3, 2))
-# Of the ways that share an exposure the last one, which is the best there is.
+# The last of the ways that share an exposure is the best one.
 _SHOWN = {way.exposure: way for way in WAYS}
+
+
+_EllipseNumbers = tuple[float, float, float, float, float]
+"""Centre, semi-axes (px) and angle (rad)."""
 
 
 class Shown(NamedTuple):
     """A frame of the strip."""
 
-    trial: Trial
+    trial: StaticTrial
     way: Way
     labels: FrameLabels
     result: Spot | NoSpot
@@ -57,7 +61,7 @@ class StripRow(NamedTuple):
     angle_rad: float
 
 
-def shown_frames(findings: Findings, group: str) -> list[list[Shown]]:
+def shown_frames(findings: ValidateFindings, group: str) -> list[list[Shown]]:
     """One line of frames for each source and exposure, at evenly spaced distances.
 
     Args:
@@ -76,7 +80,7 @@ def shown_frames(findings: Findings, group: str) -> list[list[Shown]]:
 
 
 def strip_row(frame: Shown) -> StripRow:
-    """The frame's line in strip.csv."""
+    """The frame's row of strip.csv."""
     return StripRow(
         frame.trial.name,
         frame.way.name,
@@ -88,10 +92,10 @@ def strip_row(frame: Shown) -> StripRow:
     )
 
 
-def strip(lines: Sequence[Sequence[Shown]], *, stacks: Path) -> Figure:
+def strip_figure(lines: Sequence[Sequence[Shown]], *, stacks: Path) -> Figure:
     """Draw the frames, all at one scale.
 
-    One picture is put together of all of them, because an `Axes` for each takes ten times as long.
+    All frames are put into one picture, because an `Axes` for each takes ten times as long.
 
     Args:
         lines: of `shown_frames`.
@@ -139,7 +143,7 @@ def _tile(image: np.ndarray, labels: FrameLabels, half: int) -> tuple[np.ndarray
 
 
 def _halved(picture: np.ndarray) -> np.ndarray:
-    """Half the size: more than a page shows, and a quarter of the bytes."""
+    """The picture at half the size, which is enough for a page and has a quarter of the bytes."""
     height, width = (2 * (n // 2) for n in picture.shape[:2])
     blocks = picture[:height, :width].reshape(height // 2, 2, width // 2, 2, 3)
     return blocks.mean(axis=(1, 3)).astype(np.uint8)
@@ -160,36 +164,19 @@ def _annotate(
     axes.text(middle, foot + 3 / per_px, text, ha="center", va="top")
 
 
-def _outline(
-    axes: Axes,
-    ellipse: tuple[float, float, float, float, float],
-    shift: np.ndarray,
-    **style: Any,
-) -> None:
+def _outline(axes: Axes, ellipse: _EllipseNumbers, shift: np.ndarray, **style: Any) -> None:
     x, y, major, minor, angle = ellipse
-    axes.add_patch(
-        Ellipse(
-            (x + shift[0], y + shift[1]),
-            2 * major,
-            2 * minor,
-            angle=math.degrees(angle),
-            fill=False,
-            **style,
-        )
-    )
+    middle, degrees = (x + shift[0], y + shift[1]), math.degrees(angle)
+    axes.add_patch(Ellipse(middle, 2 * major, 2 * minor, angle=degrees, fill=False, **style))
 
 
-def _true_ellipse(labels: FrameLabels) -> tuple[float, float, float, float, float]:
-    return (
-        labels.half_max_x_px,
-        labels.half_max_y_px,
-        labels.half_max_semi_major_px,
-        labels.half_max_semi_minor_px,
-        labels.half_max_angle_rad,
-    )
+def _true_ellipse(labels: FrameLabels) -> _EllipseNumbers:
+    names = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
+    x, y, major, minor, angle = (getattr(labels, f"half_max_{name}") for name in names)
+    return x, y, major, minor, angle
 
 
-def _measured_ellipse(result: Spot | NoSpot) -> tuple[float, float, float, float, float]:
+def _measured_ellipse(result: Spot | NoSpot) -> _EllipseNumbers:
     if isinstance(result, NoSpot):
-        return (math.nan, math.nan, math.nan, math.nan, math.nan)
+        return (math.nan,) * 5
     return result.x_px, result.y_px, result.semi_major_px, result.semi_minor_px, result.angle_rad

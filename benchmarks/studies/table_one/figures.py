@@ -1,4 +1,4 @@
-"""The figure on Table I: which lenses fit, and spots of some of them against distance."""
+"""The figure of the study of Table I: which lenses fit, and spots of some against distance."""
 
 from __future__ import annotations
 
@@ -6,28 +6,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.evaluation import LITERAL, SUBPIXEL, TABLE_I
+from benchmarks.evaluation import LITERAL, MEASURED, PAPERS_PLANES, READING, SUBPIXEL
+from benchmarks.reporting import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from benchmarks.studies.table_one.findings import Demand, TableOneFindings
+from benchmarks.studies.table_one.isophotes import FARTHEST_MM
 from benchmarks.studies.table_one.moments import even_span
-from benchmarks.studies.table_one.run import Findings
-from benchmarks.studies.table_one.scan import AT_SCALE, FARTHEST_MM, readings
-from benchmarks.studies.validate import (
-    ALL_PLANES,
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    MEASURED,
-    ORANGE,
-    PURPLE,
-    READING,
-    SKY,
-    VERMILION,
-)
+from benchmarks.studies.table_one.scan import readings
 
 _COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, BLACK)
 
 
-def figure(findings: Findings) -> Figure:
+def figure(findings: TableOneFindings) -> Figure:
     """Misfit of each lens; spots of the rendered ones, thresholded and at half maximum."""
     page = Figure(figsize=(10.0, 4.0), layout="constrained")
     left, middle, right = page.subplots(1, 3)
@@ -41,22 +30,20 @@ def figure(findings: Findings) -> Figure:
     return page
 
 
-def _misses(axes: Axes, findings: Findings) -> None:
-    choices = findings.asked(AT_SCALE)
+def _misses(axes: Axes, findings: TableOneFindings) -> None:
+    choices = findings.asked(Demand.AT_SCALE)
     for aperture, colour in zip(
         sorted({c.numerical_aperture for c in choices}), _COLOURS, strict=False
     ):
         own = sorted((c.sag_mm, c.miss) for c in choices if c.numerical_aperture == aperture)
         axes.plot(*np.transpose(own), marker="o", ms=3, color=colour, label=f"NA {aperture:.2f}")
     axes.axhline(1.0, color=GREY, lw=0.8, ls=":")
-    axes.set(
-        xlabel="sag of the cap (mm)", ylabel="worst of what is asked / tolerance", yscale="log"
-    )
+    axes.set(xlabel="sag of the cap (mm)", ylabel="worst violation / tolerance", yscale="log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.legend(loc="lower right")
 
 
-def _spots(axes: Axes, findings: Findings, *, way: str) -> None:
+def _spots(axes: Axes, findings: TableOneFindings, *, way: str) -> None:
     d_r = readings(0.0, FARTHEST_MM)
     for one, colour in zip(findings.confirmed, _COLOURS, strict=False):
         choice = one.choice
@@ -71,9 +58,8 @@ def _spots(axes: Axes, findings: Findings, *, way: str) -> None:
         for (measured, _), spots in one.spots.items():
             if measured == way:
                 axes.plot(*spots, ".", ms=3, color=colour)
-    for name, row in TABLE_I.items():
-        if name != ALL_PLANES:
-            d = np.array([0.0, even_span(row)])
-            axes.plot((d - row.b) / row.delta_k, d, color=GREY, lw=2, alpha=0.5, zorder=0)
+    for row in PAPERS_PLANES.values():
+        d = np.array([0.0, even_span(row)])
+        axes.plot((d - row.b) / row.delta_k, d, color=GREY, lw=2, alpha=0.5, zorder=0)
     axes.set(xlabel=MEASURED, ylabel=READING)
     axes.set_xlim(left=0)

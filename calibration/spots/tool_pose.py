@@ -1,4 +1,4 @@
-"""A tool with one cone of light or three, and its pose from the spots of all of them at once."""
+"""The pose of a tool with one or several cones of light, from all their spots at once."""
 
 from __future__ import annotations
 
@@ -14,48 +14,35 @@ from jaxtyping import Array, ArrayLike, Float, ScalarLike
 from scipy.optimize import least_squares
 
 import optics
-from scenes.world import Cone
 
 _POINTS = 32  # of a contour whose ellipse is compared: 1e-7 px
 
 
 class Tool(NamedTuple):
-    """Cones fixed to one rigid shaft, evenly about its axis, all leaning outwards alike.
-
-    What is known of the tool that others reported on is that it carries three spotlights. Here
-    their tips lie on a circle, and they are lit one after the other, so that spots neither overlap
-    nor are taken for each other.
+    """Equal cones fixed to one rigid shaft, evenly about its axis, all leaning outwards alike.
 
     Attributes:
-        cone: half-angle (rad) and b (mm), the same of all.
-        cones: how many.
+        half_angle: of each cone, rad.
+        apex_offset: b of each cone, mm.
+        cones: their number.
         circle_mm: radius of the circle on which their tips lie.
         splay: angle between each cone's axis and the tool's, rad.
     """
 
-    cone: Cone
+    half_angle: float
+    apex_offset: float
     cones: int
     circle_mm: float
     splay: float
 
     @property
     def unknowns(self) -> int:
-        """Tip and axis, five; the roll about the axis shows in several spots only."""
+        """Number of parameters: tip and axis, and the roll, which one spot does not show."""
         return 5 if self.cones == 1 else 6
 
 
-def one_spot(cone: Cone) -> Tool:
-    """A cone along the tool's axis."""
-    return Tool(cone, 1, 0.0, 0.0)
-
-
-def three_spots(cone: Cone) -> Tool:
-    """Three fibres of 0.5 mm that touch each other, splayed by 10 degrees."""
-    return Tool(cone, 3, 0.5 / math.sqrt(3.0), math.radians(10.0))
-
-
 class ToolPose(NamedTuple):
-    """Where a tool is, in the eye frame.
+    """Position and direction of a tool in the eye frame.
 
     Attributes:
         tip: centre of the circle of tips, mm.
@@ -80,17 +67,16 @@ class ToolFit(NamedTuple):
     distance: float
 
 
-def beams(tool: Tool, pose: ToolPose) -> optics.Beam:
+def tool_beams(tool: Tool, pose: ToolPose) -> optics.Beam:
     """The tool's cones in the eye frame, the leading axis over cones."""
     first, second = optics.perpendicular_frame(pose.axis)
     turns = pose.roll + 2.0 * np.pi * np.arange(tool.cones) / tool.cones
     outward = jnp.cos(turns)[:, None] * first + jnp.sin(turns)[:, None] * second
-    half_angle, b = tool.cone
     return optics.Beam(
         tip=pose.tip + tool.circle_mm * outward,
         axis=math.cos(tool.splay) * jnp.asarray(pose.axis) + math.sin(tool.splay) * outward,
-        half_angle=jnp.full(tool.cones, half_angle),
-        apex_offset=jnp.full(tool.cones, b),
+        half_angle=jnp.full(tool.cones, tool.half_angle),
+        apex_offset=jnp.full(tool.cones, tool.apex_offset),
     )
 
 
@@ -102,7 +88,7 @@ def moved(pose: ToolPose, step: Float[ArrayLike, "6"]) -> ToolPose:
     return ToolPose(pose.tip + step[:3], turned / jnp.linalg.norm(turned), pose.roll + step[5])
 
 
-def contours(
+def tool_contours(
     tool: Tool,
     pose: ToolPose,
     wall: optics.Sphere,
@@ -115,10 +101,12 @@ def contours(
     def of(beam: optics.Beam) -> Float[Array, "points 2"]:
         return optics.spot_contour(beam, wall, view, points=points)
 
-    return jax.vmap(of)(beams(tool, pose))
+    return jax.vmap(of)(tool_beams(tool, pose))
 
 
-def normals(contour: Float[ArrayLike, "*cones points 2"]) -> Float[Array, "*cones points 2"]:
+def contour_normals(
+    contour: Float[ArrayLike, "*cones points 2"],
+) -> Float[Array, "*cones points 2"]:
     """Unit normals of closed curves."""
     contour = jnp.asarray(contour)
     along = jnp.roll(contour, -1, axis=-2) - jnp.roll(contour, 1, axis=-2)
@@ -127,7 +115,7 @@ def normals(contour: Float[ArrayLike, "*cones points 2"]) -> Float[Array, "*cone
 
 
 @partial(jax.jit, static_argnames=("tool", "axis_known"))
-def bound(
+def tool_pose_bound(
     tool: Tool,
     pose: ToolPose,
     wall: optics.Sphere,
@@ -139,18 +127,21 @@ def bound(
     """Least covariance that any unbiased estimator can have (Cramer 1946, Rao 1945).
 
     Args:
-        tool: whose spots are seen.
-        pose: the true one.
+        tool: the tool.
+        pose: its true pose.
         wall: the eyeball.
         view: the camera.
         sigma_px: noise across the contour of each of 128 points a spot, px.
-        axis_known: leaves the tip and the roll.
+        axis_known: only the tip and the roll are estimated.
 
     Returns:
-        Of tip (mm) and axis along its two perpendiculars (rad); of the tip alone if `axis_known`.
+        Covariance of the tip (mm) and of the axis along its two perpendiculars (rad); of the tip
+        only if `axis_known`.
     """
-    across = normals(contours(tool, pose, wall, view))
-    slopes = jax.jacfwd(lambda step: contours(tool, moved(pose, step), wall, view))(jnp.zeros(6))
+    across = contour_normals(tool_contours(tool, pose, wall, view))
+    slopes = jax.jacfwd(lambda step: tool_contours(tool, moved(pose, step), wall, view))(
+        jnp.zeros(6)
+    )
     rows = jnp.einsum("cpi,cpij->cpj", across, slopes).reshape(-1, 6) / sigma_px
     free = [i for i in range(tool.unknowns) if not (axis_known and i in (3, 4))]
     rows = rows[:, np.array(free)]
@@ -158,17 +149,17 @@ def bound(
     return jnp.linalg.inv(rows.T @ rows)[:told, :told]
 
 
-def mismatch_covariance(
+def contour_mismatch_covariance(
     contour: Float[Array, "points 2"], ellipse: optics.Ellipse, sigma_px: ScalarLike
 ) -> Float[Array, "5 5"]:
     """Covariance of `optics.ellipse_mismatch` from noise across a contour at each of its points.
 
     Args:
-        contour: without noise, or with: to first order it does not matter, px.
-        ellipse: its own.
-        sigma_px: of the noise.
+        contour: px; with or without noise, which does not matter to first order.
+        ellipse: fitted to the contour.
+        sigma_px: standard deviation of the noise.
     """
-    across = normals(contour)
+    across = contour_normals(contour)
 
     def mismatch(shift: Float[Array, "points"]) -> Float[Array, "5"]:
         return optics.ellipse_mismatch(contour + shift[:, None] * across, ellipse)
@@ -177,7 +168,7 @@ def mismatch_covariance(
     return sigma_px**2 * slopes @ slopes.T
 
 
-def fit(
+def fit_tool(
     tool: Tool,
     ellipses: optics.Ellipse,
     covariances: Float[np.ndarray, "cones 5 5"],
@@ -188,13 +179,12 @@ def fit(
     """The pose whose spots have the measured ellipses, all at once.
 
     Args:
-        tool: what is known of it.
-        ellipses: of its spots in the tool's order, px; the leading axis is over the cones.
+        tool: the tool.
+        ellipses: of its spots in the order of the cones, px; the leading axis is over the cones.
         covariances: of `optics.ellipse_mismatch`.
         wall: the eyeball.
         view: the camera.
-        prior: of the axis, (3,) and rad; it also says where to start, once as it is and once
-            mirrored at the wall.
+        prior: of the axis; the solver starts from it and from its mirror image at the wall.
     """
     whitening = np.linalg.inv(np.linalg.cholesky(np.asarray(covariances)))
     starts = _starts(tool, ellipses, wall, view, prior.axis)
@@ -211,22 +201,22 @@ def fit(
             gtol=1e-10,
         )
         solutions.append((found.cost, *_ended(start, found.x, wall)))
-    # Its apex on the wall, a cone has a contour of no size, which no mismatch sees: it would
-    # win.
+    # A cone whose apex lies on the wall has a contour of size 0, for which every mismatch is 0.
+    # Such a solution is behind the wall and ranks last.
     _, best, distance = min(solutions, key=lambda found: (float(found[2]) <= 0, found[0]))
     return ToolFit(best, float(distance))
 
 
 @partial(jax.jit, static_argnums=0)
 def _linear(tool, step, start, ellipses, whitening, wall, view, prior):
-    """Residuals over their standard deviations, and their slopes: compiled as one."""
+    """Residuals over their standard deviations, and their derivatives."""
 
     def residual(step):
         pose = moved(start, step)
-        seen = contours(tool, pose, wall, view, points=_POINTS)
+        seen = tool_contours(tool, pose, wall, view, points=_POINTS)
         off = jax.vmap(optics.ellipse_mismatch)(seen, ellipses)
         told = jnp.cross(pose.axis, prior.axis) / prior.sigma
-        # A roll that no spot shows stays where it is.
+        # A single spot does not show the roll, which keeps its start.
         still = step[tool.unknowns :]
         found = jnp.concatenate([jnp.einsum("cij,cj->ci", whitening, off).ravel(), told, still])
         return found, found
@@ -251,12 +241,12 @@ def _starts(
     view: optics.Microscope,
     axis: Float[Array, "3"],
 ) -> ToolPose:
-    """Two poses, of the given axis and of its mirror image: from the spots' size and places."""
+    """Poses with the given axis and with its mirror image, from the spots' sizes and places."""
     met = wall.intersect(*view.ray(ellipses.centre))
     middle, outward = jnp.mean(met.point, axis=0), -jnp.mean(met.normal, axis=0)
     outward = outward / jnp.linalg.norm(outward)
-    half_angle, b = tool.cone
-    distance = jnp.mean(ellipses.semi_minor) * view.scale / math.tan(half_angle) + b
+    reach = jnp.mean(ellipses.semi_minor) * view.scale / math.tan(tool.half_angle)
+    distance = reach + tool.apex_offset
 
     def start(axis: Array) -> ToolPose:
         first, second = optics.perpendicular_frame(axis)

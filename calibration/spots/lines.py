@@ -24,7 +24,7 @@ class Lines(NamedTuple):
 
 
 def fit_lines(semi_minor: np.ndarray, reading: np.ndarray) -> Lines:
-    """Least squares of d_r on e1', what `calibration.fit_plane` finds, without standard errors.
+    """Least squares of d_r on e1': the same line as `fit_plane`, without standard errors.
 
     Args:
         semi_minor: ... x n, px or mm; NaN where no spot was found.
