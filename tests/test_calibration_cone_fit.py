@@ -27,15 +27,16 @@ TOUCH = calibration.Prior(0.12, 0.05)
 D = np.linspace(0.5, 6.0, 8)
 
 
-@functools.lru_cache
-def seen(kind: str, c: float, azimuth: float, incidence: float, tilted: bool):
+@functools.partial(jax.jit, static_argnames="kind")
+def seen(kind, c, azimuth, incidence, tilted):
+    """Ellipses and axes of a withdrawal; compiled once for each kind of wall."""
     if kind == "eyeball":
         wall: optics.Surface = optics.Sphere(11.5)
     else:
         # Tangents of the normal's lean, from the angles by trigonometry.
-        tangent = np.hypot(TRUE["tilt_x"], TRUE["tilt_y"]) if tilted else 0.0
+        tangent = tilted * np.hypot(TRUE["tilt_x"], TRUE["tilt_y"])
         towards = np.arctan2(TRUE["tilt_y"], TRUE["tilt_x"])
-        wall = optics.pole_plane(eye_radius=11.5, tilt=np.arctan(tangent), tilt_azimuth=towards)
+        wall = optics.pole_plane(eye_radius=11.5, tilt=jnp.arctan(tangent), tilt_azimuth=towards)
 
     def at(d):
         beam = optics.beam_at_spot(
@@ -49,7 +50,7 @@ def seen(kind: str, c: float, azimuth: float, incidence: float, tilted: bool):
         )
         return optics.spot_ellipse(beam, wall, EYE), beam.axis
 
-    return jax.jit(jax.vmap(at))(jnp.asarray(D))
+    return jax.vmap(at)(jnp.asarray(D))
 
 
 def trial(
@@ -65,7 +66,7 @@ def trial(
     tilted=False,
 ):
     """A withdrawal; `touched` is the distance at reading 0, `touch` what is believed of it."""
-    ellipses, axes = seen(kind, c, azimuth, incidence, tilted)
+    ellipses, axes = seen(kind, c, azimuth, incidence, float(tilted))
     axis = np.asarray(axes[0])
     first, second = (np.asarray(v) for v in optics.perpendicular_frame(axis))
     told = axis + lean[0] * first + lean[1] * second

@@ -175,10 +175,10 @@ def test_cone_on_a_tilted_plane_is_the_closed_form_ellipse():
         half_angle=0.2,
         apex_offset=-1.0,
     )
-    edge = optics.cone_contour(beam, plane).point
+    edge = jax.jit(optics.cone_contour)(beam, plane).point
     along = jnp.array([np.cos(tilt), 0.0, -np.sin(tilt)])
     flat = jnp.stack([edge @ along, edge[:, 1]], axis=-1)
-    ellipse = optics.ellipse_of_contour(flat)
+    ellipse = jax.jit(optics.ellipse_of_contour)(flat)
     h, t, s = d + 1.0, np.tan(0.2), np.tan(tilt)
     np.testing.assert_allclose(
         ellipse.semi_major, h * t / (np.cos(tilt) * (1 - t * t * s * s)), rtol=1e-10
@@ -187,22 +187,21 @@ def test_cone_on_a_tilted_plane_is_the_closed_form_ellipse():
 
 
 @pytest.mark.parametrize("height", HEIGHTS)
-@pytest.mark.parametrize("c", [0.0, 2.0, 5.0, 7.0])
-def test_square_spot_images_as_the_closed_form_conic(height, c):
-    wall, eye = optics.Sphere(R_EYE), camera(height)
-    for d in (0.5, 6.0):
-        got = optics.exact_semi_minor(
-            wall, eye, distance=d, eccentricity=c, half_angle=HALF_ANGLE, apex_offset=APEX
-        )
-        radius = optics.square_spot_radius(distance=d, k=20.0, b=APEX, eye_radius=R_EYE)
-        axes = optics.square_spot_axes(
-            spot_radius=radius,
-            eccentricity=c,
-            eye_radius=R_EYE,
-            scale=SCALE,
-            inverse_working_distance=1.0 / (height + R_EYE),
-        )
-        np.testing.assert_allclose(got, min(axes), rtol=1e-9)
+def test_square_spot_images_as_the_closed_form_conic(height):
+    for c in (0.0, 2.0, 5.0, 7.0):
+        for d in (0.5, 6.0):
+            pose = {name: jnp.zeros(()) for name in ("incidence", "incidence_azimuth")}
+            pose["eccentricity"] = jnp.asarray(c)
+            got = forward_axis(camera(height), jnp.asarray(d), pose)
+            radius = optics.square_spot_radius(distance=d, k=20.0, b=APEX, eye_radius=R_EYE)
+            axes = optics.square_spot_axes(
+                spot_radius=radius,
+                eccentricity=c,
+                eye_radius=R_EYE,
+                scale=SCALE,
+                inverse_working_distance=1.0 / (height + R_EYE),
+            )
+            np.testing.assert_allclose(got, min(axes), rtol=1e-9, err_msg=f"c {c}, d {d}")
 
 
 def test_square_spot_images_as_a_circle_from_the_sphere():
@@ -210,8 +209,8 @@ def test_square_spot_images_as_a_circle_from_the_sphere():
     beam = optics.beam_at_spot(
         wall, eccentricity=6.0, distance=5.0, half_angle=HALF_ANGLE, apex_offset=APEX
     )
-    contour = optics.spot_contour(beam, wall, eye)
-    ellipse = optics.ellipse_of_contour(contour)
+    contour = jax.jit(optics.spot_contour)(beam, wall, eye)
+    ellipse = jax.jit(optics.ellipse_of_contour)(contour)
     radii = jnp.linalg.norm(contour - ellipse.centre, axis=-1)
     # f = 3433 px; the projection cancels nothing, so 1e-9 px is rounding with a wide margin.
     assert float(jnp.ptp(radii)) < 1e-9
@@ -226,18 +225,17 @@ def test_square_spot_images_as_a_circle_from_the_sphere():
 
 def test_ellipse_of_an_ellipse_is_itself_whatever_the_spacing_of_its_points():
     rng = np.random.default_rng(5)
-    for _ in range(50):
-        truth = optics.Ellipse(
-            centre=jnp.asarray(rng.uniform(-900, 900, 2)),
-            semi_major=jnp.asarray(rng.uniform(60, 150)),
-            semi_minor=jnp.asarray(rng.uniform(20, 59)),
-            angle=jnp.asarray(rng.uniform(-1.5, 1.5)),
-        )
-        angles = np.arange(64) * 2 * np.pi / 64
-        uneven = angles + 0.3 * np.sin(angles + rng.uniform(0, 6))
-        got = optics.ellipse_of_contour(optics.ellipse_points(truth, jnp.asarray(uneven)))
-        for a, b in zip(got, truth, strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+    low, high = [-900, -900, 60, 20, -1.5, 0.0], [900, 900, 150, 59, 1.5, 6.0]
+    x, y, major, minor, angle, turn = jnp.asarray(rng.uniform(low, high, (50, 6))).T
+    truth = optics.Ellipse(jnp.stack([x, y], axis=-1), major, minor, angle)
+
+    def fitted(ellipse, turn):
+        angles = jnp.arange(64) * 2 * jnp.pi / 64
+        uneven = angles + 0.3 * jnp.sin(angles + turn)
+        return optics.ellipse_of_contour(optics.ellipse_points(ellipse, uneven))
+
+    for got, true in zip(jax.jit(jax.vmap(fitted))(truth, turn), truth, strict=True):
+        np.testing.assert_allclose(got, true, rtol=1e-9, atol=1e-9)
 
 
 def test_number_of_contour_points_does_not_move_the_ellipse():
@@ -251,7 +249,8 @@ def test_number_of_contour_points_does_not_move_the_ellipse():
         half_angle=0.14,
         apex_offset=-1.0,
     )
-    coarse, fine = (optics.spot_ellipse(beam, wall, eye, points=n) for n in (128, 1024))
+    spot_ellipse = jax.jit(optics.spot_ellipse, static_argnames="points")
+    coarse, fine = (spot_ellipse(beam, wall, eye, points=n) for n in (128, 1024))
     # dt is taken from chords, whose error falls with n^2; it weighs residuals of 1e-3 of an axis.
     np.testing.assert_allclose(coarse.semi_minor, fine.semi_minor, rtol=2e-7)
 
@@ -317,7 +316,7 @@ def test_derivatives_of_the_exact_contour_match_central_differences():
         )
 
     at = jnp.array([3.0, 4.0, 0.5, 1.0, HALF_ANGLE, APEX])
-    gradient = jax.grad(axis)(at)
+    gradient = jax.jit(jax.grad(axis))(at)
     step = 1e-5
     forward = jax.jit(axis)
     for i in range(at.size):
