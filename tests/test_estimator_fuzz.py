@@ -6,7 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from estimator import LiteralSettings, NoSpot, Response, Spot, SubpixelSettings, TrackState, measure
+from estimator import (
+    LiteralSettings,
+    NoSpot,
+    Reason,
+    Response,
+    Spot,
+    SubpixelSettings,
+    TrackState,
+    measure,
+)
 
 _MODES = (
     SubpixelSettings(),
@@ -92,12 +101,29 @@ def test_what_is_no_image_is_refused_with_a_way_out(frame: object, message: str)
 @pytest.mark.parametrize(
     "shape", [(1, 1), (1, 640), (480, 1), (7, 7), (4320, 7680), (100, 3000, 3)]
 )
-def test_every_size_up_to_8k_is_measured(shape: tuple[int, ...]) -> None:
+def test_neither_darkness_nor_noise_of_any_size_is_a_spot(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(0)
     for frame in (np.zeros(shape, np.uint8), rng.integers(0, 256, shape, dtype=np.uint8)):
-        for mode in (SubpixelSettings(), LiteralSettings()):
-            result, _ = measure(frame, TrackState(), mode)
-            assert isinstance(result, NoSpot | Spot)
+        result, state = measure(frame, TrackState(), SubpixelSettings())
+        assert result == NoSpot(Reason.NONE_FOUND)
+        assert state == TrackState()
+        literal, _ = measure(frame, TrackState(), LiteralSettings())
+        # Its threshold of 200 lets single pixels of noise pass, which are too few for a spot.
+        assert literal in (NoSpot(Reason.NONE_FOUND), NoSpot(Reason.TOO_SMALL))
+
+
+@pytest.mark.parametrize("shape", [(100, 100), (480, 640), (100, 3000, 3), (4320, 7680)])
+def test_a_spot_is_measured_in_a_frame_of_any_size(shape: tuple[int, ...]) -> None:
+    frame = np.full(shape, 20, np.uint8)
+    x, y = shape[1] - 48.5, shape[0] / 2
+    corner = frame[:, -100:]
+    v, u = np.ogrid[: corner.shape[0], : corner.shape[1]]
+    corner[np.hypot(u - 51.5, v - y) < 30] = 220
+    spot, _ = measure(frame, TrackState(), SubpixelSettings())
+    assert isinstance(spot, Spot)
+    # The rim of a disc of whole pixels is known to half a pixel.
+    assert [spot.x_px, spot.y_px] == pytest.approx([x, y], abs=0.5)
+    assert [spot.semi_major_px, spot.semi_minor_px] == pytest.approx([30, 30], abs=0.5)
 
 
 def test_views_and_negative_values_are_measured() -> None:

@@ -38,6 +38,22 @@ class Effect(NamedTuple):
     outcomes: int
 
 
+AT_IMPORT = {
+    "Capture.NEARNESS",
+    "HalfLevel.NEAR_EDGE",
+    "Motion.FLAT",
+    "Sharp.SPOILED_RAYS",
+    "Trimming.POSITIONS",
+    "Trimming.SAMPLES",
+    *(
+        f"{stage.__name__}.{name}"
+        for stage in (tuning.WideView, tuning.SpotProfile)
+        for name in vars(stage)
+    ),
+}
+"""Constants from which arrays are computed at import; a later change would be half a change."""
+
+
 def constants() -> list[tuple[type, str]]:
     """Every number of the table that is read when a frame is measured, with its class."""
     return [
@@ -46,6 +62,7 @@ def constants() -> list[tuple[type, str]]:
         if stage.__module__ == tuning.__name__
         for name, value in vars(stage).items()
         if not name.startswith("_") and isinstance(value, int | float)
+        if f"{stage.__name__}.{name}" not in AT_IMPORT
     ]
 
 
