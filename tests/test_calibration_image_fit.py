@@ -32,7 +32,7 @@ from calibration.pixels.model import (
 from calibration.pixels.parameters import check_names
 from calibration.pixels.table import Grid, LensTable, lens_parameters, lens_sampling, lens_table
 from estimator import Stack, read_stack
-from estimator.image.frames import Response
+from estimator.image import Response
 from scenes import Renderer, Scene, render_stack
 from scenes.camera.exposure import expose
 from scenes.description.camera_settings import CameraSettings

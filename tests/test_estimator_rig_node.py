@@ -33,7 +33,7 @@ from estimator.files.calibration import Calibration, read_calibration, write_cal
 from estimator.files.microscope import read_microscope
 from estimator.files.stack import read_stack
 from estimator.rig import node as rig_node
-from estimator.rig.messages import Parameters, Rig
+from estimator.rig.rig import Parameters, Rig
 from estimator.sources import write_bag
 from estimator.sources.opening import Frame, open_source
 

@@ -113,7 +113,7 @@ def measure_literal(
     """One turn of Algorithm 1's loop.
 
     Args:
-        frame: checked (`frames.checked_frame`).
+        frame: checked (`image.checked_frame`).
         at: M, the last position or the click (px); None to search the whole frame.
         settings: of the mode.
     """

@@ -1,11 +1,11 @@
-"""The files that people exchange: schemas, readers and writers.
+"""The files that people exchange: formats, readers and writers.
 
 calibration       Calibration file: JSON with a model's fitted parameters, their covariance and
                   their origin
 json_files        Reads JSON that anyone may have written, and checks it against a pydantic
                   model
 microscope        Microscope files: the stack's microscope.json, or a camera calibration of OpenCV
-model_parameters  Parameters of the models: which each of them has, in which unit and range
+model_parameters  Parameters of the models, with their units and ranges
 opencv            Camera calibrations as OpenCV and ROS write them
 pose_files        Reads the robot's poses from a CSV file or a ROS bag
 poses             Poses of the robot: where the instrument's tip was, and in which direction it

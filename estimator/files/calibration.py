@@ -157,7 +157,7 @@ class _Origin(Strict):
     sha256: str
 
 
-class _File(Strict):
+class _CalibrationFile(Strict):
     model_config = ConfigDict(protected_namespaces=())  # `model` is the format's own key
 
     schema_: Annotated[int, Field(alias="schema")]
@@ -173,7 +173,7 @@ def _calibration(content: dict[str, Any]) -> Calibration:
     check_schema(
         content, SCHEMA, remedy="Fit again with this version, or use the one that wrote the file."
     )
-    file = validated(_File, content, remedy="Restore the file, or fit again.")
+    file = validated(_CalibrationFile, content, remedy="Restore the file, or fit again.")
     for name, entry in file.parameters.items():
         unit = quantity(name).unit
         if entry.unit != unit:

@@ -166,7 +166,7 @@ def _curve(value: object) -> Response:
     raise ValueError("must be linear, srgb or the exponent of a gamma curve")
 
 
-class _File(Strict):
+class _PinholeFile(Strict):
     model_config = ConfigDict(extra="ignore", arbitrary_types_allowed=True)
 
     width_px: float
@@ -181,7 +181,7 @@ class _File(Strict):
     paper_exposure_s: float | None = None
 
 
-class _TelecentricFile(_File):
+class _TelecentricFile(_PinholeFile):
     camera_matrix: None = None  # type: ignore[assignment]
 
 
@@ -190,7 +190,7 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
     check_schema(content, SCHEMA, remedy=again)
     telecentric = content.get("pinhole_height_mm") is None
     file = validated(
-        _TelecentricFile if telecentric else _File,
+        _TelecentricFile if telecentric else _PinholeFile,
         content,
         remedy="Restore the key. Without pinhole_height_mm a microscope is telecentric, and its "
         "camera_matrix is null.",

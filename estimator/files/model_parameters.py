@@ -1,4 +1,4 @@
-"""Parameters of the models: which each of them has, in which unit and range."""
+"""Parameters of the models, with their units and ranges."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact")
-"""Models of a sharp cone: any of them ranges with what another of them was fitted to."""
+"""Models of a sharp cone: each can use a calibration that was fitted with another of them."""
 MODELS = (*CONE_MODELS, "lens")
 
 
@@ -16,7 +16,7 @@ class CalibrationError(ValueError):
 
 
 class Quantity(NamedTuple):
-    """Unit, and the range of a parameter's values."""
+    """Unit and range of a parameter."""
 
     unit: str
     low: float
@@ -57,10 +57,10 @@ _COMMON = {"scale", "eye_radius", "inverse_working_distance", "eccentricity"}
 
 
 def check_parameters(model: str, values: Mapping[str, float]) -> None:
-    """Reject values that no fit of a model can give.
+    """Refuse values that no fit of a model can give.
 
     Raises:
-        CalibrationError: no such model, a parameter that is missing or not of this model, or a
+        CalibrationError: unknown model, a parameter that is missing or not of this model, or a
             value out of range.
     """
     if model not in MODELS:
@@ -101,7 +101,7 @@ def quantity(name: str) -> Quantity:
 def _check_value(name: str, value: float) -> None:
     unit, low, high, low_included = QUANTITIES[name]
     above = value >= low if low_included else value > low
-    # Neither end is a value where it is infinite; NaN fails every comparison.
+    # An infinite end is not a value itself; NaN fails every comparison.
     if not (above and value < high):
         raise CalibrationError(
             f"parameters.{name} must lie in {'[' if low_included else '('}{low:.6g}, {high:.6g}) "

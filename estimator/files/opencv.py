@@ -27,7 +27,7 @@ _NAMES = {
         "D",
     ),
 }
-"""Keys under which OpenCV's samples, ROS and common tutorials write the same things."""
+"""Keys of OpenCV's samples, ROS and common tutorials for the same quantities."""
 
 
 class CameraOfFile(NamedTuple):
@@ -45,8 +45,8 @@ def opencv_camera(text: str) -> CameraOfFile:
         text: of the file.
 
     Raises:
-        ValueError: cv2.FileStorage does not read it, or something is missing or no number; the
-            message says which key.
+        ValueError: cv2.FileStorage does not read it, or a key is missing or not a number; the
+            message names the key.
     """
     storage = _storage(text)
     return CameraOfFile(
@@ -60,14 +60,14 @@ def opencv_camera(text: str) -> CameraOfFile:
 
 
 def _storage(text: str) -> cv2.FileStorage:
-    # ROS writes the same YAML without the line that cv2 insists on.
+    # ROS writes the same YAML without the first line that cv2 requires.
     headed = (
         text if text.lstrip().startswith(("%YAML", "{", "<?xml")) else f"%YAML:1.0\n---\n{text}"
     )
     try:
         storage = cv2.FileStorage(headed, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         readable = storage.isOpened() and not storage.root().empty()
-    except (cv2.error, SystemError):  # of its constructor, in which the first is wrapped
+    except (cv2.error, SystemError):  # its constructor wraps the first in the second
         readable = False
     if not readable:
         raise ValueError(

@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-_UNIT = 0.01  # that a length may be off 1: files round
+_UNIT = 0.01  # tolerance of a unit length: files round
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -18,10 +18,10 @@ Quaternion = tuple[float, float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:
-    """The tool at one moment, in the frame of whoever recorded it.
+    """The tool at one moment, in the recorder's frame of reference.
 
     Attributes:
-        time_s: on the same clock as the frames' times.
+        time_s: on the clock of the frames.
         position_mm: of the tip.
         rotation: unit quaternion (x, y, z, w) that turns the tool's frame into the recorder's.
     """
@@ -31,7 +31,7 @@ class Pose:
     rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        """Reject what is no pose, and take the rounding out of the quaternion."""
+        """Refuse invalid poses, and normalise the quaternion."""
         if not all(map(math.isfinite, (self.time_s, *self.position_mm))):
             raise ValueError(
                 "Pose(time_s=..., position_mm=...) must be finite;"
@@ -47,12 +47,17 @@ class Pose:
         time_s: float,
         position_mm: Vector,
     ) -> Self:
-        """The pose that turns the tool's +z axis into `axis`, a unit vector, the shortest way."""
+        """The pose that rotates the tool's +z axis to a unit vector by the smallest angle."""
         x, y, z = _of_unit_length(axis, "A pose's axis must be a unit vector")
         # z cross axis, and 1 + z . axis: twice the half-angle's quaternion.
         turn = (-y, x, 0.0, 1 + z)
         size = math.hypot(*turn)
-        rotation = (1.0, 0.0, 0.0, 0.0)  # straight back: about any axis across
+        rotation = (
+            1.0,
+            0.0,
+            0.0,
+            0.0,
+        )  # opposite direction: any perpendicular axis
         if size > 1e-6:
             rotation = (turn[0] / size, turn[1] / size, 0.0, turn[3] / size)
         return cls(time_s=time_s, position_mm=position_mm, rotation=rotation)
@@ -64,7 +69,7 @@ class Pose:
 
 
 def unit_quaternion(rotation: Quaternion) -> Quaternion:
-    """A quaternion (x, y, z, w) without the rounding of whoever wrote it down.
+    """A quaternion (x, y, z, w) of unit length, without the rounding of a file.
 
     Raises:
         ValueError: its length is not 1 to a percent.
@@ -81,7 +86,7 @@ def _of_unit_length(parts: tuple[float, ...], rule: str) -> Iterator[float]:
 
 
 def turned(vector: Vector, rotation: Quaternion) -> Vector:
-    """A vector turned by a unit quaternion (x, y, z, w)."""
+    """A vector rotated by a unit quaternion (x, y, z, w)."""
     *part, w = rotation
     across = np.cross(part, vector)
     x, y, z = (np.asarray(vector) + 2 * (w * across + np.cross(part, across))).tolist()
@@ -109,8 +114,8 @@ class PoseTrack:
         """The pose that was known at a time.
 
         Returns:
-            The latest pose that is not after `time_s`, and its age in s; None if there was none
-            yet or the time is NaN.
+            The latest pose that is not after `time_s`, and its age in s; None if there is none or
+            the time is NaN.
         """
         following = bisect.bisect_right(self._times, time_s)
         if following == 0 or math.isnan(time_s):

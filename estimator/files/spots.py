@@ -1,7 +1,7 @@
-"""The spots file: CSV or Parquet, one line a frame, of what was measured and what came of it.
+"""The spots file: CSV or Parquet, one line per frame with the spot and its distance.
 
-Missing values are empty cells (CSV) or nulls (Parquet). `schema_version` is the last column, so
-that a plain reader needs no hint.
+Missing values are empty cells (CSV) or nulls (Parquet). `schema_version` is a column, the last one,
+so that any reader of tables can read the file.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ class SpotRecord:
 
     Attributes:
         frame: index of the frame.
-        file_name: of the frame's image; empty where there is none.
+        file_name: of the frame's image; empty if there is none.
         time_s: of the frame; NaN if unknown.
         mode: "literal" or "subpixel".
         result: the spot, or why there is none.
         distance_mm: from the tip to the wall along the beam; NaN without a calibration.
         sigma_distance_mm: its standard deviation.
-        pose_age_s: age of the robot's pose that the distance used.
+        pose_age_s: age of the robot's pose at the frame's time; NaN if unknown.
     """
 
     frame: int
@@ -94,11 +94,11 @@ def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
     """Write a spots file, whole or not at all; one of the same name is replaced.
 
     Args:
-        path: of the file; `.parquet` makes it Parquet, any other name CSV.
+        path: of the file; the suffix `.parquet` selects Parquet, any other CSV.
         records: in the order of the file's lines.
 
     Raises:
-        ValueError: Parquet is asked for and pyarrow is not installed.
+        ValueError: Parquet without pyarrow installed.
     """
     write = _write_parquet if _is_parquet(path) else _write_csv
     with written_whole(Path(path)) as partial:
@@ -109,7 +109,7 @@ def read_spots(path: str | Path) -> list[SpotRecord]:
     """Read a spots file.
 
     Raises:
-        ValueError: not a spots file, of another schema version, or with a bad value; the message
+        ValueError: not a spots file, of another schema version, or with a wrong value; the message
             names the file and the line.
     """
     rows = _parquet_rows(Path(path)) if _is_parquet(path) else _csv_rows(Path(path))

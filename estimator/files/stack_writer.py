@@ -1,8 +1,7 @@
-"""Writes a stack folder, frame by frame, so that a run that was stopped can go on.
+"""Writes a stack folder frame by frame, so that a stopped run can continue.
 
-A stack is written into a folder with another name and renamed when it is whole: a folder that
-bears the stack's name is complete. What a stopped run has left in the other folder is used by
-the next run that describes the same stack.
+A stack is written into a folder with another name and renamed when it is complete. The next run
+that describes the same stack uses what a stopped run has left in the other folder.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ import tomli_w
 from estimator.files.stack import SCHEMA, FrameLabels, StackError, fingerprint, linear_name
 from estimator.files.whole_files import written_whole
 
-# Camera noise holds no strings that come again: entropy coding alone makes smaller files than
-# zlib's default strategy, in half of the time. A mask is nothing but strings.
+# Camera noise has no repeated strings: entropy coding alone makes smaller files than zlib's default
+# strategy, in half of the time. A mask consists of repeated strings.
 _PNG = [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB]
 _PNG += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
 _MASK = [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
@@ -35,11 +34,10 @@ _KINEMATICS = "time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z"
 
 
 class StackWriter:
-    """Writes a stack; leaving the `with` block without an error makes it whole and gives its name.
+    """Writes a stack; at the end of a `with` block without an error it is complete and renamed.
 
-    An error, or an end of the process at any moment, leaves the frames that are whole. The next
-    writer of that folder keeps them if it describes the stack with the same words, else it starts
-    afresh.
+    After an error, or if the process ends at any moment, the frames that are complete remain. The
+    next writer of that folder keeps them if its description is the same, and else starts again.
 
     Args:
         folder: name of the finished stack; must not exist yet.
@@ -73,10 +71,10 @@ class StackWriter:
         microscope: dict[str, Any],
         kinematics: np.ndarray | None = None,
     ) -> None:
-        """Write stack.toml, microscope.json and kinematics.csv, and keep what fits to them.
+        """Write stack.toml, microscope.json and kinematics.csv; keep frames that belong to them.
 
         Args:
-            stack: all that images and labels depend on: the scene, versions.
+            stack: everything that determines images and labels: the scene, versions.
             microscope: the camera.
             kinematics: n x 7, time (s), tip (mm) and axis that the robot reported.
         """
@@ -97,7 +95,7 @@ class StackWriter:
         _write_text(self._partial / "metadata.jsonl", "".join(self._lines.values()))
 
     def has(self, file_name: str) -> bool:
-        """Whether an image, its mask and its labels are there, from a run that was stopped."""
+        """Whether a stopped run has written an image, its mask and its labels."""
         return file_name in self._lines
 
     def add(
@@ -107,13 +105,13 @@ class StackWriter:
         mask: np.ndarray | None,
         linear: np.ndarray | None = None,
     ) -> None:
-        """Write one image (RGB or grey), its labels, and its mask unless another image has.
+        """Write one image (RGB or grey), its labels, and its mask unless another image shares it.
 
         Images may be added in any order and from several threads; labels are sorted by name.
 
         Args:
             image: 8 or 16 bits.
-            labels: its truth.
+            labels: its true values.
             mask: 0 or 255.
             linear: radiance behind the image, to be kept with it.
         """
@@ -125,7 +123,7 @@ class StackWriter:
             _write_image(self._partial / linear_name(labels), light, _TIFF)
         _write_image(self._partial / labels.file_name, image, _PNG)
         line = json.dumps(asdict(labels)) + "\n"
-        # Last of all: a line says that the files it names are whole.
+        # Last, because a line means that the files it names are complete.
         with self._one_at_a_time, (self._partial / "metadata.jsonl").open("a") as file:
             file.write(line)
             self._lines[labels.file_name] = line
@@ -152,13 +150,13 @@ class StackWriter:
         """Label lines of the images that a stopped run has finished, by the image's name."""
         path = self._partial / "metadata.jsonl"
         lines = path.read_text().splitlines(keepends=True) if path.exists() else []
-        # A line that was being written has no end.
+        # A line that was not finished has no end.
         whole = [line for line in lines if line.endswith("\n")]
         return {json.loads(line)["file_name"]: line for line in whole}
 
 
 def _kinematics_csv(rows: np.ndarray) -> str:
-    """To 1 us, 1 nm and 1 nrad: far below what a robot knows."""
+    """To 1 us, 1 nm and 1 nrad: far below a robot's accuracy."""
     text = io.StringIO()
     formats = ["%.6f"] * 4 + ["%.9f"] * 3
     np.savetxt(text, rows, fmt=formats, delimiter=",", header=_KINEMATICS, comments="")

@@ -1,4 +1,4 @@
-"""Files: written whole or not at all, and one clear error where a reader finds damage."""
+"""Files that are written whole or not at all, and damaged files that are reported in one error."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pathlib import Path
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Lend another name to write a file or folder under; it gets its own name when it is whole.
+    """Write a file or folder under another name; it gets its own name when it is whole.
 
-    A file of that name is replaced in one step. What a block that raises leaves is removed.
+    A file of that name is replaced in one step. If the block raises, its partial file is removed.
 
     Args:
         path: of the finished file or folder.
@@ -32,9 +32,9 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def damage_told(where: str, remedy: str) -> Iterator[None]:
-    """Turn whatever a third party's decoder raises over a damaged file into one ValueError.
+    """Turn any error of a third party's decoder about a damaged file into one ValueError.
 
-    Decoders trip over damage in as many ways as there are: struct.error, KeyError, zlib.error.
+    Decoders raise all kinds of errors for damage: struct.error, KeyError, zlib.error and others.
 
     Args:
         where: of the damage: the file, and the frame where there is one.

@@ -1,8 +1,9 @@
-"""What a frame is, and what is measured in it.
+"""Frames, and the spot that is measured in them.
 
 camera  A camera's matrix and lens distortion, as OpenCV defines them
-frames  Frames as light: what is accepted, through which response, over which wall
-spot    What a measurement returns: a spot, or the reason why there is none
+frame   Frames: what is accepted as an image, and rectangles of it
+light   Converts frames into light: inverts the camera's response, and removes the wall's texture
+spot    The result of a measurement: a spot, or the reason why there is none
 """
 
 import lazy_loader

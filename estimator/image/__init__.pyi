@@ -1,10 +1,10 @@
 from .camera import Camera as Camera
-from .frames import GREY as GREY
-from .frames import GREY_WEIGHTS as GREY_WEIGHTS
-from .frames import LightMeter as LightMeter
-from .frames import Response as Response
-from .frames import Window as Window
-from .frames import checked_frame as checked_frame
+from .frame import Window as Window
+from .frame import checked_frame as checked_frame
+from .light import GREY as GREY
+from .light import GREY_WEIGHTS as GREY_WEIGHTS
+from .light import LightMeter as LightMeter
+from .light import Response as Response
 from .spot import PARAMETERS as PARAMETERS
 from .spot import NoSpot as NoSpot
 from .spot import Reason as Reason

@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Camera:
-    """Takes a lens's distortion out of image points.
+    """Removes a lens's distortion from image points.
 
     Attributes:
         matrix: 3x3 camera matrix K, px.
@@ -21,7 +21,7 @@ class Camera:
     distortion: np.ndarray
 
     def __post_init__(self) -> None:
-        """Reject what OpenCV cannot use."""
+        """Refuse matrices and coefficients that OpenCV cannot use."""
         matrix, distortion = np.asarray(self.matrix, float), np.asarray(self.distortion, float)
         if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or matrix[0, 0] <= 0:
             raise ValueError(
@@ -37,13 +37,13 @@ class Camera:
         object.__setattr__(self, "distortion", distortion.ravel())
 
     def undistorted(self, points: np.ndarray) -> np.ndarray:
-        """Where an ideal pinhole with the same matrix sees the points, (n, 2), px."""
+        """The points in the image of an ideal pinhole with the same matrix, (n, 2), px."""
         return cv2.undistortPoints(
             points.reshape(-1, 1, 2), self.matrix, self.distortion, P=self.matrix
         )[:, 0]
 
     def distorted(self, x: float, y: float) -> tuple[float, float]:
-        """Where this camera sees a point of the ideal image, px."""
+        """A point of the ideal image in this camera's image, px."""
         ray = np.linalg.solve(self.matrix, np.array([x, y, 1.0]))
         zero = np.zeros(3)
         seen, _ = cv2.projectPoints(ray, zero, zero, self.matrix, self.distortion)

@@ -1,4 +1,4 @@
-"""What a measurement returns: a spot, or the reason why there is none."""
+"""The result of a measurement: a spot, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PARAMETERS = ("x", "y", "semi_major", "semi_minor", "angle")
 
 
 class Reason(Enum):
-    """Why a frame yields no spot: the closed list of the spots file."""
+    """Why a frame has no spot: the closed list of the spots file."""
 
     NONE_FOUND = "none_found"
     CLIPPED = "clipped"
@@ -41,8 +41,8 @@ class Spot:
         covariance: 5x5, order `PARAMETERS`, px and rad.
         edge_width_px: standard deviation of the Gaussian-blurred step that has the edge's slope
             at half maximum, px.
-        coverage: fraction of the contour's length on which an edge was seen.
-        inlier_fraction: fraction of the edges seen that belong to the ellipse.
+        coverage: fraction of the contour's length on which an edge is visible.
+        inlier_fraction: fraction of the visible edges that belong to the ellipse.
         saturated: fraction of the spot's pixels at full scale in the channel measured.
     """
 
@@ -66,7 +66,7 @@ class Spot:
 @final
 @dataclass(frozen=True)
 class NoSpot:
-    """A frame without a measurable spot; falsy, and says why."""
+    """A frame without a measurable spot, with the reason; falsy."""
 
     reason: Reason
 

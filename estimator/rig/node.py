@@ -2,7 +2,7 @@
 
     python -m estimator.rig.node _microscope:=/data/microscope.json _calibration:=/data/cone.json
 
-`rig` measures; here it is connected to topics. docs/rig.md lists them, and the parameters.
+`rig` measures; this module connects it to topics. docs/rig.md lists topics and parameters.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import math
 import sys
 from typing import Any
 
-from estimator.rig.messages import POSES_KEPT, Parameters, Rig
+from estimator.rig.rig import POSES_KEPT, Parameters, Rig
 
-_DEBIAN_PACKAGES = "/usr/lib/python3/dist-packages"  # where rospy lies, outside of environments
-# More than an uncompressed 1920x1080 RGB image (6.2 MB): in a smaller buffer old images wait, and
-# the one that follows is not the newest.
+_DEBIAN_PACKAGES = "/usr/lib/python3/dist-packages"  # rospy, outside of environments
+# Larger than an uncompressed 1920x1080 RGB image (6.2 MB). In a smaller buffer old images wait, so
+# that the next image is not the newest.
 _BUFFER_BYTES = 2**25
 
 
@@ -34,7 +34,7 @@ def main() -> None:
 
 
 def connect(rig: Rig, parameters: Parameters) -> None:
-    """Let images and poses of running ROS topics reach the rig, and publish what it measures."""
+    """Subscribe the rig to topics of images and poses, and publish its measurements."""
     import rospy
     from diagnostic_msgs import msg as diagnostic
     from geometry_msgs import msg as geometry
@@ -79,20 +79,20 @@ def connect(rig: Rig, parameters: Parameters) -> None:
             rospy.logerr_throttle(1.0, f"{error}")
 
     rospy.Subscriber(parameters.pose_topic, geometry.Transform, on_pose, queue_size=POSES_KEPT)
-    # One image waits at most: a node that cannot keep up measures the newest, not every one.
+    # At most one image waits: a node that cannot keep up skips images and measures the newest.
     rospy.Subscriber(
         parameters.image_topic, sensor.Image, on_image, queue_size=1, buff_size=_BUFFER_BYTES
     )
 
 
 def _imported_rospy() -> Any:
-    """ROS's library for Python, which is no package of the environment.
+    """ROS's library for Python, which is not installed in the environment.
 
     Raises:
         ValueError: ROS is not installed.
     """
-    # At the end of the path, where it hides nothing of the environment. A ROS that was sourced
-    # comes before it.
+    # At the end of the path, so that it hides no package of the environment. The folders of a ROS
+    # whose setup file was sourced come first.
     sys.path.append(_DEBIAN_PACKAGES)
     try:
         return importlib.import_module("rospy")

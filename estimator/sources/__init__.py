@@ -1,11 +1,11 @@
-"""Where frames come from: stacks, images, videos, cameras, ROS bags.
+"""Sources of frames: stacks, images, videos, cameras, ROS bags.
 
 bag_images  The images of ROS 1 and ROS 2 bags as a source, read without ROS
 bag_writer  Writes ROS 1 and ROS 2 bags with the rig's topics, without ROS
 images      Image files as sources: a folder of them, one of them, the pages of a TIFF
-opening     Opens whatever frames come from: a stack, images, a video, a camera or a bag
+opening     Opens a source: a stack, images, a video, a camera or a bag
 ros_images  Images of ROS messages as frames, and back; for bags and for a live node alike
-source      What frames come from, whatever it is: `sources.open_source` makes one
+source      A source of frames of any kind; `open_source` makes one
 videos      Videos and cameras as sources, both through OpenCV
 """
 

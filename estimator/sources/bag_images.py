@@ -20,7 +20,7 @@ def open_bag(path: Path, *, topic: str | None = None) -> Source:
     """The images of a bag as a source.
 
     Raises:
-        ValueError: as `read_frames`, and where there are none.
+        ValueError: as `read_frames`, or the bag has no images.
     """
     with opened_bag(path) as reader:
         topic = topic_in(reader, path, topic, kinds=IMAGE_MESSAGES, usual=IMAGE_TOPIC)
@@ -38,11 +38,11 @@ def read_frames(path: Path, *, topic: str | None = None) -> Iterator[Frame]:
         topic: of the images, raw or compressed; None takes `IMAGE_TOPIC`, or the only one.
 
     Yields:
-        Frames with the time of their header, or of their arrival where the header has none; s
-        since ROS's epoch.
+        Frames with the time of their header, or of their arrival if the header has none; s since
+        ROS's epoch.
 
     Raises:
-        ValueError: no bag, damaged, without such a topic, or an image that cannot be decoded.
+        ValueError: not a bag, damaged, without such a topic, or an image cannot be decoded.
     """
     with opened_bag(path) as reader:
         topic = topic_in(reader, path, topic, kinds=IMAGE_MESSAGES, usual=IMAGE_TOPIC)

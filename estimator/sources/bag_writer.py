@@ -35,9 +35,9 @@ def write_bag(
 ) -> None:
     """Write a bag with the rig's topics, playable with `rosbag play` or `ros2 bag play`.
 
-    Images are `sensor_msgs/Image` (rgb8, mono8, rgb16 or mono16) with `header.stamp` and, in
-    ROS 1, `header.seq` from the frame's time and index; poses are `geometry_msgs/Transform` in mm.
-    Both are received at their own time, in the order of time. Neither input is held in memory as a
+    Images are `sensor_msgs/Image` (rgb8, mono8, rgb16 or mono16) with `header.stamp` and, in ROS 1,
+    `header.seq` from the frame's time and index; poses are `geometry_msgs/Transform` in mm. Every
+    message arrives at its own time, in the order of time. Neither input is kept in memory as a
     whole.
 
     Args:
@@ -57,7 +57,8 @@ def write_bag(
     if path.exists():
         raise ValueError(f"{path} exists already. Choose another name or remove it.")
     version = _ros(ros)
-    # ROS 2 names the file inside a bag after the bag: it is written elsewhere, not otherwise named.
+    # ROS 2 names the file inside a bag after the bag, so the bag keeps its name and is written into
+    # another folder first.
     with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as elsewhere:
         whole = Path(elsewhere) / path.name
         with version.open(whole) as writer:
@@ -80,7 +81,7 @@ def write_bag(
 
 
 class _Ros(NamedTuple):
-    """How a version of ROS writes bags."""
+    """Types and writer of a version of ROS."""
 
     types: Typestore
     open: Callable[[Path], Any]

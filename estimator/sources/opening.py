@@ -1,4 +1,4 @@
-"""Opens whatever frames come from: a stack, images, a video, a camera or a bag."""
+"""Opens a source: a stack, images, a video, a camera or a bag."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from estimator.sources.videos import open_camera, open_video
 def open_source(
     source: str | Path, *, exposure: str | None = None, image_topic: str | None = None
 ) -> Source:
-    """Open what frames come from.
+    """Open a source of frames.
 
     Args:
         source: a stack folder, a folder of images (in natural order of their names), an image, a
             multi-page TIFF, a video, a ROS 1 or ROS 2 bag, or the number of a camera.
-        exposure: of a stack that holds more than one, such as "paper" or "metered".
+        exposure: of a stack that has several, such as "paper" or "metered".
         image_topic: of a bag, see `bag_images.read_frames`.
 
     Raises:
-        ValueError: there is no such thing, it cannot be read, it is empty, or the exposure or the
-            topic does not fit it. Reading the frames raises it where damage shows later.
+        ValueError: the source does not exist, cannot be read or is empty, or it has no such
+            exposure or topic. Reading the frames raises it for damage that is found later.
     """
     path = Path(source)
     if not path.exists():

@@ -39,7 +39,7 @@ def frame_of_message(message: Any) -> np.ndarray:
         (H, W) or RGB (H, W, 3), uint8 or uint16.
 
     Raises:
-        ValueError: an encoding that is no picture's, or data that does not fill the image.
+        ValueError: an encoding that is not an image's, or too few data for the image.
     """
     if hasattr(message, "format"):
         return _decompressed(np.frombuffer(message.data, np.uint8), message.format)
@@ -65,10 +65,10 @@ def frame_of_message(message: Any) -> np.ndarray:
 
 
 def encoding_of(image: np.ndarray) -> str:
-    """The encoding in which a `sensor_msgs/Image` holds a frame without loss.
+    """The encoding of a `sensor_msgs/Image` that contains a frame without loss.
 
     Raises:
-        ValueError: floats, for which ROS has no picture encoding.
+        ValueError: floats, for which ROS has no image encoding.
     """
     if image.dtype.name not in ("uint8", "uint16"):
         raise ValueError(

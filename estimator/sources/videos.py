@@ -48,8 +48,8 @@ def open_video(path: Path) -> Source:
                 time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
                 yield Frame(index=index, file_name="", time_s=time_s, image=rgb_of_opencv(image))
                 index += 1
-        # Some containers tell only how long they last, and their rate may vary: a video is cut
-        # short where both the number of frames and the time fall short of what it announces.
+        # Some containers state only a duration, and the frame rate may vary: a video is truncated
+        # if both its frames and its time are fewer than announced.
         if length and rate and index < length and time_s * rate < length - 2:
             raise ValueError(
                 f"{path} breaks off at frame {index} of the {length} that it announces. {AGAIN}"
@@ -59,7 +59,7 @@ def open_video(path: Path) -> Source:
 
 
 def open_camera(number: int) -> Source:
-    """A camera; its frames bear the time at which they came, s since 1970.
+    """A camera; the time of a frame is that of its arrival, s since 1970.
 
     Raises:
         ValueError: it cannot be opened.

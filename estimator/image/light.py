@@ -1,4 +1,4 @@
-"""Frames as light: what is accepted, through which response, over which wall."""
+"""Converts frames into light: inverts the camera's response, and removes the wall's texture."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from estimator.image.frame import FULL_SCALE, Window, checked_frame
+
 GREY = -1
 """Channel number of the weighted mean of red, green and blue."""
 
 GREY_WEIGHTS = (0.299, 0.587, 0.114)
-"""Of red, green and blue in cv2's RGB2GRAY."""
+"""Weights of red, green and blue, as in cv2's RGB2GRAY."""
 
-_FULL_SCALE = {np.uint8: 255.0, np.uint16: 65535.0, np.float32: 1.0, np.float64: 1.0}
-_REFERENCE_BLUR_PX = 3.0  # of the reference frame: its noise, not the wall's texture, goes
-_DARKEST_REFERENCE = 0.2  # of its median: a shaft in the reference frame is no wall
+_REFERENCE_BLUR_PX = 3.0  # removes noise from the reference frame, and keeps the wall's texture
+_DARKEST_REFERENCE = 0.2  # of its median; darker pixels are a shaft, not the wall
 
 
 @dataclass(frozen=True, kw_only=True)
 class Response:
-    """How a frame's values follow from light.
+    """Relation of a frame's values to light.
 
     Attributes:
         curve: "linear", "srgb" (IEC 61966-2-1) or "gamma" (value = light ** (1 / gamma)).
@@ -47,7 +48,7 @@ class Response:
 
     def full_scale_of(self, frame: np.ndarray) -> float:
         """Value at which the frame's pixels saturate."""
-        return self.full_scale or _FULL_SCALE[frame.dtype.type]
+        return self.full_scale or FULL_SCALE[frame.dtype.type]
 
     def light(self, values: np.ndarray, full_scale: float) -> np.ndarray:
         """Invert the curve: float32 light in units in which full scale is `full_scale`."""
@@ -67,82 +68,8 @@ class Response:
         return np.where(fraction <= 0.04045, fraction / np.float32(12.92), above)
 
 
-def checked_frame(frame: np.ndarray) -> np.ndarray:
-    """A frame as (H, W) or (H, W, 3) in native byte order.
-
-    Raises:
-        ValueError: not an array of uint8, uint16, float32 or float64, not grey or RGB, empty, or
-            not finite.
-    """
-    if not isinstance(frame, np.ndarray):
-        raise ValueError(f"A frame must be a NumPy array; got {type(frame).__name__}.")
-    if frame.dtype.type not in _FULL_SCALE:
-        raise ValueError(
-            f"A frame must be uint8, uint16, float32 or float64; got {frame.dtype.name}."
-            " Convert it with astype, and give Response(full_scale=...) if its range differs."
-        )
-    if frame.ndim == 3 and frame.shape[2] == 1:
-        frame = frame[:, :, 0]
-    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3):
-        raise ValueError(
-            f"A frame must have shape (H, W) or (H, W, 3), RGB; got {frame.shape}."
-            " Drop an alpha channel with frame[:, :, :3]."
-        )
-    if frame.size == 0:
-        raise ValueError(f"A frame must have pixels; got shape {frame.shape}.")
-    if frame.dtype.kind == "f" and not np.abs(frame).max() < 1e12:
-        raise ValueError(
-            "A frame must be finite (and below 1e12); got NaN, infinity or more."
-            " Replace such pixels before measuring."
-        )
-    if not frame.dtype.isnative:
-        frame = frame.astype(frame.dtype.newbyteorder("="))
-    return frame
-
-
-@dataclass(frozen=True)
-class Window:
-    """A rectangle of a frame, in whole pixels: columns x0 <= x < x1, rows y0 <= y < y1."""
-
-    x0: int
-    y0: int
-    x1: int
-    y1: int
-
-    @classmethod
-    def around(
-        cls, x: float, y: float, half_width: float, half_height: float, frame: np.ndarray
-    ) -> Window:
-        """The part of the frame within the half sizes of a point; never empty."""
-        height, width = frame.shape[:2]
-        x0 = int(min(max(x - half_width, 0), width - 1))
-        y0 = int(min(max(y - half_height, 0), height - 1))
-        x1 = int(min(max(x + half_width + 1, x0 + 1), width))
-        y1 = int(min(max(y + half_height + 1, y0 + 1), height))
-        return cls(x0, y0, x1, y1)
-
-    @classmethod
-    def whole(cls, frame: np.ndarray) -> Window:
-        """All of the frame."""
-        return cls(0, 0, frame.shape[1], frame.shape[0])
-
-    def on_grid(self, stride: int) -> Window:
-        """The window from multiples of a stride on: all such windows subsample the same pixels."""
-        return Window(self.x0 - self.x0 % stride, self.y0 - self.y0 % stride, self.x1, self.y1)
-
-    def of(self, frame: np.ndarray, stride: int = 1) -> np.ndarray:
-        """The window's pixels, or every n-th of them in either direction."""
-        values = frame[self.y0 : self.y1, self.x0 : self.x1]
-        height, width = values.shape[0] // stride, values.shape[1] // stride
-        if stride == 1 or min(height, width) < 1 or values.dtype == np.float64:
-            return values[::stride, ::stride]
-        whole = values[: height * stride, : width * stride]
-        # Four times as fast as a strided copy of colour pixels.
-        return cv2.resize(whole, (width, height), interpolation=cv2.INTER_NEAREST)
-
-
 class LightMeter:
-    """Turns parts of frames into light, as if the wall were even where a reference shows it."""
+    """Converts parts of frames into light; with a reference frame, as if the wall were even."""
 
     def __init__(self, response: Response, reference: np.ndarray | None) -> None:
         self.response = response
@@ -150,7 +77,7 @@ class LightMeter:
         self._walls: dict[int, np.ndarray] = {}
 
     def check(self, frame: np.ndarray) -> None:
-        """Refuse frames that the reference does not fit.
+        """Refuse frames that do not fit the reference.
 
         Raises:
             ValueError: the reference frame has another shape.
@@ -167,8 +94,8 @@ class LightMeter:
         """Light of one channel, or of the grey mean, as float32 in units of the frame's values.
 
         Args:
-            values: of the window, `window.of(frame, stride)`.
-            window: where in a checked frame they are.
+            values: the window's, `window.of(frame, stride)`.
+            window: their place in a checked frame.
             channel: 0, 1, 2 or GREY.
             full_scale: of the frame.
             stride: px of the frame per value.
@@ -179,7 +106,7 @@ class LightMeter:
         return light / window.of(self._wall(self._reference, channel), stride)
 
     def ceiling(self, window: Window, channel: int, full_scale: float) -> float:
-        """Light at full scale, where the wall is brightest."""
+        """Light at full scale where the wall is brightest."""
         if self._reference is None:
             return full_scale
         return full_scale / float(window.of(self._wall(self._reference, channel)).max())

@@ -1,6 +1,6 @@
-"""What the rig's node makes of messages: parameters, poses and images in, outputs out.
+"""Measures the images of the rig: parameters, poses and images in, outputs out.
 
-Nothing here needs ROS: a message is whatever has its fields. `rig_node` connects this to topics.
+Nothing here needs ROS: a message is any object with its fields. `node` connects this to topics.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node soo
 
 
 class Parameters(Options):
-    """Private parameters of the node, `~mode` and so on: the options, and names of topics.
+    """Private parameters of the node, such as `~mode`: the options, and names of topics.
 
     Attributes:
         image_topic: `sensor_msgs/Image`.
@@ -37,7 +37,7 @@ class Parameters(Options):
 
 
 class Output(NamedTuple):
-    """A reading as the messages have it.
+    """A reading in the form of the messages.
 
     Attributes:
         centre: x and y, px, and 1; NaN, NaN, 0 where there is no spot.
@@ -55,13 +55,13 @@ class Output(NamedTuple):
 
 
 class Rig:
-    """Measures images as they come; where the spot was and the latest poses go along.
+    """Measures images in the order of arrival, with the last spot and the latest poses.
 
     Args:
         parameters: of the node.
 
     Raises:
-        ValueError: parameters or files that make no sense, alone or together.
+        ValueError: parameters or files are wrong, alone or together.
         OSError: a file cannot be read.
     """
 
@@ -74,7 +74,7 @@ class Rig:
 
         Args:
             message: `geometry_msgs/Transform`, mm.
-            received_s: when it arrived, s: the message bears no time.
+            received_s: when it arrived, s: the message has no time stamp.
 
         Raises:
             ValueError: its rotation is no unit quaternion, or a number is not finite.
@@ -85,7 +85,7 @@ class Rig:
             position_mm=(position.x, position.y, position.z),
             rotation=(turn.x, turn.y, turn.z, turn.w),
         )
-        # Poses come in a thread of their own: a tuple that is replaced is never seen half changed.
+        # Poses arrive in another thread. A tuple is replaced as a whole, never half changed.
         self._poses = (*self._poses[1 - POSES_KEPT :], pose)
 
     def measured(self, message: Any, time_s: float) -> Output:
