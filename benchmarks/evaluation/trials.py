@@ -94,11 +94,7 @@ def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
                     "phantom": {"texture_seed": seed},
                     "source": {"kind": "cone"},
                     "spot": {"eccentricity_mm": c},
-                    "motion": {
-                        "start_mm": 0.5,
-                        "travel_mm": 5.5,
-                        "frames": 4 if quick else 12,
-                    },
+                    "motion": {"start_mm": 0.5, "travel_mm": 5.5, "frames": 4 if quick else 12},
                     "microscope": {"pinhole_height_mm": height},
                     "exposures": {"kinds": ["metered"]},
                 }

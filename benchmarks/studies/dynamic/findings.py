@@ -14,11 +14,7 @@ from scenes import Scene
 COMPARED = (LITERAL, SUBPIXEL)
 """The paper's way of measuring, at its fixed exposure, and ours."""
 
-MOTIONS = {
-    "withdrawal": "along the beam",
-    "scan": "across the wall",
-    "hand": "in a hand",
-}
+MOTIONS = {"withdrawal": "along the beam", "scan": "across the wall", "hand": "in a hand"}
 
 LATENCIES_S = (0.0, 0.05, 0.1)
 """How late a pose without a stamp of its own is read."""

@@ -68,11 +68,7 @@ def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
 
 
 def small_plane_line(
-    *,
-    semi_minor_px: np.ndarray,
-    phi: np.ndarray,
-    distance: np.ndarray,
-    microscope: MicroscopeFile,
+    *, semi_minor_px: np.ndarray, phi: np.ndarray, distance: np.ndarray, microscope: MicroscopeFile
 ) -> dict[str, float]:
     """k and b of the paper's model: a line, after subtracting its sagitta from the distance.
 

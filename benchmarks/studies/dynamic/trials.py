@@ -67,12 +67,7 @@ def sensitivity(rest: Stack, scene: Scene, way: Way, *, exposure_s: float) -> fl
 
 
 def trials(
-    scene: Scene,
-    way: Way,
-    *,
-    sensitivity: float,
-    speeds: Sequence[float],
-    run: int,
+    scene: Scene, way: Way, *, sensitivity: float, speeds: Sequence[float], run: int
 ) -> list[MovingTrial]:
     """Every motion at every speed, once; runs count from 1."""
     hands = [speed for speed in speeds if speed >= _SLOWEST_HAND_MM_S]

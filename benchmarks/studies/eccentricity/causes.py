@@ -131,8 +131,7 @@ def _errors(
     seen = chain.semi_minor(eye, d, links) + edge_on * edge + pixels_on * pixels
     # The working distance is the microscope's own and stays, whatever r the models are given.
     believed = eye._replace(
-        radius=eye.radius + r_on * WRONG_R_MM,
-        eccentricity=eye.eccentricity + c_on * WRONG_C_MM,
+        radius=eye.radius + r_on * WRONG_R_MM, eccentricity=eye.eccentricity + c_on * WRONG_C_MM
     )
     found = chain.distances(believed, seen, links)
     return jnp.stack([found[model] for model in optics.MODELS]) - d

@@ -20,12 +20,7 @@ from benchmarks.reporting import (
     small_multiples,
 )
 from benchmarks.studies.eccentricity.causes import CAUSES
-from benchmarks.studies.eccentricity.findings import (
-    AXES,
-    LIMITS_MM,
-    PINHOLES,
-    EccentricityFindings,
-)
+from benchmarks.studies.eccentricity.findings import AXES, LIMITS_MM, PINHOLES, EccentricityFindings
 
 _COLOURS = {"planar": ORANGE} | MODEL_COLOURS
 _GREYS = ("#B8B8B8", "#6E6E6E")

@@ -127,15 +127,9 @@ def _withdrawals(scene: Scene, *, quick: bool) -> dict[tuple[float, float], With
     for height in (0.0, *pinhole_heights(scene), np.inf):
         for incidence_deg in dict.fromkeys((0.0, scene.spot.incidence_deg)):
             own = scenes.changed(
-                scene,
-                {
-                    "microscope.pinhole_height_mm": height,
-                    "spot.incidence_deg": incidence_deg,
-                },
+                scene, {"microscope.pinhole_height_mm": height, "spot.incidence_deg": incidence_deg}
             )
             found[height, incidence_deg] = limits.withdrawals(
-                geometry_of(own),
-                eccentricities=eccentricities,
-                medium=scene.source.medium,
+                geometry_of(own), eccentricities=eccentricities, medium=scene.source.medium
             )
     return found

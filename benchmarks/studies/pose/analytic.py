@@ -60,12 +60,7 @@ def places(wall: optics.Sphere, *, count: int, seed: int) -> list[Place]:
 
 
 def errors(
-    tool: Tool,
-    every: list[Place],
-    wall: optics.Sphere,
-    view: optics.Microscope,
-    *,
-    seed: int,
+    tool: Tool, every: list[Place], wall: optics.Sphere, view: optics.Microscope, *, seed: int
 ) -> list[PoseError]:
     """Errors of the poses from a noisy contour at each place, with each kind of prior.
 
@@ -96,10 +91,7 @@ def errors(
             (Prior.KNOWN, truth, known),
         )
         for place, found, covariance in zip(
-            every,
-            _solved(tool, noisy, axes, prior.sigma_rad, wall, view),
-            covariances,
-            strict=True,
+            every, _solved(tool, noisy, axes, prior.sigma_rad, wall, view), covariances, strict=True
         )
     ]
 
@@ -115,13 +107,7 @@ def _solved(
     """Estimates at all places; the distance's sigma is NaN for several spots."""
     if tool.cones == 1:
         best = _one_by_contour(
-            noisy[:, 0],
-            axes,
-            np.asarray(sigma),
-            wall,
-            view,
-            tool.half_angle,
-            tool.apex_offset,
+            noisy[:, 0], axes, np.asarray(sigma), wall, view, tool.half_angle, tool.apex_offset
         )
         columns = (best.tip, best.axis, best.distance, best.distance_error)
         return [Estimate(*row) for row in zip(*map(np.asarray, columns), strict=True)]

@@ -14,12 +14,7 @@ from benchmarks.evaluation import MICROSCOPE_MM, require_roomy_eyeball
 from benchmarks.reporting import Request, Study
 from benchmarks.studies.pose import analytic, rendered
 from benchmarks.studies.pose.errors import one_spot, three_spots
-from benchmarks.studies.pose.findings import (
-    HALF_WIDTH_MM,
-    LARGEST_C_MM,
-    PoseError,
-    PoseFindings,
-)
+from benchmarks.studies.pose.findings import HALF_WIDTH_MM, LARGEST_C_MM, PoseError, PoseFindings
 from benchmarks.studies.pose.report import report
 from scenes import Scene, SceneError
 from scenes.world import World

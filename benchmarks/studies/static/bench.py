@@ -116,8 +116,7 @@ class Bench:
     def _touched(self, measured: Measured) -> Measured:
         """The same with readings that count from a missed touch."""
         return Measured(
-            semi_minor=measured.semi_minor,
-            readings=measured.readings - self.draws.touch[..., None],
+            semi_minor=measured.semi_minor, readings=measured.readings - self.draws.touch[..., None]
         )
 
 

@@ -72,10 +72,7 @@ def lines(semi_minor: np.ndarray, reading: np.ndarray) -> tuple[Lines, Lines]:
 
 
 def parts(
-    semi_minor: Mapping[str, np.ndarray],
-    readings: Mapping[str, np.ndarray],
-    *,
-    texture: np.ndarray,
+    semi_minor: Mapping[str, np.ndarray], readings: Mapping[str, np.ndarray], *, texture: np.ndarray
 ) -> list[CausePart]:
     """Split the mean square error by cause, over paired runs.
 

@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from benchmarks.evaluation import (
-    ALL_PLANES,
-    LITERAL,
-    PAPERS_PLANES,
-    SUBPIXEL,
-    TABLE_I,
-    TABLE_II,
-)
+from benchmarks.evaluation import ALL_PLANES, LITERAL, PAPERS_PLANES, SUBPIXEL, TABLE_I, TABLE_II
 from benchmarks.reporting import Claim, Column, Data, Picture, Report, Section, Table, number
 from benchmarks.studies.static import figures
 from benchmarks.studies.static.findings import (

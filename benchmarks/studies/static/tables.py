@@ -15,13 +15,7 @@ from scenes import Scene
 FEWEST_SPOTS = 3
 
 
-def entries(
-    way: str,
-    *,
-    planes: Measured,
-    spheres: Measured,
-    scene: Scene,
-) -> list[Entry]:
+def entries(way: str, *, planes: Measured, spheres: Measured, scene: Scene) -> list[Entry]:
     """Tables I and II of every run.
 
     Args:

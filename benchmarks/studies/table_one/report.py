@@ -7,14 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.evaluation import (
-    ALL_PLANES,
-    LITERAL,
-    PAPERS_PLANES,
-    SUBPIXEL,
-    TABLE_I,
-    PlaneRow,
-)
+from benchmarks.evaluation import ALL_PLANES, LITERAL, PAPERS_PLANES, SUBPIXEL, TABLE_I, PlaneRow
 from benchmarks.reporting import Claim, Data, Picture, Report, Section, Table
 from benchmarks.studies.table_one import moments
 from benchmarks.studies.table_one.causes import cause_line, light_and_touch
