@@ -511,7 +511,7 @@ def test_a_way_that_sees_nothing_is_counted() -> None:
     # 12 trials of 9 frames in three ways and 8 of 4 in one, less the blind third.
     found = find(paper_like_run(), "frames used")
     assert found.text.startswith("248 of 356 measurements enter the fits.")
-    by_way = dict(zip(found.numbers["ways"], found.numbers["used"], strict=True))
+    by_way = dict(zip(found.numbers["ways"].split("; "), found.numbers["used"], strict=True))
     assert by_way == {LITERAL.name: 108, LITERAL_METERED.name: 0, SUBPIXEL.name: 140}
 
 

@@ -137,7 +137,7 @@ def test_with_every_link_ideal_all_models_are_right(worths):
 def test_a_square_spot_has_an_ellipse_for_its_image_so_that_fitting_one_costs_nothing(worths):
     for where in (SQUARE, CENTRED):
         for model in optics.MODELS:
-            # The width between tangents is found to 1e-6 of 10 mm; DESIGN §3: the image is a conic.
+            # The width between tangents is found to 1e-6 of 10 mm; the image is a conic.
             assert abs(share(worths, where, model, "ellipse fit of a non-ellipse")) < 1e-5
 
 
@@ -187,7 +187,7 @@ def test_at_the_eyeballs_centre_magnification_makes_the_papers_factor_right(
         return float(small[np.flatnonzero((members == wanted).all(axis=1))[0]])
 
     both = error("foreshortening", "magnification with depth")
-    # First order in 1 - cos(phi) = 0.035 of 9 mm is 0.31 mm; DESIGN §3: 0.014 mm is left.
+    # First order in 1 - cos(phi) = 0.035 of 9 mm is 0.31 mm; to second order 0.014 mm is left.
     assert abs(both) < 0.014
     assert error("foreshortening") < -0.3
 
@@ -245,7 +245,7 @@ def test_the_known_rows_of_the_papers_model_are_reproduced(withdrawals, z_f, kno
 
 def test_fitting_c_hides_the_error_where_the_right_factor_is_below_one(withdrawals):
     row = next(r for r in withdrawals[11.5].refits if r.c_mm == 4.0)
-    # DESIGN §3: the right factor is (1 + cos phi)/2, which a cos of another phi can be.
+    # The right factor is (1 + cos phi)/2, which a cos of another phi can be.
     cos_phi = math.sqrt(1 - (4.0 / R) ** 2)
     expected = R * math.sqrt(1 - ((1 + cos_phi) / 2) ** 2)
     # Second order: (R/r)^2 = 0.2 % of the factor, 7 % of 1 - factor and half of that of c.

@@ -61,7 +61,7 @@ def spots(at: ToolPose) -> tuple[optics.Ellipse, jax.Array]:
 
 @pytest.mark.parametrize(("incidence", "tip_um"), [(10.0, (5.0, 7.0)), (30.0, (1.5, 2.5))])
 def test_the_bound_of_one_spot_is_the_known_one(incidence, tip_um):
-    # Of an independent computation (DESIGN §3): 5 to 7 um, 0.05 to 0.07 degrees at 10 degrees,
+    # By an independent computation: 5 to 7 um, 0.05 to 0.07 degrees at 10 degrees,
     # about 2 um and 0.015 degrees at 30, over d = 3 to 6 mm.
     tip, axis = bounds(ONE, incidence)
     assert tip_um[0] < tip < tip_um[1]
@@ -70,7 +70,7 @@ def test_the_bound_of_one_spot_is_the_known_one(incidence, tip_um):
 
 def test_a_known_axis_leaves_the_known_bound_of_the_tip():
     known = tool_pose_bound(ONE, place(20.0).pose, WALL, VIEW, sigma_px=SIGMA_PX, axis_known=True)
-    # DESIGN §3: 0.6 um.
+    # By an independent computation: 0.6 um.
     assert 1e3 * pose_errors.tip_bound(np.asarray(known)) == pytest.approx(0.6, abs=0.1)
 
 

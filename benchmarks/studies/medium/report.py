@@ -59,8 +59,8 @@ def report(findings: MediumFindings) -> Report:
                     f"{findings.scene.spot.incidence_deg:g}°), with the cone fitted to rendered "
                     "frames of a plane in air. Squares are in air; open circles are flagged "
                     "ambiguous. In the grey bands one radius belongs to several distances; the "
-                    "green dots show the solution farthest from the truth. Dashed: the clinically "
-                    f"acceptable {ACCEPTABLE_ERROR_MM:g} mm.",
+                    "dotted green line is the solution farthest from the truth. Dashed: the "
+                    f"clinically acceptable {ACCEPTABLE_ERROR_MM:g} mm.",
                     data="medium_error.csv",
                 ),
                 Table.of(

@@ -64,7 +64,7 @@ def causes(parts: list[CausePart]) -> Figure:
         for line in printed:
             axes.axvline(1e3 * line.rmse**2, color=GREY, lw=0.8, ls=":")
 
-    x = "mean square error (10$^{-3}$ mm²)"
+    x = "mean square error of the line (10$^{-3}$ mm²)"
     return small_multiples(
-        draw, rows=["line of"], columns=list(Scope), x=x, y="", height=3.2, legend_columns=0
+        draw, rows=[""], columns=list(Scope), x=x, y="", height=3.2, legend_columns=0
     )

@@ -143,10 +143,10 @@ def _causes(findings: StaticFindings) -> Claim:
     return Claim(
         name="causes",
         sentence="Of the causes, {causes[0]} adds most to the mean square error of all planes. "
-        "In 10⁻³ mm², with standard errors over runs: {causes} add {parts:+.2f} ± {errors:.2f}; "
-        "together beyond their sum {together:+.2f} ± {together_error:.2f}. Without causes the "
-        "error is {none:.2f} (RMSE {none_rmse:.3f} mm), with all {value:.2f} (RMSE {all_rmse:.3f} "
-        "mm).",
+        "In 10⁻³ mm², {causes} add {parts:+.2f} (standard errors over runs: {errors:.2f}); "
+        "together they add {together:+.2f} ± {together_error:.2f} beyond their sum. Without causes "
+        "the error is {none:.2f} (RMSE {none_rmse:.3f} mm), with all {value:.2f} (RMSE "
+        "{all_rmse:.3f} mm).",
         value=1e3 * parts[ALL].part_mm2,
         numbers={
             "causes": tuple(part.cause for part in ordered),

@@ -204,7 +204,7 @@ def _used(findings: ValidateFindings) -> Claim:
         value=sum(used.values()),
         numbers={
             "total": sum(map(len, outcomes.values())),
-            "ways": tuple(used),
+            "ways": "; ".join(used),
             "used": tuple(used.values()),
             "frames": tuple(map(len, outcomes.values())),
         },
