@@ -187,7 +187,7 @@ def test_at_the_eyeballs_centre_magnification_makes_the_papers_factor_right(
         return float(small[np.flatnonzero((members == wanted).all(axis=1))[0]])
 
     both = error("foreshortening", "magnification with depth")
-    # First order in 1 - cos(phi) = 0.035 of 9 mm is 0.31 mm; to second order 0.014 mm is left.
+    # First order in 1 - cos(phi) = 0.035 of 9 mm is 0.31 mm; the derivation leaves 0.014 mm.
     assert abs(both) < 0.014
     assert error("foreshortening") < -0.3
 
