@@ -1,10 +1,9 @@
 """From a spot to a distance, by one of the models.
 
-cone_pose   Tip and axis of the sharp cone that leaves a spot's ellipse on the eyeball: the model
-            `exact`
-lens_range  Distance behind a glue lens: size, shape and brightness of the spot against the lens's
-            light
-range       What a spot becomes: a distance, its standard deviation, and what to know about it
+cone_pose   Tip and axis of the sharp cone whose spot on the eyeball has a given ellipse: the
+            model `exact`
+lens_range  Distance behind a glue lens, from the size, shape and brightness of the spot
+range       The distance of a spot, its standard deviation, and a flag if it is doubtful
 ranger      From a spot to the distance between tip and wall, with its standard deviation
 """
 

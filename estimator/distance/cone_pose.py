@@ -1,4 +1,4 @@
-"""Tip and axis of the sharp cone that leaves a spot's ellipse on the eyeball: the model `exact`."""
+"""Tip and axis of the sharp cone whose spot on the eyeball has a given ellipse: model `exact`."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ if TYPE_CHECKING:
     import optics
 
 UNKNOWN_SIGMA_PX = 0.5
-"""Standard deviation of the ellipse where a mode measures none: weighs it against the rest."""
+"""Standard deviation of the ellipse if a mode measures none; weighs it against the axis."""
 
-_NO_WEIGHT_RAD = 1e6  # of an axis that says nothing
+_NO_WEIGHT_RAD = 1e6  # standard deviation of an unknown axis
 _CIRCLE = 1e-9  # difference of the axes, relative, below which an ellipse has no angle
-_SAME_COST = 9.0  # of two poses that the spot does not tell apart at three standard deviations
+_SAME_COST = 9.0  # difference of cost of two poses that three standard deviations do not separate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosePair:
-    """Two poses that leave a spot's ellipse on the wall, or almost.
+    """Two poses whose spot on the wall has the ellipse, at least nearly.
 
     Attributes:
-        best: the likelier one, the axis that was given included.
+        best: the likelier one, given the ellipse and the axis.
         mirror: the other one, with the incidence reversed.
-        alike: whether the evidence does not tell the two apart.
-        sigma_mm: of the distance, from the spot's covariance; NaN where that is unknown.
+        alike: whether ellipse and axis do not decide between the two.
+        sigma_mm: of the distance, from the spot's covariance; NaN if that is unknown.
     """
 
     best: TipPose
@@ -43,7 +43,7 @@ class ConePoses:
     """Finds the poses of one cone under one microscope. Loads JAX; compiles once a process.
 
     Args:
-        microscope: in whose undistorted image the spots lie.
+        microscope: the spots lie in its undistorted image.
         half_angle: of the cone, rad.
         apex_offset: b, mm.
     """
@@ -56,7 +56,7 @@ class ConePoses:
         self._wall = optics.Sphere(microscope.eye_radius_mm)
         self._view = microscope.ideal_microscope()
         self._cone = {"half_angle": np.asarray(half_angle), "apex_offset": np.asarray(apex_offset)}
-        # Now, so that the first of a rig's images does not wait for it.
+        # Compile now, so that the first image of a rig does not wait.
         x, y = microscope.principal_point_px
         self._estimate(np.array([x, y, 60.0, 50.0, 0.0]), np.eye(5), None, 0.0)
 
@@ -65,8 +65,7 @@ class ConePoses:
 
         Args:
             spot: in the undistorted image.
-            axis: unit vector of the beam, (3,), which is weighed against the ellipse; None if
-                nothing is known of it.
+            axis: unit vector of the beam, (3,), weighed against the ellipse; None if unknown.
             axis_sigma_rad: standard deviation of the axis across itself.
         """
         known = bool(np.isfinite(spot.covariance).all())
@@ -90,10 +89,10 @@ class ConePoses:
     ) -> optics.PoseEstimate:
         import optics
 
-        # An axis that weighs nothing stands for none: one compilation serves both cases.
+        # Without an axis, pass one without weight: both cases share one compilation.
         if axis is None:
             axis, axis_sigma_rad = np.array([0.0, 0.0, -1.0]), _NO_WEIGHT_RAD
-        # JAX takes NumPy's arrays; plain numbers it would compile anew each time.
+        # Pass NumPy arrays: for plain numbers JAX would compile every time.
         array: Any = np.asarray
         return optics.pose_from_ellipse(
             optics.Ellipse(array(ellipse[:2]), *map(array, ellipse[2:])),

@@ -1,9 +1,9 @@
-"""Distance behind a glue lens: size, shape and brightness of the spot against the lens's light.
+"""Distance behind a glue lens, from the size, shape and brightness of the spot.
 
-Behind a lens one radius may belong to two distances. The profile differs between them (near the
-lens a plateau, farther off a bell), so what decides is the likelihood of the distance given the
-half-maximum radius, the radii at a quarter and at three quarters of the peak relative to it, and,
-at known exposure, the peak's brightness.
+Behind a lens one radius may belong to two distances. The profile differs between them (a plateau
+near the lens, a bell further away). So the distance is the likeliest one, given the half-maximum
+radius, the radii at a quarter and at three quarters of the peak relative to it, and, at known
+exposure, the peak's brightness.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _SENSITIVITY_DISTANCES = np.linspace(0.05, 8.0, 32)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LensCurve:
-    """What a lens shows on the eyeball's wall at each distance and incidence.
+    """The spot of a lens on the eyeball's wall, by distance and incidence.
 
     Attributes:
         distances: d, (n,), mm, growing.
@@ -90,13 +90,13 @@ def distance_from_lens(
         radius_mm: semi-minor axis of the half-maximum contour on the wall; NaN is nowhere.
         relative_sigma: of the radius, from the image.
         incidence: of the beam, rad.
-        shape: of the profile; None leaves it out.
+        shape: of the profile; None if unknown.
         peak_irradiance: of the peak, 1/mm2 per unit power, and its relative standard deviation;
-            None leaves it out.
+            None if unknown.
 
     Returns:
-        The distance; sigma covers `others` too where there are any. None where no distance in
-        the curve's range has such a spot.
+        The distance; sigma includes `others` if there are any. None if no distance in the curve's
+        range has such a spot.
     """
     radii, peak = curve.at(incidence)
     # Nearer, the tilted tip's rim would be inside the wall.
@@ -114,7 +114,7 @@ def distance_from_lens(
         return None
     cost = by_size
     if shape is not None:
-        # Tilt shifts the isophotes against each other and leaves the median over the rays alone.
+        # Tilt shifts the isophotes against each other, but not the median over the rays.
         square, _ = curve.at(0.0)
         for column, ratio in zip((0, 2), shape.ratios, strict=True):
             expected = over_grid(square[:, column] / square[:, 1])
@@ -122,14 +122,14 @@ def distance_from_lens(
     if peak_irradiance is not None:
         value, relative = peak_irradiance
         cost = cost + np.log(over_grid(peak) / value) ** 2 / (relative**2 + _BRIGHTNESS_ERROR**2)
-    # A profile that fits nowhere (a shaft in front, a wall too dark) says nothing.
+    # A profile that fits no distance (a shaft in front, too dark a wall) is ignored.
     return _likeliest(grid, cost if cost.min() < _STRANGE else by_size)
 
 
 def _likeliest(grid: np.ndarray, cost: np.ndarray) -> LensDistance:
     best = int(np.argmin(cost))
     excess = cost - cost[best]
-    # Stretches of distance that cannot be excluded; each counts as one answer.
+    # Each interval of distances that cannot be excluded counts as one answer.
     edges = np.flatnonzero(np.diff(np.concatenate([[0], excess < _DECIDED, [0]])))
     others = []
     for first, last in edges.reshape(-1, 2):
@@ -253,7 +253,7 @@ def _relative_error(calibration: Calibration) -> np.ndarray:
     slopes = np.zeros((len(_SENSITIVITY_DISTANCES), len(values)))
     middle: np.ndarray | None = None
     for column, (name, value) in enumerate(values.items()):
-        # A step of one standard error: small ones drown in the quadrature's error.
+        # Steps of one standard error: the error of the quadrature exceeds the effect of small ones.
         step = calibration.sigma(name)
         if name == "scale":
             slopes[:, column] = -1.0 / value

@@ -1,4 +1,4 @@
-"""What a spot becomes: a distance, its standard deviation, and what to know about it."""
+"""The distance of a spot, its standard deviation, and a flag if it is doubtful."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 
 
 class RangeFlag(Enum):
-    """What to know before a distance is believed.
+    """Why a distance is doubtful.
 
-    AMBIGUOUS: other distances (`Range.others_mm`) explain the spot as well. OUT_OF_RANGE: the model
-    has no such spot (the distance is NaN), or only with the tip behind the wall (it is negative).
+    AMBIGUOUS: other distances (`Range.others_mm`) explain the spot equally well. OUT_OF_RANGE: the
+    model has no such spot (the distance is NaN), or only with the tip behind the wall (it is
+    negative).
     """
 
     NONE = "none"
@@ -41,10 +42,10 @@ class Range:
 
     Attributes:
         distance_mm: d = |SO|, along the beam; NaN where the model has no such spot.
-        sigma_mm: its standard deviation, from the spot's and the calibration's covariance; NaN if
-            the spot's mode measures none. What the model neglects is not in it.
-        flag: what to know before it is believed.
-        others_mm: other distances that explain the spot as well.
+        sigma_mm: its standard deviation, from the covariances of the spot and the calibration; NaN
+            if the spot's mode measures none. Errors of the model itself are not included.
+        flag: why it is doubtful.
+        others_mm: other distances that explain the spot equally well.
         poses: of `exact`: the best pose and its mirror image (the incidence reversed).
     """
 

@@ -42,22 +42,22 @@ class Ranger:
         model: str | None = None,
         eccentricity_mm: float | None = None,
     ) -> None:
-        """Check that the parts fit each other, and prepare what the model needs.
+        """Check that calibration, microscope and model fit each other, and prepare the model.
 
         `exact` is compiled once a process, for some 10 s; `lens` traces its lens, for some 20 s.
 
         Args:
             calibration: its `scale`, `eye_radius` and `inverse_working_distance`, if it has them,
                 go before the microscope's.
-            microscope: in whose undistorted image the spots lie.
+            microscope: the spots lie in its undistorted image.
             model: one of `MODELS`; by default the calibration's. All models of a cone share k
                 (or half_angle) and b.
             eccentricity_mm: c of the spots, which all but planar and exact need; by default, where
                 the pinhole sees each spot's centre on the sphere.
 
         Raises:
-            ValueError: no such model, one that calibration or microscope does not fit, or a lens
-                that cannot be.
+            ValueError: unknown model, a model that does not fit calibration or microscope, or an
+                impossible lens.
         """
         own = calibration.values
         self.calibration = calibration
@@ -89,11 +89,11 @@ class Ranger:
         frame: np.ndarray | None = None,
         exposure_s: float | None = None,
     ) -> Range:
-        """Distance of a spot. What a model has no use for, it leaves alone.
+        """Distance of a spot. A model ignores arguments that it does not use.
 
         Args:
             spot: from `measure`, in the undistorted image.
-            axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame.
+            axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame;
                 `exact` weighs it against the ellipse.
             axis_sigma_rad: standard deviation of the axis across itself.
             frame: in which the spot was measured; `lens` reads the profile's shape from it.
@@ -189,7 +189,7 @@ class Ranger:
 
     def _exact(self, spot: Spot, axis: np.ndarray | None, axis_sigma_rad: float) -> Range:
         """The pose whose cone leaves the spot's ellipse on the sphere."""
-        # The calibration acts on a tilted spot as on a square one, to a few percent.
+        # The calibration's errors act on a tilted spot as on a square one, to a few percent.
         square = self._closed_form("corrected", spot, np.zeros((5, 5)))
         if math.isnan(square.distance_mm):
             return square
@@ -266,7 +266,7 @@ def _unit(axis: ArrayLike) -> np.ndarray:
 
 
 def _slope(values: Mapping[str, Numbers]) -> Numbers:
-    """k = 1/tan(half_angle), whichever of the two a calibration holds."""
+    """k = 1/tan(half_angle), from whichever of the two a calibration has."""
     return values["k"] if "k" in values else 1 / np.tan(values["half_angle"])
 
 
