@@ -149,7 +149,7 @@ def test_what_opencv_does_not_hold_must_be_given(written, missing):
 
 
 def test_what_stands_in_the_file_must_not_be_given_too(written):
-    with pytest.raises(MicroscopeFileError, match="eye_radius_mm stands in the file"):
+    with pytest.raises(MicroscopeFileError, match="eye_radius_mm is in the file already"):
         read_microscope(written(ours()), eye_radius_mm=12.0)
 
 

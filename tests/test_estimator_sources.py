@@ -219,7 +219,7 @@ def test_a_stack_of_two_exposures_is_read_in_the_one_that_is_chosen(tmp_path, im
             np.testing.assert_array_equal(frame.image, image // divisor)
     with pytest.raises(ValueError, match=r"no exposure strong\. Choose metered or paper"):
         open_source(folder, exposure="strong")
-    with pytest.raises(ValueError, match="is no stack"):
+    with pytest.raises(ValueError, match="is not a stack"):
         open_source(write_folder(tmp_path / "folder", images), exposure="paper")
 
 

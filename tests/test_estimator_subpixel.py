@@ -269,17 +269,17 @@ def test_a_quarter_in_shadow_and_glints_are_left_out() -> None:
         assert math.sqrt((errors[:, 3] ** 2).mean()) < 0.15
 
 
-def test_a_reflex_that_outshines_the_spot_is_not_taken_for_it() -> None:
+def test_a_reflection_brighter_than_the_spot_is_not_taken_for_it() -> None:
     rng = np.random.default_rng(4)
     wide = replace(_TRUTH, x=360.0, y=250.0, semi_major=150, semi_minor=140)
-    reflex = light_of(Drawing(truth=wide, profile=bell, amplitude=150, noise=0.0))
+    reflection = light_of(Drawing(truth=wide, profile=bell, amplitude=150, noise=0.0))
     spot = light_of(Drawing(truth=_TRUTH, amplitude=40, ambient=0, noise=0.0))
-    frame = np.clip(np.rint(reflex + spot + rng.normal(0, 3, reflex.shape)), 0, 255)
+    frame = np.clip(np.rint(reflection + spot + rng.normal(0, 3, reflection.shape)), 0, 255)
     result, _ = measure(frame.astype(np.uint8), TrackState(), SubpixelSettings())
     assert result == NoSpot(Reason.AMBIGUOUS)
 
 
-def test_vessels_under_a_bell_are_no_reflex() -> None:
+def test_vessels_under_a_bell_are_no_reflection() -> None:
     rng = np.random.default_rng(6)
     for _ in range(8):
         _measured(

@@ -438,9 +438,9 @@ def assert_bad_input(outcome: Outcome, *words: str) -> None:
         (["--start", "nan,3"], ["X,Y in px"]),
         (["--start", "500,80"], ["(500, 80) px", "200x160 px"]),
         (["--out", "spots.txt"], [".csv or .parquet"]),
-        (["--out", "none/spots.csv"], ["none is no folder"]),
+        (["--out", "none/spots.csv"], ["none is not a folder"]),
         (["--overlay", "overlay.mov"], [".mp4, .avi", "folder", "'.mov'"]),
-        (["--exposure", "paper"], ["is no stack"]),
+        (["--exposure", "paper"], ["is not a stack"]),
         (["--model", "planar"], ["model has no effect without calibration"]),
         (["--eye-radius-mm", "11.5"], ["eye_radius_mm has no effect without microscope"]),
         (["--pose-topic", "/pose"], ["pose_topic has no effect without poses"]),
@@ -487,7 +487,7 @@ def test_a_source_that_breaks_leaves_its_frames_and_one_message(run, tmp_path, f
     broken, out = frames / "5.png", tmp_path / "spots.csv"
     broken.write_bytes(broken.read_bytes()[:1000])
     outcome = run(frames, "--out", out, "--overlay", tmp_path / "overlay", "--json")
-    assert_bad_input(outcome, "5.png (frame 5) is cut short", f"{out} holds the 5 frames before")
+    assert_bad_input(outcome, "5.png (frame 5) is truncated", f"{out} holds the 5 frames before")
     assert json.loads(outcome.out)["ended"] == "broken"
     assert_same(read_spots(out), list(track(images[:5], SubpixelSettings())))
     assert len(list((tmp_path / "overlay").iterdir())) == 5

@@ -5,7 +5,7 @@ A frame goes down this list in the sub-pixel mode, and the spot comes back:
 tracking     From frame to frame: where the spot is looked for, and which of the spots found is it
 verdict      Spot or not: every reason to reject what was fitted, in one place
 motion_blur  The ellipse in the middle of the exposure, of a spot that moved during it
-reflex       Distinguishes a broad spot from a specular reflection of a wet wall with the spot on it
+reflection   Distinguishes a broad spot from a specular reflection of a wet wall with the spot on it
 contour      The half-maximum contour of a region: which light it is fitted to, and through which
              ellipse
 texture      The wall's texture, estimated from its colours

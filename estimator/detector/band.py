@@ -75,7 +75,7 @@ class Band:
         side = min(max(side, Refine.FEWEST_SAMPLES), Refine.MOST_SAMPLES)
         from_edge = np.arange(-side, side + 1) * (reach / side)
         profiles = patch.unwrapped(ellipse, 1 + from_edge)
-        if patch.holds(ellipse.scaled(1 + reach)):
+        if patch.contains(ellipse.scaled(1 + reach)):
             inside = whole = np.ones(len(profiles), bool)
         else:
             inside = ~np.isnan(profiles[:, side])

@@ -154,7 +154,7 @@ def _capture(
         step, inliers = fitted
         if np.abs(step).max() < Capture.NEAR_ENOUGH:
             break
-    if not patch.holds(ellipse.scaled(float(RADII[-1]) + 0.1)):
+    if not patch.contains(ellipse.scaled(float(RADII[-1]) + 0.1)):
         profiles = np.nan_to_num(profiles, nan=0.0)
     return ellipse, step, inliers, profiles
 

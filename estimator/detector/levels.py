@@ -140,7 +140,7 @@ def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float
     radius = dark_radius(width)
     for _ in range(HalfLevel.TRIES):
         ring = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII, every=2).ravel()
-        if not levels.holds(ellipse.scaled(radius + HalfLevel.RINGS[-1])):
+        if not levels.contains(ellipse.scaled(radius + HalfLevel.RINGS[-1])):
             ring = ring[~np.isnan(ring)]
         if ring.size > RAYS // 2:
             return float(np.partition(ring, ring.size // 2)[ring.size // 2]) * coarse.unit, radius

@@ -391,7 +391,7 @@ class Motion:
 
 
 class Reflection:
-    """A wet wall's specular reflection with the spot on it (`reflex`)."""
+    """A wet wall's specular reflection with the spot on it (`reflection`)."""
 
     SIDE = 64
     """px | side to which the bell is reduced | set by hand: speed"""

@@ -61,7 +61,7 @@ class Patch:
             borderValue=math.nan,
         )
 
-    def holds(self, ellipse: Ellipse) -> bool:
+    def contains(self, ellipse: Ellipse) -> bool:
         """Whether the whole ellipse lies on the patch."""
         half_width, half_height = ellipse.half_extent()
         height, width = self.signal.shape

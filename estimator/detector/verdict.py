@@ -15,7 +15,7 @@ from estimator.detector.contour import contour_of, patch_round
 from estimator.detector.edges import EdgeFit
 from estimator.detector.ellipse import covariance_of_axes, refitted
 from estimator.detector.motion_blur import at_mid_exposure
-from estimator.detector.reflex import bears_spot
+from estimator.detector.reflection import shows_spot
 from estimator.detector.regions import Region
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tuning import Motion, Refine, Verdict
@@ -54,7 +54,7 @@ def sighting_in(region: Region) -> Sighting | NoSpot:
     if isinstance(spot, NoSpot):
         return spot
     smallest = region.settings.min_semi_minor_px
-    if fit.levels.width > Refine.BROAD and bears_spot(
+    if fit.levels.width > Refine.BROAD and shows_spot(
         patch_round(region, fit.ellipse), fit, smallest
     ):
         return NoSpot(Reason.AMBIGUOUS)

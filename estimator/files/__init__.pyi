@@ -32,5 +32,5 @@ from .stack import StackError as StackError
 from .stack import fingerprint as fingerprint
 from .stack import read_stack as read_stack
 from .stack_writer import StackWriter as StackWriter
-from .whole_files import damage_told as damage_told
+from .whole_files import damage_reported as damage_reported
 from .whole_files import written_whole as written_whole

@@ -126,7 +126,7 @@ def read_microscope(
         twice = [name for name, value in given.items() if value is not None]
         if twice:
             raise MicroscopeFileError(
-                f"{twice[0]} stands in the file. Leave it out of the call, or edit the file."
+                f"{twice[0]} is in the file already. Leave it out of the call, or edit the file."
             )
         return _ours(content)
     except ValueError as error:

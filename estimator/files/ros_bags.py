@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimator.files.whole_files import damage_told
+from estimator.files.whole_files import damage_reported
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -37,7 +37,7 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     # Old ROS 2 bags contain no message definitions; those of the messages used here have never
     # changed.
     types = get_typestore(Stores.ROS2_HUMBLE)
-    with damage_told(f"{path}", _REMEDY):
+    with damage_reported(f"{path}", _REMEDY):
         reader = AnyReader([path], default_typestore=types)
         reader.open()
     try:
@@ -81,7 +81,7 @@ def messages_of(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[flo
     """
     messages = reader.messages([c for c in reader.connections if c.topic == topic])
     for index in itertools.count():
-        with damage_told(f"{path}, {topic}, message {index}", _REMEDY):
+        with damage_reported(f"{path}, {topic}, message {index}", _REMEDY):
             item = next(messages, None)
             if item is None:
                 return

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.files.whole_files import damage_told, written_whole
+from estimator.files.whole_files import damage_reported, written_whole
 from estimator.image import PARAMETERS, NoSpot, Reason, Spot
 
 SCHEMA_VERSION = 1
@@ -167,7 +167,7 @@ def _write_parquet(path: Path, records: Iterable[SpotRecord]) -> None:
 
 def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
     pa = pyarrow()
-    with path.open("rb") as file, damage_told(f"{path}", "Write it with write_spots."):
+    with path.open("rb") as file, damage_reported(f"{path}", "Write it with write_spots."):
         table = pa.parquet.read_table(file)
     _check_columns(table.column_names, f"{path}")
     for index, row in enumerate(table.to_pylist()):

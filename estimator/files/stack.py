@@ -184,7 +184,7 @@ def read_stack(folder: Path) -> Stack:
     """Open a stack and read its labels; images are read later, one by one.
 
     Raises:
-        StackError: the folder is no stack, has another schema, a label line is broken, or labels
+        StackError: the folder is not a stack, has another schema, a label line is broken, or labels
             and frames do not match; the message names the file and the line.
     """
     folder = Path(folder)

@@ -31,7 +31,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def damage_told(where: str, remedy: str) -> Iterator[None]:
+def damage_reported(where: str, remedy: str) -> Iterator[None]:
     """Turn any error of a third party's decoder about a damaged file into one ValueError.
 
     Decoders raise all kinds of errors for damage: struct.error, KeyError, zlib.error and others.

@@ -157,7 +157,7 @@ def _check_results(out: Path, overlay: Path | None) -> None:
             )
         if not path.parent.is_dir():
             raise ValueError(
-                f"{path.parent} is no folder. Make it, or write {path.name} elsewhere."
+                f"{path.parent} is not a folder. Make it, or write {path.name} elsewhere."
             )
 
 

@@ -133,8 +133,8 @@ class Options(BaseModel):
             if name not in cls.model_fields:
                 known = ", ".join(cls.model_fields)
                 raise ValueError(f"{name} is unknown; known are {known}.") from error
-            told = problem.get("ctx", {}).get("error", problem["msg"])
-            raise ValueError(f"{name}: {told}; got {given[str(name)]!r}.") from error
+            rule = problem.get("ctx", {}).get("error", problem["msg"])
+            raise ValueError(f"{name}: {rule}; got {given[str(name)]!r}.") from error
 
     def reader(self) -> Reader:
         """Read the files and prepare the measurement; `Ranger` says how long that takes.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from estimator.files import damage_told
+from estimator.files import damage_reported
 from estimator.image import checked_frame
 from estimator.sources.source import AGAIN, Frame, Source
 
@@ -88,9 +88,9 @@ def _picture(path: Path, index: int) -> np.ndarray:
     cut = _cut_short(data)
     image = None if cut or not data else cv2.imdecode(np.frombuffer(data, np.uint8), -1)
     if image is None:
-        fault = "is empty" if not data else "is cut short" if cut else "is damaged or no image"
+        fault = "is empty" if not data else "is truncated" if cut else "is damaged or not an image"
         raise ValueError(f"{where} {fault}. {AGAIN}")
-    with damage_told(where, AGAIN):
+    with damage_reported(where, AGAIN):
         return rgb_of_opencv(image)
 
 
@@ -127,7 +127,7 @@ def open_tiff(path: Path) -> Source:
 
     # Damage is reported once, as an error from here.
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)
-    with damage_told(f"{path}", AGAIN), tifffile.TiffFile(path) as file:
+    with damage_reported(f"{path}", AGAIN), tifffile.TiffFile(path) as file:
         length = len(file.pages)
         # ImageJ writes one directory for all images if the file exceeds 4 GB.
         announced = (file.imagej_metadata or {}).get("images", length)
@@ -144,7 +144,7 @@ def open_tiff(path: Path) -> Source:
         with tifffile.TiffFile(path) as file:
             for index in range(length):
                 where = f"{path}, frame {index}"
-                with damage_told(where, AGAIN):
+                with damage_reported(where, AGAIN):
                     image = _page(file, index)
                 yield Frame(index=index, file_name="", time_s=math.nan, image=image)
         if not whole:

@@ -52,7 +52,7 @@ def open_source(
     else:
         opened = open_video(path)
     if exposure is not None:
-        raise ValueError(f"{source} is no stack, so it has no exposures. Leave the choice out.")
+        raise ValueError(f"{source} is not a stack, so it has no exposures. Leave the option out.")
     return opened
 
 

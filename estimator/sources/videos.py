@@ -31,7 +31,7 @@ def open_video(path: Path) -> Source:
     Raises:
         ValueError: it cannot be read.
     """
-    refusal = f"{path} is no video that OpenCV can read, or it is cut short. {AGAIN}"
+    refusal = f"{path} is not a video that OpenCV can read, or it is truncated. {AGAIN}"
     with _capturing(str(path), refusal) as capture:
         announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         rate_hz = capture.get(cv2.CAP_PROP_FPS)

@@ -16,7 +16,7 @@ from estimator.detector.tuning import Reflection
 from estimator.detector.unwrap import Patch
 
 
-def bears_spot(patch: Patch, bell: EdgeFit, smallest_px: float) -> bool:
+def shows_spot(patch: Patch, bell: EdgeFit, smallest_px: float) -> bool:
     """Whether a bell shows an ellipse with a sharp rim.
 
     Args:
