@@ -107,7 +107,7 @@ class Microscope(eqx.Module):
     ) -> Microscope:
         """The same microscope with its sensor window shifted so that `point` is in the middle.
 
-        The pinhole stays on the axis (DESIGN: a shifted window, not a tilted camera).
+        The pinhole stays on the axis: the window is shifted, the camera is not tilted.
 
         Args:
             point: eye frame, mm.

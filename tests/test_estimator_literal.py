@@ -101,7 +101,7 @@ def test_a_16_bit_frame_reads_as_its_8_bit_twin() -> None:
 
 
 def test_exposure_moves_the_literal_spot() -> None:
-    # DESIGN's reason for the sub-pixel mode: brighter light pushes the crossing of 200 outwards.
+    # The reason for the sub-pixel mode: brighter light pushes the crossing of 200 outwards.
     rng = np.random.default_rng(0)
     scene = replace(_SCENE, truth=_TRUTH, profile=erf_edge(4.0), noise=0.0)
     sizes = []

@@ -170,7 +170,7 @@ def test_a_lossy_video_moves_spots_by_no_more_than_its_noise_can(tmp_path, image
             assert result == other
             continue
         assert isinstance(result, Spot)
-        # DESIGN §7: std(b) = (noise/step) sqrt(3 edge/(sqrt(pi) B)); profiles reach 3.3 times
+        # Cramér-Rao: std(b) = (noise/step) sqrt(3 edge/(sqrt(pi) B)); profiles reach 3.3 times
         # that, a JPEG's errors are alike within its blocks of 8 px (a factor sqrt 8), and all of
         # 11 frames stay within 4 standard deviations.
         step, edge = 180.0, 2.0
@@ -184,7 +184,7 @@ def test_the_hidden_labels_of_a_stack_are_met(tmp_path, images):
     for record, truth in zip(tracking.records, truths(), strict=True):
         assert record.file_name == f"frames/metered{record.frame:06d}.png"
         if isinstance(record.result, Spot):
-            # DESIGN §7: std(b) = 0.012 px at 3.3 times the bound for grey noise 2, step 180, edge
+            # Cramér-Rao: std(b) = 0.012 px at 3.3 times the bound for grey noise 2, step 180, edge
             # 2 px and B = 30 px. Bias 0.02 px and 5 standard deviations.
             assert np.abs(truth.errors(record.result)).max() < 0.02 + 5 * 0.012
 
