@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 # Before the first import of matplotlib and JAX, which read them once.
 os.environ["MPLBACKEND"] = "Agg"
 os.environ["JAX_PLATFORMS"] = "cpu"
+# Half of a run is compilation. The workers of one run share it, with the programs that they start.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path.home() / ".cache" / "eyespot" / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 # A shell's background job ignores Ctrl-C, and so would the programs that tests interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -17,3 +25,15 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # Derandomised: a test that fails once fails again. No deadline: JAX compiles in the first example.
 settings.register_profile("reproducible", derandomize=True, deadline=None, database=None)
 settings.load_profile("reproducible")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _nothing_compiled_is_kept() -> Iterator[None]:
+    """Free what a file's tests have compiled: a worker of all files would hold 5 GB of it."""
+    yield
+    if "jax" in sys.modules:
+        sys.modules["jax"].clear_caches()
+    if "drjit" in sys.modules:
+        sys.modules["drjit"].flush_kernel_cache()
+        sys.modules["drjit"].flush_malloc_cache()
+    gc.collect()
