@@ -1,6 +1,5 @@
 """What several studies compute: trials, tracked spots, model errors.
 
-calibrations   Calibrations that no file holds: what a study found, and what a scene truly is
 criteria       Whether fits reproduce Table I of the paper: four criteria, each a claim with its
                bounds
 eyeball        The eyeball and the microscope that several studies need

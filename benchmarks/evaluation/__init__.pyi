@@ -1,6 +1,4 @@
 from . import model_error as model_error
-from .calibrations import calibration as calibration
-from .calibrations import true_calibration as true_calibration
 from .criteria import STRAIGHT as STRAIGHT
 from .criteria import Criterion as Criterion
 from .criteria import reproduction as reproduction

@@ -1,12 +1,13 @@
 """Everything derived from a scene: wall, microscope, beam, motion, light, labels.
 
-geometry     The parts at rest as `optics` objects: wall, position of [spot], microscope
-labels       The labels of a frame that follow from geometry
-light_cache  Irradiance of a glue lens; takes half a minute to compute, so it is cached on disk
-limits       Checks: the tip stays out of the wall, the spot stays in the window
-motion       Position of the tip over time, and the clocks of camera and robot
-photometry   Brightness: indirect light, and the exposure time of the `paper` frames
-world        World: derives each of these once and passes it on
+calibrations  Calibrations of a scene's truth and of a study, not read from a file
+geometry      The parts at rest as `optics` objects: wall, position of [spot], microscope
+labels        The labels of a frame that follow from geometry
+light_cache   Irradiance of a glue lens; takes half a minute to compute, so it is cached on disk
+limits        Checks: the tip stays out of the wall, the spot stays in the window
+motion        Position of the tip over time, and the clocks of camera and robot
+photometry    Brightness: indirect light, and the exposure time of the `paper` frames
+world         World: derives each of these once and passes it on
 """
 
 import lazy_loader

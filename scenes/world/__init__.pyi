@@ -1,3 +1,5 @@
+from .calibrations import study_calibration as study_calibration
+from .calibrations import true_calibration as true_calibration
 from .geometry import Geometry as Geometry
 from .labels import spot_labels as spot_labels
 from .light_cache import LensLight as LensLight

@@ -12,9 +12,7 @@ from benchmarks.evaluation import (
     LITERAL,
     VISIBLE_ENOUGH,
     Way,
-    calibration,
     track_stack,
-    true_calibration,
 )
 from benchmarks.studies.dynamic import parts as dynamic_parts
 from benchmarks.studies.dynamic.findings import LATENCIES_S, DynamicError
@@ -31,7 +29,7 @@ from estimator import (
     read_poses,
 )
 from scenes import Scene
-from scenes.world import World
+from scenes.world import World, study_calibration, true_calibration
 
 _SAME_FRAME = (0.0, 0.0, 0.0, 1.0)  # the rendered robot reports in the eye's frame
 
@@ -61,7 +59,7 @@ def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
         distance=np.array([row.d_mm for row in tracked.used_labels]),
         microscope=microscope,
     )
-    found = calibration(
+    found = study_calibration(
         "small_plane", values, medium=scene.source.medium, fitted_on=rest.folder.name
     )
     return Ranger(found, microscope)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import scenes
-from benchmarks.evaluation import SUBPIXEL, Tracked, calibration, track_stack, true_calibration
+from benchmarks.evaluation import SUBPIXEL, Tracked, track_stack
 from benchmarks.reporting import Study
 from benchmarks.studies.medium.findings import (
     AIR,
@@ -23,6 +23,7 @@ from benchmarks.studies.medium.findings import (
 from calibration import PlaneFit, fit_plane
 from estimator import Calibration, Ranger, Spot, Stack, read_microscope
 from scenes import Scene
+from scenes.world import study_calibration, true_calibration
 
 _HEIGHT_PX = 600  # the dome's spot in air outgrows the default window
 
@@ -91,7 +92,7 @@ def measure(
             if light != CONE and medium == VITREOUS:
                 regression = curves[light, medium].regression
                 values = {"k": regression.k, "b": regression.b_mm}
-                calibrations[Method.LENS_CONE] = calibration("planar", values, medium=medium)
+                calibrations[Method.LENS_CONE] = study_calibration("planar", values, medium=medium)
                 calibrations[Method.LENS] = true_calibration(every[name])
             rows += _errors(every[name], *tracked[name], calibrations)
     return fits, rows
@@ -136,4 +137,4 @@ def _of_fit(fit: PlaneFit, scene: Scene) -> Calibration:
     """What the plane in air gave: k and b, with their covariance."""
     to_k = np.diag([1.0 / scene.microscope.scale_mm_px, 1.0])
     values = {"k": fit.delta_k / scene.microscope.scale_mm_px, "b": fit.b}
-    return calibration("planar", values, medium=AIR, covariance=to_k @ fit.covariance @ to_k)
+    return study_calibration("planar", values, medium=AIR, covariance=to_k @ fit.covariance @ to_k)

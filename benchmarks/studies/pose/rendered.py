@@ -13,7 +13,6 @@ import numpy as np
 
 import optics
 import scenes
-from benchmarks.evaluation import true_calibration
 from benchmarks.reporting import Study
 from benchmarks.studies.pose.errors import (
     Estimate,
@@ -40,7 +39,7 @@ from estimator import (
 )
 from estimator import measure as measured
 from scenes import Scene
-from scenes.world import World
+from scenes.world import World, true_calibration
 
 STILL = {
     "phantom.wall": "uniform",

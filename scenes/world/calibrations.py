@@ -1,4 +1,4 @@
-"""Calibrations that no file holds: what a study found, and what a scene truly is."""
+"""Calibrations that are not read from a file: those of a scene's truth, and those of a study."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ from importlib.metadata import version
 import numpy as np
 
 import optics
-from estimator import Calibration
-from estimator.files import LENS_PARAMETERS
-from scenes import Scene
-from scenes.world import World
+from estimator.files import LENS_PARAMETERS, Calibration
+from scenes.description import Scene
+from scenes.world.world import World
 
 
-def calibration(
+def study_calibration(
     model: str,
     values: Mapping[str, float],
     *,
@@ -28,10 +27,10 @@ def calibration(
 
     Args:
         model: as in calibration files.
-        values: of its parameters, in their units.
-        medium: of `optics.MEDIA`.
-        covariance: of the values; None if they are known without error.
-        fitted_on: for people.
+        values: its parameters, in their units.
+        medium: a name in `optics.MEDIA`.
+        covariance: covariance of the values; None if they are known exactly.
+        fitted_on: what the values come from, for people.
     """
     known = {name: float(value) for name, value in values.items()}
     return Calibration(
@@ -47,7 +46,7 @@ def calibration(
 
 
 def true_calibration(scene: Scene) -> Calibration:
-    """The scene's own lens, or its ideal cone for `exact`: what a fit would give at best."""
+    """The scene's own lens, or its ideal cone for `exact`: the best that a fit can find."""
     if scene.source.kind == "cone":
         half_angle, apex_offset = World(scene).cone
         model, values = "exact", {"half_angle": half_angle, "b": apex_offset}
@@ -55,4 +54,6 @@ def true_calibration(scene: Scene) -> Calibration:
         lens = optics.load_lens(scene.source.lens)
         given = {name: getattr(lens, name) for name in LENS_PARAMETERS}
         model, values = "lens", {name: x for name, x in given.items() if x is not None}
-    return calibration(model, values, medium=scene.source.medium, fitted_on="the scene as it is")
+    return study_calibration(
+        model, values, medium=scene.source.medium, fitted_on="the scene as it is"
+    )
