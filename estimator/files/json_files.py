@@ -123,7 +123,8 @@ def _said(fault: ValidationError) -> str:
     if first["type"] == "missing":
         rule = f"{_key(first['loc'][:-1])} is too short"
     else:
-        said = _RULES.get(first["type"], first["msg"]).format(**first.get("ctx", {}))
+        ours = _RULES.get(first["type"])
+        said = ours.format(**first.get("ctx", {})) if ours else first["msg"]
         rule = f"{_key(first['loc'])} {said}"
     return f"{rule}; got {_short(first['input'])}"
 

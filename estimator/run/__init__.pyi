@@ -1,4 +1,3 @@
-from . import command as command
 from .offline import Ended as Ended
 from .offline import Tracking as Tracking
 from .offline import track_source as track_source

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -21,6 +21,9 @@ from estimator.run.progress_bar import progress
 if TYPE_CHECKING:
     from estimator.files import SpotRecord
     from estimator.run.offline import Tracking
+    from estimator.run.overlay import Draw
+    from estimator.run.reader import Reader
+    from estimator.sources import Source
 
 
 @with_options
@@ -80,10 +83,8 @@ def track(
     """
     from rich.console import Console
 
-    from estimator.detector import SubpixelSettings
     from estimator.files import read_poses, write_spots
     from estimator.run.offline import track_source
-    from estimator.run.overlay import RIG_RATE_HZ, overlay_writer
     from estimator.run.summary import summary_of, table_of
     from estimator.sources import open_source
 
@@ -106,19 +107,10 @@ def track(
         reader = chosen.reader()
     began = time.perf_counter()
     spots = 0
-    with ExitStack() as stack:
-        draw = None
-        if overlay is not None:
-            settings = reader.settings
-            draw = stack.enter_context(
-                overlay_writer(
-                    overlay,
-                    rate_hz=frames.rate_hz or RIG_RATE_HZ,
-                    response=settings.response,
-                    camera=settings.camera if isinstance(settings, SubpixelSettings) else None,
-                )
-            )
-        advance = stack.enter_context(progress("Tracking", total=frames.length))
+    with (
+        _overlay(overlay, frames, reader) as draw,
+        progress("Tracking", total=frames.length) as advance,
+    ):
 
         def measured(record: SpotRecord) -> None:
             nonlocal spots
@@ -159,6 +151,23 @@ def _check_results(out: Path, overlay: Path | None) -> None:
             raise ValueError(
                 f"{path.parent} is not a folder. Make it, or write {path.name} elsewhere."
             )
+
+
+def _overlay(
+    path: Path | None, frames: Source, reader: Reader
+) -> AbstractContextManager[Draw | None]:
+    from estimator.detector import SubpixelSettings
+    from estimator.run.overlay import RIG_RATE_HZ, overlay_writer
+
+    if path is None:
+        return nullcontext()
+    settings = reader.settings
+    return overlay_writer(
+        path,
+        rate_hz=frames.rate_hz or RIG_RATE_HZ,
+        response=settings.response,
+        camera=settings.camera if isinstance(settings, SubpixelSettings) else None,
+    )
 
 
 def _report_early_end(tracking: Tracking, out: Path) -> None:
