@@ -1,8 +1,8 @@
 """Studies, labelled sets and benchmarks.
 
-bench/       What `make bench` prints: speed and accuracy beside their alternatives
-evaluation/  What several studies compute: trials, tracked spots, model errors
-reporting/   What all studies share: run folder, page, tables, figures
-sets/        Labelled sets: a spec with distributions becomes splits of stacks on disk
-studies/     The studies: each a folder, each one command
+bench/       Benchmarks of speed and accuracy: `make bench`, `python -m benchmarks.bench`
+evaluation/  Computations shared by several studies: trials, tracked spots, model errors
+reporting/   Shared by all studies: run folder, page, tables, figures
+sets/        Labelled sets: from a spec with distributions to splits of stacks on disk
+studies/     The studies: one folder and one command each
 """

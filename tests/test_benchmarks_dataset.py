@@ -160,16 +160,16 @@ def test_what_one_shard_has_made_the_next_leaves_and_the_last_one_finishes_the_s
 
 def test_a_folder_with_another_set_or_something_else_is_refused(spec, spec_file, copy, tmp_path):
     other = load_spec(spec_file, ["spot.incidence_deg = 20.0"])
-    with pytest.raises(SetError, match="holds a set of another spec"):
+    with pytest.raises(SetError, match="contains a set of another spec"):
         make_set(other, copy, workers=nobody())
     description = json.loads((copy / "set.json").read_text())
     description["versions"]["mitsuba"] = "3.0.0"
     (copy / "set.json").write_text(json.dumps(description, indent=1) + "\n")
-    with pytest.raises(SetError, match=r"begun with other versions: .*3\.0\.0"):
+    with pytest.raises(SetError, match=r"started with other versions: .*3\.0\.0"):
         make_set(spec, copy, workers=nobody())
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
-    with pytest.raises(SetError, match="holds something else"):
+    with pytest.raises(SetError, match="contains other files"):
         make_set(spec, tmp_path / "mine", workers=nobody())
 
 

@@ -278,7 +278,7 @@ def test_nothing_is_written_over_and_a_failure_leaves_nothing(
     drawn: Path, tmp_path: Path, to: Format
 ) -> None:
     (tmp_path / "taken").mkdir()
-    with pytest.raises(ValueError, match="taken exists already"):
+    with pytest.raises(ValueError, match="taken already exists"):
         export(drawn, to=to, out=tmp_path / "taken")
     broken = write_set(tmp_path / "broken", images=2)
     damaged = broken / "train" / "b" / "frames" / "000003.png"

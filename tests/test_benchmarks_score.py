@@ -304,7 +304,7 @@ def test_two_lines_for_an_image_are_refused(drawn: Path, images: Images, tmp_pat
     [
         ([], "nothing to score"),
         (["missing.csv"], "no such spots file"),
-        (["a/x.csv", "b/x.csv"], "two estimators are named x"),
+        (["a/x.csv", "b/x.csv"], "two estimators have the name x"),
         (["--mode", "subpixel", "--out", "."], "exists already"),
     ],
 )

@@ -1,21 +1,23 @@
-"""Labelled sets: a spec with distributions becomes splits of stacks on disk.
+"""Labelled sets: from a spec with distributions to splits of stacks on disk.
 
-formats/  Sets in other formats: `eyespot export`
-make/     Renders what is missing, then finishes the set: `eyespot dataset`
-read/     A set on disk
-score/    How good spots are: `eyespot score`
-spec/     What a set is to be
+formats/  Writes sets in other formats: `eyespot export`
+make/     Renders a set: `eyespot dataset`
+read/     Reads a set
+score/    Compares measured spots with the labels of a set: `eyespot score`
+spec/     The spec of a set, and the scenes that follow from it
 
-    SET/set.json              name, licence, seed, spec as run, versions, and every stack with its
-                              split, condition and drawn scene parameters (`read_set` reads it)
-        SPLIT/STACK/…         a stack as `scenes.render_stack` writes it; `read_stack` opens it
-        SPLIT/metadata.jsonl  one line an image: `FrameLabels` with file names as seen from SPLIT,
+Files of a set:
+
+    SET/set.json              name, licence, seed, spec, versions, and all stacks with their splits,
+                              conditions and drawn scene parameters (see `read_set`)
+        SPLIT/STACK/…         a stack as `scenes.render_stack` writes it (see `read_stack`)
+        SPLIT/metadata.jsonl  one line per image: `FrameLabels` with file names relative to SPLIT,
                               and its stack, condition and scene parameters
-        README.md             data card; its YAML head tells Hugging Face's `datasets` the splits
-        histograms.png, samples.png, spec.toml, LICENSE
-        manifest.json         size and SHA-256 of every other file; written last, so that a set
-                              that has one is whole
+        README.md             data card; its YAML head lists the splits for Hugging Face's
+        `datasets` histograms.png, samples.png, spec.toml, LICENSE manifest.json         size and
+        SHA-256 of every other file; written last, so a set with a
+                              manifest is complete
 
-SPLIT is train, validation, test or adverse; the conditions of adverse are in set.json, and part of
-its stacks' names. Everything follows from the spec: the same spec gives the same bytes.
+SPLIT is train, validation, test or adverse. The conditions of adverse are in set.json and in the
+names of its stacks. The same spec gives the same bytes.
 """

@@ -1,13 +1,12 @@
-"""Sets in other formats: `eyespot export`.
+"""Writes sets in other formats: `eyespot export`.
 
-bags        ROS bags: SPLIT/STACK/EXPOSURE.bag (ROS 1) or SPLIT/STACK/EXPOSURE/ (ROS 2), labels
-            beside it
-coco        COCO: the frames as SPLIT/STACK/000000.png, annotations/SPLIT.json for each split
+bags        ROS bags: SPLIT/STACK/EXPOSURE.bag (ROS 1) or SPLIT/STACK/EXPOSURE/ (ROS 2)
+coco        COCO: images SPLIT/STACK/000000.png, and annotations/SPLIT.json for each split
 command     The command `eyespot export`
-export      A set, or a stack by itself, written in another format
-hdf5        HDF5: one file, a group SPLIT/STACK for each stack
-ome_tiff    OME-TIFF: SPLIT/STACK/EXPOSURE.ome.tif, one file a recording, labels beside it
-webdataset  WebDataset: tar shards SPLIT-000000.tar; a sample is an image, its mask and its labels
+export      Writes a set or a single stack in one of these formats
+hdf5        HDF5: one file with a group SPLIT/STACK for each stack
+ome_tiff    OME-TIFF: one file SPLIT/STACK/EXPOSURE.ome.tif for each recording
+webdataset  WebDataset: tar shards SPLIT-000000.tar; a sample is an image with mask and labels
 """
 
 import lazy_loader

@@ -1,6 +1,7 @@
-"""ROS bags: SPLIT/STACK/EXPOSURE.bag (ROS 1) or SPLIT/STACK/EXPOSURE/ (ROS 2), labels beside it.
+"""ROS bags: SPLIT/STACK/EXPOSURE.bag (ROS 1) or SPLIT/STACK/EXPOSURE/ (ROS 2).
 
-A bag holds what the rig records: the microscope's images, and the poses that the robot reported.
+A bag contains what a rig records: the images of the microscope and the poses that the robot
+reported. The labels are in files beside it.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from estimator import Frame, Pose, open_source, read_poses
 from estimator.sources import write_bag
 
 START_S = 1000.0
-"""When a bag's clock shows the stack's time 0: ROS reads 0 as no time, and reports come before."""
+"""Time of a bag at the stack's time 0; ROS reads 0 as no time, and poses start before 0."""
 
 
 def write(
     stacks: Sequence[SetStack], out: Path, progress: Callable[[], None], *, ros: Literal[1, 2]
 ) -> None:
-    """Write the bags, holding one image at a time in memory."""
+    """Write the bags, with one image at a time in memory."""
     for entry in stacks:
         folder = out / qualified_name(entry)
         copy_description(entry, folder)

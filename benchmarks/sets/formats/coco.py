@@ -1,8 +1,8 @@
-"""COCO: the frames as SPLIT/STACK/000000.png, annotations/SPLIT.json for each split.
+"""COCO: images SPLIT/STACK/000000.png, and annotations/SPLIT.json for each split.
 
-The mask of the visible spot is the segmentation, in COCO's run lengths: a polygon could hold
-neither the holes nor the pieces that an instrument makes of a spot. A frame with no visible spot
-has an image and no annotation. Images carry all our labels as extra keys, annotations the ellipses.
+The segmentation is the mask of the visible spot in COCO's run lengths, because polygons cannot
+describe the holes and pieces of a partly hidden spot. An image without a visible spot has no
+annotation. Extra keys contain our labels: all of them in images, the ellipses in annotations.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ELLIPSES = ("half_max_", "cone_")
 
 
 class _Image(NamedTuple):
-    """An image of a split and its number there."""
+    """An image of a split, with its number."""
 
     id: int
     entry: SetStack
@@ -35,7 +35,7 @@ class _Image(NamedTuple):
 
 
 def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -> None:
-    """Write images and annotations, holding one of each at a time in memory."""
+    """Write images and annotations, with one of each at a time in memory."""
     (out / "annotations").mkdir(parents=True)
     for entry in stacks:
         copy_description(entry, out / qualified_name(entry))
@@ -67,7 +67,7 @@ def _write_list(file: TextIO, items: Iterator[dict[str, Any]]) -> None:
 
 
 def _image_entry(image: _Image, out: Path) -> dict[str, Any]:
-    """Copies the image, too."""
+    """Entry of an image; also copies the image."""
     name = f"{qualified_name(image.entry)}/{Path(image.labels.file_name).name}"
     shutil.copyfile(image.stack.folder / image.labels.file_name, out / name)
     microscope = read_microscope(image.stack.folder / "microscope.json")

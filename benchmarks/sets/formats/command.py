@@ -12,16 +12,16 @@ def export(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Labelled set or stack.")],
     to: Annotated[
         Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"],
-        typer.Option(help="Format to write; benchmarks/sets/formats describes each."),
+        typer.Option(help="Format to write. benchmarks/sets/formats describes the formats."),
     ],
     out: Annotated[
         Path,
         typer.Option(
-            "--out", metavar="PATH", help="File (hdf5) or folder to write; must not exist."
+            "--out", metavar="PATH", help="File (hdf5) or folder to write; it must not exist yet."
         ),
     ],
 ) -> None:
-    """Write a labelled set, or one stack, in another format."""
+    """Write a labelled set or a single stack in another format."""
     from rich.console import Console
     from rich.progress import Progress
 

@@ -1,4 +1,4 @@
-"""A set, or a stack by itself, written in another format."""
+"""Writes a set or a single stack in another format."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from estimator.files import written_whole
 Format = Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
 
 _EXTRA = {"h5py", "pycocotools"}
-"""Packages that only the extra `export` installs."""
+"""Packages of the extra `export`."""
 
 
 def export(
@@ -24,21 +24,23 @@ def export(
     out: str | Path,
     progress: Callable[[int], None] = lambda total: None,
 ) -> None:
-    """Write a set in another format, whole or not at all.
+    """Write a set in another format, either completely or not at all.
 
     Args:
         folder: a set or a stack.
-        to: the format; `benchmarks.sets.formats` says what each holds.
-        out: the file (hdf5) or folder to write; must not exist.
-        progress: called after each image with the number of images there are.
+        to: the format; see `benchmarks.sets.formats`.
+        out: the file (hdf5) or folder to write; it must not exist.
+        progress: called after each image with the total number of images.
 
     Raises:
-        ValueError: `folder` is neither, a stack is damaged or holds no frames, `out` exists, or the
-            format's library is not installed.
+        ValueError: `folder` is not a set or stack, a stack is damaged or empty, `out` exists, or
+            the format's library is not installed.
     """
     folder, out = Path(folder), Path(out)
     if out.exists():
-        raise ValueError(f"{out} exists already. Choose another name; nothing is written over.")
+        raise ValueError(
+            f"{out} already exists. Choose another name; existing files are never overwritten."
+        )
     stacks = stacks_of(folder)
     write = _writer(to)
     images = sum(_checked(entry) for entry in stacks)
@@ -51,16 +53,16 @@ def export(
 
 
 def _checked(entry: SetStack) -> int:
-    """Number of a stack's images; some formats take them as they are, damaged or not."""
+    """Number of images of a stack, after a check for damage; some formats only copy the files."""
     stack = entry.open()
     stack.verify()
     if not stack.labels:
-        raise ValueError(f"the stack {entry.folder} holds no frames. Render it again.")
+        raise ValueError(f"the stack {entry.folder} has no frames. Render it again.")
     return len(stack.labels)
 
 
 def _writer(to: Format) -> Callable[[Sequence[SetStack], Path, Callable[[], None]], None]:
-    """What writes a format; only its own library is loaded."""
+    """The function that writes a format. Only this format's library is loaded."""
     try:
         match to:
             case "hdf5":

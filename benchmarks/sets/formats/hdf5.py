@@ -1,16 +1,13 @@
-"""HDF5: one file, a group SPLIT/STACK for each stack.
+"""HDF5: one file with a group SPLIT/STACK for each stack.
 
-set.json, LICENSE  of the set, as text
+The datasets `set.json` and `LICENSE` contain these files as text. Each group has
 
-Of each group:
+frames       n x H x W (x 3)
+masks        n x H x W, 255 where the spot is visible
+labels/      one dataset of n rows for each column of metadata.jsonl, with its attribute `unit`
+kinematics/  poses that the robot reported, in the same form
 
-frames      n x H x W (x 3)
-masks       n x H x W, 255 where the spot is seen
-labels/     one dataset of n rows for each column of metadata.jsonl, its unit as attribute `unit`
-kinematics/ the robot's report, likewise
-
-The group's attributes `stack.toml` and `microscope.json` hold these files' text: the scene as run,
-and the camera.
+and the attributes `stack.toml` (the scene) and `microscope.json` (the camera), as text.
 """
 
 from __future__ import annotations
@@ -28,12 +25,12 @@ from estimator import FrameLabels, Stack
 
 _SCHEMA = 1
 _UNITS = {"_mm_s": "mm/s", "_mm": "mm", "_px": "px", "_rad": "rad", "_s": "s"}
-"""Unit of a column by the end of its name; the first that fits counts."""
+"""Unit of a column by the end of its name; the first match counts."""
 _TEXT = {"file_name", "mask_file_name", "exposure", "medium"}
 
 
 def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -> None:
-    """Write the file, holding one image at a time in memory."""
+    """Write the file, with one image at a time in memory."""
     with h5py.File(out, "w") as file:
         file.attrs["schema"] = _SCHEMA
         for path in set_files(stacks):
@@ -62,7 +59,7 @@ def _write_images(group: h5py.Group, stack: Stack, progress: Callable[[], None])
     count, first = len(stack.labels), stack.labels[0]
 
     def images(name: str, like: np.ndarray) -> h5py.Dataset:
-        # A chunk an image, so that one frame is read alone; level 1, because noise hardly shrinks.
+        # One chunk per image, to read single frames; level 1, because noise compresses badly.
         return group.create_dataset(
             name,
             (count, *like.shape),

@@ -1,8 +1,8 @@
-"""OME-TIFF: SPLIT/STACK/EXPOSURE.ome.tif, one file a recording, labels beside it.
+"""OME-TIFF: one file SPLIT/STACK/EXPOSURE.ome.tif for each recording, with labels beside it.
 
-The first image series holds the frames over time, with the size of a pixel at the retinal pole and
-each frame's time and exposure time; the second holds the masks. Exposures are files of their own,
-because each is one recording; as channels they would be taken for colours.
+The first image series contains the frames with the size of a pixel at the retinal pole, and the
+time and exposure time of each frame. The second series contains the masks. The two exposures are
+separate files, because channels of one file would look like colours.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from tifffile import TiffWriter
 from benchmarks.sets.read import SetStack, copy_description, exposures_of, qualified_name
 from estimator import FrameLabels, Stack, read_microscope
 
-_CLASSIC_BYTES = 2**32 - 2**25  # what a TIFF of 32-bit offsets holds, with room for its tags
+_CLASSIC_BYTES = 2**32 - 2**25  # size limit of a TIFF with 32-bit offsets, less its tags
 
 
 def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -> None:
-    """Write the files, holding a few images at a time in memory."""
+    """Write the files, with a few images at a time in memory."""
     for entry in stacks:
         stack = entry.open()
         folder = out / qualified_name(entry)
@@ -75,8 +75,8 @@ def _write_series(
 
 
 def _times(rows: Sequence[FrameLabels]) -> dict[str, Any]:
-    """When each frame began and how long it took, as OME counts."""
-    # OME's DeltaT is the beginning of an exposure; our times are its middle.
+    """Start and duration of each exposure, as OME defines them."""
+    # OME's DeltaT is the start of an exposure; our times are its middle.
     began = [row.time_s - row.exposure_s / 2 for row in rows]
     return {
         "Plane": {

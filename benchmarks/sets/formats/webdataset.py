@@ -1,7 +1,7 @@
-"""WebDataset: tar shards SPLIT-000000.tar; a sample is an image, its mask and its labels.
+"""WebDataset: tar shards SPLIT-000000.tar; a sample is an image with mask and labels.
 
-The files of a sample follow each other: SPLIT/STACK/000000.png, .mask.png and .json, as they lie in
-the stack. The same set gives the same bytes.
+The files of a sample are SPLIT/STACK/000000.png, .mask.png and .json, one after the other, copied
+from the stack. The same set gives the same bytes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmarks.sets.read import SetStack, copy_description, qualified_name, split_name
 
-_SHARD_BYTES = 2**28  # large enough to read at a disk's speed, small enough to shuffle
+_SHARD_BYTES = 2**28  # large enough for fast reading, small enough to shuffle
 
 
 def write(
@@ -26,7 +26,7 @@ def write(
     *,
     shard_bytes: int = _SHARD_BYTES,
 ) -> None:
-    """Write the shards, each closed by the sample that reaches `shard_bytes`."""
+    """Write the shards; each ends with the sample that reaches `shard_bytes`."""
     for entry in stacks:
         copy_description(entry, out / qualified_name(entry))
     for part, group in itertools.groupby(stacks, key=split_name):

@@ -1,4 +1,4 @@
-"""The data card and the label tables of a set, from what its stacks hold."""
+"""Writes the data card and the label tables of a complete set."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _LICENCES = {
     "CC-BY-4.0": "Creative Commons Attribution 4.0 International\n"
     "https://creativecommons.org/licenses/by/4.0/legalcode\n",
 }
-"""What LICENSE says, by SPDX name; another name stands by itself."""
+"""Text of LICENSE by SPDX name; for other licences it is the name itself."""
 
 
 class Count(NamedTuple):
-    """How much there is of a split and condition."""
+    """Number of stacks and images of a split and condition."""
 
     split: str
     condition: str
@@ -33,7 +33,7 @@ class Count(NamedTuple):
 
 
 class Range(NamedTuple):
-    """Values that a label takes in a set."""
+    """Range and median of a label in a set."""
 
     name: str
     unit: str
@@ -46,7 +46,7 @@ def write_card(labelled: LabelledSet) -> None:
     """Write README.md with its figures, LICENSE, spec.toml and every split's metadata.jsonl.
 
     Args:
-        labelled: a set all of whose stacks are there.
+        labelled: a set with all its stacks.
     """
     images = list(rows(labelled))
     for split in labelled.splits:
@@ -60,7 +60,7 @@ def write_card(labelled: LabelledSet) -> None:
     text = _template("dataset_card.md.j2").render(
         set=labelled,
         about=labelled.description,
-        # `load_dataset(DIR)` gives all splits, `load_dataset(DIR, NAME)` one.
+        # `load_dataset(DIR)` loads all splits, `load_dataset(DIR, NAME)` one.
         configs={"default": labelled.splits} | {split: [split] for split in labelled.splits},
         counts=_counts(images),
         images=len(images),

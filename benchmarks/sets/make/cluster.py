@@ -1,4 +1,4 @@
-"""Dask workers for whole stacks: a local cluster, one core a worker, or a scheduler that runs."""
+"""Dask workers: a local cluster with one core per worker, or a running scheduler."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
 
 class OneCore(WorkerPlugin):
-    """Keeps a worker on one core of its own, where the operating system can do that.
+    """Binds each worker to its own core, if the operating system supports that.
 
-    Mitsuba, JAX, OpenCV and BLAS start as many threads as a process has cores. With one core a
-    worker they neither wait for each other nor take what another worker needs.
+    Mitsuba, JAX, OpenCV and BLAS start as many threads as a process has cores. With one core per
+    worker, the threads of different workers do not compete.
 
     Args:
-        first: number of the first worker's core.
+        first: index of the first worker's core.
     """
 
     def __init__(self, first: int) -> None:
@@ -31,7 +31,7 @@ class OneCore(WorkerPlugin):
             return
         cores = sorted(os.sched_getaffinity(0))
         core = cores[(self.first + int(worker.name)) % len(cores)]
-        # Linux counts affinity by thread; those that start later inherit it.
+        # Linux sets affinity per thread; threads that start later inherit it.
         for thread in os.listdir("/proc/self/task"):
             os.sched_setaffinity(int(thread), {core})
 
@@ -43,22 +43,22 @@ def cores() -> int:
 
 @contextmanager
 def local_workers(count: int, *, first_core: int = 0) -> Iterator[Client]:
-    """A cluster on this machine; a worker that dies is started again.
+    """A cluster on this machine; a worker that fails is started again.
 
     Args:
-        count: of workers.
-        first_core: of the first worker, counted among those that this process may use.
+        count: number of workers.
+        first_core: index of the first worker's core among those that this process may use.
     """
     with (
-        # Dask has malloc return freed memory at once: every image's pages would be made anew.
+        # By default Dask makes malloc return freed memory at once, which is slow for images.
         dask.config.set({"distributed.nanny.pre-spawn-environ": {}}),
         LocalCluster(
             n_workers=0,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=":0",  # any free port: 8787 may belong to another cluster
-            # Shared by the number of cores, memory would be too little for Mitsuba on large
-            # machines, and Dask would stop workers that need no more than any other process.
+            dashboard_address=":0",  # any free port; another cluster may use 8787
+            # By default each worker gets an equal share of the memory. On machines with many cores
+            # that is too little for Mitsuba, and Dask would stop the workers.
             memory_limit=0,
             silence_logs=logging.CRITICAL,
         ) as cluster,
@@ -71,14 +71,14 @@ def local_workers(count: int, *, first_core: int = 0) -> Iterator[Client]:
 
 @contextmanager
 def running_scheduler(address: str, *, patience: str = "20s") -> Iterator[Client]:
-    """The workers of a scheduler that runs already.
+    """The workers of a running scheduler.
 
     Args:
-        address: as `dask scheduler` prints it: tcp://HOST:PORT, or the path of its scheduler file.
-        patience: how long to wait for an answer, as Dask writes it.
+        address: tcp://HOST:PORT, as `dask scheduler` prints it, or the path of its scheduler file.
+        patience: time to wait for an answer, such as "20s".
 
     Raises:
-        ValueError: nothing answers there.
+        ValueError: no scheduler answers at that address.
     """
     where: dict[str, Any] = {"address": address}
     if "://" not in address and os.path.isfile(address):
@@ -88,7 +88,7 @@ def running_scheduler(address: str, *, patience: str = "20s") -> Iterator[Client
     except (OSError, ValueError) as error:
         raise ValueError(
             f"no Dask scheduler answers at {address} ({error}). Start one with `dask scheduler`, "
-            "or leave --scheduler out for workers on this machine."
+            "or omit --scheduler to use workers on this machine."
         ) from error
     with client:
         yield client

@@ -26,7 +26,7 @@ def make(
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder of the set; not needed for a dry run."),
+        typer.Option("--out", metavar="DIR", help="Folder of the set; not needed with --dry-run."),
     ] = None,
     workers: Annotated[
         int | None,
@@ -36,12 +36,12 @@ def make(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Dask scheduler whose workers render the set; see docs/datasets.md.",
+            help="Address of a Dask scheduler whose workers render the set; see docs/datasets.md.",
         ),
     ] = None,
     shard: Annotated[
         str | None,
-        typer.Option(metavar="I/N", help="Render only part I of N; for job arrays of a cluster."),
+        typer.Option(metavar="I/N", help="Render only part I of N, for job arrays on a cluster."),
     ] = None,
     changes: Changes = None,
     dry_run: Annotated[
@@ -53,7 +53,7 @@ def make(
 ) -> None:
     """Render a labelled set: splits of stacks, a data card and a manifest.
 
-    A run that was stopped continues where it was if it gets the same folder.
+    If a run was stopped, the same command continues it.
     """
     from rich.progress import Progress
 
@@ -65,8 +65,8 @@ def make(
     settings, part = load_spec(spec, changes or ()), _shard(shard)
     if scheduler is not None and workers is not None:
         raise ValueError(
-            "--workers is the number of processes on this machine, and --scheduler has its own "
-            "workers. Give one of the two."
+            "--workers starts processes on this machine, but --scheduler has its own workers. Give "
+            "only one of them."
         )
     count = workers or cluster.cores()
     if dry_run:
@@ -89,7 +89,7 @@ def make(
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     if labelled.missing:
-        print(f"Shard {shard} of {out} is done; the set lacks {len(labelled.missing)} stacks.")
+        print(f"Shard {shard} of {out} is done; {len(labelled.missing)} stacks are still missing.")
     else:
         print(f"Wrote the set {out}: {len(labelled.stacks)} stacks.")
 
@@ -97,10 +97,10 @@ def make(
 def verify(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the set.")],
 ) -> None:
-    """Compare a set with its manifest, and name every file that is missing or changed."""
+    """Verify a set: list every file that is missing or changed."""
     from benchmarks.sets.make.manifest import verify_set
 
-    print(f"{folder}: whole, {verify_set(folder)} files as the manifest says.")
+    print(f"{folder}: complete, {verify_set(folder)} files match the manifest.")
 
 
 def _shard(text: str | None) -> Shard:
@@ -112,7 +112,7 @@ def _shard(text: str | None) -> Shard:
         shard = Shard(int(match[1]), int(match[2]))
         if 1 <= shard.part <= shard.parts:
             return shard
-    raise ValueError(f"--shard is i/n, with i from 1 to n; got {text!r}.")
+    raise ValueError(f"--shard must be I/N, with I from 1 to N; got {text!r}.")
 
 
 def _print(found: Estimate, *, workers: int) -> None:
@@ -124,6 +124,6 @@ def _print(found: Estimate, *, workers: int) -> None:
     )
     print(
         f"{found.images:,} images in {found.stacks:,} stacks, {decimal(round(found.size_bytes))}, "
-        f"{processor} h of processor time: {wall} h with {workers} workers, each with a core to "
-        f"itself. Measured on {found.tried} images."
+        f"{processor} h of processor time, {wall} h with {workers} workers on one core each. "
+        f"Estimated from {found.tried} images."
     )

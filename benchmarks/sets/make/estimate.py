@@ -1,4 +1,4 @@
-"""Frames, size and time of a set before it is made, from a few of its frames rendered now."""
+"""Estimates number of images, size and time of a set from a few rendered frames."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from benchmarks.sets.read import SetError
 from benchmarks.sets.spec import PlannedStack
 from scenes.world import World
 
-_TIMED = 5  # frames of a stack that is tried
+_TIMED = 5  # frames rendered of a stack
 
 
 class Estimate(NamedTuple):
-    """What a set will take.
+    """Expected cost of a set.
 
     Attributes:
-        stacks: their number.
-        images: their number.
-        size_bytes: on disk, but for the data card.
-        processor_s: of all cores together.
-        tried: images that were rendered to know it.
+        stacks: number of stacks.
+        images: number of images.
+        size_bytes: size on disk without the data card.
+        processor_s: processor time of all cores.
+        tried: number of images rendered for the estimate.
     """
 
     stacks: int
@@ -36,20 +36,20 @@ class Estimate(NamedTuple):
 
 
 class _Enough(Exception):
-    """Ends a stack that is only tried."""
+    """Ends the rendering of a trial stack."""
 
 
 def estimate(planned: Sequence[PlannedStack]) -> Estimate:
-    """Check every scene, render a few frames of each kind, and scale up.
+    """Check every scene, render a few frames of each condition, and scale up.
 
-    The frames are those of one stack of each condition, and of one without. Processor time is
-    counted, which hardly depends on what else the machine does.
+    One stack per condition is tried, and one without condition. Processor time is measured, because
+    it hardly depends on other processes.
 
     Args:
-        planned: the stacks of the set, or of a shard of it.
+        planned: the stacks of the set or of a shard.
 
     Raises:
-        SetError: naming the scenes that cannot be rendered, and why.
+        SetError: some scenes cannot be rendered; the message lists them with the reasons.
     """
     images = image_counts(planned)
     groups: dict[str | None, list[PlannedStack]] = {}
@@ -58,7 +58,7 @@ def estimate(planned: Sequence[PlannedStack]) -> Estimate:
     size = seconds = 0.0
     tried = 0
     for stacks in groups.values():
-        _Trial.of(stacks[-1].scene, images=1)  # compiles, which a worker does once
+        _Trial.of(stacks[-1].scene, images=1)  # compiles kernels, which a worker does once
         trial = _Trial.of(stacks[0].scene, images=_TIMED)
         counts = [images[stack.split, stack.name] for stack in stacks]
         seconds += sum(trial.first_s + (count - 1) * trial.next_s for count in counts)
@@ -68,7 +68,7 @@ def estimate(planned: Sequence[PlannedStack]) -> Estimate:
 
 
 class _Trial(NamedTuple):
-    """What the beginning of a stack took: processor seconds and bytes."""
+    """Processor seconds and bytes of the first images of a stack."""
 
     images: int
     first_s: float  # from the scene to its first image
@@ -89,7 +89,7 @@ class _Trial(NamedTuple):
             begin = time.process_time()
             with suppress(_Enough):
                 scenes.render_stack(scene, Path(folder) / "stack", progress=image_done)
-            # Images are written beside the rendering; the last one's writing ends after its moment.
+            # Other threads write the images, so writing ends after the last `image_done`.
             rest = time.process_time() - moments[0]
             files = [path for path in Path(folder).rglob("*") if path.is_file()]
             size = sum(path.stat().st_size for path in files)
@@ -99,16 +99,16 @@ class _Trial(NamedTuple):
 
 
 def image_counts(planned: Sequence[PlannedStack]) -> dict[tuple[str, str], int]:
-    """Images of every stack, by split and name; their geometry is found possible on the way.
+    """Number of images of every stack, by split and name, after a check of its geometry.
 
     Raises:
-        SetError: naming the scenes that cannot be rendered, and why.
+        SetError: some scenes cannot be rendered; the message lists them with the reasons.
     """
     found, problems = {}, []
     for stack in planned:
         try:
             world = World(stack.scene)
-            world.truth  # noqa: B018 - deriving it refuses what cannot be rendered
+            world.truth  # noqa: B018 - refuses scenes that cannot be rendered
         except scenes.SceneError as error:
             problems.append(f"{stack.split}/{stack.name}: {error}")
             continue

@@ -1,8 +1,8 @@
-"""Makes a set: renders the stacks that are missing on Dask workers, then finishes it.
+"""Renders the missing stacks of a set on Dask workers, then completes the set.
 
-The unit of work is a stack. It appears under its name once it is whole, so whatever stops, on
-purpose or not, the next run of the same spec in the same folder goes on; what a worker had begun
-is gone on with too (`scenes.render_stack`).
+The unit of work is a stack, which appears under its name when it is complete. So a stopped run can
+be continued with the same spec and folder; also an unfinished stack is continued
+(`scenes.render_stack`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Shard(NamedTuple):
-    """One of several equal parts of a set, counted from 1."""
+    """One of several equal parts of a set; the first is 1."""
 
     part: int
     parts: int
@@ -49,21 +49,21 @@ def make_set(
     shard: Shard = WHOLE,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> LabelledSet:
-    """Render what a folder lacks of a set; whoever renders the last stack finishes the set.
+    """Render the missing stacks of a set; the run that renders the last stack completes the set.
 
     Args:
-        spec: of the set.
-        out: the set's folder: a new one, an empty one, or one with this set, unfinished or not.
-        workers: see `cluster`; started only if there is something to render.
-        shard: part of the set to render; the others may run at the same time, on any machine.
-        progress: told the stacks of the shard that are done, and their number.
+        spec: the spec of the set.
+        out: the set's folder: new, empty, or with a part of this set.
+        workers: see `cluster`; started only if a stack is missing.
+        shard: part of the set to render; others may run at the same time on any machine.
+        progress: called with the number of finished stacks and of all stacks of the shard.
 
     Returns:
-        The set; whole unless other shards have stacks left to render (`LabelledSet.missing`).
+        The set. It is complete unless stacks of other shards are missing (`LabelledSet.missing`).
 
     Raises:
-        SetError: `out` holds something else, or some scenes cannot be rendered; those that can
-            have been.
+        SetError: `out` contains something else, or some scenes cannot be rendered (the others have
+            been rendered).
         SceneError: a scene key is unknown or a drawn value impossible; nothing is rendered.
     """
     out = Path(out).absolute()
@@ -112,7 +112,7 @@ def _render(
 
 
 def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
-    """Take a folder for a set, or see that it holds this very set."""
+    """Write set.json into a new folder, or check that it belongs to the same set."""
     content = {
         "schema": SCHEMA,
         "name": spec.name,
@@ -139,7 +139,7 @@ def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
             if file.read_text() != text:
                 raise SetError(_difference(out, json.loads(file.read_text()), json.loads(text)))
         elif any(out.iterdir()):
-            raise SetError(f"{out} holds something else than a labelled set. Choose another --out.")
+            raise SetError(f"{out} contains other files than a labelled set. Choose another --out.")
         else:
             with written_whole(file) as partial:
                 partial.write_text(text)
@@ -147,15 +147,15 @@ def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
 
 def _difference(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> str:
     if found.get("spec") != wanted["spec"]:
-        return f"{out} holds a set of another spec, {found.get('name')!r}. Choose another --out."
+        return f"{out} contains a set of another spec, {found.get('name')!r}. Choose another --out."
     return (
-        f"{out} was begun with other versions: {found.get('versions')} instead of "
-        f"{wanted['versions']}. Go on with those, or choose another --out."
+        f"{out} was started with other versions: {found.get('versions')} instead of "
+        f"{wanted['versions']}. Install those, or choose another --out."
     )
 
 
 def _finish(labelled: LabelledSet) -> None:
-    """Write what is made of all stacks together, once."""
+    """Write the data card and the manifest, once."""
     with _alone_in(labelled.folder):
         if not (labelled.folder / MANIFEST).is_file():
             card.write_card(labelled)
@@ -164,7 +164,7 @@ def _finish(labelled: LabelledSet) -> None:
 
 @contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Waits until no other process is in the folder's block."""
+    """Lock a folder; waits until no other process has locked it."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)

@@ -1,4 +1,4 @@
-"""Whether a set is whole: its manifest, written last, and what a folder lacks against it."""
+"""Writes the manifest of a set, and verifies a set against it."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from benchmarks.sets.read import SCHEMA, LabelledSet, SetError, read_set
 from estimator.files import fingerprint, written_whole
 
 MANIFEST = "manifest.json"
-_NAMED = 20  # problems that a message lists; a half-copied set has thousands
+_NAMED = 20  # problems listed in a message; an incomplete copy has thousands
 
 
 def write_manifest(labelled: LabelledSet) -> None:
-    """List every file of a set; the files of a stack as the stack's own manifest does."""
+    """Write a list of all files of a set; files of a stack are taken from the stack's manifest."""
     files: dict[str, Any] = {}
     for stack in labelled.stacks:
         own = stack.folder / MANIFEST
@@ -30,23 +30,23 @@ def write_manifest(labelled: LabelledSet) -> None:
 
 
 def verify_set(folder: Path) -> int:
-    """Prove that a set is whole: every file there, with the bytes it was made with, and no other.
+    """Verify that all files of a set exist unchanged, and that there are no other files.
 
     Returns:
         Number of files.
 
     Raises:
-        SetError: naming what is missing, changed or does not belong there.
+        SetError: files are missing, changed or unexpected; the message lists them.
     """
     labelled = read_set(folder)
     if missing := [f"{stack.split}/{stack.name}" for stack in labelled.missing]:
-        raise SetError(_told(folder, [f"stack {name} is missing" for name in missing]))
+        raise SetError(_listed(folder, [f"stack {name} is missing" for name in missing]))
     try:
         files = json.loads((labelled.folder / MANIFEST).read_text())["files"]
     except FileNotFoundError as error:
         raise SetError(
-            f"{folder} is not finished: {MANIFEST} is missing. Run `eyespot dataset` with its spec "
-            "and this folder once more."
+            f"{folder} is incomplete: {MANIFEST} is missing. Run `eyespot dataset` with its spec "
+            "and this folder again."
         ) from error
     except (json.JSONDecodeError, KeyError) as error:
         raise SetError(f"{labelled.folder / MANIFEST} is damaged: {error}.") from error
@@ -59,7 +59,7 @@ def verify_set(folder: Path) -> int:
         elif fingerprint(labelled.folder / name) != known:
             problems.append(f"{name} differs from its checksum")
     if problems:
-        raise SetError(_told(folder, problems))
+        raise SetError(_listed(folder, problems))
     return len(files)
 
 
@@ -67,7 +67,7 @@ def _files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
-def _told(folder: Path, problems: list[str]) -> str:
+def _listed(folder: Path, problems: list[str]) -> str:
     more = len(problems) - _NAMED
     lines = [f"{folder}: {problem}" for problem in problems[:_NAMED]]
     return "\n".join(lines + ([f"{folder}: and {more} more"] if more > 0 else []))

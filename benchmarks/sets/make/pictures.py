@@ -1,4 +1,4 @@
-"""Figures of a data card: how the labels are spread, and what the images look like."""
+"""Figures of the data card: histograms of the labels and sample images."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from benchmarks.sets.read import Row
 
 _COLOURS = {"train": BLUE, "validation": GREEN, "test": ORANGE, "adverse": VERMILION}
 _BINS, _COLUMNS = 24, 4
-_SAMPLES = 6  # of each split and condition
+_SAMPLES = 6  # images per split and condition
 _WIDTH_IN = 10.0
-_TILE_PX = 160  # of the sheet; it shows what frames are like, not their pixels
-_GAP, _CAPTION = 4, 18  # px of the sheet
-_LEFT = 0.1  # part of its width that names take
+_TILE_PX = 160  # width of a sample image
+_GAP, _CAPTION = 4, 18  # px
+_LEFT = 0.1  # fraction of the width for the names
 
 
 class Quantity(NamedTuple):
-    """A label, or what follows from labels, that a data card shows."""
+    """A quantity that follows from the labels of an image."""
 
     name: str
     unit: str
     value: Callable[[Row], float]
 
     def of(self, rows: Sequence[Row]) -> np.ndarray:
-        """Its value for every image."""
+        """Values for all images."""
         return np.array([self.value(row) for row in rows])
 
 
@@ -43,28 +43,28 @@ QUANTITIES = (
     Quantity("incidence", "deg", lambda row: math.degrees(row.labels.incidence_rad)),
     Quantity("k, 1/tan of the cone's half-angle", "", lambda row: row.k),
     Quantity("semi-minor axis, half maximum", "px", lambda row: row.labels.half_max_semi_minor_px),
-    Quantity("visible part of the contour", "", lambda row: row.labels.visible_fraction),
-    Quantity("saturated part of the spot", "", lambda row: row.labels.saturated_fraction),
+    Quantity("visible fraction of the contour", "", lambda row: row.labels.visible_fraction),
+    Quantity("saturated fraction of the spot", "", lambda row: row.labels.saturated_fraction),
     Quantity("speed of the tip", "mm/s", lambda row: row.labels.speed_mm_s),
 )
 
 
 def histograms(rows: Sequence[Row], path: Path) -> None:
-    """Draw how each quantity is spread over the images of every split."""
+    """Draw histograms of each quantity, with one line per split."""
     lines = math.ceil(len(QUANTITIES) / _COLUMNS)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(_WIDTH_IN, 2.1 * lines + 0.4), layout="constrained")
         panels = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
         for axes, quantity in zip(panels, QUANTITIES, strict=True):
             _histogram(axes, quantity, rows)
-        panels[0].set_ylabel("part of the split's images")
+        panels[0].set_ylabel("fraction of the split's images")
         handles, names = panels[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=len(names))
         figure.savefig(path)
 
 
 def samples(rows: Sequence[Row], path: Path) -> None:
-    """Draw images of every split and condition with their true half-maximum ellipses."""
+    """Draw sample images of every split and condition with their true half-maximum ellipses."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         name = "\n".join(filter(None, [row.planned.split, row.planned.condition]))
@@ -88,7 +88,7 @@ def samples(rows: Sequence[Row], path: Path) -> None:
 
 
 def _place(axes: Axes, picture: np.ndarray, row: Row, *, corner: np.ndarray) -> None:
-    """Put an image onto the sheet, with its true ellipse and what it shows."""
+    """Draw one sample image with its true ellipse and a caption."""
     tile = _tile(row)
     height, width = tile.shape[:2]
     picture[corner[1] :, corner[0] :][:height, :width] = tile
@@ -101,7 +101,7 @@ def _place(axes: Axes, picture: np.ndarray, row: Row, *, corner: np.ndarray) -> 
 def _histogram(axes: Axes, quantity: Quantity, rows: Sequence[Row]) -> None:
     every = quantity.of(rows)
     low, high = every.min(), every.max()
-    # A value that all images share, but for rounding, is one bar.
+    # If all values are equal up to rounding, draw one bar.
     alike = high - low < 1e-6 * max(abs(low), abs(high), 1.0)
     edges = low + np.array([-0.5, 0.5]) if alike else np.linspace(low, high, _BINS + 1)
     for split in dict.fromkeys(row.planned.split for row in rows):
@@ -113,13 +113,13 @@ def _histogram(axes: Axes, quantity: Quantity, rows: Sequence[Row]) -> None:
 
 
 def _spread(rows: Sequence[Row]) -> list[Row]:
-    """Some images of as many stacks as there are, at distances of all kinds."""
+    """Images that are evenly spread over the stacks and distances."""
     chosen = np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).round().astype(int)
     return [rows[i] for i in chosen]
 
 
 def _tile(row: Row) -> np.ndarray:
-    """The image in 8 bits and RGB, made smaller by mean values."""
+    """The image in 8 bits and RGB, reduced by averaging."""
     image = row.image()
     if image.dtype != np.uint8:
         camera = row.stack.description["scene"]["camera"]
@@ -131,13 +131,13 @@ def _tile(row: Row) -> np.ndarray:
 
 
 def _step(row: Row) -> int:
-    """Pixels of the image to one of the sheet."""
+    """Reduction factor of the image."""
     return max(1, row.stack.description["scene"]["microscope"]["width_px"] // _TILE_PX)
 
 
 def _true_ellipse(row: Row, corner: np.ndarray) -> Ellipse:
     labels, step = row.labels, _step(row)
-    # Pixel centres are integers in both pictures.
+    # Pixel centres have integer coordinates in both images.
     x, y = ((p + 0.5) / step - 0.5 for p in (labels.half_max_x_px, labels.half_max_y_px))
     return Ellipse(
         (x + corner[0], y + corner[1]),

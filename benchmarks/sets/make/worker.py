@@ -1,4 +1,4 @@
-"""What a worker does: one stack. Apart, so that workers import little else."""
+"""Renders one stack; a separate file, so that workers import little else."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import scenes
 
 _PACKAGES = ("eyespot", "mitsuba", "drjit", "jax", "numpy", "opencv-python-headless", "scipy")
 
-# A worker of several threads gives them all to the stack that it renders.
+# A worker with several threads uses them all for one stack.
 _one_at_a_time = threading.Lock()
 
 
 def versions() -> dict[str, str]:
-    """Versions of the packages that the bytes of a set depend on."""
+    """Versions of the packages that affect the bytes of a set."""
     return {name: importlib.metadata.version(name) for name in _PACKAGES}
 
 
 def render_planned(scene: Mapping[str, Any], folder: str, wanted: Mapping[str, str]) -> None:
-    """Render one stack, unless it is there already.
+    """Render one stack, unless it already exists.
 
     Args:
         scene: content of its scene file.
-        folder: of the stack, on a disk that all workers see.
-        wanted: versions that the set is made with.
+        folder: folder of the stack, on a disk that all workers can access.
+        wanted: versions that the set was started with.
 
     Raises:
         ValueError: this worker has other versions.
     """
     if versions() != wanted:
         raise ValueError(
-            f"a worker has other versions than the set is made with: {versions()} instead of "
-            f"{dict(wanted)}. Give all workers one environment."
+            f"a worker has other versions than the set: {versions()} instead of {dict(wanted)}. "
+            "Use the same environment for all workers."
         )
     with _one_at_a_time:
         if not Path(folder).is_dir():

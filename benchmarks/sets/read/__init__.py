@@ -1,9 +1,8 @@
-"""A set on disk.
+"""Reads a set.
 
-image_rows    Every image of a set with what is known of it; the lines of a split's metadata.jsonl
-labelled_set  A labelled set on disk
-stacks        The stacks that export and score go through, and what a set calls them and their
-              images
+image_rows    The images of a set with their labels: the lines of metadata.jsonl
+labelled_set  A set and its stacks, from set.json
+stacks        The stacks of a set, or a single stack; names of stacks and images within a set
 """
 
 import lazy_loader

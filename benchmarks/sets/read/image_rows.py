@@ -1,4 +1,4 @@
-"""Every image of a set with what is known of it; the lines of a split's metadata.jsonl."""
+"""The images of a set with their labels: the lines of metadata.jsonl."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Row:
     """An image of a set.
 
     Attributes:
-        planned: the stack's place in the set.
+        planned: the stack as an entry of the set.
         stack: the stack on disk.
-        labels: the image's own.
+        labels: labels of the image.
     """
 
     planned: SetStack
@@ -29,7 +29,7 @@ class Row:
 
     @property
     def k(self) -> float:
-        """1/tan of the half-angle of the source's cone, a lens's effective one included."""
+        """1/tan of the half-angle of the source's cone (for a lens, the effective cone)."""
         return 1 / math.tan(float(self.stack.description["cone"]["half_angle"]))
 
     def image(self) -> np.ndarray:
@@ -37,7 +37,7 @@ class Row:
         return self.stack.image(self.labels)
 
     def line(self) -> dict[str, Any]:
-        """Its line of metadata.jsonl: the stack's own, and what is true of the whole stack."""
+        """The line of metadata.jsonl: labels of the image and parameters of its stack."""
         line = asdict(self.labels)
         for name in ("file_name", "mask_file_name"):
             line[name] = f"{self.planned.name}/{line[name]}"

@@ -1,4 +1,4 @@
-"""A labelled set on disk."""
+"""A set and its stacks, from set.json."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SCHEMA = 1
 
 
 class SetError(ValueError):
-    """A folder is not a labelled set, or not a whole one; the text says what is wrong with it."""
+    """A folder is not a labelled set, or it is incomplete; the text says what is wrong."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,10 +22,10 @@ class SetStack:
 
     Attributes:
         split: train, validation, test or adverse.
-        name: of its folder.
-        condition: what is adverse about it, else None.
-        parameters: its values of the scene keys that differ within the set, by dotted name.
-        folder: where it lies.
+        name: name of its folder.
+        condition: condition of an adverse stack, else None.
+        parameters: values of the scene keys that vary within the set, by dotted name.
+        folder: path of the stack.
     """
 
     split: str
@@ -35,7 +35,7 @@ class SetStack:
     folder: Path
 
     def open(self) -> Stack:
-        """Its labels and images."""
+        """Open the stack, for its labels and images."""
         return read_stack(self.folder)
 
 
@@ -44,9 +44,9 @@ class LabelledSet:
     """A set on disk.
 
     Attributes:
-        folder: where it lies.
-        name, licence: as its spec says.
-        stacks: all that belong to it, in order; those that are missing too.
+        folder: path of the set.
+        name, licence: name and licence of its spec.
+        stacks: all stacks of the set in order, also those not rendered yet.
         description: content of set.json.
     """
 
@@ -68,10 +68,10 @@ class LabelledSet:
 
 
 def read_set(folder: Path) -> LabelledSet:
-    """Open a set, whole or not (`verify_set` says which).
+    """Open a set, complete or not (`verify_set` checks that).
 
     Raises:
-        SetError: the folder is no set, or has another schema.
+        SetError: the folder is not a set, or has another schema.
     """
     folder = Path(folder)
     try:

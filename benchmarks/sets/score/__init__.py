@@ -1,16 +1,14 @@
-"""How good spots are: `eyespot score`.
+"""Compares measured spots with the labels of a set: `eyespot score`.
 
 command       The command `eyespot score`
-conditions    What images are scored apart by: the spot's place, how it was taken, what hides it
-figure        A score as a figure: error and misses by condition, and how honest σ is
-groups        How good estimators' spots of a labelled set are: all images together, and by
-              condition
-measures      How good an estimator is on a group of images: counts, errors, and how honest its σ
-              are
-outcomes      What an estimator made of each image of a set, beside the truth
-scoring       Reads or measures spots of a set, scores them, prints tables and writes them
-spots_of_set  Spots of a whole set: read from files, or measured by our own estimator
-table         A score as tables on the terminal
+conditions    Conditions by which images are grouped: position, exposure, occlusion ...
+figure        Figure of a score: errors and missed spots by condition, calibration of σ
+groups        Scores of each estimator, for all images and by condition
+measures      Counts, errors and calibration of σ for a group of images
+outcomes      Outcome of each image: spot found, missed, misplaced ...
+scoring       The whole run: reads or measures spots, scores them, prints and writes tables
+spots_of_set  Spots of a set: read from files, or measured by our estimator
+table         Tables of a score on the terminal
 """
 
 import lazy_loader

@@ -14,25 +14,25 @@ def score(
         list[Path] | None,
         typer.Argument(
             metavar="SPOTS…",
-            help="Spots files whose image names start at DIR, or folders of SPLIT/STACK.csv.",
+            help="Spots files with image names relative to DIR, or folders with SPLIT/STACK.csv.",
         ),
     ] = None,
     mode: Annotated[
         Literal["literal", "subpixel", "both"] | None,
-        typer.Option(help="Measure the images with our estimator, too, and score its spots."),
+        typer.Option(help="Also measure the images with our estimator, and score its spots."),
     ] = None,
     against: Annotated[
         Literal["half_max", "cone"],
         typer.Option(
-            help="True ellipse to compare with: the half-maximum contour, or the ideal cone's edge."
+            help="True ellipse to compare with: the half-maximum contour, or the edge of the cone."
         ),
     ] = "half_max",
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for tables and figure; must not exist."),
+        typer.Option(metavar="DIR", help="Folder for tables and figure; it must not exist yet."),
     ] = None,
 ) -> None:
-    """Measure how good an estimator's spots are on a labelled set."""
+    """Compare an estimator's spots with the labels of a set."""
     from benchmarks.sets.score.scoring import run
 
     run(folder, spots or [], mode=mode, against=against, out=out)

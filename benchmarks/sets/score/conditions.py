@@ -1,4 +1,4 @@
-"""What images are scored apart by: the spot's place, how it was taken, what hides it."""
+"""Conditions by which images are grouped: position, exposure, occlusion ..."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _SPLITS = ("train", "validation", "test", "adverse")
 
 
 class Circumstances(NamedTuple):
-    """The truth of an image, and what groups it.
+    """The labels of an image, and the properties by which images are grouped.
 
     Attributes:
-        labels: its truth.
+        labels: the labels.
         stack: SPLIT/STACK.
-        split: of the set; empty for a stack by itself.
-        adverse: condition of the split of that name; empty elsewhere.
-        scale_mm_px: delta of its microscope.
-        source: of the light: cone, lens or photons.
-        wall: the picture on it.
+        split: its split; empty for a single stack.
+        adverse: its condition in the split `adverse`; empty in other splits.
+        scale_mm_px: delta, scale of the microscope.
+        source: light source: cone, lens or photons.
+        wall: picture on the wall.
     """
 
     labels: FrameLabels
@@ -37,12 +37,12 @@ class Circumstances(NamedTuple):
 
     @property
     def blur_px(self) -> float:
-        """Way of the tip during the exposure, px at the retinal pole."""
+        """Path of the tip during the exposure, px at the retinal pole."""
         return self.labels.speed_mm_s * self.labels.exposure_s / self.scale_mm_px
 
 
 def circumstances_of(stacks: Iterable[SetStack]) -> dict[str, Circumstances]:
-    """All images of a set, by the name that the set has for them."""
+    """All images of a set, by their names in the set."""
     images = {}
     for entry in stacks:
         scale = read_microscope(entry.folder / "microscope.json").scale_mm_px
@@ -65,10 +65,10 @@ class Condition(NamedTuple):
     """A way to group images.
 
     Attributes:
-        name: of the condition, with its unit, as in score.csv.
-        title: in figures.
-        group_of: an image's group; empty where the condition says nothing of it.
-        order: of the groups; others follow by name.
+        name: name of the condition with its unit, as in score.csv.
+        title: title in figures.
+        group_of: returns the group of an image, or "" if it has none.
+        order: order of the groups; others follow by name.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Condition(NamedTuple):
     order: tuple[str, ...] = ()
 
     def groups(self, images: Iterable[Circumstances]) -> list[str]:
-        """Groups that images fall into, in order."""
+        """The groups of some images, in order."""
         place = {group: index for index, group in enumerate(self.order)}
         found = {self.group_of(image) for image in images} - {""}
         return sorted(found, key=lambda group: (place.get(group, len(place)), group))
@@ -89,14 +89,14 @@ def _binned(
     value_of: Callable[[Circumstances], float],
     edges: tuple[float, ...],
 ) -> Condition:
-    """Groups [edge, next edge); the last one has no upper end."""
+    """Groups [edge, next edge); the last group has no upper limit."""
     groups = tuple(
         f"≥ {low:g}" if math.isinf(high) else f"{low:g}–{high:g}"
         for low, high in zip(edges, (*edges[1:], math.inf), strict=True)
     )
 
     def group_of(image: Circumstances) -> str:
-        # Labels such as c = 0 come with a rounding of either sign.
+        # Labels such as c = 0 may have rounding errors of either sign.
         index = np.searchsorted(edges, value_of(image) + 1e-9, side="right") - 1
         return groups[max(int(index), 0)]
 
@@ -120,7 +120,7 @@ CONDITIONS = (
     ),
     _binned("speed_mm_s", "speed (mm/s)", lambda image: image.labels.speed_mm_s, (0, 0.5, 1.5, 5)),
     _binned(
-        "blur_px", "blur: way in an exposure (px)", lambda image: image.blur_px, (0, 0.5, 2, 8)
+        "blur_px", "blur: path in an exposure (px)", lambda image: image.blur_px, (0, 0.5, 2, 8)
     ),
     _binned(
         "visible_fraction",

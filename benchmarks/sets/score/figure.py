@@ -1,4 +1,4 @@
-"""A score as a figure: error and misses by condition, and how honest σ is."""
+"""Figure of a score: errors and missed spots by condition, and calibration of σ."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _TITLES = {ALL: "all images"} | {condition.name: condition.title for condition i
 
 
 def score_figure(result: Score) -> Figure:
-    """A panel a condition: RMSE above, part of visible spots missed below; σ's honesty last."""
+    """Per condition the RMSE and the missed fraction of visible spots; last, calibration of σ."""
     panels = _panels(result)
     blocks = math.ceil((len(panels) + 1) / _MOST_COLUMNS)
     columns = math.ceil((len(panels) + 1) / blocks)
@@ -54,7 +54,7 @@ def score_figure(result: Score) -> Figure:
 
 
 def _panels(result: Score) -> _Panels:
-    """By condition and group; groups in which no spot is visible have nothing to show."""
+    """Groups by condition; groups without a visible spot are omitted."""
     rows = result.by_condition() or {
         (ALL, ALL): {name: result.total(name) for name in result.judged}
     }
@@ -84,7 +84,7 @@ def _draw_condition(
 
 
 def _draw_scale(axes: Axes, panels: _Panels) -> None:
-    """Whole decades, so that every panel has marks with numbers."""
+    """Scale the axis to whole decades, so that every panel has numbered ticks."""
     rows = (row for groups in panels.values() for row in groups.values())
     every = (_rmse(group)[0] for row in rows for group in row.values())
     shown = [value for value in every if value > 0] or [1.0]
@@ -96,10 +96,10 @@ def _draw_scale(axes: Axes, panels: _Panels) -> None:
 
 
 def _draw_calibration(axes: Axes, result: Score) -> None:
-    """Part of errors within z σ, against that of a normal distribution."""
+    """Fraction of errors within z σ, compared with a normal distribution."""
     z = np.linspace(0, _WIDEST_Z, 200)
     normal = [math.erf(value / math.sqrt(2)) for value in z]
-    axes.plot(z, normal, "--", color=GREY, label="honest and normal")
+    axes.plot(z, normal, "--", color=GREY, label="normal distribution")
     for images, colour in zip(result.judged.values(), _colours(result), strict=True):
         scores = np.abs(z_scores(images, MAIN))
         if scores.size:
@@ -113,7 +113,7 @@ def _colours(result: Score) -> list[str]:
 
 
 def _rmse(group: Group | None) -> tuple[float, float, float]:
-    """With the ends of its interval; NaN where there is none."""
+    """RMSE and the ends of its interval; NaN if there are no errors."""
     errors = group.of(MAIN) if group else None
     if errors is None:
         return math.nan, math.nan, math.nan

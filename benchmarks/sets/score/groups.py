@@ -1,4 +1,4 @@
-"""How good estimators' spots of a labelled set are: all images together, and by condition."""
+"""Scores of each estimator, for all images and by condition."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _ORDER = [ALL, *(condition.name for condition in CONDITIONS)]
 
 
 class Group(NamedTuple):
-    """Images that are scored together.
+    """Score of an estimator on a group of images.
 
     Attributes:
-        estimator: whose spots are scored.
-        condition: by which images are grouped.
-        group: of that condition.
-        counts: of the group's images.
-        errors: of each quantity that was measured in it.
+        estimator: name of the estimator.
+        condition: condition by which images are grouped.
+        group: group within that condition.
+        counts: numbers of images by outcome.
+        errors: errors of each measured quantity.
     """
 
     estimator: str
@@ -35,19 +35,19 @@ class Group(NamedTuple):
     errors: list[Errors]
 
     def of(self, quantity: str) -> Errors | None:
-        """Errors of one quantity; None where it was not measured."""
+        """Errors of one quantity; None if it was not measured."""
         return next((errors for errors in self.errors if errors.quantity == quantity), None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How good estimators are on a set.
+    """Scores of estimators on a set.
 
     Attributes:
         against: which of the two ellipses is the truth.
-        judged: what each estimator made of the images that count for it.
-        left_out: number of images of splits and exposures that an estimator's spots do not cover.
-        groups: each estimator's images, all together and by condition.
+        judged: outcomes of each estimator.
+        left_out: number of images in splits and exposures for which an estimator has no spots.
+        groups: scores of each estimator, for all images and by condition.
     """
 
     against: Against
@@ -56,15 +56,15 @@ class Score:
     groups: list[Group]
 
     def total(self, estimator: str) -> Group:
-        """All images of an estimator."""
+        """Score of an estimator on all images."""
         return next(
             group for group in self.groups if (group.estimator, group.condition) == (estimator, ALL)
         )
 
     def by_condition(self) -> dict[tuple[str, str], dict[str, Group]]:
-        """For each condition and group, in order, what each estimator did in it.
+        """Scores of all estimators for each condition and group, in order.
 
-        Conditions that tell no images apart are left out.
+        Conditions with a single group are omitted.
         """
         rows: dict[tuple[str, str], dict[str, Group]] = {}
         for group in self.groups:
@@ -83,8 +83,8 @@ def score(
     """Compare estimators' spots with the labels of a set.
 
     Args:
-        images: of the set, see `circumstances_of`.
-        spots: each estimator's records by the image's name, see `read_set_spots`.
+        images: images of the set, see `circumstances_of`.
+        spots: records of each estimator by image name, see `read_set_spots`.
         against: which of the two ellipses is the truth.
     """
     judged = {name: judge(images, records, against=against) for name, records in spots.items()}

@@ -1,4 +1,4 @@
-"""How good an estimator is on a group of images: counts, errors, and how honest its σ are."""
+"""Counts, errors and calibration of σ for a group of images."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import numpy as np
 
 from benchmarks.sets.score.outcomes import CENTRE, QUANTITIES, Judged, Outcome
 
-_RESAMPLED = 1000  # sets drawn for an interval; its ends scatter by 3 % of its width
-_FEWEST_STACKS = 3  # with fewer there is nothing to draw from
+_RESAMPLED = 1000  # bootstrap samples; the ends of an interval vary by 3 % of its width
+_FEWEST_STACKS = 3  # fewer are not enough for a bootstrap
 
 
 class Counts(NamedTuple):
-    """What became of a group's images.
+    """Numbers of images by outcome.
 
     Attributes:
-        images: that count.
-        visible: with half of the contour or more in view.
-        found: of the visible ones, with the true spot.
-        missed: of the visible ones, without it.
-        false_spots: reported where no spot is.
-        hidden: with less than half of the contour in view.
-        glimpsed: of the hidden ones, with the true spot nevertheless.
+        images: all images of the group.
+        visible: images in which half of the contour or more is visible.
+        found: visible images with the true spot.
+        missed: visible images without the true spot.
+        false_spots: spots reported at a wrong position.
+        hidden: images in which less than half of the contour is visible.
+        glimpsed: hidden images with the true spot.
     """
 
     images: int
@@ -38,27 +38,27 @@ class Counts(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Errors (estimate - truth) of one quantity over the images found, in its unit.
+    """Errors (estimate - truth) of one quantity over the found images, in its unit.
 
     Attributes:
-        quantity: what was measured, with its unit.
-        n: images with a value.
-        bias: mean; NaN for the distance between centres, which has no sign.
-        rmse: root of the mean square.
-        rmse_low: 95 % interval of the RMSE from stacks drawn anew (bootstrap); NaN for fewer than
-            three stacks.
-        rmse_high: its other end.
-        median_abs: median of the absolute value.
-        max_abs: the largest.
-        n_sigma: images with a value and a standard deviation of it.
-        z_mean: mean of error/σ; 0 if it is honest.
-        z_std: standard deviation of error/σ; 1 if σ is honest.
-        within_1_sigma: part of the errors below σ; 0.683 if it is honest and normal.
-        within_1_low: 95 % interval of that part, exact (Clopper and Pearson 1934).
-        within_1_high: its other end.
-        within_2_sigma: part of the errors below 2σ; 0.954 if it is honest and normal.
-        within_2_low: its interval.
-        within_2_high: its other end.
+        quantity: name of the quantity, with its unit.
+        n: number of images with a value.
+        bias: mean error; NaN for the distance between centres, which has no sign.
+        rmse: root of the mean square error.
+        rmse_low: lower end of the 95 % interval of the RMSE (bootstrap over stacks); NaN for fewer
+            than three stacks.
+        rmse_high: upper end.
+        median_abs: median of the absolute error.
+        max_abs: largest absolute error.
+        n_sigma: number of images with a value and a standard deviation σ.
+        z_mean: mean of error/σ; 0 without bias.
+        z_std: standard deviation of error/σ; 1 if σ is correct.
+        within_1_sigma: fraction of errors below σ; 0.683 for normal errors and correct σ.
+        within_1_low: lower end of its exact 95 % interval (Clopper and Pearson 1934).
+        within_1_high: upper end.
+        within_2_sigma: fraction of errors below 2σ; 0.954 for normal errors and correct σ.
+        within_2_low: lower end of its interval.
+        within_2_high: upper end.
     """
 
     quantity: str
@@ -81,7 +81,7 @@ class Errors(NamedTuple):
 
 
 def counts_of(images: Sequence[Judged]) -> Counts:
-    """Count a group's outcomes."""
+    """Count the outcomes of a group."""
     of = Counter(image.outcome for image in images)
     missed = of[Outcome.MISSED] + of[Outcome.MISPLACED]
     visible = of[Outcome.FOUND] + missed
@@ -111,7 +111,7 @@ def errors_of(images: Sequence[Judged]) -> list[Errors]:
 
 
 def z_scores(images: Sequence[Judged], quantity: str) -> np.ndarray:
-    """Error/σ of the images found that have both."""
+    """Error/σ of the found images that have both."""
     pairs = [
         (image.errors[quantity], image.sigmas.get(quantity, math.nan))
         for image in images
@@ -152,7 +152,7 @@ def _errors(quantity: str, errors: np.ndarray, stacks: np.ndarray, sigmas: np.nd
 
 
 def _rmse_interval(errors: np.ndarray, stacks: np.ndarray) -> tuple[float, float]:
-    """95 % interval of the RMSE: images of one stack share what is wrong with them."""
+    """95 % interval of the RMSE; stacks are resampled, as errors within a stack are correlated."""
     names, index = np.unique(stacks, return_inverse=True)
     if names.size < _FEWEST_STACKS:
         return math.nan, math.nan
@@ -164,7 +164,7 @@ def _rmse_interval(errors: np.ndarray, stacks: np.ndarray) -> tuple[float, float
 
 
 def _part(inside: np.ndarray) -> tuple[float, float, float]:
-    """Part that is true, and its exact binomial 95 % interval."""
+    """Fraction of true values, and its exact binomial 95 % interval."""
     if not inside.size:
         return math.nan, math.nan, math.nan
     from scipy.stats import binomtest  # 0.5 s

@@ -1,4 +1,4 @@
-"""What an estimator made of each image of a set, beside the truth."""
+"""Outcome of each image: spot found, missed, misplaced ..."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ Against = Literal["half_max", "cone"]
 
 
 class Outcome(Enum):
-    """What became of an image.
+    """Outcome of an image.
 
-    A spot is the true one if its centre lies within one true semi-major axis of the true centre.
+    A spot is the true spot if its centre lies within one true semi-major axis of the true centre.
     """
 
     FOUND = "found"
-    """Half of the contour or more is seen, and the true spot is reported."""
+    """At least half of the contour is visible, and the true spot is reported."""
     MISSED = "missed"
-    """Half or more is seen, and no spot is reported."""
+    """At least half is visible, and no spot is reported."""
     MISPLACED = "misplaced"
-    """Half or more is seen, and a spot elsewhere is reported: a miss and a false spot."""
+    """At least half is visible, and a spot elsewhere is reported: missed and a false spot."""
     HIDDEN = "hidden"
-    """Less than half is seen, and no spot is reported."""
+    """Less than half is visible, and no spot is reported."""
     GLIMPSED = "glimpsed"
-    """Less than half is seen, and the true spot is reported; its errors are not counted."""
+    """Less than half is visible, and the true spot is reported; its errors are not counted."""
     INVENTED = "invented"
-    """Less than half is seen, and a spot is reported elsewhere, or nothing is seen at all."""
+    """Less than half is visible and a spot elsewhere is reported, or nothing is visible."""
 
 
 class Judged(NamedTuple):
-    """An image, its truth, and what an estimator said of it.
+    """An image with its labels and the result of an estimator.
 
     Attributes:
-        circumstances: truth and what groups it.
-        record: line of the spots file; None where there is none.
-        outcome: what became of it.
-        errors: estimate - truth by quantity, of images found; NaN where it was not measured.
-        sigmas: the estimator's own standard deviations of them.
+        circumstances: labels, and properties for grouping.
+        record: line of the spots file; None if missing.
+        outcome: the outcome.
+        errors: estimate - truth by quantity, for found images; NaN if not measured.
+        sigmas: standard deviations from the estimator.
     """
 
     circumstances: Circumstances
@@ -53,13 +53,13 @@ class Judged(NamedTuple):
 
 
 CENTRE = "centre_px"
-"""Distance between the centres: the one quantity without a sign."""
+"""Distance between the centres, the only quantity without a sign."""
 
 QUANTITIES = ("x_px", "y_px", CENTRE, "semi_major_px", "semi_minor_px", "distance_mm")
-"""What is scored; distances are compared with d = |SO|."""
+"""Scored quantities; the true distance is d = |SO|."""
 
 _ROWS = {"x_px": 0, "y_px": 1, "semi_major_px": 2, "semi_minor_px": 3}
-"""Where a quantity stands in a spot's covariance."""
+"""Index of a quantity in the covariance of a spot."""
 
 
 def judge(
@@ -67,12 +67,12 @@ def judge(
 ) -> list[Judged]:
     """Compare an estimator's records with the labels of a set.
 
-    Images count by split and exposure: where the records name one image of a split's exposure, all
-    of its images count, and those without a record as without a spot.
+    If the records contain one image of a split and exposure, all images of that split and exposure
+    count. An image without a record counts as an image without a spot.
 
     Args:
-        images: of the set, by name.
-        records: by the image's name.
+        images: images of the set, by name.
+        records: records by image name.
         against: which of the two ellipses is the truth.
 
     Returns:
@@ -112,7 +112,7 @@ def _outcome(labels: FrameLabels, spot: Spot | None, against: Against) -> Outcom
         spot.x_px - getattr(labels, f"{against}_x_px"),
         spot.y_px - getattr(labels, f"{against}_y_px"),
     )
-    # "not >": a spot without a place is elsewhere.
+    # `not <=` includes NaN: a spot without a position is elsewhere.
     elsewhere = not far <= getattr(labels, f"{against}_semi_major_px")
     if visible:
         return Outcome.MISPLACED if elsewhere else Outcome.FOUND

@@ -1,4 +1,4 @@
-"""Reads or measures spots of a set, scores them, prints tables and writes them."""
+"""The whole run: reads or measures spots, scores them, prints and writes tables."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ def run(
     against: Against = "half_max",
     out: Path | None = None,
 ) -> None:
-    """Score spots files, and our own estimator's modes, on a set.
+    """Score spots files and modes of our estimator on a set.
 
     Args:
         folder: a set or a stack.
-        spots_files: as `read_set_spots` takes them; an estimator is named as its file.
-        mode: of our estimator, measured now.
+        spots_files: see `read_set_spots`; the name of a file is the name of the estimator.
+        mode: mode of our estimator that measures the images first.
         against: which of the two ellipses is the truth.
-        out: new folder for score.json, score.csv, score.png, score.svg, and MODE.csv, the spots
-            that were measured; None prints the tables only.
+        out: new folder for score.json, score.csv, score.png, score.svg, and MODE.csv with the
+            measured spots; None: only print the tables.
 
     Raises:
-        ValueError: bad input.
+        ValueError: the input is invalid.
     """
     folder = Path(folder)
     modes: tuple[Mode, ...] = ("literal", "subpixel")
@@ -78,17 +78,19 @@ def run(
 
 
 def _estimator(spots: Path) -> str:
-    """The name of whoever made a spots file, or a folder of them."""
+    """Name of an estimator, from its spots file or folder."""
     return spots.stem if spots.suffix else spots.resolve().name
 
 
 def _check(names: Sequence[str], out: Path | None) -> None:
     if not names:
-        raise ValueError("nothing to score: name spots files, or a --mode to measure with.")
+        raise ValueError("nothing to score. Give spots files, or --mode to measure the images.")
     if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise ValueError(f"two estimators are named {twice[0]}. Rename the spots file of one.")
+        raise ValueError(f"two estimators have the name {twice[0]}. Rename one of the spots files.")
     if out is not None and out.exists():
-        raise ValueError(f"{out} exists already. Choose another name; nothing is written over.")
+        raise ValueError(
+            f"{out} already exists. Choose another name; existing files are never overwritten."
+        )
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Spots of a whole set: read from files, or measured by our own estimator."""
+"""Spots of a set: read from files, or measured by our estimator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from estimator import (
 Mode = Literal["literal", "subpixel"]
 
 _SPOTS = (".csv", ".parquet")
-_NAMED = 5  # wrong names that a message lists
+_NAMED = 5  # unknown names listed in a message
 
 
 def read_set_spots(
@@ -31,19 +31,18 @@ def read_set_spots(
     """Read an estimator's spots of a set.
 
     Args:
-        path: a spots file whose file names start at the set (SPLIT/STACK/frames/000000.png), or a
-            folder with the spots file of each stack as `eyespot track` writes it, named
-            SPLIT/STACK.csv or, where a stack holds several exposures, SPLIT/STACK.EXPOSURE.csv.
-            Without SPLIT/ for a stack by itself. Parquet does as well.
-        stacks: of the set.
+        path: a spots file (.csv or .parquet) with image names relative to the set
+            (SPLIT/STACK/frames/000000.png); or a folder with a spots file for each stack, as
+            `eyespot track` writes it. Its name is SPLIT/STACK.csv or, if a stack has several
+            exposures, SPLIT/STACK.EXPOSURE.csv. For a single stack, omit SPLIT/.
+        stacks: stacks of the set.
         images: names of all images of the set.
 
     Returns:
-        The records by the image's name in the set.
+        The records by image name.
 
     Raises:
-        ValueError: no such file, names that the set does not hold (all are told in one message), or
-            two lines for one image.
+        ValueError: the file is missing, names are not in the set, or an image has two lines.
     """
     path = Path(path)
     if path.is_dir():
@@ -51,26 +50,26 @@ def read_set_spots(
     elif path.is_file():
         records = read_spots(path)
     else:
-        raise ValueError(f"{path}: there is no such spots file or folder. Check the path.")
+        raise ValueError(f"{path}: no such spots file or folder. Check the path.")
     return _by_image(records, path, images)
 
 
 def track_set(
     stacks: Iterable[SetStack], mode: Mode, *, progress: Callable[[], None] = lambda: None
 ) -> list[SpotRecord]:
-    """Measure every frame of a set, each stack and exposure as a recording of its own.
+    """Measure every frame of a set; each stack and exposure is one recording.
 
-    The literal mode starts at the true place of each recording's first spot, as the paper's
-    operator clicks on it; the sub-pixel mode finds it. Spots lie in the image as it is, as labels
-    do: the lens's distortion is not taken out.
+    The literal mode starts at the true position of the first spot of each recording, as the paper's
+    operator clicks on it. The sub-pixel mode finds the spot itself. Like the labels, the spots are
+    in the original image, with its distortion.
 
     Args:
         stacks: stacks of the set.
-        mode: of the estimator, with its default settings.
+        mode: mode of the estimator, with its default settings.
         progress: called after each frame.
 
     Returns:
-        Records whose file names start at the set.
+        Records with image names relative to the set.
     """
     return [
         replace(record, file_name=image_name(entry, record.file_name))
@@ -100,12 +99,12 @@ def _track(
 def _files(folder: Path) -> list[Path]:
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SPOTS)
     if not files:
-        raise ValueError(f"{folder} holds no spots files (.csv or .parquet). Check the path.")
+        raise ValueError(f"{folder} contains no spots files (.csv or .parquet). Check the path.")
     return files
 
 
 def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRecord]:
-    """Records of one stack's spots file, named as the set names them."""
+    """Records of one stack's spots file, with image names relative to the set."""
     by_name = {qualified_name(entry): entry for entry in stacks}
     name = file.relative_to(folder).with_suffix("").as_posix()
     entry = by_name.get(name) or by_name.get(name.rpartition(".")[0])
@@ -127,7 +126,7 @@ def _by_image(
     unknown = []
     for record in records:
         if record.file_name in found:
-            raise ValueError(f"{path}: {record.file_name} has two lines. Leave one of them.")
+            raise ValueError(f"{path}: {record.file_name} has two lines. Remove one of them.")
         if record.file_name not in images:
             unknown.append(record.file_name)
         found[record.file_name] = record
@@ -135,9 +134,9 @@ def _by_image(
         listed = ", ".join(repr(name) for name in unknown[:_NAMED])
         more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
         raise ValueError(
-            f"{path}: the set does not hold {listed}{more}. File names start at the set, such as "
-            f"{min(images)}."
+            f"{path}: the set does not contain {listed}{more}. Image names are relative to the "
+            f"set, such as {min(images)}."
         )
     if not found:
-        raise ValueError(f"{path} holds no lines.")
+        raise ValueError(f"{path} is empty.")
     return found

@@ -1,4 +1,4 @@
-"""A score as tables on the terminal."""
+"""Tables of a score on the terminal."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from benchmarks.sets.score.groups import Group, Score
 from benchmarks.sets.score.measures import Errors
 
 MAIN = "semi_minor_px"
-"""The quantity that distances follow from, and that groups are compared by."""
+"""The quantity that determines distances, by which groups are compared."""
 
 
 def tables(result: Score) -> list[Table]:
-    """Outcomes and errors of all images, σ's honesty, and the main quantity by condition."""
+    """Outcomes and errors of all images, calibration of σ, and the main quantity by condition."""
     return [_outcomes(result), _errors(result), _sigmas(result), _conditions(result)]
 
 
 def _outcomes(result: Score) -> Table:
-    table = _table("Images", "estimator", "of", "spot visible", "found", "missed", "false spots")
-    for name in ("hidden", "found there", "left out"):
-        table.add_column(name, justify="right")
+    visible = ("spot visible", "found", "missed", "false spots")
+    hidden = ("hidden", "found although hidden", "left out")
+    table = _table("Images", "estimator", "images", *visible, *hidden)
     for name, left_out in result.left_out.items():
         counts = result.total(name).counts
         table.add_row(name, *map(str, (*counts, left_out)))
@@ -29,7 +29,7 @@ def _outcomes(result: Score) -> Table:
 
 
 def _errors(result: Score) -> Table:
-    title = f"Errors of spots found, against {result.against}; in brackets 95 % intervals"
+    title = f"Errors of the found spots ({result.against}), with 95 % intervals in brackets"
     columns = ("estimator", "quantity", "n", "bias", "RMSE", "median |e|", "largest")
     table = _table(title, *columns, left=2)
     for name in result.judged:
@@ -47,7 +47,7 @@ def _errors(result: Score) -> Table:
 
 
 def _sigmas(result: Score) -> Table:
-    title = "The same errors over the estimator's own σ; honest: 0 ± 1, 0.68, 0.95"
+    title = "Errors divided by the estimator's σ; ideal: 0 ± 1, 0.68, 0.95"
     table = _table(title, "estimator", "quantity", "n", "e/σ", "within σ", "within 2σ", left=2)
     for name in result.judged:
         for errors in result.total(name).errors:
@@ -64,7 +64,7 @@ def _sigmas(result: Score) -> Table:
 
 
 def _conditions(result: Score) -> Table:
-    table = _table(f"RMSE of {MAIN} and images missed", "condition", "group", left=2)
+    table = _table(f"RMSE of {MAIN}, and missed images", "condition", "group", left=2)
     for name in result.judged:
         table.add_column(name, justify="right")
         table.add_column("missed", justify="right")

@@ -1,8 +1,8 @@
-"""What a set is to be.
+"""The spec of a set, and the scenes that follow from it.
 
-distributions  Distributions over a scene key: from a number in [0, 1) to a value
-planning       From a spec to the scene of every stack, evenly spread over what varies
-spec           The spec of a labelled set: TOML, validated before anything is rendered
+distributions  Distributions of a scene key
+planning       From a spec to the scenes of all stacks, spread evenly over the distributions
+spec           The spec file (TOML) and its validation
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Distributions over a scene key: from a number in [0, 1) to a value."""
+"""Distributions of a scene key; each maps a quantile in [0, 1) to a value."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
     low, high = interval
     if not -math.inf < low < high < math.inf:
         raise ValueError(
-            f"an interval is [low, high], finite, low below high; got [{low:g}, {high:g}]. "
-            "A single value stands by itself: key = value."
+            f"an interval must be [low, high], finite, with low < high; got [{low:g}, {high:g}]. "
+            "For a single value write key = value."
         )
     return interval
 
@@ -35,8 +35,8 @@ def _positive(interval: tuple[float, float]) -> tuple[float, float]:
 def _finite(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if any(isinstance(value, float) and not math.isfinite(value) for value in values):
         raise ValueError(
-            "a choice is of finite values, for it becomes a label in JSON. Take a large number "
-            "for inf."
+            "a choice must have finite values, because it becomes a label in JSON. Use a large "
+            "number instead of inf."
         )
     return values
 
@@ -45,34 +45,34 @@ _Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
 
 
 class Uniform(_Distribution):
-    """Every value of an interval alike."""
+    """Uniform distribution on an interval."""
 
     uniform: _Interval
 
     def value(self, quantile: float) -> float:
-        """The value below which this part of the distribution lies."""
+        """The value at this quantile."""
         low, high = self.uniform
         return low + quantile * (high - low)
 
 
 class LogUniform(_Distribution):
-    """Every ratio alike: the logarithm is uniform."""
+    """Log-uniform distribution: the logarithm is uniform."""
 
     log_uniform: Annotated[_Interval, AfterValidator(_positive)]
 
     def value(self, quantile: float) -> float:
-        """The value below which this part of the distribution lies."""
+        """The value at this quantile."""
         low, high = self.log_uniform
         return low * (high / low) ** quantile
 
 
 class Choice(_Distribution):
-    """One of some values, each as often as the others."""
+    """One of several values, all equally likely."""
 
     choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(min_length=2)
 
     def value(self, quantile: float) -> Any:
-        """The value whose turn it is at this part of the list."""
+        """The value at this quantile of the list."""
         return self.choice[int(quantile * len(self.choice))]
 
 
@@ -81,7 +81,7 @@ KINDS = ("uniform", "log_uniform", "choice")
 
 
 def _kind(change: Any) -> str:
-    """The kind of distribution that a change is, or "value"."""
+    """The kind of distribution of a change, or "value"."""
     if isinstance(change, Distribution):
         return next(iter(type(change).model_fields))
     return next((kind for kind in KINDS if isinstance(change, Mapping) and kind in change), "value")
@@ -94,11 +94,11 @@ Change = Annotated[
     | Annotated[Any, Tag("value")],
     Discriminator(_kind),
 ]
-"""What a spec says of a scene key: a distribution, or a value that is fixed."""
+"""Change of a scene key in a spec: a distribution or a fixed value."""
 
 
 def by_dotted_name(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The values and distributions of a nested table, each by its scene key's dotted name."""
+    """The values and distributions of a nested table, by dotted scene key."""
     found: dict[str, Any] = {}
     for name, value in table.items():
         key = f"{prefix}{name}"

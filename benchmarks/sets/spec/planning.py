@@ -1,4 +1,4 @@
-"""From a spec to the scene of every stack, evenly spread over what varies."""
+"""From a spec to the scenes of all stacks, spread evenly over the distributions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from benchmarks.sets.spec.spec import SEED_KEYS, SetSpec
 from scenes import Scene, SceneError, changed
 
 _MOST_STACKS = 2**20
-"""Of a set; the seeds of two sets do not meet."""
+"""Largest number of stacks in a set; with it, the seeds of two sets never overlap."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,10 +24,10 @@ class PlannedStack:
 
     Attributes:
         split: train, validation, test or adverse.
-        name: of its folder.
-        condition: of the adverse split, else None.
+        name: name of its folder.
+        condition: condition in the adverse split, else None.
         scene: its scene.
-        parameters: the scene's values of all keys that differ within the set, by dotted name.
+        parameters: values of the scene keys that vary within the set, by dotted name.
     """
 
     split: str
@@ -38,36 +38,36 @@ class PlannedStack:
 
 
 class _Group(NamedTuple):
-    """Stacks that are drawn from one distribution."""
+    """Stacks that are drawn from the same distributions."""
 
     split: str
     condition: str | None
     stacks: int
-    # By dotted name, values and distributions: what all groups vary, what the condition changes.
+    # Values and distributions by dotted name: those of all groups, and those of the condition.
     vary: dict[str, Any]
     condition_changes: dict[str, Any]
 
     @property
     def changes(self) -> dict[str, Any]:
-        """Both; a condition goes before what all groups vary."""
+        """Both; changes of the condition have priority."""
         return self.vary | self.condition_changes
 
 
 def plan(spec: SetSpec) -> list[PlannedStack]:
     """The stacks of a set, in order.
 
-    Every group of stacks takes a block of its own of one scrambled Sobol sequence (Owen 1998;
-    Sobol 1967), whose length is a power of two, so that it covers the distributions evenly by
-    itself. The n-th point of the sequence has the n-th seed, too.
+    Every group of stacks uses its own block of one scrambled Sobol sequence (Owen 1998; Sobol
+    1967). The length of a block is a power of two, so each block covers the distributions evenly.
+    The n-th point of the sequence has the n-th seed.
 
     Raises:
-        SceneError: a key is unknown, or a drawn scene cannot be.
+        SceneError: a key is unknown, or a drawn scene is invalid.
     """
     groups = list(_groups(spec))
     block = 2 ** math.ceil(math.log2(max(1, *(group.stacks for group in groups))))
     if block * len(groups) > _MOST_STACKS:
         raise ValueError(
-            f"a set has at most {_MOST_STACKS:,} stacks; this one counts {len(groups)} groups of "
+            f"a set can have at most {_MOST_STACKS:,} stacks; this one has {len(groups)} groups of "
             f"up to {block}. Lower the numbers of stacks."
         )
     drawn = sorted(
@@ -100,7 +100,7 @@ def _groups(spec: SetSpec) -> Iterator[_Group]:
 def _sobol(dimensions: int, count: int, *, seed: int) -> np.ndarray:
     if not dimensions:
         return np.empty((count, 0))
-    # A whole power of two, which the sequence is balanced over.
+    # The sequence is balanced over powers of two.
     exponent = math.ceil(math.log2(count))
     return qmc.Sobol(dimensions, rng=np.random.default_rng(seed)).random_base2(exponent)
 
@@ -124,7 +124,7 @@ def _planned(
     scene = Scene()
     try:
         for values in (base, drawn(group.vary), drawn(group.condition_changes)):
-            # A motion's kind comes first: it brings the keys that the others change.
+            # The kind of motion comes first, because the other keys depend on it.
             scene = changed(
                 scene, dict(sorted(values.items(), key=lambda v: v[0] != "motion.kind"))
             )
@@ -141,7 +141,7 @@ def _planned(
 
 
 def _value(scene: Scene, key: str) -> Any:
-    """A scene's value by its dotted key; None where its kind of motion has no such key."""
+    """A scene's value by its dotted key; None if its kind of motion lacks that key."""
     found: Any = scene
     for part in key.split("."):
         found = getattr(found, part, None)

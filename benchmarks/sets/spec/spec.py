@@ -1,21 +1,21 @@
-"""The spec of a labelled set: TOML, validated before anything is rendered.
+"""The spec file (TOML) of a labelled set and its validation.
 
 name = "eccentricity-v1"
 description = "…"
-seed = 2                            # sets of different seeds share no wall and no noise
-[splits]                            # stacks of each
+seed = 2                            # sets with different seeds have different walls and noise
+[splits]                            # number of stacks in each split
 train = 32
 validation = 8
 test = 8
-[scene]                             # what all stacks have, or: scene = "scene.toml"
+[scene]                             # common to all stacks; or: scene = "scene.toml"
 source.kind = "cone"
-[vary]                              # what differs from stack to stack
+[vary]                              # drawn anew for every stack
 spot.eccentricity_mm = { uniform = [0.0, 8.0] }
 source.cone_k = { log_uniform = [5.0, 25.0] }
 microscope.pinhole_height_mm = { choice = [11.5, 200.0] }
-[adverse]                           # a split of its own
-stacks = 4                          # of each condition
-[adverse.conditions.saturation]     # what the condition changes: values or distributions
+[adverse]                           # a split with difficult conditions
+stacks = 4                          # per condition
+[adverse.conditions.saturation]     # changes of this condition: values or distributions
 exposures.kinds = ["paper"]
 """
 
@@ -34,13 +34,13 @@ from scenes import parsed_change
 from scenes.description import problem_sentence
 
 SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
-"""Scene keys that every stack gets values of its own for."""
+"""Scene keys that have a different value in every stack."""
 
 _NAMED = resources.files("benchmarks.sets.spec") / "named"
 
 
 class SpecError(ValueError):
-    """A spec is missing, broken, or asks for what cannot be; the text says what to change."""
+    """A spec is missing, invalid or impossible; the text says what to change."""
 
 
 def _dotted(table: Any) -> Any:
@@ -56,7 +56,7 @@ class _Table(BaseModel):
 
 
 class Splits(_Table):
-    """Stacks of each split."""
+    """Number of stacks in each split."""
 
     train: _Count = 0
     validation: _Count = 0
@@ -64,24 +64,24 @@ class Splits(_Table):
 
 
 class Adverse(_Table):
-    """The split of frames that an estimator finds hard."""
+    """The split with difficult conditions."""
 
-    stacks: _Count = Field(description="Of each condition.")
+    stacks: _Count = Field(description="Number of stacks per condition.")
     conditions: dict[str, _Changes] = Field(min_length=1)
 
 
 class SetSpec(_Table):
-    """What a labelled set is made of.
+    """The spec of a labelled set.
 
     Attributes:
         vary: distributions by dotted scene key.
-        adverse: None where a set has no such split.
+        adverse: None if the set has no such split.
     """
 
     schema_version: Literal[1] = Field(1, alias="schema")
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")
     description: str
-    licence: str = Field("CC-BY-4.0", description="Of the images and labels; SPDX name.")
+    licence: str = Field("CC-BY-4.0", description="Licence of the images and labels (SPDX name).")
     seed: int = Field(ge=0, lt=2**40)
     splits: Splits = Splits()
     scene: Annotated[dict[str, Any], BeforeValidator(_dotted)] = {}
@@ -94,23 +94,23 @@ class SetSpec(_Table):
         for where, changes in {"scene": self.scene, "vary": self.vary, **conditions}.items():
             if taken := [key for key in SEED_KEYS if key in changes]:
                 raise ValueError(
-                    f"{where}.{taken[0]}: every stack gets a seed of its own from the set's "
-                    "`seed`. Take it out."
+                    f"{where}.{taken[0]}: every stack gets its own seed from the set's `seed`. "
+                    "Remove this key."
                 )
         if fixed := [
             key for key, value in self.vary.items() if not isinstance(value, Distribution)
         ]:
             raise ValueError(
                 f"vary.{fixed[0]} must be a distribution, one of {', '.join(KINDS)}; got "
-                f"{self.vary[fixed[0]]!r}. A value that all stacks share stands in [scene]."
+                f"{self.vary[fixed[0]]!r}. Move a value that is common to all stacks to [scene]."
             )
         if not (any(self.splits.model_dump().values()) or (self.adverse and self.adverse.stacks)):
-            raise ValueError("a set needs stacks: give [splits] or [adverse] a number of them.")
+            raise ValueError("a set needs stacks. Set the numbers in [splits] or [adverse].")
         return self
 
 
 def named_specs() -> list[str]:
-    """Names of the specs that come with the software."""
+    """Names of the specs in this package."""
     return sorted(Path(file.name).stem for file in _NAMED.iterdir() if file.name.endswith(".toml"))
 
 
@@ -118,11 +118,12 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
     """Read and validate a spec.
 
     Args:
-        source: path of a TOML file, or the name of a spec that comes with the software.
-        changes: scene keys that all stacks get one value of, each "table.key=value".
+        source: path of a TOML file, or the name of a spec in this package.
+        changes: scene keys that get the same value in all stacks, each "table.key=value".
 
     Raises:
-        SpecError: there is none, or it is broken; unknown keys name the nearest known one.
+        SpecError: the spec is missing or invalid; for an unknown key the message suggests the
+            nearest known one.
     """
     named = _NAMED / f"{source}.toml"
     try:
@@ -146,14 +147,14 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
 
 
 def _fix(content: dict[str, Any], values: dict[str, Any]) -> None:
-    """Set scene keys, which vary no longer."""
+    """Set scene keys to fixed values."""
     content["scene"] = _dotted(content.get("scene", {})) | values
     vary = _dotted(content.get("vary", {}))
     content["vary"] = {key: change for key, change in vary.items() if key not in values}
 
 
 def _scene_keys(path: Path) -> dict[str, Any]:
-    """What a scene file says, but for its schema and its seeds."""
+    """The keys of a scene file, except its schema and seeds."""
     content = by_dotted_name(tomllib.loads(path.read_text(encoding="utf-8")))
     return {key: value for key, value in content.items() if key not in ("schema", *SEED_KEYS)}
 
