@@ -305,7 +305,7 @@ def test_two_lines_for_an_image_are_refused(drawn: Path, images: Images, tmp_pat
         ([], "nothing to score"),
         (["missing.csv"], "no such spots file"),
         (["a/x.csv", "b/x.csv"], "two estimators have the name x"),
-        (["--mode", "subpixel", "--out", "."], "exists already"),
+        (["--mode", "subpixel", "--out", "."], "already exists"),
     ],
 )
 def test_what_cannot_be_scored_is_told(drawn: Path, arguments: list[str], words: str) -> None:

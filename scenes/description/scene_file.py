@@ -183,8 +183,9 @@ def problem_sentence(
         near = difflib.get_close_matches(str(path[-1]), siblings(), n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         return f"unknown key {where!r}{hint}"
-    message = problem["msg"].removeprefix("Value error, ")
-    return f"{where}: {message}; got {problem['input']!r}" if where else message
+    if problem["type"] == "value_error":  # our own message, which gives the value
+        return ": ".join(filter(None, [where, problem["msg"].removeprefix("Value error, ")]))
+    return f"{where}: {problem['msg']}; got {problem['input']!r}"
 
 
 def _siblings(location: tuple[int | str, ...]) -> list[str]:
