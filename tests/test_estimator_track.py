@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.bench.estimator_spotless import false_spots
+from benchmarks.bench.estimator.spotless import false_spots
 from estimator import (
     LiteralSettings,
     NoSpot,

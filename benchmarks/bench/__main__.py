@@ -1,13 +1,17 @@
-"""`make bench`: every claim of speed or accuracy, printed in one run beside its alternatives."""
+"""Runs benchmarks: `python -m benchmarks.bench [NAME ...] [--full]`."""
 
 from __future__ import annotations
 
-import runpy
+import importlib
+from typing import Annotated
 
-BENCHES = (
+import typer
+
+MAKE_BENCH = (
     "geometry_speed",
     "render_speed",
-    "estimator_accuracy",
+    "render_efficiency",
+    "estimator.accuracy",
     "fit_speed",
     "cone_fit",
     "image_fit",
@@ -15,8 +19,36 @@ BENCHES = (
     "study_speed",
     "dataset_speed",
 )
+"""What `make bench` runs. Each module has a function `run(*, full: bool)` that prints tables."""
+
+BY_NAME_ONLY = ("photon_fit", "estimator.tuning")
+"""Benches that take long, and whose results the documents do not state."""
+
+
+def main(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME ...]",
+            help=f"Benches to run: {', '.join(MAKE_BENCH)} (default: all of these), "
+            f"{' or '.join(BY_NAME_ONLY)}.",
+        ),
+    ] = None,
+    full: Annotated[
+        bool,
+        typer.Option(
+            "--full",
+            help="Use more or larger frames in render_speed, estimator.accuracy and image_fit.",
+        ),
+    ] = False,
+) -> None:
+    """Measure speed and accuracy, each compared with alternatives, and print tables."""
+    if unknown := set(names or ()) - {*MAKE_BENCH, *BY_NAME_ONLY}:
+        raise typer.BadParameter(f"no such bench: {', '.join(sorted(unknown))}. See --help.")
+    for name in names or MAKE_BENCH:
+        print(f"\n== {name}", flush=True)
+        importlib.import_module(f"benchmarks.bench.{name}").run(full=full)
+
 
 if __name__ == "__main__":
-    for bench in BENCHES:
-        print(f"\n== benchmarks.bench.{bench}", flush=True)
-        runpy.run_module(f"benchmarks.bench.{bench}", run_name="__main__")
+    typer.run(main)

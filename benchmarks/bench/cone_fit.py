@@ -1,6 +1,6 @@
-"""Figures of the fit of the exact geometry to ellipses: noise-free contours, and rendered stacks.
+"""Accuracy of the fit of the exact geometry to ellipses: exact contours and rendered stacks.
 
-The stacks' labels are read to compare with, not to fit.
+The labels of the stacks are used for comparison only, not for the fit.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 import calibration
 import optics
+from benchmarks.bench.output import show, table
 from calibration.recordings import read_recording
 from scenes import Scene, load_mitsuba, render_stack
 
@@ -26,20 +26,19 @@ _START = {"half_angle": 1.3 * _TRUE["half_angle"], "b": 0.7 * _TRUE["b"]}
 _PLACES = (("plane", 1.5, 0.0), ("plane", 3.0, 120.0), ("eyeball", 4.0, 0.0), ("eyeball", 5.0, 240))
 """Phantom, c in mm, azimuth in degrees."""
 _FRAMES = 13
-_ASKED = {"half_angle": 0.003 * _TRUE["half_angle"], "b": 0.02, "c": 0.01}
-_ASKED_WITHOUT_NOISE = 1e-6  # relative
+_LIMITS = {"half_angle": 0.003 * _TRUE["half_angle"], "b": 0.02, "c": 0.01}
+_RELATIVE_LIMIT_WITHOUT_NOISE = 1e-6
 
 
-def main() -> None:
-    """Fit, and print what was found beside the truth."""
+def run(*, full: bool) -> None:
+    """Fit, and print the parameters with their true values (`full` changes nothing)."""
     load_mitsuba()
-    console = Console()
     eye = optics.microscope(scale=0.0067, pinhole_height=200.0, eye_radius=11.5)
     trials = [_exact_trial(kind, c, math.radians(azimuth), eye) for kind, c, azimuth in _PLACES]
     fit = calibration.fit_cone(trials, eye, start=_START)
-    asked = {"half_angle": _TRUE["half_angle"], "b": -_TRUE["b"], "c": 1.0}
-    limits = {name: _ASKED_WITHOUT_NOISE * size for name, size in asked.items()}
-    console.print(_table("exact contours without noise", fit, limits))
+    sizes = {"half_angle": _TRUE["half_angle"], "b": -_TRUE["b"], "c": 1.0}
+    limits = {name: _RELATIVE_LIMIT_WITHOUT_NOISE * size for name, size in sizes.items()}
+    show(_table("exact contours without noise", fit, limits))
     with tempfile.TemporaryDirectory() as folder:
         stacks = [
             render_stack(_scene(*place), Path(folder) / f"{number}")
@@ -51,10 +50,10 @@ def main() -> None:
         recordings[0].microscope.ideal_microscope(),
         start=_START,
     )
-    console.print(_table("rendered cones with camera noise, sub-pixel spots", fit, _ASKED))
-    console.print(
+    show(
+        _table("rendered cones with camera noise, sub-pixel spots", fit, _LIMITS),
         f"chi squared per degree of freedom {fit.chi_squared / fit.degrees_of_freedom:.3f} over "
-        f"{fit.degrees_of_freedom}; converged: {fit.converged}"
+        f"{fit.degrees_of_freedom}; converged: {fit.converged}",
     )
 
 
@@ -99,18 +98,16 @@ def _scene(kind: str, c: float, azimuth: float) -> Scene:
     )
 
 
-def _table(title: str, fit: calibration.ConeFit, asked: dict[str, float]) -> Table:
-    table = Table(title=title)
-    for heading in ("parameter", "true", "found", "± σ", "off", "asked"):
-        table.add_column(heading, justify="left" if heading == "parameter" else "right")
+def _table(title: str, fit: calibration.ConeFit, limits: dict[str, float]) -> Table:
+    made = table(title, "parameter", "true", "found", "± σ", "error", "limit")
     sigma = np.sqrt(np.diag(fit.covariance))
     rows: Sequence[tuple[str, float, float, float, float]] = [
         *(
-            (n, _TRUE[n], fit.values[n], float(s), asked[n])
+            (n, _TRUE[n], fit.values[n], float(s), limits[n])
             for n, s in zip(fit.free, sigma, strict=True)
         ),
         *(
-            (f"c, {kind}", c, float(found), float(error), asked["c"])
+            (f"c, {kind}", c, float(found), float(error), limits["c"])
             for (kind, c, _), found, error in zip(
                 _PLACES, fit.eccentricity, fit.eccentricity_error, strict=True
             )
@@ -124,9 +121,5 @@ def _table(title: str, fit: calibration.ConeFit, asked: dict[str, float]) -> Tab
             f"{found - true:+.2g}",
             f"{limit:.2g}",
         )
-        table.add_row(name, *cells)
-    return table
-
-
-if __name__ == "__main__":
-    main()
+        made.add_row(name, *cells)
+    return made

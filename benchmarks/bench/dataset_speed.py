@@ -1,7 +1,7 @@
-"""How fast labelled sets are made: workers beside one process, two workers beside one.
+"""Time to render a labelled set: one process, one worker, two workers.
 
-Frames are those of static-v1. Processor time hardly depends on what else the machine does; wall
-time does, so that its ratios want two idle cores.
+The frames are those of static-v1. Processor time hardly depends on other processes. Wall time does,
+so its ratios need two idle cores.
 """
 
 from __future__ import annotations
@@ -17,60 +17,59 @@ from pathlib import Path
 from typing import NamedTuple
 
 from distributed import Client
-from rich.console import Console
 from rich.table import Table
 
+from benchmarks.bench.output import show, table
 from benchmarks.sets.make import local_workers, make_set
 from benchmarks.sets.spec import SetSpec, load_spec, plan
 from scenes import Scene, frame_count, load_mitsuba, render_stack
 
-_STACKS = 8  # measured: the same ones by everybody
-_WARM = 4  # stacks of another seed that each process makes first: kinds and walls of all sorts
+_STACKS = 8  # measured stacks, the same for all runs
+_WARM = 4  # stacks with another seed that each process renders first, to compile kernels
 _WANTED_FRAMES = 2000
 _BOUNDS = {"overhead": 1.15, "speed-up": 1.7, "seconds": 180.0}
 
 
 class Made(NamedTuple):
-    """What some frames took: seconds, and MB that each process held after each stack."""
+    """Seconds for some frames, and memory of each process after each stack (MB)."""
 
     name: str
     frames: int
-    start_s: float  # until every process had made its first stacks
+    start_s: float  # until every process has rendered its first stacks
     wall_s: float
     processor_s: float
     memory_mb: list[list[float]]
 
     @property
     def frame_ms(self) -> float:
-        """Processor time of a frame."""
+        """Processor time per frame."""
         return 1e3 * self.processor_s / self.frames
 
     @property
     def growth(self) -> float:
-        """Largest process at the end over the middle of the run."""
+        """Memory of the largest process at the end, relative to the middle of the run."""
         last, middle = self.memory_mb[-1], self.memory_mb[len(self.memory_mb) // 2]
         return max(last) / max(middle)
 
 
-def main() -> None:
-    """Print the table and the ratios, all from this run."""
-    load_mitsuba()  # a machine that cannot render says so first
+def run(*, full: bool) -> None:
+    """Print times and their ratios (`full` changes nothing)."""
+    load_mitsuba()  # fails early on a machine that cannot render
     spec = load_spec("static-v1")
     with tempfile.TemporaryDirectory() as folder:
         alone = _alone(spec, Path(folder) / "alone")
         one, two = (_with_workers(spec, n, Path(folder) / f"set-{n}") for n in (1, 2))
-    console = Console()
-    console.print(_table([alone, one, two]))
     seconds = two.start_s + _WANTED_FRAMES / two.frames * two.wall_s
-    console.print(
-        f"a frame from a worker over one from a single process: {one.frame_ms / alone.frame_ms:.2f}"
-        f" with one worker, {two.frame_ms / alone.frame_ms:.2f} with two; at most "
-        f"{_BOUNDS['overhead']:.2f}\n"
-        f"from one to two workers: {one.wall_s / two.wall_s:.2f} times as fast; at least "
-        f"{_BOUNDS['speed-up']:.1f}\n"
-        f"{_WANTED_FRAMES:,} frames with two workers, computed from these: {seconds:.0f} s; at "
-        f"most {_BOUNDS['seconds']:.0f}\n"
-        f"load of the machine at the end: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    show(
+        _table([alone, one, two]),
+        f"processor time per frame over a single process: {one.frame_ms / alone.frame_ms:.2f}"
+        f" with one worker, {two.frame_ms / alone.frame_ms:.2f} with two (limit "
+        f"{_BOUNDS['overhead']:.2f})",
+        f"two workers are {one.wall_s / two.wall_s:.2f} times as fast as one (at least "
+        f"{_BOUNDS['speed-up']:.1f} expected)",
+        f"{_WANTED_FRAMES:,} frames with two workers, extrapolated: {seconds:.0f} s (limit "
+        f"{_BOUNDS['seconds']:.0f} s)",
+        f"load of the machine at the end: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
     )
 
 
@@ -88,7 +87,7 @@ def _stacks(spec: SetSpec, count: int, seed: int) -> SetSpec:
 
 
 def _alone(spec: SetSpec, folder: Path) -> Made:
-    """The same stacks, one after the other in one process on one core."""
+    """The same stacks in one process on one core."""
     with ProcessPoolExecutor(1, get_context("spawn"), _stay_on_one_core) as process:
         warm, measured = (
             [stack.scene for stack in plan(part)] for part in (_warm(spec), _measured(spec))
@@ -149,20 +148,16 @@ def _memory_mb() -> float:
 
 
 def _table(made: Sequence[Made]) -> Table:
-    table = Table(title=f"{made[0].frames} frames of static-v1, set-up of each stack included")
-    for column in ("", "start s", "wall s", "processor ms/frame", "MB a process", "end/middle"):
-        table.add_column(column, justify="right" if column else "left")
-    for run in made:
-        table.add_row(
-            run.name,
-            f"{run.start_s:.1f}",
-            f"{run.wall_s:.1f}",
-            f"{run.frame_ms:.0f}",
-            f"{max(run.memory_mb[-1]):.0f}",
-            f"{run.growth:.3f}",
+    title = f"{made[0].frames} frames of static-v1, including the set-up of each stack"
+    columns = ("start s", "wall s", "processor ms/frame", "MB per process", "MB end/middle")
+    times = table(title, "", *columns)
+    for one in made:
+        times.add_row(
+            one.name,
+            f"{one.start_s:.1f}",
+            f"{one.wall_s:.1f}",
+            f"{one.frame_ms:.0f}",
+            f"{max(one.memory_mb[-1]):.0f}",
+            f"{one.growth:.3f}",
         )
-    return table
-
-
-if __name__ == "__main__":
-    main()
+    return times

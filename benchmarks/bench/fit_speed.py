@@ -1,9 +1,7 @@
-"""A thousand of the paper's fits as one batch, beside SciPy and NumPy one after the other.
+"""Time of a thousand of the paper's fits: one batch, SciPy, NumPy.
 
-    python -m benchmarks.bench.fit_speed
-
-Prints, for planes (delta k, b) and spheres (c), what each way takes, how many times the batch is as
-fast, and how far the answers lie apart.
+SciPy and NumPy fit one after the other. For planes (delta k, b) and spheres (c), the table gives
+the time of each method, its ratio to the batch, and the largest difference of the results.
 """
 
 from __future__ import annotations
@@ -15,11 +13,11 @@ from functools import partial
 
 import jax
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares
 
 import optics
+from benchmarks.bench.output import show, table
 from calibration.spots import plane_solution, sphere_solution
 
 _FITS, _SPOTS, _REPEATS = 1_000, 61, 5
@@ -28,28 +26,24 @@ _CONE = {"delta_k": 20.0 * 0.0067, "b": -5.117, "scale": 0.0067, "eye_radius": 1
 _SETTINGS = {"xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-12}
 
 
-def main() -> None:
-    """Print the table."""
+def run(*, full: bool) -> None:
+    """Print the table (`full` changes nothing)."""
     rng = np.random.default_rng(0)
     axis = np.linspace(38.0, 83.0, _SPOTS) + rng.uniform(-2.0, 2.0, (_FITS, 1))
     weight = np.ones_like(axis)
-    table = Table(
-        "fits",
-        "way",
-        "CPU seconds",
-        "batch's ratio",
-        "largest difference",
-        title=f"{_FITS} fits of {_SPOTS} spots; load {os.getloadavg()[0]:.1f}",
+    times = table(
+        f"{_FITS} fits of {_SPOTS} spots; load {os.getloadavg()[0]:.1f}",
+        *("fits", "method", "CPU seconds", "ratio to batch", "largest difference"),
     )
 
     noise = rng.normal(0.0, _NOISE_MM, axis.shape)
     distance = _CONE["delta_k"] * axis + _CONE["b"] + noise
     batch = _batch(plane_solution)
     seconds, planes = _fastest(lambda: batch(axis, distance, weight))
-    table.add_row("plane", "one batch", f"{seconds:.4f}", "", "")
+    times.add_row("plane", "one batch", f"{seconds:.4f}", "", "")
     for name, way in (("scipy least_squares", _plane_scipy), ("numpy lstsq", _plane_lstsq)):
         taken, theirs = _timed(partial(_one_by_one, way, axis, distance))
-        _row(table, "plane", name, taken, seconds, planes, theirs)
+        _row(times, "plane", name, taken, seconds, planes, theirs)
 
     eccentricity = rng.uniform(1.0, 6.0, (_FITS, 1))
     distance = noise + np.asarray(
@@ -64,14 +58,14 @@ def main() -> None:
     )
     batch = _batch(partial(sphere_solution, **_CONE))
     seconds, spheres = _fastest(lambda: batch(axis, distance, weight))
-    table.add_row("sphere", "one batch", f"{seconds:.4f}", "", "")
+    times.add_row("sphere", "one batch", f"{seconds:.4f}", "", "")
     taken, theirs = _timed(partial(_one_by_one, _sphere_scipy, axis, distance))
-    _row(table, "sphere", "scipy least_squares", taken, seconds, spheres, theirs)
-    Console().print(table)
+    _row(times, "sphere", "scipy least_squares", taken, seconds, spheres, theirs)
+    show(times)
 
 
 def _batch(solve: Callable) -> Callable[..., np.ndarray]:
-    """Parameters of many fits at once."""
+    """A function that solves many fits at once."""
     return jax.jit(jax.vmap(lambda *data: solve(*data).parameters))
 
 
@@ -81,21 +75,21 @@ def _one_by_one(
     return np.array([*map(way, axis, distance)])
 
 
-def _fastest(run: Callable[[], np.ndarray]) -> tuple[float, np.ndarray]:
-    """Least CPU seconds of several runs after the one that compiles."""
-    result = np.asarray(jax.block_until_ready(run()))
-    return min(_timed(lambda: jax.block_until_ready(run()))[0] for _ in range(_REPEATS)), result
+def _fastest(solve: Callable[[], np.ndarray]) -> tuple[float, np.ndarray]:
+    """Least CPU seconds of several runs after compilation, and the result."""
+    result = np.asarray(jax.block_until_ready(solve()))
+    return min(_timed(lambda: jax.block_until_ready(solve()))[0] for _ in range(_REPEATS)), result
 
 
-def _timed(run: Callable[[], np.ndarray]) -> tuple[float, np.ndarray]:
-    # Of all threads, which what else runs on the machine does not change.
+def _timed(solve: Callable[[], np.ndarray]) -> tuple[float, np.ndarray]:
+    # CPU time of all threads hardly depends on other processes.
     began = time.process_time()
-    result = run()
+    result = solve()
     return time.process_time() - began, result
 
 
 def _row(
-    table: Table,
+    times: Table,
     fits: str,
     way: str,
     seconds: float,
@@ -104,7 +98,7 @@ def _row(
     theirs: np.ndarray,
 ) -> None:
     difference = f"{np.abs(ours - theirs).max():.1e}"
-    table.add_row(fits, way, f"{seconds:.4f}", f"{seconds / batch:.0f}", difference)
+    times.add_row(fits, way, f"{seconds:.4f}", f"{seconds / batch:.0f}", difference)
 
 
 def _plane_scipy(axis: np.ndarray, distance: np.ndarray) -> np.ndarray:
@@ -119,7 +113,7 @@ def _plane_lstsq(axis: np.ndarray, distance: np.ndarray) -> np.ndarray:
 
 
 def _sphere_scipy(axis: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """cos(phi) by the model in NumPy, with its derivative."""
+    """Fit of cos(phi) with the model and its derivative in NumPy."""
     k, r = _CONE["delta_k"] / _CONE["scale"], _CONE["eye_radius"]
     radius = _CONE["scale"] * axis
 
@@ -132,7 +126,3 @@ def _sphere_scipy(axis: np.ndarray, distance: np.ndarray) -> np.ndarray:
         return (radius * (k + e / np.sqrt(r * r - e * e)))[:, None]
 
     return least_squares(misfit, [1.0], jac=slope, **_SETTINGS).x
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,8 @@
-"""Tip and axis from single rendered frames by all their pixels: a cone's, and a calibrated lens's.
+"""Accuracy of tip and axis from all pixels of single rendered frames, for a cone and a lens.
 
-The beam is known; the direction prior is a robot's, 5 degrees off, and the distance is known to
-half a millimetre. Each frame is fitted by itself. The contour alone is `eyespot study pose`.
+The beam is known. The robot gives a direction with an error of 5 degrees and a distance with an
+error of up to half a millimetre. Each frame is fitted alone. `eyespot study pose` uses the contour
+only.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 import calibration
 import optics
+from benchmarks.bench.output import show, table
 from benchmarks.evaluation import rms
 from benchmarks.studies.pose import PRIOR_DEG, REPORTED, angle_deg, drawn_prior
 from calibration import Prior
@@ -30,12 +31,12 @@ _ECCENTRICITIES_MM = (0.0, 2.5, 5.0)
 _FRAMES, _TRAVEL_MM = 4, 3.9
 _DISTANCE_SIGMA_MM = 0.5
 _LIGHT = {"sensitivity": Prior(200.0, 0.2), "illumination": Prior(0.05, 5e-4)}
-"""Of the camera and its lamp, as a calibration knows them."""
+"""Prior knowledge of the camera's sensitivity and the microscope light."""
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}
 
 
 class Pose(NamedTuple):
-    """Errors of one frame's pose; lengths mm, angles degrees."""
+    """Errors of the pose of one frame; lengths in mm, angles in degrees."""
 
     incidence_deg: float
     d_mm: float
@@ -46,10 +47,9 @@ class Pose(NamedTuple):
     chi_squared: float
 
 
-def main() -> None:
-    """Render, fit each frame, and print the errors beside the best reported ones."""
+def run(*, full: bool) -> None:
+    """Render, fit each frame, and print the errors (`full` changes nothing)."""
     load_mitsuba()
-    console = Console()
     sources: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, float]]] = {
         "cone": ({"kind": "cone"}, {"samples": 256}, _CONE),
         "lens": (
@@ -60,7 +60,7 @@ def main() -> None:
     }
     for kind, (source, microscope, known) in sources.items():
         poses = list(_poses(kind, source, microscope, known))
-        console.print(_table(kind, Scene.model_validate(_scene(source, microscope, 0, 10)), poses))
+        show(_table(kind, Scene.model_validate(_scene(source, microscope, 0, 10)), poses))
 
 
 def _poses(
@@ -74,10 +74,10 @@ def _poses(
                 stack = render_stack(scene, Path(folder) / "stack")
                 footage = read_footage(stack)
             for frame, labels in enumerate(stack.labels[1:], 1):
-                told = drawn_prior(np.array(labels.axis), rng)
+                reported = drawn_prior(np.array(labels.axis), rng)
                 distance = labels.d_mm + _DISTANCE_SIGMA_MM * rng.uniform(-1, 1)
                 fit = fit_footage(
-                    _single(footage, frame, told),
+                    _single(footage, frame, reported),
                     source=kind,
                     start=known,
                     free=(),
@@ -97,7 +97,7 @@ def _poses(
 
 
 def _single(footage: Footage, frame: int, axis: np.ndarray) -> Footage:
-    """One frame, of which the robot tells its axis alone."""
+    """One frame, with an axis from the robot."""
     one = slice(frame, frame + 1)
     return replace(
         footage,
@@ -129,24 +129,16 @@ def _table(kind: str, scene: Scene, poses: list[Pose]) -> Table:
     scale, camera = scene.microscope.scale_mm_px, scene.camera
     beam = f"k {1 / math.tan(_CONE['half_angle']):.0f}" if kind == "cone" else "lens 'dome' in air"
     tip, axis = REPORTED[1]
-    table = Table(
-        title=f"{kind}: single frames, {beam}, δ {scale:g} mm/px, full well "
+    made = table(
+        f"{kind}: single frames, {beam}, δ {scale:g} mm/px, full well "
         f"{camera.full_well_e:g} e, read noise {camera.read_noise_e:g} e; best reported with one "
-        f"spot: {tip:g} mm, {axis:g}°"
+        f"spot: {tip:g} mm, {axis:g}°",
+        *("incidence, °", "frames", "tip RMS, mm", "axis RMS, °", "σ of axis RMS, °"),
+        *("distance RMS, mm", "χ²/n"),
     )
-    for heading in (
-        "incidence, °",
-        "frames",
-        "tip RMS, mm",
-        "axis RMS, °",
-        "σ of axis RMS, °",
-        "distance RMS, mm",
-        "χ²/n",
-    ):
-        table.add_column(heading, justify="right")
     groups = {f"{i:g}": [p for p in poses if p.incidence_deg == i] for i in _INCIDENCES_DEG}
     for name, some in (groups | {"all": poses}).items():
-        table.add_row(
+        made.add_row(
             name,
             f"{len(some)}",
             f"{rms([p.tip_mm for p in some]):.4f}",
@@ -155,8 +147,4 @@ def _table(kind: str, scene: Scene, poses: list[Pose]) -> Table:
             f"{rms([p.distance_mm for p in some]):.4f}",
             f"{np.mean([p.chi_squared for p in some]):.3f}",
         )
-    return table
-
-
-if __name__ == "__main__":
-    main()
+    return made

@@ -1,4 +1,4 @@
-"""A million exact spots (128-point contour, ellipse, distance), and what one inverse takes."""
+"""Time of a million exact spots (128-point contour, ellipse, distance), and of single inverses."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import optics
+from benchmarks.bench.output import show, table
 
 _COUNT = 1_000_000
 _NUMPY_COUNT = 2_000
@@ -29,14 +28,14 @@ _LIMITS = {
 }
 
 
-def main() -> None:
-    """Print seconds for a million geometries by JAX and by NumPy, and for single inverses."""
+def run(*, full: bool) -> None:
+    """Print times by JAX and by NumPy, and of inverses (`full` changes nothing)."""
     rng = np.random.default_rng(0)
     poses = {name: jnp.asarray(rng.uniform(*ends, _COUNT)) for name, ends in _LIMITS.items()}
-    run = jax.jit(lambda poses: jax.lax.map(_distance, poses, batch_size=_BATCH))
-    run(poses).block_until_ready()
+    distances = jax.jit(lambda poses: jax.lax.map(_distance, poses, batch_size=_BATCH))
+    distances(poses).block_until_ready()
     began = time.perf_counter()
-    ours = run(poses).block_until_ready()
+    ours = distances(poses).block_until_ready()
     seconds = time.perf_counter() - began
 
     columns = {name: np.asarray(values[:_NUMPY_COUNT]) for name, values in poses.items()}
@@ -46,21 +45,20 @@ def main() -> None:
         for i in range(_NUMPY_COUNT)
     ]
     numpy_seconds = (time.perf_counter() - began) * _COUNT / _NUMPY_COUNT
-    table = Table("way", "s per million", "ratio", title="contour, ellipse, distance")
-    table.add_row("optics, jit", f"{seconds:.1f}", "1")
-    table.add_row(
-        f"NumPy, over the points ({_NUMPY_COUNT} timed)",
+    times = table("contour, ellipse, distance", "method", "s per million", "ratio")
+    times.add_row("optics, jit", f"{seconds:.1f}", "1")
+    times.add_row(
+        f"NumPy, one geometry at a time ({_NUMPY_COUNT} timed)",
         f"{numpy_seconds:.0f}",
         f"{numpy_seconds / seconds:.0f}",
     )
-    Console().print(table)
     worst = np.max(np.abs(np.asarray(ours[:_NUMPY_COUNT]) - theirs))
-    print(f"largest difference between the two: {worst:.1e} mm")
+    show(times, f"largest difference between the two: {worst:.1e} mm")
     _print_inverses()
 
 
 def _print_inverses() -> None:
-    """Print what one inverse evaluation takes after compilation."""
+    """Print the time of one inverse after compilation."""
     sphere = optics.Sphere(_EYE)
     camera = optics.microscope(scale=_SCALE, pinhole_height=_HEIGHT, eye_radius=_EYE)
     cone = {"half_angle": jnp.asarray(0.05), "apex_offset": jnp.asarray(_APEX)}
@@ -84,7 +82,7 @@ def _print_inverses() -> None:
             ellipse, sphere, camera, covariance=covariance, prior=prior, **cone
         ),
     }
-    table = Table("inverse", "ms, median", "ms, best", title=f"one spot, {_REPEATS} times")
+    made = table(f"one spot, {_REPEATS} times", "inverse", "ms, median", "ms, best")
     for name, way in ways.items():
         jax.block_until_ready(way())
         times = []
@@ -92,8 +90,8 @@ def _print_inverses() -> None:
             began = time.perf_counter()
             jax.block_until_ready(way())
             times.append(1e3 * (time.perf_counter() - began))
-        table.add_row(name, f"{np.median(times):.2f}", f"{min(times):.2f}")
-    Console().print(table)
+        made.add_row(name, f"{np.median(times):.2f}", f"{min(times):.2f}")
+    show(made)
 
 
 def _distance(pose: dict[str, jax.Array]) -> jax.Array:
@@ -120,7 +118,7 @@ def _numpy_distance(
     incidence_azimuth: float,
     half_angle: float,
 ) -> float:
-    """The same by plain NumPy, written for one geometry: the alternative to compare with."""
+    """The same in plain NumPy for one geometry, as the alternative."""
     sin_phi = eccentricity / _EYE
     cos_phi = np.sqrt(1 - sin_phi**2)
     ca, sa = np.cos(azimuth), np.sin(azimuth)
@@ -169,7 +167,3 @@ def _numpy_distance(
     radius = _SCALE * minor * size * factor
     sagitta = _EYE - np.sqrt(_EYE**2 - radius**2)
     return radius / np.tan(half_angle) + _APEX + sagitta
-
-
-if __name__ == "__main__":
-    main()

@@ -1,8 +1,8 @@
-"""A lens fitted through its own glass: photons behind the bridge, Levenberg-Marquardt in front.
+"""Accuracy of a lens fitted through its own glass, with Mitsuba behind JAX.
 
-Two programs that share no code of the lens make the two sides. Data: Mitsuba's particle tracer
-through a dielectric cap. Model: `scenes.rendering.differentiable` behind
-`calibration.render_as_jax`.
+Data and model share no code of the lens. The data come from Mitsuba's particle tracer through a
+dielectric cap. The model is `scenes.rendering.differentiable` behind `calibration.render_as_jax`,
+fitted by Levenberg-Marquardt.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy.ndimage import gaussian_filter1d
 
+from benchmarks.bench.output import show, table
 from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
 from calibration.solvers import least_squares
 from scenes import Scene, load_mitsuba
@@ -25,23 +25,23 @@ from scenes import Scene, load_mitsuba
 _LENS = "dome"
 _FRAMES, _HEIGHT, _WIDTH = 2, 48, 64
 _DATA_SEEDS, _PHOTONS_PER_PIXEL = 64, 8
-# More light would show what the model leaves out (docs/bridge.md).
+# With more light, approximations of the model would be visible (docs/bridge.md).
 _MODEL_SEEDS, _MODEL_PHOTONS = 8, 1 << 20
 _FREE = ("sag", "glue_length", "numerical_aperture", "tip_z", "power")
 _NAMES = ("sag, mm", "numerical aperture", "tip height, mm", "power, mW")
 _START_OFF = np.array([0.7, 1.3, 1.0, 1.3])
-"""Start over truth; the tip starts 0.2 mm off."""
+"""Start values relative to the truth; the tip starts with an error of 0.2 mm."""
 _TIP_OFF_MM = 0.2
-_DARK = 0.01  # of the peak: darker pixels count as if they had this much light
+_DARK = 0.01  # of the peak; the noise of darker pixels is set to that of this level
 _INNER = (..., slice(1, -1), slice(1, -1))
-"""Without the outermost pixels, whose outer neighbours `in_spline_pixels` lacks."""
+"""Without the outermost pixels, which `in_spline_pixels` cannot compute."""
 _BLUR_PX = 1.5
-"""Of residuals. Photons that step from pixel to pixel are noise in the Jacobian, which makes steps
-and errors too small; blurred, it is an order of magnitude less."""
+"""Blur of the residuals. Photons that move from pixel to pixel are noise in the Jacobian, which
+makes steps and errors too small; the blur reduces this noise by a factor of ten."""
 
 
 class Fit(NamedTuple):
-    """A fitted lens, its error and the truth; chi^2 over what the noise of the seeds makes it."""
+    """A fitted lens with errors and truth; chi^2 is relative to its expectation from the seeds."""
 
     fitted: np.ndarray
     sigma: np.ndarray
@@ -52,17 +52,16 @@ class Fit(NamedTuple):
     seconds: float
 
 
-def main() -> None:
-    """Print the tables, all from this run."""
+def run(*, full: bool) -> None:
+    """Fit a lens in air and in vitreous, and print the results (`full` changes nothing)."""
     load_mitsuba()
-    console = Console()
     for medium in ("air", "vitreous"):
-        console.print(_table(medium, fit_lens(medium)))
+        show(_table(medium, fit_lens(medium)))
 
 
 def fit_lens(medium: str) -> Fit:
-    """Fit a lens to photon images of two distances in a medium."""
-    from scenes.rendering import PhotonImage  # Mitsuba's variant is set by now
+    """Fit a lens to photon images at two distances in a medium."""
+    from scenes.rendering import PhotonImage  # needs Mitsuba's variant
 
     scene = _scene(medium)
     data = _data(scene)[_INNER]
@@ -86,7 +85,7 @@ def fit_lens(medium: str) -> Fit:
         sag, aperture, offset, power = parameters
         frames = []
         for image, height in zip(images, heights, strict=True):
-            # The drop grows with its cap: the core's face stays where it is.
+            # The drop grows with its cap, so that the core's face does not move.
             values = jnp.stack([sag, sag + gap, aperture, height + offset, power])
             frames.append(image(values)[..., 0])
         return jnp.stack(frames)[_INNER]
@@ -105,7 +104,7 @@ def fit_lens(medium: str) -> Fit:
     seconds = time.process_time() - began
 
     seeds = [model(solution.parameters, [host.value for host in seed]) for seed in hosts]
-    # Neighbours' noise hangs together, so it is followed seed by seed.
+    # The noise of neighbouring pixels is correlated, so it is propagated seed by seed.
     ours, theirs = (_blurred(x / sigma[:, None]) for x in (np.stack(seeds, axis=1), data))
     expected = ours.var(axis=1, ddof=1) + theirs.var(axis=1, ddof=1) / _DATA_SEEDS
     jacobian = np.asarray(jax.jacfwd(residual)(solution.parameters))
@@ -125,14 +124,14 @@ def _data(scene: Scene) -> np.ndarray:
     """Mitsuba's images of every frame, frames x seeds x H x W."""
     seeds = range(100, 100 + _DATA_SEEDS)
     settings: Any = {"photons_per_pixel": _PHOTONS_PER_PIXEL, "seeds": seeds}
-    from scenes.rendering import glass_images  # Mitsuba's plugins need the variant
+    from scenes.rendering import glass_images  # needs Mitsuba's variant
 
     frames = [glass_images(scene, frame=frame, **settings) for frame in range(_FRAMES)]
     return in_spline_pixels(np.stack(frames))
 
 
 def _blurred(images: Any) -> Any:
-    """By a Gaussian, ... x H x W, of NumPy or JAX; white noise keeps its variance."""
+    """Images (... x H x W, NumPy or JAX) after a Gaussian blur that keeps the variance of noise."""
     rows, columns = (
         gaussian_filter1d(np.eye(size), _BLUR_PX, axis=0) for size in images.shape[-2:]
     )
@@ -141,7 +140,7 @@ def _blurred(images: Any) -> Any:
 
 
 def _variance(jacobian: np.ndarray, images: np.ndarray) -> np.ndarray:
-    """Of the parameters by the noise of one of the seeds, of frames x seeds x H x W."""
+    """Variance of the parameters from the noise of one seed; images are frames x seeds x H x W."""
     noise = np.swapaxes(images - images.mean(axis=1, keepdims=True), 0, 1)
     shifts, *_ = np.linalg.lstsq(jacobian, noise.reshape(len(noise), -1).T, rcond=None)
     return shifts.var(axis=1, ddof=1)
@@ -170,12 +169,13 @@ def _scene(medium: str) -> Scene:
 
 
 def in_spline_pixels(images: np.ndarray) -> np.ndarray:
-    """Box pixels to quadratic-spline pixels, which are boxes blurred by a tent.
+    """Convert box pixels to quadratic-spline pixels, which are boxes blurred by a tent.
 
-    The tent's second moment, 1/6 px^2, is that of (1, 10, 1)/12; light is smooth over a pixel.
+    The kernel (1, 10, 1)/12 has the second moment of the tent, 1/6 px^2, which is enough where
+    light is smooth over a pixel.
 
     Args:
-        images: of box pixels, ... x H x W; at the edge, wrong unless it is dark.
+        images: images with box pixels, ... x H x W. The result is wrong at edges that are not dark.
     """
     for axis in (-2, -1):
         images = (10 * images + np.roll(images, 1, axis) + np.roll(images, -1, axis)) / 12
@@ -183,19 +183,14 @@ def in_spline_pixels(images: np.ndarray) -> np.ndarray:
 
 
 def _table(medium: str, fit: Fit) -> Table:
-    table = Table(title=f"lens '{_LENS}' in {medium}, {_FRAMES} frames of {_WIDTH} x {_HEIGHT} px")
-    for heading in ("parameter", "truth", "start", "fitted", "sigma", "error / sigma"):
-        table.add_column(heading, justify="left" if heading == "parameter" else "right")
+    state = "converged" if fit.converged else "NOT converged"
+    made = table(
+        f"lens '{_LENS}' in {medium}, {_FRAMES} frames of {_WIDTH} x {_HEIGHT} px",
+        *("parameter", "truth", "start", "fitted", "sigma", "error / sigma"),
+        caption=f"{state}, chi^2 / expected {fit.chi_squared:.3f}, {fit.seconds:.0f} s of CPU",
+    )
     rows = zip(_NAMES, fit.truth, fit.start, fit.fitted, fit.sigma, strict=True)
     for name, truth, start, fitted, sigma in rows:
         numbers = (f"{truth:.5f}", f"{start:.5f}", f"{fitted:.5f}", f"{sigma:.5f}")
-        table.add_row(name, *numbers, f"{(fitted - truth) / sigma:+.2f}")
-    state = "converged" if fit.converged else "NOT converged"
-    table.caption = (
-        f"{state}, chi^2 over expected {fit.chi_squared:.3f}, {fit.seconds:.0f} s of CPU"
-    )
-    return table
-
-
-if __name__ == "__main__":
-    main()
+        made.add_row(name, *numbers, f"{(fitted - truth) / sigma:+.2f}")
+    return made

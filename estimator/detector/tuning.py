@@ -9,7 +9,7 @@ Units: "radii" are radii of the spot's ellipse in the same direction, "edge widt
 
 - derived: it follows from something else, which is named.
 - fitted: it was measured on frames, which are named.
-- set by hand, for a purpose. `python -m benchmarks.bench.estimator_tuning` shows the effect of 20 %
+- set by hand, for a purpose. `python -m benchmarks.bench estimator.tuning` shows the effect of 20 %
   more or less of each constant on 72 drawn frames: none for 67 of 114 constants, and the largest
   change of a semi-axis is 1.5 px (Motion.ALONG), 1.3 px (Saturated.READABLE), 0.7 px (Sharp.REACH)
   and below 0.5 px for all others.

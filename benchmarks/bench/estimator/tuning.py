@@ -1,9 +1,7 @@
-"""What 20 % more or less of each constant of the detector changes: `estimator.detector.tuning`.
+"""Effect of each constant of `estimator.detector.tuning` if it changes by 20 %.
 
-    python -m benchmarks.bench.estimator_tuning
-
-Prints the largest change of a spot's semi-axes on drawn frames, and the number of frames whose
-outcome changes. A constant without effect here matters elsewhere or not at all.
+The table gives the largest change of a semi-axis on drawn frames, and the number of frames whose
+outcome changes. A constant without effect here may matter on other frames.
 """
 
 from __future__ import annotations
@@ -13,11 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks.bench.estimator_lines import lines
-from benchmarks.bench.estimator_spotless import spotless_frame
+from benchmarks.bench.estimator.frame_kinds import frame_kinds
+from benchmarks.bench.estimator.spotless import spotless_frame
+from benchmarks.bench.output import show, table
 from estimator import NoSpot, SubpixelSettings, TrackState, measure
 from estimator.detector import tuning
 from scenes.drawn import frame_of
@@ -27,11 +24,11 @@ SPOTLESS_FRAMES = 20
 
 
 class Effect(NamedTuple):
-    """What a changed constant does.
+    """Effect of a changed constant.
 
     Attributes:
-        largest_px: change of a semi-axis.
-        outcomes: frames in which a spot appears or vanishes, or the reason changes.
+        largest_px: largest change of a semi-axis.
+        outcomes: number of frames in which a spot appears or vanishes, or the reason changes.
     """
 
     largest_px: float
@@ -55,7 +52,7 @@ AT_IMPORT = {
 
 
 def constants() -> list[tuple[type, str]]:
-    """Every number of the table that is read when a frame is measured, with its class."""
+    """All constants of the detector, each as class and name."""
     return [
         (stage, name)
         for _, stage in inspect.getmembers(tuning, inspect.isclass)
@@ -67,17 +64,17 @@ def constants() -> list[tuple[type, str]]:
 
 
 def drawn() -> list[np.ndarray]:
-    """One frame of each kind, and some without a spot."""
+    """One frame of each kind, and some frames without a spot."""
     frames = []
-    for line in lines().values():
+    for kind in frame_kinds().values():
         rng = np.random.default_rng(2020)
-        frames.append(frame_of(line.make(rng), rng))
+        frames.append(frame_of(kind.make(rng), rng))
     rng = np.random.default_rng(2020)
     return [*frames, *(spotless_frame(rng) for _ in range(SPOTLESS_FRAMES))]
 
 
 def outcomes_of(frames: list[np.ndarray]) -> list[tuple[str, float, float]]:
-    """Reason or "spot", and both semi-axes, of each frame."""
+    """For each frame "spot" or the reason of failure, and both semi-axes."""
     found = []
     for frame in frames:
         result, _ = measure(frame, TrackState(), SubpixelSettings())
@@ -110,13 +107,12 @@ def effect_of(
     return Effect(max(moved, default=0.0), others)
 
 
-def main() -> None:
-    """Print the table."""
+def run(*, full: bool) -> None:
+    """Print the table (`full` changes nothing)."""
     frames = drawn()
     usual = outcomes_of(frames)
-    table = Table(title=f"{len(frames)} drawn frames")
-    for heading in ("constant", "value", "-20 %: px", "outcomes", "+20 %: px", "outcomes"):
-        table.add_column(heading, justify="left" if heading == "constant" else "right")
+    effects = ("-20 %: px", "outcomes", "+20 %: px", "outcomes")
+    made = table(f"{len(frames)} drawn frames", "constant", "value", *effects)
     for stage, name in constants():
         cells = []
         for factor in (1 - CHANGE, 1 + CHANGE):
@@ -126,9 +122,5 @@ def main() -> None:
                 cells += ["fails", ""]
             else:
                 cells += [f"{effect.largest_px:.3f}", f"{effect.outcomes}"]
-        table.add_row(f"{stage.__name__}.{name}", f"{getattr(stage, name):g}", *cells)
-    Console(width=100).print(table)
-
-
-if __name__ == "__main__":
-    main()
+        made.add_row(f"{stage.__name__}.{name}", f"{getattr(stage, name):g}", *cells)
+    show(made, width=100)

@@ -1,8 +1,8 @@
-"""The peer `pupil-detectors` in an environment of its own: it pulls in another OpenCV.
+"""The detector of `pupil-detectors`, in its own environment because it needs another OpenCV.
 
-The environment is made in the user's cache on first use. This file is also what runs in it, as a
-script: it reads crops from its standard input, each after a line with its height and width, and
-answers each with a line.
+The environment is created in the user's cache on first use. This file also runs there as a script:
+it reads crops from its standard input, each after a line with height and width, and prints one line
+per crop.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ import numpy as np
 
 PACKAGE = "pupil-detectors==2.0.2"
 _SECONDS_TO_BUILD = 300
-_SMALLEST_PX, _LARGEST_PX = 20, 400  # diameters that it looks for
+_SMALLEST_PX, _LARGEST_PX = 20, 400  # range of diameters
 
 
 class PupilUnavailable(RuntimeError):
-    """The package cannot be had here; the message says why."""
+    """The package is not available; the message says why."""
 
 
 class PupilDetector:
-    """A process that finds the pupil in grey crops: a dark ellipse, so a spot's negative."""
+    """A process that finds a pupil (a dark ellipse, the negative of a spot) in grey crops."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
-            # Isolated, so that no module of this folder is taken for one of the package's.
+            # -I: modules of this folder must not hide those of the package.
             [str(_environment()), "-I", __file__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -41,7 +41,7 @@ class PupilDetector:
         )
 
     def semi_minor(self, crop: np.ndarray) -> float:
-        """Semi-minor axis of the bright ellipse of an 8-bit grey crop, px; NaN if none is seen."""
+        """Semi-minor axis of the bright ellipse of an 8-bit grey crop, px; NaN if not found."""
         process = self._process
         assert process.stdin and process.stdout and process.stderr
         with contextlib.suppress(BrokenPipeError):
@@ -61,7 +61,7 @@ class PupilDetector:
 
 @functools.cache
 def why_unavailable() -> str | None:
-    """Why there is no pupil detector here; None if there is one."""
+    """Why the detector is not available; None if it is."""
     try:
         detector = PupilDetector()
         try:
@@ -80,7 +80,7 @@ def _environment() -> Path:
     home = cache / f"{PACKAGE.replace('==', '-')}-python{version}"
     if not home.exists():
         cache.mkdir(parents=True, exist_ok=True)
-        # Made under another name: an environment that was cut short is never taken for whole.
+        # Made under a temporary name, so that an incomplete environment is never used.
         with tempfile.TemporaryDirectory(dir=cache, ignore_cleanup_errors=True) as made:
             _run([sys.executable, "-m", "venv", made])
             _run([str(Path(made) / "bin/python"), "-m", "pip", "install", "--quiet", PACKAGE])

@@ -1,4 +1,4 @@
-"""Frames without a spot: how often one is seen, and how soon a lost spot is found again."""
+"""Frames without a spot: false spots, and how soon a lost spot is found again."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from scenes.drawn import (
 )
 
 _LOST_FRAMES = 3
-_LONGEST = 10  # frames within which a spot is found or never
+_LONGEST = 10  # frames after which the search is given up
 
 
 def spotless_frame(rng: np.random.Generator) -> np.ndarray:
-    """A retina under any ambient light, with glints or a shaft or neither, and no spot."""
+    """A retina without a spot, with random ambient light, and sometimes glints or a shaft."""
     scene = Drawing(
         truth=any_truth(rng, 60),
         amplitude=0.0,
@@ -39,7 +39,7 @@ def spotless_frame(rng: np.random.Generator) -> np.ndarray:
 
 
 def false_spots(number: int, seed: int) -> int:
-    """How many of so many frames without a spot show one, half of them searched round a point."""
+    """Number of false spots in frames without a spot; half of the searches start at a point."""
     rng = np.random.default_rng(seed)
     states = (TrackState(), TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2)))
     settings = SubpixelSettings()
@@ -48,9 +48,9 @@ def false_spots(number: int, seed: int) -> int:
 
 
 def frames_until_found(number: int, seed: int) -> list[int]:
-    """Frames until a spot is measured after it was gone for a while and came back elsewhere.
+    """Number of frames until a spot is found again that vanished and returned elsewhere.
 
-    1: in the first frame that shows it again.
+    1 means: in the first frame that shows it again.
     """
     rng = np.random.default_rng(seed)
     settings = SubpixelSettings()
@@ -73,7 +73,7 @@ def frames_until_found(number: int, seed: int) -> list[int]:
 
 
 def _elsewhere(truth: Truth, rng: np.random.Generator) -> Truth:
-    """Anywhere in the frame, whole, and up to a third larger or smaller."""
+    """The ellipse at a random position in the frame, up to a third larger or smaller."""
     growth, margin = rng.uniform(0.75, 1.33), 1.33 * truth.semi_major
     return replace(
         truth,

@@ -1,4 +1,4 @@
-"""Frames rendered by Mitsuba, with the labels that their scene gives: truth from other code."""
+"""Frames rendered by Mitsuba, with the labels of their scene."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.bench.estimator_lines import CLEAN
-from benchmarks.bench.estimator_methods import View
+from benchmarks.bench.estimator.frame_kinds import CLEAN
+from benchmarks.bench.estimator.methods import View
 from scenes.drawn import Truth
 
 RENDERS = {"rendered cone, incidence 30°": 30.0, "rendered cone behind its shaft, 12°": 12.0}
-"""Incidence of the beam (deg) by the name of the line."""
+"""Incidence of the beam (deg) by the name of the kind of frame."""
 
-ASKED = CLEAN
+LIMITS = CLEAN
 _FRAMES = 12
-_VISIBLE = 0.5  # of the contour: with less, a frame is a failure
+_VISIBLE = 0.5  # frames with a smaller visible fraction of the contour are skipped
 _NEAREST_MM, _TRAVEL_MM = 1.5, 4.0
 
 

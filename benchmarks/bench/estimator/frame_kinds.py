@@ -1,4 +1,4 @@
-"""The frames on which the estimator is judged, and the figures asked of it there."""
+"""The kinds of drawn frames, with the limits of the estimator's errors on them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Make = Callable[[np.random.Generator], Drawing]
 
 SIZES = (20, 40, 60, 100, 150)
 _SHAFT_PX = 75.0
-_REFERENCES = 8  # frames without the spot that make a reference
+_REFERENCES = 8  # frames without the spot, averaged into a reference
 _LENS = "dome"
 
 CLEAN = {"bias": 0.02, "std": 0.03}
@@ -38,23 +38,23 @@ ADVERSE = {"rmse": 0.15, "missed": 0, "silent_wrong": 0}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Line:
+class FrameKind:
     """A kind of frame.
 
     Attributes:
-        make: one such scene.
-        asked: largest magnitude by name of `estimator_accuracy.Figures`.
-        reference: whether there is a reference frame.
-        blur_px: of the edge, where the Cramér-Rao bound is known; else None.
+        make: draws one such frame.
+        limits: largest absolute values of `accuracy.Figures`, by name.
+        reference: whether a reference frame is given.
+        blur_px: blur of the edge if the Cramér-Rao bound is known, else None.
     """
 
     make: Make
-    asked: dict[str, float] = field(default_factory=dict)
+    limits: dict[str, float] = field(default_factory=dict)
     reference: bool = False
     blur_px: float | None = None
 
     def reference_of(self, scene: Drawing, rng: np.random.Generator) -> np.ndarray | None:
-        """The mean of some frames without the spot."""
+        """Mean of some frames without the spot, or None."""
         if not self.reference:
             return None
         dark = replace(scene, amplitude=0.0)
@@ -63,42 +63,44 @@ class Line:
 
 
 def cramer_rao_bound(semi_minor: float, blur_px: float, scene: Drawing) -> float:
-    """Least standard deviation (px) of the semi-minor axis of a near-circle on an even wall.
+    """Smallest standard deviation (px) of the semi-minor axis of a near-circle on an even wall.
 
-    (s / D) sqrt(3 w / (sqrt(pi) B)) with the grey mean's noise s, the step D, the edge's blur w and
-    the radius B: all pixels of the edge, five parameters.
+    (s / D) sqrt(3 w / (sqrt(pi) B)) with the noise s of the grey value, the step D, the blur w of
+    the edge and the radius B, for all pixels of the edge and five parameters.
     """
     grey_noise = scene.noise * math.hypot(0.299, 0.587, 0.114)
     spread = math.sqrt(3 * blur_px / (math.sqrt(math.pi) * semi_minor))
     return grey_noise / scene.amplitude * spread
 
 
-def lines() -> dict[str, Line]:
-    """All kinds of frames by name; b is the semi-minor axis, 60 px and the blur 2 px if not said.
+def frame_kinds() -> dict[str, FrameKind]:
+    """All kinds of frames by name. b is the semi-minor axis (default 60 px; default blur 2 px).
 
-    "Retina" is a wall with a printed fundus; no other wall has texture.
+    "Retina" is a wall with a printed fundus; "even" is a wall without texture.
     """
-    made = {f"even, b {b}": Line(make=_even(b), asked=CLEAN, blur_px=2.0) for b in SIZES}
+    made = {f"even, b {b}": FrameKind(make=_even(b), limits=CLEAN, blur_px=2.0) for b in SIZES}
     at_60 = made["even, b 60"]
     bound = cramer_rao_bound(60, 2.0, at_60.make(np.random.default_rng(0)))
-    made["even, b 60"] = replace(at_60, asked={**CLEAN, "std": 2 * bound})
-    made |= {f"retina, b {b}": Line(make=_retina(b), asked=CLEAN) for b in SIZES}
+    made["even, b 60"] = replace(at_60, limits={**CLEAN, "std": 2 * bound})
+    made |= {f"retina, b {b}": FrameKind(make=_retina(b), limits=CLEAN) for b in SIZES}
     for sigma in (1, 4, 8):
         profile = erf_edge(sigma)
-        made[f"even, blur {sigma} px"] = Line(
-            make=_even(60, profile=profile), asked=BIAS, blur_px=sigma
+        made[f"even, blur {sigma} px"] = FrameKind(
+            make=_even(60, profile=profile), limits=BIAS, blur_px=sigma
         )
-        made[f"retina, blur {sigma} px"] = Line(make=_retina(60, profile=profile), asked=BIAS)
+        made[f"retina, blur {sigma} px"] = FrameKind(make=_retina(60, profile=profile), limits=BIAS)
     for change, factor in (("-50 %", 0.5), ("+50 %", 1.5)):
         exposed = {"amplitude": 130.0 * factor, "ambient": 12.0 * factor}
-        made[f"even, exposure {change}"] = Line(make=_even(60, **exposed), asked=BIAS, blur_px=2.0)
-        made[f"retina, exposure {change}"] = Line(make=_retina(60, **exposed), asked=BIAS)
+        made[f"even, exposure {change}"] = FrameKind(
+            make=_even(60, **exposed), limits=BIAS, blur_px=2.0
+        )
+        made[f"retina, exposure {change}"] = FrameKind(make=_retina(60, **exposed), limits=BIAS)
     for drop in (0.2, 0.4):
         profile = domed_edge(2, drop)
-        made[f"even, dome {drop:.0%}"] = Line(make=_even(60, profile=profile), asked=BIAS)
-        made[f"retina, dome {drop:.0%}"] = Line(make=_retina(60, profile=profile), asked=BIAS)
+        made[f"even, dome {drop:.0%}"] = FrameKind(make=_even(60, profile=profile), limits=BIAS)
+        made[f"retina, dome {drop:.0%}"] = FrameKind(make=_retina(60, profile=profile), limits=BIAS)
     for name, profile in _bells().items():
-        made |= _bell_lines(name, profile)
+        made |= _bell_kinds(name, profile)
     return made | _saturated() | _adverse()
 
 
@@ -119,37 +121,37 @@ def _bells() -> dict[str, Profile]:
     }
 
 
-def _bell_lines(name: str, profile: Profile) -> dict[str, Line]:
+def _bell_kinds(name: str, profile: Profile) -> dict[str, FrameKind]:
     precise, rough = {"rmse": 0.003 * 60}, {"rmse": 0.01 * 60}
     retina = _retina(60, profile=profile, amplitude=150.0)
     return {
-        f"even, {name}": Line(make=_even(60, profile=profile), asked=precise),
-        f"retina, {name}": Line(make=retina, asked=rough),
-        f"retina, {name}, reference": Line(make=retina, asked=precise, reference=True),
+        f"even, {name}": FrameKind(make=_even(60, profile=profile), limits=precise),
+        f"retina, {name}": FrameKind(make=retina, limits=rough),
+        f"retina, {name}, reference": FrameKind(make=retina, limits=precise, reference=True),
     }
 
 
-def _saturated() -> dict[str, Line]:
+def _saturated() -> dict[str, FrameKind]:
     def coloured(rng: np.random.Generator) -> Drawing:
         wall = np.broadcast_to(np.array([1.0, 0.6, 0.5]), (480, 640, 3))
         return replace(_even(60, amplitude=1.7 * 255 - 15)(rng), wall=wall)
 
     made = {
-        f"even, peak {times} x full scale": Line(
-            make=_even(60, amplitude=times * 255 - 15), asked=SATURATED
+        f"even, peak {times} x full scale": FrameKind(
+            make=_even(60, amplitude=times * 255 - 15), limits=SATURATED
         )
         for times in (1.2, 1.5, 1.8)
     }
-    made["even, red 1.7 x, blue not"] = Line(make=coloured, asked=SATURATED)
-    made["retina, red 1.8 x"] = Line(make=_retina(60, amplitude=1.8 * 255), asked=SATURATED)
+    made["even, red 1.7 x, blue not"] = FrameKind(make=coloured, limits=SATURATED)
+    made["retina, red 1.8 x"] = FrameKind(make=_retina(60, amplitude=1.8 * 255), limits=SATURATED)
     for times in (2.5, 4.0):
-        made[f"even, peak {times} x full scale"] = Line(
-            make=_even(60, amplitude=times * 255 - 15), asked={"silent": 0}
+        made[f"even, peak {times} x full scale"] = FrameKind(
+            make=_even(60, amplitude=times * 255 - 15), limits={"silent": 0}
         )
     return made
 
 
-def _adverse() -> dict[str, Line]:
+def _adverse() -> dict[str, FrameKind]:
     def shafted(reach: float) -> Make:
         return lambda rng: with_shaft(_retina(80)(rng), rng, reach, _SHAFT_PX)
 
@@ -172,9 +174,11 @@ def _adverse() -> dict[str, Line]:
         "glints anywhere": glinting(False),
         "clipped by the border": clipped,
     }
-    found = {f"retina, {name}": Line(make=make, asked=ADVERSE) for name, make in made.items()}
+    found = {f"retina, {name}": FrameKind(make=make, limits=ADVERSE) for name, make in made.items()}
     for wall, at_rest in (("even", _even(60)), ("retina", _retina(60))):
-        found[f"{wall}, moved by half a diameter"] = Line(make=_moving(at_rest), asked=ADVERSE)
+        found[f"{wall}, moved by half a diameter"] = FrameKind(
+            make=_moving(at_rest), limits=ADVERSE
+        )
     return found
 
 

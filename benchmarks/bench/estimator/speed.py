@@ -1,4 +1,4 @@
-"""Time of a frame, both modes on the same frames in the same run."""
+"""Time per frame of both modes on the same frames."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
 
 _WARM = 20
-_JUMP_EVERY = 50  # frames; a jump is a loss, and what follows a recovery
+_JUMP_EVERY = 50  # frames; a jump loses the spot, which is then found again
 _JUMP_PX = 150.0
-_STEPS_PX = [(1.6 * k, 1.2 * k) for k in range(6)]  # 2 px a frame, there and back
-_THRESHOLD = 90  # of the literal mode: these frames are not as bright as the paper's
+_STEPS_PX = [(1.6 * k, 1.2 * k) for k in range(6)]  # 2 px per frame, there and back
+_THRESHOLD = 90  # of the literal mode; these frames are darker than the paper's
 
 
 class Times(NamedTuple):
-    """Seconds a frame."""
+    """Seconds per frame."""
 
     frames: str
     subpixel: np.ndarray
@@ -26,9 +26,9 @@ class Times(NamedTuple):
 
 
 def frame_times(number: int) -> list[Times]:
-    """Times of a spot that wanders a little and now and then jumps further than it may.
+    """Times for a spot that moves slowly and sometimes jumps out of the search region.
 
-    The modes take turns frame by frame, so that both meet the machine in the same state.
+    The modes alternate frame by frame, so that other processes affect both equally.
     """
     rng = np.random.default_rng(0)
     measured = []

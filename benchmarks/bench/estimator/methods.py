@@ -1,4 +1,4 @@
-"""What is compared: both modes of the estimator, and peers on the same crops."""
+"""The compared methods: both modes of the estimator, and other software on the same crops."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.bench.estimator_pupil import PupilDetector, why_unavailable
+from benchmarks.bench.estimator.pupil import PupilDetector, why_unavailable
 from estimator import LiteralSettings, Spot, SubpixelSettings, TrackState, measure
 from estimator.detector import EdgeFit, Region, contour_of, contour_points, regions_in
 from estimator.image import Window
 
 CROP_PX = 200
-"""Half side of the square that every method sees round the start point."""
+"""Half the side of the square around the start point that all methods get."""
 
-_SATURATED = 0.02  # fraction of full-scale pixels from which a spot counts as flagged
-_DOUBTFUL_PX = 0.5  # three stated standard deviations from which it does, too
+_SATURATED = 0.02  # a spot with a larger fraction of full-scale pixels counts as flagged
+_DOUBTFUL_PX = 0.5  # so does a spot with a larger 3 sigma
 
 
 class View(NamedTuple):
-    """What a method is given.
+    """Input of a method.
 
     Attributes:
         image: 8-bit RGB frame.
         at: (x, y) start point, px.
-        half_level: grey value in the middle between the spot and its surroundings.
-        reference: the view without the spot, or None.
+        half_level: grey value halfway between the spot and its surroundings.
+        reference: frame without the spot, or None.
     """
 
     image: np.ndarray
@@ -37,13 +37,13 @@ class View(NamedTuple):
     reference: np.ndarray | None
 
     def crop(self) -> np.ndarray:
-        """The square round the start point."""
+        """The square around the start point."""
         x, y = (round(v) for v in self.at)
         return self.image[max(y - CROP_PX, 0) : y + CROP_PX, max(x - CROP_PX, 0) : x + CROP_PX]
 
 
 class Measured(NamedTuple):
-    """Semi-minor axis (px, NaN for a miss), and whether the method warns of it."""
+    """Semi-minor axis (px, NaN if missed), and whether the method flags it as uncertain."""
 
     semi_minor: float
     flagged: bool = False
@@ -53,7 +53,7 @@ _MISSED = Measured(math.nan, flagged=True)
 
 
 def subpixel(view: View) -> Measured:
-    """Our default mode. A spot is flagged if it is saturated or says that it is uncertain."""
+    """Our default mode. A spot is flagged if it is saturated or its sigma is large."""
     spot, _ = measure(view.image, TrackState(at_px=view.at), _settings(view))
     if not isinstance(spot, Spot):
         return _MISSED
@@ -72,7 +72,7 @@ def literal_at_half(view: View) -> Measured:
 
 
 def ellipse_on_edges(view: View) -> Measured:
-    """scikit-image's EllipseModel through our edge points, those that we trim included."""
+    """scikit-image's EllipseModel through our edge points, including outliers."""
     window = Window.around(*view.at, CROP_PX, CROP_PX, view.image)
     for region in regions_in(view.image, window, _settings(view)):
         fit = contour_of(region) if isinstance(region, Region) else None
@@ -82,7 +82,7 @@ def ellipse_on_edges(view: View) -> Measured:
 
 
 def ellipse_on_contour(view: View) -> Measured:
-    """scikit-image alone: EllipseModel through the longest contour at the crop's Otsu level."""
+    """scikit-image alone: EllipseModel through the longest contour at Otsu's threshold."""
     from skimage.color import rgb2gray
     from skimage.filters import threshold_otsu
     from skimage.measure import find_contours
@@ -93,7 +93,7 @@ def ellipse_on_contour(view: View) -> Measured:
 
 
 def pupil(view: View) -> Measured:
-    """pupil-detectors' 2D detector on the crop's negative."""
+    """The 2D detector of pupil-detectors on the negative of the crop."""
     from skimage.color import rgb2gray
     from skimage.util import img_as_ubyte
 
@@ -111,7 +111,7 @@ METHODS: dict[str, Callable[[View], Measured]] = {
 
 
 def available() -> dict[str, Callable[[View], Measured]]:
-    """The methods that this machine has."""
+    """The methods that are installed on this machine."""
     return {k: v for k, v in METHODS.items() if v is not pupil or why_unavailable() is None}
 
 

@@ -1,0 +1,11 @@
+"""Accuracy and speed of the estimator, on frames with known ellipses.
+
+accuracy     Compares errors, false spots and times with their limits
+frame_kinds  The kinds of drawn frames, with the limits of the errors on them
+methods      The compared methods: both modes of the estimator, and other software
+pupil        The detector of `pupil-detectors`, in its own environment
+renders      Frames rendered by Mitsuba, with their labels
+speed        Time per frame of both modes on the same frames
+spotless     Frames without a spot: false spots, and how soon a lost spot is found again
+tuning       Effect of each constant of the detector
+"""
