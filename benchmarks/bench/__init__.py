@@ -16,3 +16,7 @@ render_efficiency  Noise and time of a rendered spot, compared with common ways 
 render_speed       Time of a labelled frame, from the scene to files on disk
 study_speed        Time of a million geometries in the study of eccentricity
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

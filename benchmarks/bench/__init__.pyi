@@ -1,0 +1,2 @@
+from .output import show as show
+from .output import table as table
