@@ -19,7 +19,7 @@ from scenes import Scene
 from scenes.world import World
 
 COMPARED = ("small_plane", "corrected", "stereographic", "exact")
-"""The models of a spot in an eyeball; `planar` knows of none."""
+"""The models of a spot in an eyeball; `planar` is one of a plane."""
 
 
 class Geometry(NamedTuple):
@@ -240,7 +240,7 @@ def _rows(
 
 
 def place(geometry: Geometry, *, c: float, d: float) -> dict[str, Any]:
-    """The columns of a CSV file that say where a spot is and through what it is seen."""
+    """The columns of a CSV file for the place of a spot and its geometry."""
     return {
         "c_mm": float(c),
         "d_mm": float(d),

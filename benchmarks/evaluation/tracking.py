@@ -110,7 +110,7 @@ class Tracked:
 
     @property
     def outcomes(self) -> tuple[str, ...]:
-        """What became of each frame: "used", or why it was left out."""
+        """Outcome of each frame: "used", or why it does not count."""
 
         def outcome(result: Spot | NoSpot, used: bool) -> str:
             if isinstance(result, NoSpot):

@@ -60,8 +60,8 @@ def small_multiples(
 
     Args:
         draw: draws a panel.
-        rows: what the rows stand for; [""] for a single row.
-        columns: what the columns stand for; [""] for a single column.
+        rows: keys of the rows; [""] for a single row.
+        columns: keys of the columns; [""] for a single column.
         title: of a panel; the row and the column if not given.
         x: label of the axis below the last row, the same for all or by column.
         y: label of the axis left of the first column, the same for all or by row.

@@ -12,7 +12,7 @@ from benchmarks.reporting.typeset import number
 
 
 def page(**content: Any) -> str:
-    """The page; report.html.j2 says what it shows of what it is given."""
+    """The page; the template report.html.j2 defines the content that it needs."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("benchmarks.reporting"),
         autoescape=True,

@@ -68,7 +68,7 @@ def finished_stack(
         progress: called once for each frame.
 
     Raises:
-        ValueError: the folder holds a stack of another scene.
+        ValueError: the folder has a stack of another scene.
     """
     if not folder.is_dir():
         return scenes.render_stack(scene, folder, progress=progress)

@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 import matplotlib
-from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
 import scenes
 from benchmarks.reporting import run_folder
@@ -21,6 +21,7 @@ from benchmarks.reporting.page import page
 from benchmarks.reporting.report import Data, Report
 from benchmarks.reporting.tables import write_csv
 from estimator import Stack
+from estimator.run import progress
 from scenes import Scene
 
 _RUN_SCHEMA = 1
@@ -56,7 +57,7 @@ class Study:
 
     Args:
         name: of the study.
-        request: what was asked for.
+        request: the arguments.
         defaults: changes of the default scene, used if no scene file is given; the request's own
             changes come after them.
         check: raises if the study cannot use the scene.
@@ -125,25 +126,23 @@ class Study:
     def measured(
         self, trials: Mapping[str, Scene], measure: Callable[[str, Stack], T]
     ) -> dict[str, T]:
-        """What `measure` returns for each stack (its name and itself), with a progress bar.
+        """What `measure` returns for each stack (its name and itself).
 
-        A stack is measured in a thread while the next one is rendered: rendering uses only half of
-        a core at times.
+        A stack is measured in a thread while the next one is rendered, because rendering leaves a
+        core half idle.
         """
         folder = self.folder / "stacks"
         folder.mkdir(exist_ok=True)
-        columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
+        total = sum(scenes.frame_count(scene) for scene in trials.values())
         with (
             ThreadPoolExecutor(max_workers=1) as beside,
-            Progress(*columns, transient=True) as progress,
+            progress("Rendering", total=total) as advance,
         ):
-            total = sum(scenes.frame_count(scene) for scene in trials.values())
-            task = progress.add_task("rendering", total=total)
             try:
                 found = {}
                 for name, scene in trials.items():
                     stack = run_folder.finished_stack(
-                        scene, folder / name, progress=lambda: progress.advance(task)
+                        scene, folder / name, progress=partial(advance, note=name)
                     )
                     found[name] = beside.submit(measure, name, stack)
                 return {name: future.result() for name, future in found.items()}

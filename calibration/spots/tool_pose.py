@@ -145,8 +145,8 @@ def tool_pose_bound(
     rows = jnp.einsum("cpi,cpij->cpj", across, slopes).reshape(-1, 6) / sigma_px
     free = [i for i in range(tool.unknowns) if not (axis_known and i in (3, 4))]
     rows = rows[:, np.array(free)]
-    told = 3 if axis_known else 5
-    return jnp.linalg.inv(rows.T @ rows)[:told, :told]
+    returned = 3 if axis_known else 5
+    return jnp.linalg.inv(rows.T @ rows)[:returned, :returned]
 
 
 def contour_mismatch_covariance(
@@ -215,10 +215,10 @@ def _linear(tool, step, start, ellipses, whitening, wall, view, prior):
         pose = moved(start, step)
         seen = tool_contours(tool, pose, wall, view, points=_POINTS)
         off = jax.vmap(optics.ellipse_mismatch)(seen, ellipses)
-        told = jnp.cross(pose.axis, prior.axis) / prior.sigma
+        of_prior = jnp.cross(pose.axis, prior.axis) / prior.sigma
         # A single spot does not show the roll, which keeps its start.
         still = step[tool.unknowns :]
-        found = jnp.concatenate([jnp.einsum("cij,cj->ci", whitening, off).ravel(), told, still])
+        found = jnp.concatenate([jnp.einsum("cij,cj->ci", whitening, off).ravel(), of_prior, still])
         return found, found
 
     slopes, found = jax.jacfwd(residual, has_aux=True)(step)

@@ -29,11 +29,11 @@ def run(request: Request) -> DynamicFindings:
     """Render, read, split and report.
 
     Args:
-        request: what was asked for; its option "source" is "cone", "lens" or "both", and
+        request: the arguments; its option "source" is "cone", "lens" or "both", and
             "exposure-ms" the exposure at the mean distance; metered ones grow with the distance.
 
     Raises:
-        SceneError: the wall is no eyeball, or the spot leaves the view.
+        SceneError: the wall is no eyeball, or the spot moves out of view.
         ValueError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """

@@ -53,7 +53,7 @@ def at_rest(scene: Scene) -> Scene:
 
 
 def sensitivity(rest: Stack, scene: Scene, way: Way, *, exposure_s: float) -> float:
-    """Sensitivity at which a way's exposure lasts as asked for at the study's mean distance.
+    """Sensitivity at which a way's exposure has the requested length at the study's mean distance.
 
     Args:
         rest: of `at_rest(scene)`.
@@ -93,7 +93,7 @@ def trials(
 
 
 def _path(motion: str, speed: float, *, interval_s: float, seed: int) -> dict[str, float | int]:
-    """Settings of a motion; the first frame and the last stand at its ends and are left out."""
+    """Settings of a motion; its first and last frames, at its ends, are not evaluated."""
     intervals = 1 + (_HAND_FRAMES if motion == "hand" else _STRAIGHT_FRAMES)
     duration = intervals * interval_s
     if motion == "withdrawal":

@@ -7,8 +7,7 @@ command   The command `eyespot study eccentricity`
 figures   Figures of the study of eccentricity
 findings  What the study of eccentricity finds: errors of the models, where they exceed limits, and
           why
-limits    At which c a model leaves a limit, with the true c and with c fitted as the paper
-          does
+limits    The c at which a model's error reaches a limit, with the true c and with a fitted one
 rendered  The rendered part: frames, the spots measured in them, and what rendering adds to their
           size
 report    The report of the study of eccentricity

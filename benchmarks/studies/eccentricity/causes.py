@@ -129,7 +129,7 @@ def _errors(
     links = Links(*causes[: len(LINKS)])
     edge_on, pixels_on, r_on, c_on = causes[len(LINKS) :]
     seen = chain.semi_minor(eye, d, links) + edge_on * edge + pixels_on * pixels
-    # The working distance is the microscope's own and stays, whatever r the models are given.
+    # The working distance is the microscope's, so it does not change with the wrong r.
     believed = eye._replace(
         radius=eye.radius + r_on * WRONG_R_MM, eccentricity=eye.eccentricity + c_on * WRONG_C_MM
     )

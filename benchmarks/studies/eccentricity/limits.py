@@ -1,4 +1,4 @@
-"""At which c a model leaves a limit, with the true c and with c fitted as the paper does."""
+"""The c at which a model's error reaches a limit, with the true c and with a fitted one."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def refitted(
 
 
 def limits(errors: Sequence[ModelError]) -> list[Limit]:
-    """Where each model leaves each limit, for every pinhole and incidence among the errors."""
+    """Where each model reaches each limit, for every pinhole and incidence among the errors."""
     groups: dict[tuple[str, bool, float, float], list[ModelError]] = {}
     for e in errors:
         groups.setdefault((e.model, e.refit, e.z_f_mm, e.incidence_deg), []).append(e)

@@ -35,7 +35,7 @@ def run(request: Request) -> EccentricityFindings:
     """Compute, render, compare and report.
 
     Args:
-        request: what was asked for; its option "geometries" is their number in the space.
+        request: the arguments; its option "geometries" is their number in the space.
 
     Raises:
         SceneError: the wall is no eyeball, or too small.

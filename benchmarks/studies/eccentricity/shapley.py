@@ -8,7 +8,7 @@ import numpy as np
 
 
 def coalitions(players: int) -> np.ndarray:
-    """All sets of players, 2^n x n: True for those who are in; row i holds the bits of i."""
+    """All sets of players, 2^n x n: True for members; row i has the bits of i."""
     return (np.arange(1 << players)[:, None] >> np.arange(players) & 1).astype(bool)
 
 

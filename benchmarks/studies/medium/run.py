@@ -32,7 +32,7 @@ def run(request: Request) -> MediumFindings:
     """Compute, render, compare and report.
 
     Args:
-        request: what was asked for.
+        request: the arguments.
 
     Raises:
         SceneError: the scene's source is not a lens.

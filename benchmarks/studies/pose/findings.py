@@ -78,7 +78,7 @@ class PoseError(NamedTuple):
 class Scatter(NamedTuple):
     """A summary of rows that share source, number of spots, prior and pinhole.
 
-    The errors of tip and axis leave mirrored solutions out; `tip_all_mm` and `distance_mm` have
+    The errors of tip and axis exclude mirrored solutions; `tip_all_mm` and `distance_mm` include
     them.
     """
 

@@ -24,7 +24,7 @@ def run(request: Request) -> PoseFindings:
     """Compute, render, compare and report.
 
     Args:
-        request: what was asked for.
+        request: the arguments.
 
     Raises:
         SceneError: the scene is no eyeball lit by a cone, or too small a one.

@@ -30,7 +30,7 @@ def run(request: Request) -> StaticFindings:
     """Render once, photograph and measure many times, fit and compare.
 
     Args:
-        request: what was asked for.
+        request: the arguments.
 
     Raises:
         SceneError: the scene is not a withdrawal from contact.

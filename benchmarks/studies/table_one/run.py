@@ -28,7 +28,7 @@ def run(request: Request) -> TableOneFindings:
     """Scan, render, compare and report.
 
     Args:
-        request: what was asked for.
+        request: the arguments.
 
     Raises:
         SceneError: the scene is not a withdrawal of a lens from a plane.
