@@ -73,13 +73,14 @@ class TooSmall:
 def bright_regions(
     coarse: Coarse, *, min_contrast: float, min_area: float
 ) -> Iterator[list[Candidate] | TooSmall]:
-    """Bright regions, brightest first, each as its possible readings.
+    """Bright regions, brightest first, each with the ellipses of which it may be a part.
 
     A region exceeds the half level between the bright and the dark part of the window (after a
     median filter). Its ellipse is fitted to the vertices of its convex hull: if something convex
     hides part of an ellipse, the hull's vertices still lie on the ellipse, because a chord without
-    vertices bridges the hidden part. A spot that a shaft splits in two has two readings: all of its
-    pieces, and the largest alone. A region that was offered is painted over before the next search.
+    vertices bridges the hidden part. A spot that a shaft splits in two has two ellipses: that of
+    all its pieces, and the largest alone. A region that was offered is painted over before the next
+    search.
 
     Args:
         coarse: the window.
@@ -115,8 +116,8 @@ def bright_regions(
                 for c, area in zip(contours, areas, strict=True)
                 if area > Search.SMALLEST_PIECE * areas[largest]
             ]
-            readings = [np.concatenate(pieces)] if len(pieces) > 1 else []
-            ellipses = [_hull_ellipse(points, coarse) for points in [*readings, contours[largest]]]
+            together = [np.concatenate(pieces)] if len(pieces) > 1 else []
+            ellipses = [_hull_ellipse(points, coarse) for points in [*together, contours[largest]]]
             yield [
                 Candidate(ellipse, peak * coarse.unit, background * coarse.unit, inside)
                 for ellipse in ellipses

@@ -22,10 +22,10 @@ from estimator.image import NoSpot, Reason, Window
 
 
 def contour_of(region: Region) -> EdgeFit | NoSpot:
-    """The region's contour; of several readings that of which most is visible."""
+    """The region's contour; of several candidates the one of which most is visible."""
     best: EdgeFit | None = None
     failure = NoSpot(Reason.NONE_FOUND)
-    for candidate in region.readings:
+    for candidate in region.candidates:
         fit = _fitted(region, candidate)
         if isinstance(fit, NoSpot):
             failure = fit

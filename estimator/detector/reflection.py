@@ -40,12 +40,12 @@ def shows_spot(patch: Patch, bell: EdgeFit, smallest_px: float) -> bool:
     coarse = Coarse.of_signal(small - surface, stride=stride, x0=x0, y0=y0)
     above = light - cv2.resize(surface, light.shape[::-1], interpolation=cv2.INTER_LINEAR)
     standing_out = Patch(above, x0, y0)
-    for readings in bright_regions(
+    for candidates in bright_regions(
         coarse, min_contrast=0, min_area=Reflection.SMALLEST * light.size
     ):
-        if isinstance(readings, TooSmall):
+        if isinstance(candidates, TooSmall):
             continue
-        fits = (fit_edge(standing_out, coarse, candidate) for candidate in readings)
+        fits = (fit_edge(standing_out, coarse, candidate) for candidate in candidates)
         if any(isinstance(fit, EdgeFit) and _is_rim(fit, smallest_px) for fit in fits):
             return True
     return False

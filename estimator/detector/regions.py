@@ -29,7 +29,7 @@ class Region:
         coarse: the window in which it was found, in the channel in which it is to be measured.
         channel: 0, 1, 2 or GREY.
         saturated: fraction of its pixels at full scale by channel, see `channel_for`.
-        readings: ellipses of which it may be a part, at least one.
+        candidates: at least one ellipse of which it may be a part.
     """
 
     frame: np.ndarray
@@ -37,17 +37,17 @@ class Region:
     coarse: Coarse
     channel: int
     saturated: tuple[float, ...]
-    readings: list[Candidate]
+    candidates: list[Candidate]
 
     @property
     def area_px(self) -> float:
         """Number of the frame's pixels in the region."""
-        return float(np.count_nonzero(self.readings[0].mask)) * self.coarse.stride**2
+        return float(np.count_nonzero(self.candidates[0].mask)) * self.coarse.stride**2
 
     @property
     def ellipse(self) -> Ellipse:
         """The ellipse round the region, good to a few px."""
-        return self.readings[0].ellipse
+        return self.candidates[0].ellipse
 
     @property
     def full_scale(self) -> float:
@@ -78,17 +78,17 @@ def regions_in(
     settings.meter.check(frame)
     grey = coarse_window(values, window, GREY, settings, full_scale)
     smallest = Search.SMALLEST_AREA * math.pi * settings.min_semi_minor_px**2
-    for readings in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
-        if isinstance(readings, TooSmall):
+    for candidates in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
+        if isinstance(candidates, TooSmall):
             yield NoSpot(Reason.TOO_SMALL)
-        elif readings:
-            mask = readings[0].mask.view(np.uint8)
+        elif candidates:
+            mask = candidates[0].mask.view(np.uint8)
             channel, saturated = channel_for(values, mask, full_scale)
             coarse = grey
             if channel != GREY:
                 coarse = coarse_window(values, window, channel, settings, full_scale)
-                readings = [candidate.relevelled(coarse) for candidate in readings]
-            yield Region(frame, settings, coarse, channel, saturated, readings)
+                candidates = [candidate.relevelled(coarse) for candidate in candidates]
+            yield Region(frame, settings, coarse, channel, saturated, candidates)
 
 
 def region_at(
