@@ -29,10 +29,10 @@ def fit(
     model: Annotated[
         Literal["auto", "cone", "plane", "sphere", "image", "lens"],
         typer.Option(
-            help="auto: cone or lens, by how sharp the spots' edges are. Fitted to spots: cone, "
-            "the exact geometry; plane, the paper's line through planes; sphere, the paper's "
-            "eccentricity of one eyeball, beside planes. Fitted to all pixels of one stack: image, "
-            "a cone; lens, a glue lens."
+            help="Model to fit; auto chooses cone or lens by how sharp the spots' edges are. "
+            "Fitted to spots: cone, the exact geometry; plane, the paper's line through planes; "
+            "sphere, the paper's eccentricity of one eyeball, beside planes. Fitted to all pixels "
+            "of one stack: image, a cone; lens, a glue lens."
         ),
     ] = "auto",
     exposure: Annotated[
