@@ -30,7 +30,7 @@ check: $(PACKAGES) ## lint, format, types
 	.venv/bin/ruff format --check
 	.venv/bin/mypy
 
-bench: $(LIBRARIES) ## measure the speeds that the README states
+bench: $(LIBRARIES) ## measure speed and accuracy, compared with alternatives
 	.venv/bin/python -m benchmarks.bench
 
 constraints: ## resolve all versions anew and write constraints.txt

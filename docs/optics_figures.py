@@ -1,4 +1,4 @@
-"""The figures of docs/optics.md: `python docs/optics_figures.py` draws them."""
+"""Draws the figures of docs/optics.md: `python docs/optics_figures.py`."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _EYE, _K, _APEX = 11.5, 20.0, -5.117
 _CONE: dict[str, Any] = {"half_angle": float(np.arctan(1.0 / _K)), "apex_offset": _APEX}
 _CONE_TEXT = f"$k$ {_K:g}, $b$ −{-_APEX:g} mm, eye radius {_EYE:g} mm"
 
-_REACH, _BROAD = 6.0, 1.4  # of the pictures of a beam, mm along and across the axis
+_REACH, _BROAD = 6.0, 1.4  # extent of the pictures of a beam along and across the axis, mm
 _PROFILES_AT = (1.0, 3.0, 5.0)  # mm
 _NEAREST, _FITTED_FROM = 0.02, 0.5  # mm
-_LEVELS = 25  # of a map's colours; odd, so that zero has one of its own
+_LEVELS = 25  # number of colours of a map; odd, so that zero has its own colour
 _AMBIGUOUS = "#F2E6D0"
 
 _HEIGHTS = {"the eyeball's centre": 0.0, "on the sphere": _EYE, "a microscope": 200.0}
@@ -43,7 +43,7 @@ _MODEL_LINES: dict[str, tuple[str, Any]] = {
     "planar": (ORANGE, "-"),
     "small_plane": (MODEL_COLOURS["small_plane"], "-"),
     "corrected": (MODEL_COLOURS["corrected"], "-"),
-    # Dashes show what they lie on.
+    # Dashed, so that lines below remain visible.
     "stereographic": (MODEL_COLOURS["stereographic"], (0, (4, 3))),
     "exact": (MODEL_COLOURS["exact"], (0, (1, 3))),
 }
@@ -52,7 +52,7 @@ _POSE: dict[str, float] = {"distance": 4.0, "eccentricity": 3.0}
 _NOISE_PX, _POSE_SCALE, _POINTS = 0.05, 0.0065, 128  # px, mm/px, points of the contour
 
 Tables = dict[tuple[str, str], optics.IrradianceTable]
-"""By lens and medium."""
+"""Tables by lens and medium."""
 
 
 def main() -> None:
@@ -76,7 +76,7 @@ def main() -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    """Write a PNG of 256 colours, a third of the size of one with all of them."""
+    """Write a PNG with 256 colours, which has a third of the size."""
     buffer = io.BytesIO()
     figure.savefig(buffer)
     partial_path = path.with_suffix(".partial")
@@ -88,7 +88,7 @@ def _save(figure: Figure, path: Path) -> None:
 
 
 def _lenses() -> dict[str, optics.GlueLens]:
-    """The two presets, and between them the core of the one behind the flat end of the other."""
+    """The two presets, and a flat end with the aperture of `dome`."""
     dome = optics.load_lens("dome")
     flat = optics.glue_lens(
         core_radius=dome.core_radius,
@@ -102,7 +102,7 @@ def _lenses() -> dict[str, optics.GlueLens]:
 
 
 def beams(lenses: dict[str, optics.GlueLens], tables: Tables) -> Figure:
-    """Meridional rays of each lens in each medium, the half-maximum radius drawn over."""
+    """Meridional rays and half-maximum radius of each lens in each medium."""
     cone_label = f"cone $d = kR + b$ fitted to it from {_FITTED_FROM:g} to {_REACH:g} mm"
     figure = Figure(figsize=(_WIDTH_IN, 6.0), layout="constrained")
     grid = figure.subplots(len(_MEDIA), len(lenses), sharex=True, sharey=True)
@@ -174,7 +174,7 @@ def _draw_profiles(axes: Axes, table: optics.IrradianceTable) -> None:
 
 
 def _draw_half_maximum(axes: Axes, table: optics.IrradianceTable) -> optics.EffectiveCone:
-    """Half-maximum radius, the distances at which it misleads, and the cone that it amounts to."""
+    """Half-maximum radius, the ranges in which it is ambiguous, and the fitted cone."""
     distance = np.linspace(_NEAREST, _REACH, 400)
     radius = np.asarray(optics.half_maximum_radius(table, distance=distance))
     cone = optics.effective_cone(table, from_distance=_FITTED_FROM, to_distance=_REACH)
@@ -187,14 +187,14 @@ def _draw_half_maximum(axes: Axes, table: optics.IrradianceTable) -> optics.Effe
 
 
 def vector_irradiance(lens: str, tables: Tables) -> Figure:
-    """V_s and V_rho of one lens on the table's own grid, and V_s in mm; a column a medium."""
+    """V_s and V_rho of one lens on the table's grid, and V_s in mm; one column per medium."""
     figure = Figure(figsize=(_WIDTH_IN, 8.6), layout="constrained")
     grid = figure.subplots(3, len(_MEDIA), sharex="row", sharey="row")
     unit = (0.0, 1.0, 0.0, 1.0)
     for (own, own_radial, in_mm), medium in zip(grid.T, _MEDIA, strict=True):
         table = tables[lens, medium]
         radial, axial = np.moveaxis(np.asarray(table.values), -1, 0)
-        norm: Normalize = PowerNorm(0.5, 0.0)  # shows the bell beside its focus
+        norm: Normalize = PowerNorm(0.5, 0.0)  # both bell and focus remain visible
         _draw_map(own, axial, unit, norm, "cividis", "$V_s\\,e(s)^2$, no unit")
         _draw_map(own_radial, radial, unit, CenteredNorm(), "PuOr", "$V_\\rho\\,e(s)^2$, no unit")
         for axes, part in ((own, "s"), (own_radial, "\\rho")):
@@ -245,7 +245,7 @@ def _draw_map(
 
 
 def _draw_isophotes(axes: Axes, light: np.ndarray, extent: Extent, *, peak_over: int) -> None:
-    """Contours at 50 and 10 % of the peak over an axis of the array."""
+    """Contours at 50 and 10 % of the peak along an axis of the array."""
     axes.contour(
         light / light.max(axis=peak_over, keepdims=True),
         levels=[0.1, 0.5],
@@ -257,7 +257,7 @@ def _draw_isophotes(axes: Axes, light: np.ndarray, extent: Extent, *, peak_over:
 
 
 def pinholes() -> Figure:
-    """Each model's error against c for three pinholes, the geometry drawn above."""
+    """Error of each model against c for three pinholes, below sketches of the geometry."""
     figure = Figure(figsize=(_WIDTH_IN, 6.4), layout="constrained")
     figure.suptitle(f"$d$ = {_SPOT_AT:g} mm, square incidence, {_CONE_TEXT}", fontsize=9)
     sketches, panels = figure.subplots(2, len(_HEIGHTS), height_ratios=(1.0, 1.3), sharey="row")
@@ -276,7 +276,7 @@ def pinholes() -> Figure:
 
 
 def _square_errors(height: float, c: np.ndarray) -> dict[str, np.ndarray]:
-    """estimate - d of every model, mm, on the closed-form image of a square beam's spot."""
+    """Error (estimate - d) of every model, mm, for the closed-form image at square incidence."""
     geometry = Geometry(_SCALE, height, _EYE, **_CONE, incidence=0.0, incidence_azimuth=0.0)
     axes_px = optics.square_spot_axes(
         spot_radius=optics.square_spot_radius(distance=_SPOT_AT, k=_K, b=_APEX, eye_radius=_EYE),
@@ -292,7 +292,7 @@ def _square_errors(height: float, c: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _sketch(axes: Axes, height: float) -> None:
-    """Section through the eyeball: beam, spot and the lines of sight to its edge, to scale."""
+    """Section through the eyeball with beam, spot and lines of sight to its edge, to scale."""
     wall = optics.Sphere(_EYE)
     beam = optics.beam_at_spot(wall, distance=_SPOT_AT, eccentricity=_LARGEST_C, **_CONE)
     edge = np.asarray(optics.cone_contour(beam, wall).point)
@@ -318,7 +318,7 @@ def _sketch(axes: Axes, height: float) -> None:
 
 
 class Accuracy(NamedTuple):
-    """Standard errors of a pose, and the mirror's misfit."""
+    """Standard errors of a pose, and the misfit of the mirror solution."""
 
     tip_um: jax.Array
     distance_um: jax.Array
@@ -329,7 +329,7 @@ class Accuracy(NamedTuple):
 
 
 def observability() -> Figure:
-    """Standard errors of the pose, and how badly its mirror fits, against incidence."""
+    """Standard errors of the pose and misfit of the mirror solution, against incidence."""
     figure = Figure(figsize=(_WIDTH_IN, 4.2), layout="constrained")
     figure.suptitle(
         f"$d$ = {_POSE['distance']:g} mm, $c$ = {_POSE['eccentricity']:g} mm, {_CONE_TEXT}; "

@@ -1,10 +1,10 @@
 """Positions and sizes of fovea and optic disc on the map of a fundus.
 
-The map is flat and metric: the point (x, y) lies an arc of hypot(x, y) mm from the retinal pole, in
-the direction atan2(y, x) (azimuthal-equidistant coordinates). On the sphere they are undistorted at
-the pole; on a plane they are plain coordinates. +x is the eye frame's +X, +y its +Y. The first row
-of an image has the largest y. So the image is a right eye's fundus photograph: the disc lies right
-of the pole (nasal), the fovea left of it (temporal) and slightly lower.
+The map is flat and metric: the point (x, y) lies at the arc length hypot(x, y) mm from the retinal
+pole, in the direction atan2(y, x) (azimuthal-equidistant coordinates). On the sphere they are
+undistorted at the pole; on a plane they are plain coordinates. +x is the eye frame's +X, +y its +Y.
+The first row of an image has the largest y. So the image is a right eye's fundus photograph: the
+disc lies right of the pole (nasal), the fovea left of it (temporal) and slightly lower.
 """
 
 from __future__ import annotations

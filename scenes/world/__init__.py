@@ -1,6 +1,6 @@
 """Everything derived from a scene: wall, microscope, beam, motion, light, labels.
 
-calibrations  Calibrations of a scene's truth and of a study, not read from a file
+calibrations  Calibrations without a file: the true one of a scene, and those of studies
 geometry      The parts at rest as `optics` objects: wall, position of [spot], microscope
 labels        The labels of a frame that follow from geometry
 light_cache   Irradiance of a glue lens; takes half a minute to compute, so it is cached on disk

@@ -1,4 +1,4 @@
-"""Calibrations that are not read from a file: those of a scene's truth, and those of a study."""
+"""Calibrations without a file: the true calibration of a scene, and those of studies."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def study_calibration(
     """A calibration for `estimator.Ranger`.
 
     Args:
-        model: as in calibration files.
+        model: name of the model, as in calibration files.
         values: its parameters, in their units.
         medium: a name in `optics.MEDIA`.
         covariance: covariance of the values; None if they are known exactly.
-        fitted_on: what the values come from, for people.
+        fitted_on: origin of the values, as a text.
     """
     known = {name: float(value) for name, value in values.items()}
     return Calibration(
@@ -46,7 +46,7 @@ def study_calibration(
 
 
 def true_calibration(scene: Scene) -> Calibration:
-    """The scene's own lens, or its ideal cone for `exact`: the best that a fit can find."""
+    """The true lens of a scene, or its ideal cone (model `exact`)."""
     if scene.source.kind == "cone":
         half_angle, apex_offset = World(scene).cone
         model, values = "exact", {"half_angle": half_angle, "b": apex_offset}

@@ -86,7 +86,7 @@ def _render(
 ) -> None:
     from distributed import as_completed
 
-    asked = {
+    rendering = {
         client.submit(
             render_planned,
             stack.scene.model_dump(mode="json", by_alias=True),
@@ -97,12 +97,12 @@ def _render(
         for stack in missing
     }
     problems = []
-    for done, future in enumerate(as_completed(asked), 1):
+    for done, future in enumerate(as_completed(rendering), 1):
         error = future.exception()
         if isinstance(error, scenes.RendererUnavailable):
             raise error
         if error is not None:
-            stack = asked[future]
+            stack = rendering[future]
             problems.append(f"{stack.split}/{stack.name}: {error or type(error).__name__}")
         report(len(missing) - done)
     if problems:
