@@ -4,13 +4,13 @@ from .pixels import ImageFit as ImageFit
 from .pixels import fit_image as fit_image
 from .pixels import lens_start as lens_start
 from .spots import ConeFit as ConeFit
+from .spots import ConeTrial as ConeTrial
 from .spots import Lines as Lines
 from .spots import PlaneFit as PlaneFit
 from .spots import PlaneTrial as PlaneTrial
 from .spots import PlaneTrialsFit as PlaneTrialsFit
 from .spots import Prior as Prior
 from .spots import SphereFit as SphereFit
-from .spots import Trial as Trial
 from .spots import fit_cone as fit_cone
 from .spots import fit_eccentricity as fit_eccentricity
 from .spots import fit_lines as fit_lines

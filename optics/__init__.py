@@ -1,5 +1,6 @@
 """Physics of the spot as pure, differentiable functions: mm, rad, px; JAX in float64.
 
+array_namespace    NumPy or JAX, by the arrays that a function is given; does not import JAX
 beam               The fibre's beam: a cone given by tip and axis, by spot and distance, or
                    through a trocar
 camera             Pinhole microscope at any height, from the eyeball's centre to infinity
@@ -33,6 +34,8 @@ pose               Tip and axis of the beam, five parameters: what is estimated,
 profile            What a spot's radius means behind a lens: half maximum, isophote, and the cone
                    they amount to
 refraction         Refraction and Fresnel transmission at a smooth boundary between two media
+square_spot        The spot of a beam square to the wall and its image, in closed form: the models'
+                   other direction
 surface            Walls that the beam meets: a plane of any normal and the eyeball's sphere
 truth              What is true of the spot of any beam: the numbers behind every label
 vector             Three-vectors on the last axis, written out by components

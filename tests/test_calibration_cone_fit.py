@@ -78,7 +78,7 @@ def trial(
             ellipses.semi_minor + e[:, 3],
             ellipses.angle + e[:, 4],
         )
-    return calibration.Trial(
+    return calibration.ConeTrial(
         ellipses=ellipses,
         covariances=np.tile(SIGMAS, (len(D), 1, 1)),
         readings=D - touched,

@@ -19,6 +19,7 @@ import optics
 from calibration.pixels.chunks import Chunk, Problem, sums
 from calibration.pixels.data import CameraNoise, Footage, Instrument, read_footage
 from calibration.pixels.fit import fit_footage
+from calibration.pixels.lens import lens_parameters
 from calibration.pixels.model import (
     Cone,
     Edge,
@@ -30,7 +31,7 @@ from calibration.pixels.model import (
     wall_pixels,
 )
 from calibration.pixels.parameters import check_names
-from calibration.pixels.table import Grid, LensTable, lens_parameters, lens_sampling, lens_table
+from calibration.pixels.table import Grid, LensTable, lens_sampling, lens_table
 from estimator import Stack, read_stack
 from estimator.image import Response
 from scenes import Renderer, Scene, render_stack

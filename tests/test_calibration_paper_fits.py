@@ -12,7 +12,8 @@ import scipy.stats
 
 import optics
 from calibration import fit_eccentricity, fit_plane
-from calibration.spots.paper_fits import plane_solution, sphere_solution
+from calibration.spots.plane_fit import plane_solution
+from calibration.spots.sphere_fit import sphere_solution
 
 
 def test_plane_fit_is_the_linear_regression_of_numpy():

@@ -57,7 +57,9 @@ def run(*, full: bool) -> None:
     )
 
 
-def _exact_trial(kind: str, c: float, azimuth: float, eye: optics.Microscope) -> calibration.Trial:
+def _exact_trial(
+    kind: str, c: float, azimuth: float, eye: optics.Microscope
+) -> calibration.ConeTrial:
     wall = optics.Sphere(11.5) if kind == "eyeball" else optics.pole_plane(eye_radius=11.5)
     distances = jnp.linspace(0.5, 6.0, _FRAMES)
 
@@ -74,7 +76,7 @@ def _exact_trial(kind: str, c: float, azimuth: float, eye: optics.Microscope) ->
         return optics.spot_ellipse(beam, wall, eye), beam.axis
 
     ellipses, axes = jax.jit(jax.vmap(at))(distances)
-    return calibration.Trial(
+    return calibration.ConeTrial(
         ellipses=ellipses,
         covariances=np.tile(np.diag([0.01, 0.01, 0.01, 0.01, 0.005]) ** 2, (_FRAMES, 1, 1)),
         readings=np.asarray(distances),

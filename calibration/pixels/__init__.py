@@ -5,6 +5,8 @@ chunks      The image model on chunks of pixels, compiled once for every frame a
 data        Frames as light with a known noise, and what a log book says of how they were taken
 fit         Every pixel of a withdrawal fitted at once: source, brightness and pose, with their
             sigmas
+image_fit   The result of a fit to all pixels
+lens        A glue lens as the parameters of a fit, and back
 model       What a pixel sees: the light of a cone or a lens on the wall, as a differentiable
             function
 parameters  The parameters of the fit to all pixels: names, units, and what they may be

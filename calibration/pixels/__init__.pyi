@@ -3,10 +3,10 @@ from .data import read_footage as read_footage
 from .fit import fit_footage as fit_footage
 from .fit import fit_image as fit_image
 from .fit import lens_start as lens_start
+from .image_fit import ImageFit as ImageFit
 from .parameters import CONE as CONE
 from .parameters import FREE as FREE
 from .parameters import LENS as LENS
 from .parameters import NUISANCES as NUISANCES
 from .parameters import UNITS as UNITS
 from .parameters import known_names as known_names
-from .solver import ImageFit as ImageFit

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 import optics
-from calibration.pixels import table as _image_table
-from calibration.pixels.model import Cone, Lens, Source, WallPixels, radiance, wall_pixels
+from calibration.pixels.lens import PARAMETERS as LENS
+from calibration.pixels.model import BeamLight, Cone, Lens, WallPixels, radiance, wall_pixels
 from calibration.pixels.table import LensTable
 from calibration.spots import phantom_wall
 
@@ -163,7 +163,7 @@ def _radiance(
     problem: Problem,
     values: Mapping[str, Array],
     wall: WallPixels,
-    source: Source,
+    source: BeamLight,
     tip: Array,
     axis: Array,
 ) -> Array:
@@ -206,12 +206,12 @@ def _pose(
     return spot - (reading + values["touch"]) * axis, axis
 
 
-def _source(problem: Problem, values: Mapping[str, Array], table: LensTable | None) -> Source:
+def _source(problem: Problem, values: Mapping[str, Array], table: LensTable | None) -> BeamLight:
     if table is None:
         own, added = values.get("blur"), problem.blur
         blurs = [blur for blur in (own, added) if blur is not None]
         blur = jnp.sqrt(sum(jnp.square(b) for b in blurs)) if blurs else None
         return Cone(values["half_angle"], values["b"], blur)
-    names = [name for name in problem.names if name in _image_table.PARAMETERS]
+    names = [name for name in problem.names if name in LENS]
     now = jnp.array([values[name] for name in names])
     return Lens(eqx.tree_at(lambda t: t.moved, table, now - table.at))

@@ -9,9 +9,10 @@ import numpy as np
 
 import optics
 from calibration.pixels.data import Footage, read_footage
+from calibration.pixels.image_fit import ImageFit
+from calibration.pixels.lens import lens_parameters
 from calibration.pixels.parameters import FREE, check_names
-from calibration.pixels.solver import ImageFit, Solver
-from calibration.pixels.table import lens_parameters
+from calibration.pixels.solver import Solver
 from calibration.spots import Prior
 from estimator import Stack
 

@@ -63,7 +63,7 @@ class Edge(NamedTuple):
     normal_v: Float[Array, "*n"]
 
 
-class Source(Protocol):
+class BeamLight(Protocol):
     """A light at a tip, pointing along an axis."""
 
     def irradiance(
@@ -111,7 +111,7 @@ def radiance(
     wall: WallPixels,
     values: Mapping[str, ScalarLike],
     *,
-    source: Source,
+    source: BeamLight,
     tip: Float[Array, "3"],
     axis: Float[Array, "3"],
     eyeball: bool,

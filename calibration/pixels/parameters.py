@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from calibration.pixels.table import PARAMETERS as LENS
+from calibration.pixels.lens import PARAMETERS as LENS
 from calibration.spots import Prior
 
 UNITS = {

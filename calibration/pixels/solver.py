@@ -14,18 +14,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 import optics
 from calibration.pixels.chunks import Chunk, Problem, Sums, look, poses, sums, values_at
 from calibration.pixels.data import Footage
+from calibration.pixels.image_fit import ImageFit
 from calibration.pixels.parameters import DEFAULTS, LENS, NUISANCES, possible
 from calibration.pixels.selection import bright_spot, chosen_chunks
 from calibration.pixels.table import LensTable, lens_sampling, lens_table
@@ -50,40 +49,6 @@ _EXACT = 1e-6
 """Sigma of what is so by definition: that fitted exposures are those reported, on average."""
 _SETTLED, _COARSELY = 1e-3, 0.1
 """Decrease of chi squared still to be had: 0.03 standard errors, and 0.3 of coarse fits."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ImageFit:
-    """Parameters that were free, nuisances included, and how well the pixels know them.
-
-    Attributes:
-        parameters: by name (see `UNITS`), value and standard error.
-        values: of all parameters, the given ones too.
-        covariance: of `parameters` in their order, from the camera's noise and the priors.
-        chi_squared: sum of squared residuals over their sigma, priors included.
-        degrees_of_freedom: pixels and priors minus parameters.
-        tips: of the frames, mm, eye frame.
-        axis: of the beam, unit vector from the tip towards the wall, eye frame.
-        undetermined: directions that neither data nor priors hold, in words; empty if none.
-        converged: whether less than 0.001 of chi squared was still to be had.
-        residuals: frames x h x w, light minus model over sigma; NaN where not fitted.
-    """
-
-    parameters: dict[str, tuple[float, float]]
-    values: dict[str, float]
-    covariance: Float[np.ndarray, "p p"]
-    chi_squared: float
-    degrees_of_freedom: int
-    tips: Float[np.ndarray, "frames 3"]
-    axis: Float[np.ndarray, "3"]
-    undetermined: tuple[str, ...]
-    converged: bool
-    residuals: Float[np.ndarray, "frames h w"]
-
-    @property
-    def chi_squared_per_dof(self) -> float:
-        """1 where camera and model are as assumed."""
-        return self.chi_squared / self.degrees_of_freedom
 
 
 class Solver:

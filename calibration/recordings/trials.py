@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 import optics
 from calibration.recordings.withdrawals import withdrawal
-from calibration.spots import Prior, Trial, phantom_wall
+from calibration.spots import ConeTrial, Prior, phantom_wall
 from estimator import Spot, read_spots, read_stack, track_source
 from estimator.files import MicroscopeFile, Quaternion, SpotRecord, read_microscope, turned
 from estimator.run import Options
@@ -40,7 +40,7 @@ class LogBook:
     """How a recording was made. A stack contains it; for other recordings a person gives it.
 
     Attributes:
-        kind: of the wall, as `Trial.kind`.
+        kind: of the wall, as `ConeTrial.kind`.
         tilt: of the plane, as `phantom_wall` takes it.
         medium: name of what lies between the tip and the wall, of `optics.MEDIA`.
         fibre_diameter_mm: of the tip's face, whose rim touches first.
@@ -80,7 +80,7 @@ class Recording(NamedTuple):
 
     name: str
     source: Path
-    trial: Trial
+    trial: ConeTrial
     tilt: tuple[float, float]
     frames: int
     microscope: MicroscopeFile
@@ -210,7 +210,7 @@ def _joined(
     return Recording(
         name=source.name,
         source=source,
-        trial=Trial(
+        trial=ConeTrial(
             ellipses=ellipses,
             covariances=np.stack([spot.covariance for spot in spots]),
             readings=np.array([reading for _, reading in usable]),

@@ -5,10 +5,10 @@ cone_fit      The exact geometry fitted to measured ellipses: cone, scale, eye, 
 cone_trials   Trials whose ellipses the exact geometry is fitted to, and how far they are from its
               contours
 lines         The paper's line d_r = delta k e1' + b through many trials at once
-paper_fits    The fits of Zhou et al. 2020: delta k and b on planes (Table I), c in spheres (Table
-              II)
+plane_fit     delta k and b of one withdrawal from a plane: Table I of Zhou et al. 2020
 plane_trials  The paper's line through several trials at once, with what makes trials differ as
               nuisances
+sphere_fit    c of one withdrawal in an eyeball: Table II of Zhou et al. 2020
 tool_pose     The pose of a tool with one or several cones of light, from all their spots at once
 """
 

@@ -23,7 +23,7 @@ from calibration.solvers import (
     least_squares,
     marginal_information,
 )
-from calibration.spots.cone_trials import NUISANCES, Group, Prior, Trial, misfit, spots
+from calibration.spots.cone_trials import NUISANCES, ConeTrial, Group, Prior, misfit, spots
 
 PARAMETERS = (
     "half_angle",
@@ -102,7 +102,7 @@ class ConeFit(NamedTuple):
 
 
 def fit_cone(
-    trials: Sequence[Trial],
+    trials: Sequence[ConeTrial],
     microscope: optics.Microscope,
     *,
     start: Mapping[str, float],
@@ -220,7 +220,7 @@ def _names(groups: list[Group]) -> list[str]:
 
 
 def _by_trial(
-    residuals: Float[np.ndarray, "n"], groups: list[Group], trials: Sequence[Trial]
+    residuals: Float[np.ndarray, "n"], groups: list[Group], trials: Sequence[ConeTrial]
 ) -> tuple[Float[np.ndarray, "n 5"], ...]:
     """The frames' residuals of each trial, from the order of `_solve`."""
     found = {}

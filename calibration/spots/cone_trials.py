@@ -33,7 +33,7 @@ class Prior(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Trial:
+class ConeTrial:
     """Spots along one beam, and what the robot says of it.
 
     Attributes:
@@ -60,7 +60,7 @@ class Trial:
 def phantom_wall(
     kind: str, *, eye_radius: ScalarLike, tilt: tuple[ScalarLike, ScalarLike] = (0.0, 0.0)
 ) -> optics.Surface:
-    """The wall of a `Trial.kind`.
+    """The wall of a `ConeTrial.kind`.
 
     Args:
         kind: "eyeball" or "plane".
@@ -95,7 +95,7 @@ class Group(eqx.Module):
         return self.readings.shape[0]
 
     @classmethod
-    def of(cls, of_all_kinds: Sequence[Trial], kind: str, lean_sigma: float) -> Group:
+    def of(cls, of_all_kinds: Sequence[ConeTrial], kind: str, lean_sigma: float) -> Group:
         """The trials on one kind of wall."""
         numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
         trials = [of_all_kinds[n] for n in numbers]

@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 
 from calibration.solvers import GAUSS_NEWTON, Solution, least_squares, padded
 from calibration.spots.cone_trials import Prior
-from calibration.spots.paper_fits import fit_plane
+from calibration.spots.plane_fit import fit_plane
 
 _ROUNDS = 8  # of the noise's estimate: each gains two digits where priors say less than data
 

@@ -28,8 +28,7 @@ def render(
 
     If a run was stopped, the same command continues it.
     """
-    from rich.progress import Progress
-
+    from estimator.run import progress
     from scenes.description import load_scene
     from scenes.stacks.preview import write_preview
     from scenes.stacks.stack import render_stack
@@ -42,9 +41,8 @@ def render(
         write_preview(settings, image, variant=variant)
         typer.echo(f"Wrote {image}.")
         return
-    with Progress(transient=True) as progress:
-        task = progress.add_task("Rendering", total=frame_count(settings))
-        render_stack(settings, out, variant=variant, progress=lambda: progress.advance(task))
+    with progress("Rendering", total=frame_count(settings)) as advance:
+        render_stack(settings, out, variant=variant, progress=advance)
     typer.echo(f"Wrote the stack {out}.")
 
 

@@ -22,15 +22,9 @@ def export(
     ],
 ) -> None:
     """Write a labelled set or a single stack in another format."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from benchmarks.sets.formats.export import export as write
+    from estimator.run import progress
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("Exporting", total=None)
-        write(
-            folder, to=to, out=out, progress=lambda total: bar.update(task, advance=1, total=total)
-        )
+    with progress("Exporting", total=None) as advance:
+        write(folder, to=to, out=out, progress=lambda total: advance(note=f"of {total}"))
     print(f"Wrote {out}.")

@@ -55,12 +55,11 @@ def make(
 
     If a run was stopped, the same command continues it.
     """
-    from rich.progress import Progress
-
     from benchmarks.sets.make import cluster
     from benchmarks.sets.make.estimate import estimate
     from benchmarks.sets.make.generate import make_set
     from benchmarks.sets.spec import load_spec, plan
+    from estimator.run import progress
 
     settings, part = load_spec(spec, changes or ()), _shard(shard)
     if scheduler is not None and workers is not None:
@@ -79,15 +78,15 @@ def make(
         if scheduler is not None
         else cluster.local_workers(count, first_core=(part.part - 1) * count)
     )
-    with Progress(transient=True) as progress:
-        task = progress.add_task("Stacks")
-        labelled = make_set(
-            settings,
-            out,
-            workers=hired,
-            shard=part,
-            progress=lambda done, total: progress.update(task, completed=done, total=total),
-        )
+    finished = 0
+    with progress("Rendering stacks", total=len(part.of(plan(settings)))) as advance:
+
+        def show(done: int, _: int) -> None:
+            nonlocal finished
+            advance(done - finished)
+            finished = done
+
+        labelled = make_set(settings, out, workers=hired, shard=part, progress=show)
     if labelled.missing:
         print(f"Shard {shard} of {out} is done; {len(labelled.missing)} stacks are still missing.")
     else:

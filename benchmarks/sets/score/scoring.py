@@ -5,14 +5,12 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 import matplotlib
 from rich.console import Console
-from rich.progress import Progress
 
 from benchmarks.evaluation import VISIBLE_ENOUGH
 from benchmarks.reporting import STYLE, save_figure, versions, write_json
@@ -26,6 +24,7 @@ from benchmarks.sets.score.spots_of_set import Mode, read_set_spots, track_set
 from benchmarks.sets.score.table import tables
 from estimator import SpotRecord, write_spots
 from estimator.files import fingerprint, written_whole
+from estimator.run import progress
 
 _SCHEMA = 1
 
@@ -60,8 +59,7 @@ def run(
     images = circumstances_of(stacks)
     spots = {name: read_set_spots(path, stacks, images) for name, path in files.items()}
     measured: dict[str, list[SpotRecord]] = {}
-    console = Console(stderr=True)
-    with _tracking(console, len(images) * len(modes)) as advance:
+    with progress("Tracking", total=len(images) * len(modes)) as advance:
         for mode in modes:
             measured[mode] = track_set(stacks, mode, progress=advance)
             spots[mode] = {record.file_name: record for record in measured[mode]}
@@ -91,13 +89,6 @@ def _check(names: Sequence[str], out: Path | None) -> None:
         raise ValueError(
             f"{out} already exists. Choose another name; existing files are never overwritten."
         )
-
-
-@contextmanager
-def _tracking(console: Console, frames: int) -> Iterator[Callable[[], None]]:
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("Tracking", total=frames, visible=frames > 0)
-        yield lambda: progress.update(task, advance=1)
 
 
 def _write(result: Score, out: Path, folder: Path) -> None:

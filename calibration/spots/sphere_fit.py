@@ -1,15 +1,13 @@
-"""The fits of Zhou et al. 2020: delta k and b on planes (Table I), c in spheres (Table II).
+"""c of one withdrawal in an eyeball: Table II of Zhou et al. 2020.
 
-`fit_plane` and `fit_eccentricity` check one trial's data and give its row of the table.
-`plane_solution` and `sphere_solution` are what they solve: pure functions of arrays, for `jax.vmap`
-over many trials at once.
+`fit_eccentricity` checks the data of one trial and gives its row of the table. `sphere_solution` is
+what it solves: a pure function of arrays, for `jax.vmap` over many trials at once.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,63 +18,12 @@ from scipy import stats
 
 import optics
 from calibration.solvers import GAUSS_NEWTON, Robust, Solution, huber, least_squares, padded
+from calibration.spots.plane_fit import Loss, outlier_indices
 
-Loss = Literal["squares", "huber"]
-"""Least squares, or Huber's loss, which names outliers."""
-
-_FEWEST_PLANE_SPOTS = 3
-_FEWEST_SPHERE_SPOTS = 2
-# cos(phi) differs from 1 by less than 5e-5 below it: no data of a spot can tell that from c = 0.
+_FEWEST_SPOTS = 2
+# Below this phi, cos(phi) differs from 1 by less than 5e-5, and no spots can show that.
 _PHI_BOUND = 0.01
-_LINE_START = np.array([0.1, 0.0])  # delta k, mm/px, and b, mm
 _SQUARE = np.ones(1)  # cos(phi) at the pole
-
-
-class PlaneFit(NamedTuple):
-    """d = delta k e1' + b, with what the paper's Table I lists, and standard errors.
-
-    Attributes:
-        delta_k: mm per px.
-        b: mm.
-        delta_k_error: standard error of delta_k, mm per px.
-        b_error: standard error of b, mm.
-        correlation: of the two errors.
-        r_squared: coefficient of determination.
-        rmse: root mean square error, mm.
-        spots: number of spots fitted.
-        converged: whether the solver converged.
-        outliers: indices of the spots beyond 3.5 robust standard deviations; of the loss "huber".
-    """
-
-    delta_k: float
-    b: float
-    delta_k_error: float
-    b_error: float
-    correlation: float
-    r_squared: float
-    rmse: float
-    spots: int
-    converged: bool
-    outliers: tuple[int, ...] = ()
-
-    @property
-    def covariance(self) -> Float[np.ndarray, "2 2"]:
-        """Of delta_k and b."""
-        mixed = self.correlation * self.delta_k_error * self.b_error
-        return np.array([[self.delta_k_error**2, mixed], [mixed, self.b_error**2]])
-
-    def band(
-        self, semi_minor_px: Float[ArrayLike, "n"], *, level: float = 0.95
-    ) -> Float[np.ndarray, "n"]:
-        """Half-width of the line's confidence band, pointwise, by Student's t; mm.
-
-        Args:
-            semi_minor_px: e1', px.
-            level: of confidence.
-        """
-        rows = np.stack([np.asarray(semi_minor_px, float), np.ones(np.shape(semi_minor_px))], -1)
-        sigma = np.sqrt(np.einsum("...i,ij,...j->...", rows, self.covariance, rows))
-        return stats.t.ppf(0.5 + 0.5 * level, self.spots - 2) * sigma
 
 
 class SphereFit(NamedTuple):
@@ -140,49 +87,6 @@ class SphereFit(NamedTuple):
         return stats.t.ppf(0.5 + 0.5 * level, self.spots - 1) * self.c_error * slope
 
 
-def fit_plane(
-    *,
-    semi_minor_px: Float[ArrayLike, "n"],
-    distance: Float[ArrayLike, "n"],
-    loss: Loss = "squares",
-) -> PlaneFit:
-    """Fit delta k and b to spots on a plane (Zhou et al. 2020, eq. 7).
-
-    Args:
-        semi_minor_px: e1', px.
-        distance: d_r, reading of the robot since contact, mm.
-        loss: see `Loss`.
-
-    Raises:
-        ValueError: fewer than 3 spots, or all of one size.
-    """
-    axis, reading = np.asarray(semi_minor_px, float), np.asarray(distance, float)
-    if axis.size < _FEWEST_PLANE_SPOTS or np.ptp(axis) == 0:
-        raise ValueError(
-            f"fit_plane needs {_FEWEST_PLANE_SPOTS} spots or more of different sizes; got "
-            f"{axis.size} with a range of {np.ptp(axis) if axis.size else 0:g} px. Add frames at "
-            "other distances."
-        )
-    solution, outliers = _solve_plane(*padded(axis, reading), loss=loss)
-    spread = float(np.sum((reading - reading.mean()) ** 2))
-    squares = float(np.sum(np.square(solution.residuals)))
-    errors = np.sqrt(np.diag(solution.covariance))
-    # Where spots fit exactly, rounding alone is left, and it has no correlation of its own.
-    correlation = solution.covariance[0, 1] / (errors[0] * errors[1]) if errors.all() else 0.0
-    return PlaneFit(
-        delta_k=float(solution.parameters[0]),
-        b=float(solution.parameters[1]),
-        delta_k_error=float(errors[0]),
-        b_error=float(errors[1]),
-        correlation=float(correlation),
-        r_squared=1.0 - squares / spread,
-        rmse=float(np.sqrt(squares / axis.size)),
-        spots=axis.size,
-        converged=bool(solution.converged),
-        outliers=_indices(outliers),
-    )
-
-
 def fit_eccentricity(
     *,
     semi_minor_px: Float[ArrayLike, "n"],
@@ -208,10 +112,8 @@ def fit_eccentricity(
         ValueError: fewer than 2 spots.
     """
     axis, reading = np.asarray(semi_minor_px, float), np.asarray(distance, float)
-    if axis.size < _FEWEST_SPHERE_SPOTS:
-        raise ValueError(
-            f"fit_eccentricity needs {_FEWEST_SPHERE_SPOTS} spots or more; got {axis.size}."
-        )
+    if axis.size < _FEWEST_SPOTS:
+        raise ValueError(f"fit_eccentricity needs {_FEWEST_SPOTS} spots or more; got {axis.size}.")
     given = {"delta_k": delta_k, "b": b, "scale": scale, "eye_radius": eye_radius}
     (solution, outliers), sensitivity = _solve_sphere(
         *padded(axis, reading),
@@ -235,17 +137,8 @@ def fit_eccentricity(
         spots=axis.size,
         converged=bool(solution.converged),
         at_bound=at_bound,
-        outliers=_indices(outliers),
+        outliers=outlier_indices(outliers),
         sensitivity=(per_cos_phi * float(sensitivity[0]), per_cos_phi * float(sensitivity[1])),
-    )
-
-
-def plane_solution(
-    axis: Float[ArrayLike, "n"], reading: Float[ArrayLike, "n"], weight: Float[ArrayLike, "n"]
-) -> Solution:
-    """Least squares for (delta_k, b), mm/px and mm; arguments as in `fit_plane`, weight 0 or 1."""
-    return least_squares(
-        _line(axis, reading, weight), _LINE_START, count=jnp.sum(weight), solver=GAUSS_NEWTON
     )
 
 
@@ -272,15 +165,6 @@ def sphere_solution(
     return least_squares(residual, _SQUARE, count=jnp.sum(weight), solver=GAUSS_NEWTON)
 
 
-def _line(axis: ArrayLike, reading: ArrayLike, weight: ArrayLike) -> Callable[[Array], Array]:
-    def residual(parameters: Array) -> Array:
-        delta_k, b = parameters
-        line = optics.planar_distance(semi_minor_px=axis, scale=delta_k, k=1.0, b=b)
-        return weight * (line - reading)
-
-    return residual
-
-
 def _misfit(
     parameters: Float[Array, "1"],
     axis: ArrayLike,
@@ -296,13 +180,6 @@ def _misfit(
         optics.sphere_distance(spot_radius=radius, k=delta_k / scale, b=b, eye_radius=eye_radius)
         - reading
     )
-
-
-@eqx.filter_jit
-def _solve_plane(axis: ArrayLike, reading: ArrayLike, weight: ArrayLike, *, loss: Loss) -> Robust:
-    if loss == "huber":
-        return huber(_line(axis, reading, weight), jnp.asarray(_LINE_START), weight=weight)
-    return Robust(plane_solution(axis, reading, weight), jnp.zeros(jnp.shape(axis), bool))
 
 
 @eqx.filter_jit
@@ -333,7 +210,3 @@ def _solve_sphere(
         found = Robust(solution, jnp.zeros(jnp.shape(axis), bool))
     own, given = jax.jacfwd(misfit, argnums=(0, 1))(found.solution.parameters, line)
     return found, -(own[:, 0] @ given) / (own[:, 0] @ own[:, 0])
-
-
-def _indices(flags: Array) -> tuple[int, ...]:
-    return tuple(np.flatnonzero(flags).tolist())
