@@ -20,7 +20,13 @@ from benchmarks.reporting import (
     small_multiples,
 )
 from benchmarks.studies.eccentricity.causes import CAUSES
-from benchmarks.studies.eccentricity.findings import AXES, LIMITS_MM, PINHOLES, EccentricityFindings
+from benchmarks.studies.eccentricity.findings import (
+    AXES,
+    LIMITS_MM,
+    PINHOLES,
+    EccentricityFindings,
+    Refit,
+)
 
 _COLOURS = {"planar": ORANGE} | MODEL_COLOURS
 _GREYS = ("#B8B8B8", "#6E6E6E")
@@ -81,26 +87,35 @@ def worst_errors(findings: EccentricityFindings) -> Figure:
 
 def fitted_eccentricity(findings: EccentricityFindings) -> Figure:
     """The c that a fit finds against the true one, and the largest error before and after."""
-    refits = [r for r in findings.refits if r.incidence_deg == findings.scene.spot.incidence_deg]
-    heights = dict.fromkeys(refit.z_f_mm for refit in refits)
+    incidence = findings.scene.spot.incidence_deg
+    by_height: dict[float, list[Refit]] = {}
+    for refit in findings.refits:
+        if refit.incidence_deg == incidence:
+            by_height.setdefault(refit.z_f_mm, []).append(refit)
+    drawn = list(zip(by_height.items(), (GREEN, BLUE, VERMILION, BLACK), strict=False))
 
-    def draw(axes: Axes, _: str, quantity: str) -> None:
-        for height, colour in zip(heights, (GREEN, BLUE, VERMILION, BLACK), strict=False):
-            rows = [r for r in refits if r.z_f_mm == height]
+    def fitted(axes: Axes) -> None:
+        for (height, rows), colour in drawn:
             c = [r.c_mm for r in rows]
-            if quantity == "fitted $c$ (mm)":
-                axes.plot(
-                    c, [r.fitted_c_mm for r in rows], color=colour, label=pinhole_title(height)
-                )
-                axes.plot(c, c, color=GREY, lw=0.8)
-            else:
-                axes.plot(c, [r.largest_error_mm for r in rows], color=colour)
-                axes.plot(c, [r.largest_residual_mm for r in rows], color=colour, ls="--")
-                _logarithmic(axes)
+            label = pinhole_title(height)
+            axes.plot(c, [r.fitted_c_mm for r in rows], color=colour, label=label)
+            axes.plot(c, c, color=GREY, lw=0.8)
 
-    columns = ["fitted $c$ (mm)", "largest |error| (mm)"]
+    def sizes(axes: Axes) -> None:
+        for (_, rows), colour in drawn:
+            c = [r.c_mm for r in rows]
+            axes.plot(c, [r.largest_error_mm for r in rows], color=colour)
+            axes.plot(c, [r.largest_residual_mm for r in rows], color=colour, ls="--")
+        _logarithmic(axes)
+
+    panels = {"fitted $c$ (mm)": fitted, "largest |error| (mm)": sizes}
     return small_multiples(
-        draw, rows=[""], columns=columns, x=f"true {ECCENTRICITY}", y="", height=3.4
+        lambda axes, _, name: panels[name](axes),
+        rows=[""],
+        columns=list(panels),
+        x=f"true {ECCENTRICITY}",
+        y="",
+        height=3.4,
     )
 
 
