@@ -25,7 +25,7 @@ MAY_BE_IMPORTED_BY = {
     "cv2": {"estimator", "scenes"},
     "mitsuba": {"scenes"},
     "drjit": {"scenes"},
-    "optimistix": {"calibration"},
+    "optimistix": {"optics", "calibration"},
     "jax": {"optics", "calibration", "benchmarks"},
     "jaxlib": {"optics", "calibration", "benchmarks"},
     "equinox": {"optics", "calibration", "benchmarks"},
