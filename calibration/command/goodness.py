@@ -30,7 +30,7 @@ class Fault(Enum):
     BOUND = "fit fewer parameters (--free), or record longer withdrawals"
     UNDETERMINED = "fit fewer parameters (--free), or add what you know of them (--prior)"
     OVERSTATED_NOISE = "nothing; the values are right, and their errors too large"
-    MISFIT = "another model ({others}), or a recording of an even wall with nothing in front of it"
+    MISFIT = "{other_model}a recording of an even wall with nothing in front of it"
 
 
 class Doubt(NamedTuple):
@@ -92,11 +92,13 @@ def doubts(
 
 def refusal(found: Sequence[Doubt], *, model: str, report: Path) -> str:
     """Three lines: what is wrong, what to try, where the details are."""
-    others = {"cone": "--model lens", "lens": "--model cone"}.get(model, "--model cone")
+    # A lens explains more than the other models, so behind it only the recording can be better.
+    others = {"lens": "", "cone": "--model lens, or ", "image": "--model lens, or "}
+    other_model = others.get(model, "--model cone, or ")
     reasons = [doubt.reason for doubt in found]
     more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
     remedies = dict.fromkeys(doubt.fault.value for doubt in found if not doubt.harmless)
-    tries = "; ".join(remedies).format(others=others)
+    tries = "; ".join(remedies).format(other_model=other_model)
     return (
         f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}.\n"
         f"Try {tries}.\n"

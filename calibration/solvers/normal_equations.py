@@ -1,4 +1,8 @@
-"""Levenberg-Marquardt on J^T J and J^T r, for residuals too many to hold a Jacobian of."""
+"""Levenberg-Marquardt on J^T J and J^T r, where there are too many residuals for a Jacobian.
+
+Optimistix and SciPy need the residuals or their Jacobian, which over the pixels of 40 frames takes
+24 GB; these sums over the pixels are gathered in chunks.
+"""
 
 from __future__ import annotations
 
