@@ -4,8 +4,8 @@ identifiability      Which parameters data determine: the covariance, and in wor
                      without one
 levenberg_marquardt  Nonlinear least squares by Optimistix: the solution, its information, what
                      was left over
-normal_equations     Levenberg-Marquardt on J^T J and J^T r, where there are too many residuals for a
-                     Jacobian
+normal_equations     Levenberg-Marquardt on J^T J and J^T r, where there are too many residuals for
+                     a Jacobian
 robust               Huber's M-estimator: least squares that no single bad spot can bend
 """
 
