@@ -13,9 +13,9 @@ Files of a set:
         SPLIT/STACK/…         a stack as `scenes.render_stack` writes it (see `read_stack`)
         SPLIT/metadata.jsonl  one line per image: `FrameLabels` with file names relative to SPLIT,
                               and its stack, condition and scene parameters
-        README.md             data card; its YAML head lists the splits for Hugging Face's
-        `datasets` histograms.png, samples.png, spec.toml, LICENSE manifest.json         size and
-        SHA-256 of every other file; written last, so a set with a
+        README.md             data card; its YAML head lists the splits for Hugging Face
+        histograms.png, samples.png, spec.toml, LICENSE
+        manifest.json         size and SHA-256 of every other file; written last, so a set with a
                               manifest is complete
 
 SPLIT is train, validation, test or adverse. The conditions of adverse are in set.json and in the
