@@ -158,7 +158,7 @@ class Study:
         self.seconds[step] = time.perf_counter() - start
 
     def publish(self, report: Callable[[F], Report], findings: F) -> None:
-        """Write report.html, summary.json, scene.toml, CSV files and figures, all or none.
+        """Write report.html, summary.json, scene.toml, CSV files and figures, all or none; say so.
 
         Args:
             report: makes the report; its figures are drawn in the house style.
@@ -166,6 +166,7 @@ class Study:
         """
         with matplotlib.rc_context(STYLE), run_folder.published(self.folder) as folder:
             self._write(report(findings), folder)
+        print(f"Wrote {self.folder / 'report.html'}.")
 
     def _write(self, report: Report, folder: Path) -> None:
         for data in report.data:
