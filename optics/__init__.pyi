@@ -53,8 +53,8 @@ from .models import small_plane_distance as small_plane_distance
 from .models import small_plane_spot_radius as small_plane_spot_radius
 from .models import sphere_distance as sphere_distance
 from .models import stereographic_distance as stereographic_distance
+from .pose import BeamPose as BeamPose
 from .pose import DirectionPrior as DirectionPrior
-from .pose import Pose as Pose
 from .pose import PoseEstimate as PoseEstimate
 from .profile import EffectiveCone as EffectiveCone
 from .profile import ambiguous_distances as ambiguous_distances

@@ -21,8 +21,8 @@ from jaxtyping import Array, Float, ScalarLike
 
 from optics.camera import Microscope
 from optics.pose import (
+    BeamPose,
     DirectionPrior,
-    Pose,
     PoseEstimate,
     best_and_mirror,
     leaning_either_way,
@@ -72,7 +72,7 @@ def tip_from_contour(
     half_angle: ScalarLike,
     apex_offset: ScalarLike,
     sigma_px: ScalarLike,
-) -> Pose:
+) -> BeamPose:
     """Tip from the image of the spot's edge where the robot knows the axis.
 
     Args:
@@ -122,7 +122,7 @@ def _seen(contour, surface, microscope, half_angle, apex_offset, sigma_px) -> _S
     )
 
 
-def _refined(data: _Seen, prior: DirectionPrior | None, tip, axis) -> Pose:
+def _refined(data: _Seen, prior: DirectionPrior | None, tip, axis) -> BeamPose:
     def off_contour_px(tip, axis):
         value, slope = _from_cone(data, tip, axis)
         # The gradient's length hardly moves with the pose: a constant within a step.

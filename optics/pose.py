@@ -44,7 +44,7 @@ class DirectionPrior(NamedTuple):
     sigma: ScalarLike
 
 
-class Pose(NamedTuple):
+class BeamPose(NamedTuple):
     """One solution.
 
     Attributes:
@@ -76,8 +76,8 @@ class PoseEstimate(NamedTuple):
             incidence it is not, while the distance still is.
     """
 
-    best: Pose
-    mirror: Pose
+    best: BeamPose
+    mirror: BeamPose
     observable: Bool[Array, ""]
 
 
@@ -111,7 +111,7 @@ def leaning_either_way(
     return centre - distance * axes, axes
 
 
-def best_and_mirror(solve: Callable[..., Pose], starts: object) -> PoseEstimate:
+def best_and_mirror(solve: Callable[..., BeamPose], starts: object) -> PoseEstimate:
     """Solve from two starts, ranked by cost.
 
     Args:
@@ -136,7 +136,7 @@ def refined_pose(
     prior: DirectionPrior | None,
     tip: Float[Array, "3"],
     axis: Float[Array, "3"],
-) -> Pose:
+) -> BeamPose:
     """Gauss-Newton with Levenberg's damping from a start until the steps are lost in rounding.
 
     Args:
@@ -188,7 +188,7 @@ def refined_pose(
         return surface.intersect(*_moved(step, tip, axis)).distance
 
     gradient = jax.grad(distance)(zero)
-    return Pose(
+    return BeamPose(
         tip=tip,
         axis=axis,
         distance=distance(zero),

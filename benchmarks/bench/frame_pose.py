@@ -35,7 +35,7 @@ _LIGHT = {"sensitivity": Prior(200.0, 0.2), "illumination": Prior(0.05, 5e-4)}
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}
 
 
-class Pose(NamedTuple):
+class PoseErrors(NamedTuple):
     """Errors of the pose of one frame; lengths in mm, angles in degrees."""
 
     incidence_deg: float
@@ -65,7 +65,7 @@ def run(*, full: bool) -> None:
 
 def _poses(
     kind: Any, source: dict[str, Any], microscope: dict[str, Any], known: Mapping[str, float]
-) -> Iterator[Pose]:
+) -> Iterator[PoseErrors]:
     rng = np.random.default_rng(0)
     for incidence in _INCIDENCES_DEG:
         for c in _ECCENTRICITIES_MM:
@@ -85,7 +85,7 @@ def _poses(
                     lean_sigma=math.radians(PRIOR_DEG),
                 )
                 sigmas = (fit.parameters[name][1] for name in ("lean", "lean_sideways"))
-                yield Pose(
+                yield PoseErrors(
                     incidence_deg=incidence,
                     d_mm=labels.d_mm,
                     tip_mm=float(np.linalg.norm(fit.tips[0] - labels.tip_mm)),
@@ -125,7 +125,7 @@ def _scene(
     }
 
 
-def _table(kind: str, scene: Scene, poses: list[Pose]) -> Table:
+def _table(kind: str, scene: Scene, poses: list[PoseErrors]) -> Table:
     scale, camera = scene.microscope.scale_mm_px, scene.camera
     beam = f"k {1 / math.tan(_CONE['half_angle']):.0f}" if kind == "cone" else "lens 'dome' in air"
     tip, axis = REPORTED[1]

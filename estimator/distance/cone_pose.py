@@ -112,7 +112,7 @@ def _covariance(spot: Spot, known: bool) -> np.ndarray:
     return UNKNOWN_SIGMA_PX**2 * np.diag([1.0, 1.0, 1.0, 1.0, elongation**-2])
 
 
-def _tip_pose(pose: optics.Pose) -> TipPose:
+def _tip_pose(pose: optics.BeamPose) -> TipPose:
     return TipPose(
         tip_mm=np.asarray(pose.tip), axis=np.asarray(pose.axis), distance_mm=float(pose.distance)
     )

@@ -65,7 +65,7 @@ class Phantom(_Settings):
     )
 
 
-class Source(_Settings):
+class SourceSettings(_Settings):
     """The fibre's light."""
 
     kind: Literal["lens", "cone", "photons"] = Field(
@@ -87,7 +87,7 @@ class Source(_Settings):
     )
 
 
-class Spot(_Settings):
+class SpotSettings(_Settings):
     """Where the beam's axis meets the wall, and from which direction."""
 
     eccentricity_mm: float = Field(
@@ -214,8 +214,8 @@ class Scene(_Settings):
     schema_version: Literal[1] = Field(1, alias="schema")
     seed: int = Field(0, ge=0, description="Random seed of the camera noise.")
     phantom: Phantom = Phantom()
-    source: Source = Source()
-    spot: Spot = Spot()
+    source: SourceSettings = SourceSettings()
+    spot: SpotSettings = SpotSettings()
     motion: Motion = Withdrawal()
     clocks: Clocks = Clocks()
     instrument: Instrument = Instrument()

@@ -20,7 +20,7 @@ from rich.table import Column, Table
 
 from benchmarks.bench import show, table
 from benchmarks.bench.estimator.frame_kinds import FrameKind, cramer_rao_bound, frame_kinds
-from benchmarks.bench.estimator.methods import METHODS, View, available
+from benchmarks.bench.estimator.methods import METHODS, MethodInput, available
 from benchmarks.bench.estimator.pupil import PACKAGE, why_unavailable
 from benchmarks.bench.estimator.renders import LIMITS, RENDERS, rendered
 from benchmarks.bench.estimator.speed import Times, frame_times
@@ -97,7 +97,7 @@ def errors_of(name: str, number: int) -> Errors | str:
     return {method: np.array(rows, float) for method, rows in found.items()}
 
 
-def _views(name: str, number: int, rng: np.random.Generator) -> Iterator[tuple[View, Truth]]:
+def _views(name: str, number: int, rng: np.random.Generator) -> Iterator[tuple[MethodInput, Truth]]:
     if name in RENDERS:
         yield from rendered(name, rng)
         return
@@ -110,7 +110,7 @@ def _views(name: str, number: int, rng: np.random.Generator) -> Iterator[tuple[V
             min(max(scene.truth.x + dx, 0), SHAPE[1] - 1),
             min(max(scene.truth.y + dy, 0), SHAPE[0] - 1),
         )
-        yield View(image, at, _half_level(scene), reference), scene.truth
+        yield MethodInput(image, at, _half_level(scene), reference), scene.truth
 
 
 def _half_level(scene: Drawing) -> float:

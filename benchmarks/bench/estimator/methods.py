@@ -21,7 +21,7 @@ _SATURATED = 0.02  # a spot with a larger fraction of full-scale pixels counts a
 _DOUBTFUL_PX = 0.5  # so does a spot with a larger 3 sigma
 
 
-class View(NamedTuple):
+class MethodInput(NamedTuple):
     """Input of a method.
 
     Attributes:
@@ -52,7 +52,7 @@ class Measured(NamedTuple):
 _MISSED = Measured(math.nan, flagged=True)
 
 
-def subpixel(view: View) -> Measured:
+def subpixel(view: MethodInput) -> Measured:
     """Our default mode. A spot is flagged if it is saturated or its sigma is large."""
     spot, _ = measure(view.image, TrackState(at_px=view.at), _settings(view))
     if not isinstance(spot, Spot):
@@ -61,17 +61,17 @@ def subpixel(view: View) -> Measured:
     return Measured(spot.semi_minor_px, spot.saturated > _SATURATED or doubtful)
 
 
-def literal(view: View) -> Measured:
+def literal(view: MethodInput) -> Measured:
     """The paper's algorithm with its threshold."""
     return _literal(view, LiteralSettings())
 
 
-def literal_at_half(view: View) -> Measured:
+def literal_at_half(view: MethodInput) -> Measured:
     """The paper's algorithm with its threshold set to the true half level."""
     return _literal(view, LiteralSettings(threshold=min(round(view.half_level), 254)))
 
 
-def ellipse_on_edges(view: View) -> Measured:
+def ellipse_on_edges(view: MethodInput) -> Measured:
     """scikit-image's EllipseModel through our edge points, including outliers."""
     window = Window.around(*view.at, CROP_PX, CROP_PX, view.image)
     for region in regions_in(view.image, window, _settings(view)):
@@ -81,7 +81,7 @@ def ellipse_on_edges(view: View) -> Measured:
     return _MISSED
 
 
-def ellipse_on_contour(view: View) -> Measured:
+def ellipse_on_contour(view: MethodInput) -> Measured:
     """scikit-image alone: EllipseModel through the longest contour at Otsu's threshold."""
     from skimage.color import rgb2gray
     from skimage.filters import threshold_otsu
@@ -92,7 +92,7 @@ def ellipse_on_contour(view: View) -> Measured:
     return _ellipse_model(max(contours, key=len)[:, ::-1]) if contours else _MISSED
 
 
-def pupil(view: View) -> Measured:
+def pupil(view: MethodInput) -> Measured:
     """The 2D detector of pupil-detectors on the negative of the crop."""
     from skimage.color import rgb2gray
     from skimage.util import img_as_ubyte
@@ -100,7 +100,7 @@ def pupil(view: View) -> Measured:
     return Measured(_pupil_detector().semi_minor(img_as_ubyte(rgb2gray(view.crop()))))
 
 
-METHODS: dict[str, Callable[[View], Measured]] = {
+METHODS: dict[str, Callable[[MethodInput], Measured]] = {
     "sub-pixel": subpixel,
     "literal": literal,
     "literal, half level": literal_at_half,
@@ -110,7 +110,7 @@ METHODS: dict[str, Callable[[View], Measured]] = {
 }
 
 
-def available() -> dict[str, Callable[[View], Measured]]:
+def available() -> dict[str, Callable[[MethodInput], Measured]]:
     """The methods that are installed on this machine."""
     return {k: v for k, v in METHODS.items() if v is not pupil or why_unavailable() is None}
 
@@ -120,11 +120,11 @@ def _pupil_detector() -> PupilDetector:
     return PupilDetector()
 
 
-def _settings(view: View) -> SubpixelSettings:
+def _settings(view: MethodInput) -> SubpixelSettings:
     return SubpixelSettings(reference=view.reference)
 
 
-def _literal(view: View, settings: LiteralSettings) -> Measured:
+def _literal(view: MethodInput, settings: LiteralSettings) -> Measured:
     spot, _ = measure(view.image, TrackState(at_px=view.at), settings)
     return Measured(spot.semi_minor_px) if isinstance(spot, Spot) else _MISSED
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.bench.estimator.frame_kinds import CLEAN
-from benchmarks.bench.estimator.methods import View
+from benchmarks.bench.estimator.methods import MethodInput
 from scenes.drawn import Truth
 
 RENDERS = {"rendered cone, incidence 30°": 30.0, "rendered cone behind its shaft, 12°": 12.0}
@@ -21,7 +21,7 @@ _VISIBLE = 0.5  # frames with a smaller visible fraction of the contour are skip
 _NEAREST_MM, _TRAVEL_MM = 1.5, 4.0
 
 
-def rendered(name: str, rng: np.random.Generator) -> Iterator[tuple[View, Truth]]:
+def rendered(name: str, rng: np.random.Generator) -> Iterator[tuple[MethodInput, Truth]]:
     """Noisy frames of a withdrawal from a uniform wall, with the half-maximum ellipse of each.
 
     Raises:
@@ -55,4 +55,4 @@ def rendered(name: str, rng: np.random.Generator) -> Iterator[tuple[View, Truth]
             )
             dx, dy = rng.uniform(-10, 10, 2)
             at = truth.x + dx, truth.y + dy
-            yield View(image, at, (dark + bright) / 2, None), truth
+            yield MethodInput(image, at, (dark + bright) / 2, None), truth

@@ -147,8 +147,8 @@ def _contours_and_bounds(
 @jax.jit
 def _one_by_contour(
     noisy: Any, axes: Any, sigma: Any, wall: Any, view: Any, half_angle: Any, b: Any
-) -> optics.Pose:
-    def one(contour: Any, axis: Any) -> optics.Pose:
+) -> optics.BeamPose:
+    def one(contour: Any, axis: Any) -> optics.BeamPose:
         return optics.pose_from_contour(
             contour,
             wall,
