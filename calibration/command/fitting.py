@@ -202,7 +202,7 @@ def _write(
         partial.write_text(page, encoding="utf-8")
     frames = sum(recording.frames for recording in recordings)
     goodness = fitted.chi_squared_per_degree
-    title = f"{fitted.used} of {frames} frames in {len(recordings)} recordings"
+    title = f"{fitted.used} of {frames} frames, recordings: {len(recordings)}"
     title += "" if goodness is None else f"; χ²/n {goodness:.2f}"
     Console().print(result_table(fitted, title=title))
     if not all(doubt.harmless for doubt in found):
