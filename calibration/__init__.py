@@ -1,9 +1,9 @@
-"""From spots or pixels to model parameters, each with a standard deviation.
+"""Fits of model parameters to spots or pixels, each with a standard deviation.
 
 bridge/      Mitsuba as a JAX function
 command/     `eyespot fit`
 pixels/      Fits to every pixel of a stack
-recordings/  Stacks, spots files and bags as trials with readings
+recordings/  Stacks, spots files and bags read as trials with the robot's readings
 solvers/     Least squares with covariance
 spots/       Fits to the ellipses of spots
 """

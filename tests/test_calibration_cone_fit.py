@@ -166,7 +166,7 @@ def test_scale_and_cone_are_only_seen_together_on_planes_from_a_telecentric_micr
     fit = calibration.fit_cone(trials, telecentric, start=START, free=("half_angle", "b", "scale"))
     # Only tan(half_angle)/scale enters the size of a square spot in px.
     assert len(fit.undetermined) == 1
-    assert fit.undetermined[0].startswith("half_angle and scale only as their ratio")
+    assert fit.undetermined[0].startswith("only the ratio of half_angle and scale")
     assert "add a trial in the eyeball" in fit.undetermined[0]
     assert np.isinf(fit.covariance[0, 0])
     # Where the spot is in mm hangs on the scale.

@@ -51,10 +51,10 @@ def good(**changes):
         ({"converged": False}, "did not converge"),
         ({"bounds": ("k = 0",)}, "hit a bound: k = 0"),
         (
-            {"undetermined": ("scale is not seen",)},
-            "do not determine all parameters: scale is not seen",
+            {"undetermined": ("scale is not determined",)},
+            "do not determine all parameters: scale is not determined",
         ),
-        ({"chi_squared_per_degree": 0.79}, "0.79.*less noise than assumed"),
+        ({"chi_squared_per_degree": 0.79}, "0.79.*noise is lower than assumed"),
         ({"chi_squared_per_degree": 1.26}, "1.26.*residuals are larger than the noise"),
         ({"residuals": {"size": np.linspace(-1, 1, 40)}}, "residuals of size have structure"),
     ],
@@ -62,7 +62,7 @@ def good(**changes):
 def test_each_reason_against_a_fit_is_named(change, told):
     (doubt,) = good(**change)
     assert re.search(told, doubt.reason)
-    assert doubt.harmless == ("less noise than assumed" in told)
+    assert doubt.harmless == ("noise is lower than assumed" in told)
 
 
 def test_a_refusal_has_three_lines_whatever_is_wrong():
@@ -70,7 +70,7 @@ def test_a_refusal_has_three_lines_whatever_is_wrong():
     everything: dict[str, Any] = {
         "converged": False,
         "bounds": ("k = 0", "b = 0"),
-        "undetermined": ("scale is not seen", "b is not seen"),
+        "undetermined": ("scale is not determined", "b is not determined"),
         "chi_squared_per_degree": 9.0,
         "residuals": {name: bend for name in ("along", "across", "size", "elongation")},
     }

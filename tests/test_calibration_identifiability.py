@@ -17,12 +17,12 @@ def seen_only(*directions: tuple[float, float, float]) -> np.ndarray:
     ("seen", "values", "told"),
     [
         # d(log a) - d(log s) is seen: the ratio; with a plus, the product.
-        (((0, 1, 0), (1, 0, -1)), (0.05, -5.0, 0.0067), "half_angle and scale only as their ratio"),
-        (((0, 1, 0), (1, 0, 1)), (0.05, -5.0, 0.0067), "half_angle and scale only as their prod"),
+        (((0, 1, 0), (1, 0, -1)), (0.05, -5.0, 0.0067), "only the ratio of half_angle and scale"),
+        (((0, 1, 0), (1, 0, 1)), (0.05, -5.0, 0.0067), "only the product of half_angle and scale"),
         # A negative parameter grows downwards.
-        (((0, 0, 1), (1, 1, 0)), (0.05, -5.0, 0.0067), "half_angle and b only as their ratio"),
-        (((0, 0, 1), (1, 3, 0)), (0.05, -5.0, 0.0067), "half_angle and b only together"),
-        (((1, 0, 0), (0, 1, 0)), (0.05, -5.0, 0.0067), "scale is not seen"),
+        (((0, 0, 1), (1, 1, 0)), (0.05, -5.0, 0.0067), "only the ratio of half_angle and b"),
+        (((0, 0, 1), (1, 3, 0)), (0.05, -5.0, 0.0067), "only a combination of half_angle and b"),
+        (((1, 0, 0), (0, 1, 0)), (0.05, -5.0, 0.0067), "scale is not determined"),
     ],
 )
 def test_what_is_not_seen_is_said_with_a_remedy(seen, values, told):

@@ -325,10 +325,10 @@ def test_hidden_pixels_are_those_in_which_the_renderer_sees_the_instrument():
 @pytest.mark.parametrize(
     ("choice", "words"),
     [
-        ({"start": {"half_angle": 0.05}}, "missing b"),
-        ({"start": START, "free": ("half_angel",)}, "unknown half_angel"),
-        ({"start": START, "free": ("sag",)}, "unknown sag"),
-        ({"start": START, "free": ("blur",)}, "missing blur"),
+        ({"start": {"half_angle": 0.05}}, "missing: b"),
+        ({"start": START, "free": ("half_angel",)}, "Unknown: half_angel"),
+        ({"start": START, "free": ("sag",)}, "Unknown: sag"),
+        ({"start": START, "free": ("blur",)}, "missing: blur"),
     ],
 )
 def test_names_that_the_fit_does_not_know_are_refused(choice, words):

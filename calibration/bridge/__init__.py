@@ -1,6 +1,6 @@
 """Mitsuba as a JAX function.
 
-render_bridge  From a renderer to JAX: an image as a function of its parameters, with derivatives
+render_bridge  A renderer as a JAX function of its parameters, with derivatives
 """
 
 import lazy_loader

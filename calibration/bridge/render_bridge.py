@@ -1,7 +1,7 @@
-"""From a renderer to JAX: an image as a function of its parameters, with derivatives.
+"""A renderer as a JAX function of its parameters, with derivatives.
 
-Knows no renderer: it wraps functions of NumPy arrays. What may stand in them, and what may not, is
-in docs/bridge.md.
+Wraps functions of NumPy arrays, so it works for any renderer. docs/bridge.md lists what these
+functions may contain.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 Value = Callable[[np.ndarray], np.ndarray]
-"""p parameters to an image."""
+"""Function from p parameters to an image."""
 
 ValueAndJacobian = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""p parameters to an image and its derivatives, of the image's shape and p."""
+"""Function from p parameters to an image and its derivatives, of the image's shape and p."""
 
 FLOAT32_LEVENBERG_MARQUARDT: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
     rtol=1e-4, atol=1e-2
 )
-"""For renderers that compute in float32, of residuals over their sigma.
+"""Solver for renderers that compute in float32, for residuals over their sigma.
 
-It ends with a step that changes no residual by more than 0.01. Finer ones would follow the
-renderer's rounding, which is 0.001 where light is a thousand sigma, and never end.
+It ends when a step changes no residual by more than 0.01. A smaller limit would never be reached,
+because rounding is 0.001 if the light is a thousand sigma.
 """
 
 
@@ -37,26 +37,26 @@ def render_as_jax(
     r"""A renderer as a JAX function with forward- and reverse-mode derivatives.
 
     The derivative along $\mathbf t$ is $J\mathbf t$ with the Jacobian $J$ that the renderer
-    returns. To JAX that is a plain product, which it can transpose; so one rule serves `jvp`,
-    `vjp`, `grad`, `jacfwd`, `jacrev` and Optimistix, and each costs one call of
-    `value_and_jacobian`. Calls without derivatives cost one of `value`. Under `vmap` the renderer
-    is called once for each set of parameters. Second derivatives are refused by JAX.
+    returns. JAX can transpose this product, so the same rule is valid for `jvp`, `vjp`, `grad`,
+    `jacfwd`, `jacrev` and Optimistix; each calls `value_and_jacobian` once. Calls without
+    derivatives call `value` once. Under `vmap` the renderer is called once per set of parameters.
+    JAX raises an error for second derivatives.
 
     Args:
-        value: p parameters, float64, to an image. It must depend on nothing else (fix the seed)
-            and compute nothing with JAX, which inside of a JAX computation can wait for itself for
-            ever: JAX is switched off while it runs, and raises.
-        value_and_jacobian: the same, and the image's derivatives, `shape` and p.
-        shape: of the image.
+        value: function from p parameters, float64, to an image. It must depend on nothing else
+            (fix the seed). It must not compute with JAX, because JAX inside a JAX computation can
+            deadlock; JAX raises an error in it instead.
+        value_and_jacobian: the same, with the image's derivatives, `shape` and p.
+        shape: shape of the image.
 
     Returns:
-        The function: p parameters to an image, float64. Where the renderer raises, it raises
-        `jax.errors.JaxRuntimeError`, whose text ends with the renderer's.
+        Function from p parameters to an image, float64. If the renderer raises, the function
+        raises `jax.errors.JaxRuntimeError`, whose text ends with the renderer's.
     """
     shape = tuple(shape)
     image_type = jax.ShapeDtypeStruct(shape, np.float64)
 
-    # One function each for good: JAX compiles anew for every new one.
+    # Defined only once, because JAX compiles again for every new function object.
     def image_of(parameters: Any) -> np.ndarray:
         with jax.no_execution(True):
             return _checked(value(np.asarray(parameters)), shape, "value")
@@ -87,7 +87,7 @@ def render_as_jax(
 
 
 def _checked(array: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
-    """The array in float64, if it has the promised shape."""
+    """The array in float64, after a check of its shape."""
     array = np.asarray(array, dtype=np.float64)
     if array.shape != shape:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Arguments of `eyespot fit`, from text to values: priors, rotation, log books of recordings."""
+"""Command-line text of `eyespot fit` converted to values: priors, rotation, log books."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def read_priors(given: Iterable[str]) -> dict[str, Prior]:
     """`--prior NAME=MEAN,SIGMA`, each a normal distribution.
 
     Raises:
-        ValueError: another form, or a sigma that is not positive.
+        ValueError: wrong format, or a sigma that is not positive.
     """
     found = {}
     for text in given:
@@ -38,10 +38,10 @@ def read_priors(given: Iterable[str]) -> dict[str, Prior]:
 
 
 def read_rotation(text: str | None) -> Quaternion:
-    """`--eye-from-robot QX,QY,QZ,QW`, a unit quaternion; without one, no rotation.
+    """`--eye-from-robot QX,QY,QZ,QW`, a unit quaternion (default: no rotation).
 
     Raises:
-        ValueError: no unit quaternion.
+        ValueError: not a unit quaternion.
     """
     if text is None:
         return (0.0, 0.0, 0.0, 1.0)
@@ -80,13 +80,13 @@ def log_books(
         return {}
     if microscope is None or medium is None or not phantoms:
         raise ValueError(
-            f"{sources[0]} is no stack, so a fit needs --microscope, --phantom and --medium, and "
-            "--poses unless it is a bag. Add them."
+            f"{sources[0]} is no stack, so the fit needs --microscope, --phantom and --medium, and "
+            "--poses unless the source is a bag. Add them."
         )
     if medium not in optics.MEDIA:
         raise ValueError(f"--medium must be one of {', '.join(optics.MEDIA)}; got {medium!r}.")
     kinds = _one_each("--phantom", phantoms, sources)
-    # A bag of images holds the poses of the same minutes.
+    # A bag of images also contains the poses, unless a file is given.
     tracks = _one_each("--poses", poses, sources) if poses else list(sources)
     return {
         source: LogBook(
@@ -106,7 +106,7 @@ def _one_each(option: str, given: Sequence[_T], sources: Sequence[Path]) -> Sequ
         return [*given] * len(sources)
     if len(given) != len(sources):
         raise ValueError(
-            f"{option} must be given once, or once for each of the {len(sources)} sources that are "
-            f"no stacks; got {len(given)}."
+            f"{option} must be given once, or once per source other than a stack ({len(sources)} "
+            f"here); got {len(given)}."
         )
     return given

@@ -1,4 +1,4 @@
-"""The model cone of `eyespot fit`: the exact geometry, fitted to the spots' ellipses."""
+"""Model cone of `eyespot fit`: the exact geometry fitted to the spots' ellipses."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from calibration.recordings import Recording
 from calibration.spots import fit_cone, fit_plane
 
 _MISMATCHES = ("position along", "position across", "size", "elongation", "direction")
-"""What `optics.ellipse_mismatch` returns, in words."""
+"""The components of `optics.ellipse_mismatch`, in words."""
 
 
 def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitted:
-    """The exact geometry on planes and eyeballs together."""
+    """Fit the exact geometry to planes and eyeballs together."""
     if choices.loss != "squares":
-        raise ValueError("--robust goes with the models plane and sphere. Leave it out.")
+        raise ValueError("--robust works with the models plane and sphere only. Leave it out.")
     for recording in recordings:
         if not np.isfinite(recording.trial.covariances).all():
             raise ValueError(
-                f"{recording.name} has spots without errors, as the literal mode measures them, "
-                "and the model cone weighs spots by their errors. Track in the sub-pixel mode, or "
-                "take --model plane."
+                f"{recording.name} has spots without standard deviations, as the literal mode "
+                "writes them. The model cone weights spots by these. Track in the sub-pixel mode, "
+                "or use --model plane."
             )
     free = choices.free or ("half_angle", "b")
     for name in {"half_angle", "b"} - set(free):
-        raise ValueError(f"--free must hold half_angle and b; {name} is missing. Add it.")
+        raise ValueError(f"--free must contain half_angle and b; {name} is missing. Add it.")
     microscope = recordings[0].microscope
     planes = [r for r in recordings if r.trial.kind == "plane"]
     line = fit_plane(
@@ -38,7 +38,7 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
     )
     tilt = planes[0].tilt if planes else (0.0, 0.0)
     start = {
-        # The paper's line through all spots, near enough for the exact model to find its way.
+        # The paper's line through all spots is close enough for the exact model to converge.
         "half_angle": math.atan(microscope.scale_mm_px / line.delta_k),
         "b": line.b,
         "tilt_x": tilt[0],
@@ -86,7 +86,8 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
             *eccentricities,
         ],
         notes=[
-            f"{name}: the axis leans {math.degrees(np.hypot(*lean)):.2f}° from the robot's."
+            f"{name}: the fitted axis deviates by {math.degrees(np.hypot(*lean)):.2f}° from the "
+            "robot's."
             for name, lean in zip(names, fit.lean, strict=True)
         ],
     )

@@ -1,4 +1,4 @@
-"""What every model of `eyespot fit` takes, and what its fit comes to."""
+"""The choices and the result that all models of `eyespot fit` share."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from calibration.spots import Loss, Prior
 
 
 class Choices(NamedTuple):
-    """What a person chooses.
+    """The user's choices.
 
     Attributes:
-        free: parameters to fit; None takes the model's own.
-        priors: of free parameters, and of `touch`, which recordings have taken already.
-        loss: of the paper's fits.
-        exposure: of a stack that holds several.
-        lens: that the model lens starts from: a preset's name or a file; else empty.
+        free: parameters to fit; None for the model's default.
+        priors: priors of free parameters, and of `touch`, which is already part of the recordings.
+        loss: loss function of the paper's fits.
+        exposure: which exposure to use if the stack has several.
+        lens: preset's name or file from which the model lens starts; may be empty.
     """
 
     free: tuple[str, ...] | None
@@ -32,12 +32,12 @@ class Choices(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """A model's curve through one recording: for the figure of distance against spot size.
+    """A model's curve through one recording, for the figure of distance against spot size.
 
     Attributes:
         semi_minor_px: e1' of the spots, ascending, px.
-        distance: of the model, mm.
-        band: half-width of its 95 % confidence band, mm.
+        distance: the model's distance, mm.
+        band: half-width of the 95 % confidence band, mm.
     """
 
     semi_minor_px: Float[np.ndarray, "n"]
@@ -46,11 +46,11 @@ class Curve(NamedTuple):
 
 
 class PixelResiduals(NamedTuple):
-    """What a fit to all pixels leaves, in standard deviations of what is averaged.
+    """Mean residuals of a fit to all pixels, in standard deviations of the mean.
 
     Attributes:
-        image: mean over the frames, NaN where none was fitted.
-        frames: numbers of those of which pixels were fitted.
+        image: mean over the frames; NaN for pixels that were fitted in no frame.
+        frames: numbers of the frames with fitted pixels.
     """
 
     image: Float[np.ndarray, "h w"]
@@ -59,25 +59,25 @@ class PixelResiduals(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fitted:
-    """What any model's fit comes to.
+    """The result of a fit, in the same form for every model.
 
     Attributes:
         calibration_model: name in the calibration file.
-        values: of the file's parameters.
-        covariance: of these.
-        converged: whether the solvers say so.
-        bounds: that the fit ran into, in words.
-        undetermined: directions that the data do not hold, in words.
-        chi_squared: None where the noise was estimated from the residuals.
-        degrees_of_freedom: data and priors less parameters.
-        residuals: by name, of variance 1; of all recordings' usable spots in order, or of the
-            frames of a fit to pixels.
-        recordings: that the residuals belong to, in their order.
-        used: number of spots that had a part in the values, or of frames.
-        others: rows (name, value, sigma, unit) of what was fitted beside the file's parameters.
+        values: the calibration file's parameters.
+        covariance: covariance of `values`.
+        converged: whether the solvers converged.
+        bounds: bounds that the fit reached, in words.
+        undetermined: parameters that the data do not determine, in words.
+        chi_squared: None if the noise was estimated from the residuals.
+        degrees_of_freedom: number of data and priors minus number of parameters.
+        residuals: by name, with variance 1: one per usable spot of all recordings in order, or one
+            per frame for a fit to pixels.
+        recordings: the recordings of the residuals, in the same order.
+        used: number of spots, or of frames, that the fit used.
+        others: rows (name, value, sigma, unit) of fitted parameters that the file does not contain.
         notes: sentences for the report.
         lines: curves by recording's name.
-        pixels: of a fit to all pixels; None where spots were fitted.
+        pixels: residuals of a fit to all pixels; None for a fit to spots.
     """
 
     calibration_model: str
@@ -98,10 +98,10 @@ class Fitted:
 
     @property
     def unit(self) -> str:
-        """What `used` counts."""
+        """What `used` counts: spots or frames."""
         return "spots" if self.pixels is None else "frames"
 
     @property
     def chi_squared_per_degree(self) -> float | None:
-        """1 where noise and geometry are as assumed."""
+        """Expected to be 1 if noise and geometry are as assumed."""
         return None if self.chi_squared is None else self.chi_squared / self.degrees_of_freedom

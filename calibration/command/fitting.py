@@ -1,4 +1,4 @@
-"""A fit from start to end: recordings in; a report, a table and a calibration file out."""
+"""A whole fit, from recordings to a report, a table and a calibration file."""
 
 from __future__ import annotations
 
@@ -44,28 +44,28 @@ def run(
     fibre_diameter_mm: float = 0.5,
     eye_from_robot: str | None = None,
 ) -> None:
-    """Fit a model to withdrawals, write a report, and if the fit is good a calibration file.
+    """Fit a model to withdrawals and write a report, and a calibration file if the fit is good.
 
     Args:
-        sources: stacks, spots files, bags; of one microscope and one medium.
+        sources: stacks, spots files or bags, taken with one microscope in one medium.
         model: a name of `MODELS`, or `AUTO`.
         out: calibration file to write; must not exist. The report is written beside it, as .html.
-        exposure: which one to use of stacks with two; by default "metered", whose peaks are never
-            saturated.
-        free: parameters to fit; None for the model's own.
-        priors: "name=mean,sigma" of free parameters, or of `touch`, each trial's first distance.
-        robust: whether to find outliers and to fit without them (models plane and sphere).
-        lens: preset or file to start the model lens from, see `optics.load_lens`.
-        microscope: microscope file of the sources that are no stacks, see `read_microscope`.
-        poses: pose file of each source that is no stack, in order; a bag may contain its own.
-        phantoms: "plane" or "eyeball", one for each source that is no stack or one for all.
-        medium: name in `optics.MEDIA`, for the sources that are no stacks.
-        fibre_diameter_mm: diameter of the tip's face, for the sources that are no stacks.
-        eye_from_robot: "QX,QY,QZ,QW", rotation from the poses' frame to the eye's.
+        exposure: which exposure to use if a stack has two; by default "metered", whose peaks are
+            never saturated.
+        free: parameters to fit; None for the model's default.
+        priors: "name=mean,sigma" for free parameters, or for `touch`, each trial's first distance.
+        robust: find outliers and fit without them (models plane and sphere).
+        lens: preset or file from which the model lens starts, see `optics.load_lens`.
+        microscope: microscope file for sources other than stacks, see `read_microscope`.
+        poses: pose files for sources other than stacks, in order; a bag may contain its own.
+        phantoms: "plane" or "eyeball", one for each source other than a stack, or one for all.
+        medium: name in `optics.MEDIA`, for sources other than stacks.
+        fibre_diameter_mm: diameter of the tip's face, for sources other than stacks.
+        eye_from_robot: "QX,QY,QZ,QW", rotation from the poses' frame to the eye frame.
 
     Raises:
-        ValueError: bad input, or a fit that is not good. Then only the report is written, unless
-            the only doubt is that the standard deviations are too large.
+        ValueError: wrong input, or a fit that is not good. In the second case only the report is
+            written. A fit whose only fault is too large standard deviations raises nothing.
     """
     sources = [Path(source) for source in sources]
     report = _report_beside(out)
@@ -105,27 +105,28 @@ def run(
 
 
 def _report_beside(out: Path) -> Path:
-    """The report's file; what would fail at the end of the fit fails now."""
+    """The report's file. Wrong output paths fail here, before the fit."""
     if out.exists():
-        raise ValueError(f"{out} exists already. Choose another name; nothing is overwritten.")
+        raise ValueError(f"{out} already exists and is not overwritten. Choose another name.")
     if not out.parent.is_dir():
-        raise ValueError(f"{out.parent} is no folder. Make it, or write {out.name} elsewhere.")
+        raise ValueError(f"{out.parent} is no folder. Create it, or write {out.name} elsewhere.")
     report = out.with_suffix(".html")
     if report == out:
-        raise ValueError(f"{out}: .html is the report's. Name the calibration .json.")
+        raise ValueError(f"{out}: the report uses the ending .html. End the calibration in .json.")
     return report
 
 
 def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:
-    """Refuse choices that the model does not know, before anything is measured."""
+    """Reject choices that do not fit the model, before any spot is measured."""
     chosen = MODELS[model]
     _check_names(chosen, choices)
     if choices.lens and model != "lens":
-        raise ValueError("--lens goes with --model lens; other models know no lens. Leave it out.")
+        raise ValueError("--lens works with --model lens only. Leave it out.")
     if chosen.of_pixels and (others or sources != 1):
         raise ValueError(
-            f"--model {model} fits the pixels of one stack; got {sources} sources, {others} of "
-            "them no stack. Fit each stack by itself; --model cone takes the spots of all together."
+            f"--model {model} fits the pixels of one stack; got {sources} sources, of which "
+            f"{others} are no stacks. Fit each stack by itself, or fit the spots of all sources "
+            "together with --model cone."
         )
 
 
@@ -142,8 +143,8 @@ def _check_names(model: Model, choices: Choices) -> None:
     for name in choices.free or ():
         if name not in model.parameters:
             raise ValueError(
-                f"--free knows {', '.join(model.parameters)}; got {name!r}. Touches, places and "
-                "leans of the axis are always free."
+                f"--free accepts {', '.join(model.parameters)}; got {name!r}. Each trial's touch, "
+                "spot position and axis direction are always free."
             )
     always = NUISANCES if model.of_pixels else ("touch",)
     for name in choices.priors:
@@ -155,8 +156,8 @@ def _check_alike(recordings: Sequence[Recording]) -> None:
     media = {r.medium for r in recordings}
     if len(media) > 1:
         raise ValueError(
-            f"these recordings were taken in {' and '.join(sorted(media))}. A calibration holds in "
-            "one medium; fit each by itself."
+            f"these recordings were taken in {' and '.join(sorted(media))}. A calibration is valid "
+            "in one medium. Fit the recordings of each medium by themselves."
         )
     first = recordings[0].microscope
     for recording in recordings[1:]:
@@ -167,8 +168,8 @@ def _check_alike(recordings: Sequence[Recording]) -> None:
             first.eye_radius_mm,
         ):
             raise ValueError(
-                f"{recording.name} was taken with another microscope or eye than "
-                f"{recordings[0].name}. Fit each by itself."
+                f"{recording.name} and {recordings[0].name} were taken with different microscopes "
+                "or eyes. Fit each by itself."
             )
     planes = [r for r in recordings if r.trial.kind == "plane"]
     for plane in planes[1:]:

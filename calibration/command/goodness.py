@@ -1,4 +1,4 @@
-"""Whether a fit may be called good: convergence, bounds, chi squared, runs of residuals."""
+"""Checks of a fit: convergence, bounds, chi squared, runs of residuals."""
 
 from __future__ import annotations
 
@@ -15,33 +15,32 @@ from jaxtyping import Float
 from estimator.files import QUANTITIES
 
 CHI_SQUARED = (0.8, 1.25)
-"""Per degree of freedom: outside, the noise model or the geometry is not that of the data."""
+"""Accepted range per degree of freedom. Outside it, the noise model or the geometry is wrong."""
 SIGNIFICANCE = 0.01
-"""Chance of calling good residuals structured, over all of a fit's runs tests together."""
+"""Probability that random residuals fail at least one of a fit's runs tests."""
 
-
-_SHOWN = 2  # reasons in the message of a refusal; the report lists all
+_SHOWN = 2  # reasons in an error message; the report lists all
 
 
 class Fault(Enum):
-    """What can be wrong with a fit; the value is what to try."""
+    """What can be wrong with a fit. The value says what to try."""
 
     NOT_CONVERGED = "start nearer (--lens), or fit fewer parameters (--free)"
     BOUND = "fit fewer parameters (--free), or record longer withdrawals"
     UNDETERMINED = "fit fewer parameters (--free), or add what you know of them (--prior)"
-    OVERSTATED_NOISE = "nothing; the values are right, and their errors too large"
+    OVERSTATED_NOISE = "nothing; the values are right and only their errors are too large"
     MISFIT = "{other_model}a recording of an even wall with nothing in front of it"
 
 
 class Doubt(NamedTuple):
-    """Why a fit is not called good: the kind of fault, and the reason in words."""
+    """A fault of a fit and the reason in words."""
 
     fault: Fault
     reason: str
 
     @property
     def harmless(self) -> bool:
-        """Whether the values are right although their errors are too large."""
+        """Whether the values are right and only their errors are too large."""
         return self.fault is Fault.OVERSTATED_NOISE
 
 
@@ -53,14 +52,14 @@ def doubts(
     chi_squared_per_degree: float | None,
     residuals: Mapping[str, Float[np.ndarray, "n"]],
 ) -> list[Doubt]:
-    """Why a fit is not good; empty if it is.
+    """Reasons why a fit is not good; empty for a good fit.
 
     Args:
-        converged: whether the solver says so.
-        bounds: bounds that the fit ran into, in words.
-        undetermined: directions that the data do not hold, in words.
-        chi_squared_per_degree: None where the noise was estimated from the residuals themselves.
-        residuals: by name, in the order in which neighbours would share a misfit.
+        converged: whether the solver converged.
+        bounds: bounds that the fit reached, in words.
+        undetermined: parameters that the data do not determine, in words.
+        chi_squared_per_degree: None if the noise was estimated from the residuals themselves.
+        residuals: by name, ordered so that a misfit affects neighbours alike.
     """
     found = [] if converged else [Doubt(Fault.NOT_CONVERGED, "the solver did not converge")]
     found += [Doubt(Fault.BOUND, f"it hit a bound: {bound}") for bound in bounds]
@@ -71,9 +70,9 @@ def doubts(
     low, high = CHI_SQUARED
     if chi_squared_per_degree is not None and not low <= chi_squared_per_degree <= high:
         value = f"chi squared per degree of freedom is {chi_squared_per_degree:.2f}"
-        within = f"not within {low} and {high}"
+        within = f"not between {low} and {high}"
         if chi_squared_per_degree < low:
-            why = f"{value}, {within}: there is less noise than assumed"
+            why = f"{value}, {within}: the noise is lower than assumed"
             found.append(Doubt(Fault.OVERSTATED_NOISE, why))
         else:
             why = f"{value}, {within}: the residuals are larger than the noise"
@@ -91,8 +90,8 @@ def doubts(
 
 
 def refusal(found: Sequence[Doubt], *, model: str, report: Path) -> str:
-    """Three lines: what is wrong, what to try, where the details are."""
-    # A lens explains more than the other models, so behind it only the recording can be better.
+    """The error message, in three lines: what is wrong, what to try, where the details are."""
+    # The lens is the most general model. If it does not fit, only a better recording helps.
     others = {"lens": "", "cone": "--model lens, or ", "image": "--model lens, or "}
     other_model = others.get(model, "--model cone, or ")
     reasons = [doubt.reason for doubt in found]
@@ -107,15 +106,15 @@ def refusal(found: Sequence[Doubt], *, model: str, report: Path) -> str:
 
 
 def runs_probability(values: Float[np.ndarray, "n"]) -> float:
-    """Chance that values of random order change their sign as seldom as these, or more so.
+    """Probability that randomly ordered values form as few runs of one sign as these, or fewer.
 
-    The exact distribution of the number of runs, given how many are positive and how many not
+    Exact distribution of the number of runs for the given numbers of positive and negative values
     (Wald and Wolfowitz 1940).
     """
     signs = np.sign(values[values != 0])
     positive, negative = int(np.sum(signs > 0)), int(np.sum(signs < 0))
     if positive == 0 or negative == 0:
-        # All of one sign, as residuals with a mean of zero never are: conditioning hides it.
+        # The conditional test always passes here, so use the probability that all signs agree.
         return math.ldexp(2.0, -len(signs)) if len(signs) else 1.0
     runs = 1 + int(np.sum(signs[1:] != signs[:-1]))
     ways = 0
@@ -130,10 +129,10 @@ def runs_probability(values: Float[np.ndarray, "n"]) -> float:
 
 
 def bounds_hit(values: Mapping[str, float]) -> tuple[str, ...]:
-    """Parameters outside of what they can be, in words."""
-    told = []
+    """Parameters outside their physical range, in words."""
+    found = []
     for name, value in values.items():
         unit, low, high, _ = QUANTITIES[name]
         if not low < value < high:
-            told.append(f"{name} = {value:.6g} {unit}, outside of ({low:g}, {high:g})")
-    return tuple(told)
+            found.append(f"{name} = {value:.6g} {unit}, outside of ({low:g}, {high:g})")
+    return tuple(found)

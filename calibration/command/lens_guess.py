@@ -1,4 +1,4 @@
-"""A lens to start the fit to pixels from, chosen by the sizes and edges of the spots."""
+"""A start lens for the fit to pixels, chosen by the sizes and edge widths of the spots."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ import optics
 from calibration.recordings import Recording
 
 FLATTEST = 0.02
-"""Height of the flattest cap to start from, over the core's radius; a sag of 0 cannot be fitted."""
+"""Height of the flattest start cap over the core's radius; a sag of 0 cannot be fitted."""
 _SAGS = (FLATTEST, 0.08, 0.25, 0.5)
 """Heights of the cap over the core's radius: nearly flat to a round drop."""
 _APERTURES = (0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4)
-"""Numerical apertures; neighbours differ by a third, so one is within the 30 % that a start may be
-off."""
+"""Numerical apertures. Neighbours differ by a third, so one is within the 30 % that a start may
+deviate."""
 _GLUE_INDEX = 1.49
-"""Of cyanoacrylate: 1.48 to 1.50 in data sheets."""
+"""Refractive index of cyanoacrylate: 1.48 to 1.50 in data sheets."""
 _DISTANCES, _RADII = 24, 257
 _SIZE_ERROR, _EDGE_ERROR = 0.05, 0.1
-"""How far a guess's radius (relative) and relative edge width may be off, to weigh the two."""
+"""Weights: expected errors of a guess's radius (relative) and of its relative edge width."""
 
 
 def guessed_lens(recording: Recording) -> optics.GlueLens:
-    """The lens of a coarse grid whose spots are most like the measured ones.
+    """The lens on a coarse grid whose spots are most similar to the measured ones.
 
-    Compares the half-maximum radius and the edge's width on square planes with the semi-minor axis
-    and the edge width of the spots, at the distances that the readings and the touch give.
+    Compares the half-maximum radius and the edge width on perpendicular planes with the semi-minor
+    axis and the edge width of the spots, at the distances given by the readings and the touch.
 
     Args:
-        recording: whose spots are looked at; its core is taken as wide as the fibre.
+        recording: the measured spots; the core is assumed to be as wide as the fibre.
     """
     trial = recording.trial
     distance = np.maximum(trial.readings + trial.touch.mean, 0.05)
@@ -45,7 +45,7 @@ def guessed_lens(recording: Recording) -> optics.GlueLens:
         radius, width = (np.interp(distance, sampled, y) for y in _spots(field, sampled))
         misfit = (np.log(radius / measured) / _SIZE_ERROR) ** 2
         misfit += ((width - recording.relative_edge_width) / _EDGE_ERROR) ** 2
-        # The median: some spots may be measured wrongly, and none is like a coarse grid's.
+        # The median tolerates outliers; no spot agrees exactly with a coarse grid.
         if best is None or float(np.median(misfit)) < best[0]:
             best = float(np.median(misfit)), lens
     assert best is not None
@@ -53,7 +53,7 @@ def guessed_lens(recording: Recording) -> optics.GlueLens:
 
 
 def _drop(core_radius: float, sag: float, numerical_aperture: float) -> optics.GlueLens:
-    """A drop on the core's face, as wide as the core."""
+    """A drop of glue on the core's face, as wide as the core."""
     return optics.glue_lens(
         core_radius=core_radius,
         aperture_radius=core_radius,

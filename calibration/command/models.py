@@ -1,4 +1,4 @@
-"""The models that `eyespot fit` knows, by name, and the choice of one from the spots."""
+"""The models of `eyespot fit` by name, and the automatic choice of one."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from calibration.recordings import Recording
 from calibration.spots import PARAMETERS
 
 AUTO = "auto"
-"""Name on the command line: choose the model from the spots."""
+"""Name on the command line that chooses the model from the spots."""
 
 SOFT_EDGE = 0.1
 """Edge width over semi-minor axis above which a spot's edge is soft.
 
-A cone's edge is as wide as the camera's blur: 1 px of 40 to 90 px in the renders, and 4 px at 40 px
-would be a camera far out of focus. Behind a lens the edge is as wide as the core's image: for caps
-of sag 0 to 0.12 mm and numerical apertures of 0.05 to 0.3, the upper quartile over 0.5 to 6 mm is
-0.25 to 0.8.
+A cone's edge is as wide as the camera's blur: 1 px for radii of 40 to 90 px in the renders. A blur
+of 4 px would be a camera far out of focus. With a lens the edge is as wide as the core's image: for
+caps of sag 0 to 0.12 mm and numerical apertures of 0.05 to 0.3, the upper quartile over distances
+of 0.5 to 6 mm is 0.25 to 0.8.
 """
 
 
 class Model(NamedTuple):
-    """A model and what may be chosen about it.
+    """A model and its selectable parameters.
 
     Attributes:
-        fit: recordings in, result out.
-        parameters: that --free knows.
-        free: of these, by default.
-        of_pixels: whether it is fitted to all pixels of one stack, and not to spots.
+        fit: function from recordings to the result.
+        parameters: names that --free accepts.
+        free: default of --free.
+        of_pixels: whether the model is fitted to all pixels of one stack instead of to spots.
     """
 
     fit: Callable[[Sequence[Recording], Choices], Fitted]
@@ -51,38 +51,38 @@ MODELS = {
     "image": Model(fit_image_of_cone, known_names("cone"), FREE["cone"], of_pixels=True),
     "lens": Model(fit_image_of_lens, known_names("lens"), FREE["lens"], of_pixels=True),
 }
-"""By the name on the command line."""
+"""Models by their names on the command line."""
 
 
 class ModelChoice(NamedTuple):
-    """A model's name, and in a sentence why it was chosen."""
+    """A model's name and the reason for its choice, as a sentence."""
 
     model: str
     reason: str
 
 
 def chosen_model(recordings: Sequence[Recording]) -> ModelChoice:
-    """The model for these spots: a lens if their edges are soft, a cone if they are sharp.
+    """Choose a lens if the spots' edges are soft, and a cone if they are sharp.
 
-    Only measured spots are looked at. The upper quartile, because a lens too makes a sharp edge at
-    the distance at which it shows its core.
+    Uses measured spots only. Uses the upper quartile of the edge widths, because a lens also makes
+    a sharp edge at the distance where it images its core.
 
     Raises:
-        ValueError: the light is a lens's, and these are several recordings or no stack.
+        ValueError: the spots need a lens, but there are several recordings or no stack.
     """
     widths = np.concatenate([recording.relative_edge_width for recording in recordings])
     if np.isnan(widths).any():
         return ModelChoice("cone", "the spots' edges were not measured")
     width = float(np.quantile(widths, 0.75))
     seen = (
-        f"the spots' edges are {{}}: {width:.2f} of the radius wide, a cone's at most {SOFT_EDGE}"
+        f"the spots' edges are {{}}: {width:.2f} of the radius wide (a cone's: at most {SOFT_EDGE})"
     )
     if width <= SOFT_EDGE:
         return ModelChoice("cone", seen.format("sharp"))
     if len(recordings) > 1 or not recordings[0].is_stack:
         raise ValueError(
             f"{seen.format('soft')}, so the light comes from a lens.\n"
-            "A lens is fitted to the pixels of one stack: give one stack. To fit a cone all the "
-            "same, add --model cone."
+            "A lens is fitted to the pixels of one stack: give one stack. To fit a cone instead, "
+            "add --model cone."
         )
     return ModelChoice("lens", seen.format("soft"))

@@ -1,4 +1,4 @@
-"""The paper's models of `eyespot fit`: a line through planes, and c of an eyeball."""
+"""Models plane and sphere of `eyespot fit`: the fits of Zhou et al. 2020."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up 
 
 
 def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
-    """The paper's line through all planes, with each trial's touch and the plane's tilt."""
+    """Fit the paper's line through all planes, with each trial's touch and the plane's tilt."""
     _nothing_to_choose("plane", choices)
     for recording in recordings:
         if recording.trial.kind != "plane":
             raise ValueError(
-                f"the model plane is fitted to planes; {recording.name} shows an eyeball. Leave "
-                "it out, or take --model sphere or cone."
+                f"the model plane needs recordings of planes; {recording.name} shows an eyeball. "
+                "Leave it out, or use --model sphere or cone."
             )
     planes, pooled, notes = _pooled_planes(recordings, choices.loss)
     scale = planes[0].microscope.scale_mm_px
@@ -56,26 +56,26 @@ def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
             ("tilt_y", pooled.tilt[1], pooled.tilt_error[1], "1"),
             ("noise of a distance", pooled.noise, math.nan, "mm"),
         ],
-        notes=[f"All together: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.", *notes],
+        notes=[f"All planes: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.", *notes],
         lines={recording.name: _plane_line(recording, choices.loss) for recording in planes},
     )
 
 
 def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
-    """The paper's c of one eyeball trial, by the line through the planes."""
+    """Fit the paper's c of one eyeball trial, given the line through the planes."""
     _nothing_to_choose("sphere", choices)
     spheres = [r for r in recordings if r.trial.kind == "eyeball"]
     if len(spheres) != 1:
         raise ValueError(
-            "the model sphere fits the c of one trial in an eyeball, with planes beside it; got "
-            f"{len(spheres)}. A calibration has one eccentricity: fit each trial by itself."
+            "the model sphere needs one recording of an eyeball, and planes; got "
+            f"{len(spheres)} eyeballs. A calibration has one eccentricity: fit each by itself."
         )
     _, pooled, notes = _pooled_planes(recordings, choices.loss)
     (sphere,) = spheres
     microscope, trial = sphere.microscope, sphere.trial
     scale, radius = microscope.scale_mm_px, microscope.eye_radius_mm
     axis = np.asarray(trial.ellipses.semi_minor)
-    # The plane's b counts from the wall; the eyeball's readings, too, miss their touch.
+    # The plane's b is relative to the wall, so add the touch to the eyeball's readings, too.
     distance = trial.readings + trial.touch.mean
     fit = fit_eccentricity(
         semi_minor_px=axis,
@@ -99,7 +99,7 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
         f"{sphere.name}: SD {fit.standard_deviation:.4f}, mean absolute error "
         f"{fit.mean_absolute_error:.4f}, largest error {fit.max_error:.4f} mm.",
         *_outlier_note(sphere, fit.outliers),
-        f"Planes together: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.",
+        f"All planes: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.",
         *notes,
     ]
     order = np.argsort(axis)
@@ -109,7 +109,7 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
         values={"k": pooled.delta_k / scale, "b": pooled.b, "eccentricity": fit.c},
         covariance=_with_eccentricity(pooled, fit, scale),
         converged=pooled.converged and fit.converged,
-        bounds=("eccentricity = 0: the data ask for none",) if fit.at_bound else (),
+        bounds=("eccentricity = 0, where the fit is best",) if fit.at_bound else (),
         residuals={"the distance": errors / np.sqrt(np.sum(errors**2) / (errors.size - 1))},
         recordings=[sphere],
         used=errors.size + pooled.residuals.size,
@@ -122,14 +122,14 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
 def _pooled_planes(
     recordings: Sequence[Recording], loss: Loss
 ) -> tuple[list[Recording], PlaneTrialsFit, list[str]]:
-    """The planes' recordings, the line through them, and a sentence on each."""
+    """The planes' recordings, the line through them, and a sentence about each."""
     planes = [r for r in recordings if r.trial.kind == "plane"]
     if not planes:
-        raise ValueError("the model needs a recording of a plane; all of these are eyeballs.")
+        raise ValueError("the model needs a recording of a plane; all of these show eyeballs.")
     if any(any(recording.tilt) for recording in planes):
         raise ValueError(
-            f"{planes[0].name} shows a tilted plane, and the paper's line holds on one that is "
-            "square to the microscope's axis. Take --model cone, which knows the tilt."
+            f"{planes[0].name} shows a tilted plane. The paper's line is valid only for a plane "
+            "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
         )
     notes, trials, kept = [], [], []
     for recording in planes:
@@ -182,7 +182,7 @@ def _plane_trial(recording: Recording) -> PlaneTrial:
     return PlaneTrial(
         semi_minor_px=np.asarray(trial.ellipses.semi_minor),
         readings=trial.readings,
-        # Across (cos, sin) in the image, whose v points towards -Y.
+        # Perpendicular to (cos, sin) in the image, whose v points towards -Y.
         minor_axes=np.stack([np.sin(angle), np.cos(angle)], axis=-1),
         place=np.asarray(wall.intersect(*microscope.ray(centre)).point[:2]),
         touch=trial.touch,
@@ -202,7 +202,7 @@ def _plane_line(recording: Recording, loss: Loss) -> Curve:
 def _with_eccentricity(
     pooled: PlaneTrialsFit, fit: SphereFit, scale: float
 ) -> Float[np.ndarray, "3 3"]:
-    """Covariance of k, b and c, which follows the line that it was fitted with."""
+    """Covariance of k, b and c; c depends on the line with which it was fitted."""
     follows = np.vstack([np.eye(2), fit.sensitivity])
     covariance = follows @ pooled.covariance @ follows.T
     covariance[2, 2] += fit.c_error**2
@@ -214,6 +214,6 @@ def _nothing_to_choose(model: str, choices: Choices) -> None:
     wrong = [*(choices.free or ()), *(name for name in choices.priors if name != "touch")]
     if wrong:
         raise ValueError(
-            f"--model {model} has no parameter {wrong[0]} to choose; the model cone has "
+            f"--model {model} has no selectable parameter {wrong[0]}; --model cone has "
             f"{', '.join(PARAMETERS)}."
         )

@@ -1,4 +1,4 @@
-"""The models of `eyespot fit` that every pixel of one stack is fitted with: image and lens."""
+"""Models image and lens of `eyespot fit`, fitted to every pixel of one stack."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from estimator import read_stack
 from estimator.files import LENS_PARAMETERS
 from estimator.run import progress
 
-_BLUR_PX = 1.0  # of a camera in focus, to begin with
+_BLUR_PX = 1.0  # start value: a camera in focus
 _CONE_IN_FILE = ("half_angle", "b")
 _EITHER_IN_FILE = ("scale", "eye_radius")
 _SECONDS_A_PIXEL = {"cone": 3e-6, "lens": 3e-5}
-"""Time of a fit over the pixels of all frames, on two cores, to the nearest factor of two."""
+"""Time of a fit per pixel and frame on two cores, accurate to a factor of two."""
 _BRIGHTNESS = ("sensitivity", "power", "reflectance")
-"""Whose product over pi is the brightness of a calibration file."""
+"""Factors of a calibration file's brightness; it is their product over pi."""
 
 
 def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
-    """Half-angle and b of a cone from pixels, beginning at the paper's line through the spots."""
+    """Fit half-angle and b of a cone to pixels; start with the paper's line through the spots."""
     (recording,) = recordings
     for name in set(_CONE_IN_FILE) - set(choices.free or _CONE_IN_FILE):
-        raise ValueError(f"--free must hold half_angle and b; {name} is missing. Add it.")
+        raise ValueError(f"--free must contain half_angle and b; {name} is missing. Add it.")
     line = fit_plane(
         semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
         distance=recording.trial.readings,
@@ -53,12 +53,12 @@ def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitt
         model="exact",
         values={name: fit.values[name] for name in names},
         slopes={name: {name: 1.0} for name in names},
-        told=names,
+        in_file=names,
     )
 
 
 def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitted:
-    """Shape and aperture of a glue lens from pixels, and how bright it makes its spot."""
+    """Fit shape, aperture and brightness of a glue lens to pixels."""
     (recording,) = recordings
     footage, fit = _fit(recording, choices, "lens", _lens_start(recording, choices))
     every = fit.values
@@ -67,7 +67,7 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
         **{name: every[name] for name in LENS_PARAMETERS if name in LENS},
         "glue_length": every["rim_height"] + every["sag"],
         **{name: every[name] for name in own},
-        # Part of full scale, some of which black takes, not of the full well.
+        # As a part of full scale, of which the black level takes a share.
         "brightness": (1 - footage.noise.black)
         * math.prod(every[name] for name in _BRIGHTNESS)
         / math.pi,
@@ -76,15 +76,20 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
     slopes["glue_length"] = {"rim_height": 1.0, "sag": 1.0}
     slopes["brightness"] = {name: values["brightness"] / every[name] for name in _BRIGHTNESS}
     return _fitted(
-        recording, fit, model="lens", values=values, slopes=slopes, told=[*LENS, *_EITHER_IN_FILE]
+        recording,
+        fit,
+        model="lens",
+        values=values,
+        slopes=slopes,
+        in_file=[*LENS, *_EITHER_IN_FILE],
     )
 
 
 def _lens_start(recording: Recording, choices: Choices) -> dict[str, float]:
-    """The lens that was named, else one guessed from the spots."""
+    """The chosen lens, or else one guessed from the spots."""
     if choices.lens:
         given = lens_start(optics.load_lens(choices.lens))
-        # A flat end lies on the bound of what can be fitted, so start beside it.
+        # A flat end is at the bound of the fit, so start next to it.
         given["sag"] = max(given["sag"], FLATTEST * given["core_radius"])
         return given
     found = lens_start(guessed_lens(recording))
@@ -104,18 +109,18 @@ def _fit(
     start: Mapping[str, float],
 ) -> tuple[Footage, ImageFit]:
     if choices.loss != "squares":
-        raise ValueError("--robust goes with the models plane and sphere. Leave it out.")
+        raise ValueError("--robust works with the models plane and sphere only. Leave it out.")
     if any(recording.tilt):
         raise ValueError(
-            f"{recording.name} shows a tilted plane, and the fit to pixels knows planes that are "
-            "square to the microscope's axis. Take --model cone, which knows the tilt."
+            f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
+            "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
         )
     exposure = choices.exposure or usual_exposure(recording.source)
     footage = read_footage(read_stack(recording.source), exposure=exposure)
     frames = len(footage.readings)
     minutes = footage.light.size * _SECONDS_A_PIXEL[source] / 60
     print(
-        f"Fitting a {source} to {frames} frames; takes some {_rounded(minutes)} min on two cores.",
+        f"Fitting a {source} to {frames} frames: {_rounded(minutes)} min on two cores.",
         file=sys.stderr,
         flush=True,
     )
@@ -138,17 +143,17 @@ def _fitted(
     model: str,
     values: dict[str, float],
     slopes: Mapping[str, Mapping[str, float]],
-    told: Sequence[str],
+    in_file: Sequence[str],
 ) -> Fitted:
-    """The fit as all models' fits are told.
+    """The result in the form that all models share.
 
     Args:
-        recording: that was fitted.
-        fit: its outcome.
-        model: of the calibration file.
-        values: of the file.
-        slopes: of each of these, in those of the fit's parameters that it follows.
-        told: names of the fit that the file's values tell.
+        recording: the fitted recording.
+        fit: its result.
+        model: model's name in the calibration file.
+        values: parameters of the file.
+        slopes: derivatives of these with respect to the fit's parameters.
+        in_file: the fit's parameters that the file's values contain.
     """
     names = list(fit.parameters)
     follows = np.array([[slopes[name].get(own, 0.0) for own in names] for name in values])
@@ -168,7 +173,7 @@ def _fitted(
         others=[
             (name, value, error, UNITS[name])
             for name, (value, error) in fit.parameters.items()
-            if name not in told
+            if name not in in_file
         ],
         notes=[f"{np.count_nonzero(np.isfinite(fit.residuals))} pixels were fitted."],
         pixels=PixelResiduals(picture, numbers),
@@ -176,13 +181,13 @@ def _fitted(
 
 
 def _rounded(minutes: float) -> str:
-    return f"{minutes:.0f}" if minutes >= 1 else "less than 1"
+    return f"about {minutes:.0f}" if minutes >= 1 else "less than 1"
 
 
 def _means(
     residuals: Float[np.ndarray, "frames h w"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frames with pixels, and mean residuals a frame and a pixel, in units of their own sigma."""
+    """Frames with pixels; mean residuals per frame and per pixel over their standard deviation."""
     known = np.isfinite(residuals)
     filled = np.where(known, residuals, 0.0).astype(float)
     numbers = np.flatnonzero(known.any(axis=(1, 2)))
@@ -195,7 +200,7 @@ def _means(
 def _propagated(
     follows: Float[np.ndarray, "n p"], covariance: Float[np.ndarray, "p p"]
 ) -> Float[np.ndarray, "n n"]:
-    """Covariance of what follows the parameters; infinite where one is not determined."""
+    """Covariance of derived values; infinite if they depend on an undetermined parameter."""
     lost = np.isinf(np.diag(covariance))
     known = np.where(np.isinf(covariance), 0.0, covariance)
     result = np.asarray(follows @ known @ follows.T)

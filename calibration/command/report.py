@@ -21,10 +21,10 @@ from calibration.recordings import Recording
 from calibration.solvers import correlations
 from estimator.files import QUANTITIES
 
-# Okabe and Ito's palette, which colour-blind readers can tell apart.
+# Palette of Okabe and Ito, which colour-blind readers can distinguish.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-_STRONG = 4.0  # standard deviations that end the colours of residuals
+_STRONG = 4.0  # standard deviations at both ends of the residuals' colour scale
 _STYLE: dict[Any, Any] = {
     "font.size": 8,
     "axes.titlesize": 8,
@@ -49,15 +49,15 @@ def render(
     software: str,
     fingerprint: str,
 ) -> str:
-    """The page.
+    """The HTML page.
 
     Args:
         fitted: the fit.
         model: its name on the command line.
-        recordings: all that it was given.
-        doubts: why it is not good; empty if it is.
+        recordings: all recordings given to the fit.
+        doubts: why the fit is not good; empty for a good fit.
         software: names and versions.
-        fingerprint: of the data.
+        fingerprint: checksum of the data.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("calibration.command"),
@@ -107,7 +107,7 @@ def _number(value: float, digits: int = 6) -> str:
 
 
 def _residuals(fitted: Fitted) -> Figure:
-    """A row for each kind of residual: against reading and place, and against normal quantiles."""
+    """One row per kind of residual: against reading, position and normal quantiles."""
     names = list(fitted.residuals)
     figure = Figure(figsize=(10.0, 2.1 * len(names) + 0.5), layout="constrained")
     grid = figure.subplots(len(names), 4, squeeze=False, sharey="row", sharex="col")
@@ -146,7 +146,7 @@ def _residuals(fitted: Fitted) -> Figure:
 
 
 def _pixels(pixels: PixelResiduals, of_frames: np.ndarray) -> Figure:
-    """The mean residual of each pixel over the frames, and of each frame over its pixels."""
+    """The mean residual of each pixel over the frames and of each frame over its pixels."""
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2)
     shown = left.imshow(
@@ -165,7 +165,7 @@ def _pixels(pixels: PixelResiduals, of_frames: np.ndarray) -> Figure:
 
 
 def _lines(fitted: Fitted) -> Figure:
-    """Distance against spot size with the curves' confidence bands."""
+    """Distance against spot size, with confidence bands."""
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2)
     for number, recording in enumerate(fitted.recordings):
@@ -200,7 +200,7 @@ def _marks(axes: Axes, x: Any, y: Any, number: int, label: str) -> None:
 
 
 def _svg(figure: Figure) -> str:
-    """The picture as a data URI."""
+    """Data URI of the figure."""
     file = io.BytesIO()
     figure.savefig(file, format="svg", metadata={"Date": None})
     return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"

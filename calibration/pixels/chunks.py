@@ -1,4 +1,4 @@
-"""The image model on chunks of pixels, compiled once for every frame and every stage of a fit."""
+"""The image model on chunks of pixels, compiled once for all frames and stages of a fit."""
 
 from __future__ import annotations
 
@@ -18,23 +18,22 @@ from calibration.pixels.table import LensTable
 from calibration.spots import phantom_wall
 
 CHUNK = 4096
-"""Pixels at a time: what their derivatives need stays in the cache."""
+"""Pixels per chunk, few enough that the derivatives stay in the cache."""
 
-
-_ROUNDING = 1e-6  # of a whole pixel: no part that an edge has cut off
+_ROUNDING = 1e-6  # of a pixel; smaller fractions are rounding errors and no cut by an edge
 
 
 class Problem(eqx.Module):
-    """What a fit holds fixed, and how its parameters become values.
+    """The constants of a fit, and the conversion from its parameters to values.
 
     Attributes:
-        first, size: values are first + size x.
-        fixed: values of what is not free.
-        microscope: the camera; `scale` and `eye_radius` of the values take the place of its own.
-        axis: of the beam as the robot reports it.
-        blur: sigma by which the frames were blurred, px, or None.
-        names: of the free parameters.
-        kind: of the wall.
+        first, size: the free values are first + size x.
+        fixed: values of the parameters that are not free.
+        microscope: the camera; `scale` and `eye_radius` of the values replace its own.
+        axis: the beam's axis, reported by the robot.
+        blur: sigma with which the frames were blurred, px, or None.
+        names: names of the free parameters.
+        kind: kind of the wall.
     """
 
     first: Float[Array, "p"]
@@ -48,15 +47,15 @@ class Problem(eqx.Module):
 
 
 class Chunk(NamedTuple):
-    """Pixels of one frame, padded; where `weight` is 0, there is none.
+    """Pixels of one frame, padded to one size; padding has `weight` 0.
 
     Attributes:
         pixels: (u, v), px.
-        light: measured, full wells.
-        weight: one over the light's sigma.
-        reading: of the robot, mm.
-        exposure_s: reported.
-        frame: its number.
+        light: measured light, full wells.
+        weight: 1 over the light's sigma.
+        reading: the robot's reading, mm.
+        exposure_s: reported exposure time.
+        frame: the frame's number.
     """
 
     pixels: Float[np.ndarray, "n 2"]
@@ -68,16 +67,16 @@ class Chunk(NamedTuple):
 
 
 class View(NamedTuple):
-    """What the model says of a chunk's pixels.
+    """The model's values for a chunk's pixels.
 
     Attributes:
         light: full wells.
-        direct: of it, what comes from the source.
-        step: at a sharp edge that cuts the pixel, full wells; 0 where there is none.
+        direct: the part of `light` that comes directly from the source.
+        step: height of the sharp edge that cuts the pixel, full wells; 0 without an edge.
         along: distance of the wall from the tip's plane, mm.
-        point: on the wall, mm.
+        point: point on the wall, mm.
         sight: unit vectors from the microscope.
-        tip, axis: of the frame.
+        tip, axis: the frame's tip and axis.
     """
 
     light: Float[Array, "n"]
@@ -91,7 +90,7 @@ class View(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """A chunk's part of the normal equations; the last parameter is its frame's exposure."""
+    """A chunk's part of the normal equations; the last parameter is the frame's exposure."""
 
     cost: Float[Array, ""]
     gradient: Float[Array, "p+1"]
@@ -100,14 +99,14 @@ class Sums(NamedTuple):
 
 
 def values_at(problem: Problem, x: Array) -> dict[str, Array]:
-    """All values at a point of the fit."""
+    """Values of all parameters at x."""
     free = problem.first + problem.size * x
     return problem.fixed | dict(zip(problem.names, free, strict=True))
 
 
 @eqx.filter_jit
 def look(problem: Problem, table: LensTable | None, x: Array, chunk: Chunk) -> View:
-    """The model's view of a chunk."""
+    """Evaluate the model on a chunk."""
     values = values_at(problem, x)
     camera, surface = _eye(problem, values)
     wall = wall_pixels(jnp.asarray(chunk.pixels), microscope=camera, surface=surface)
@@ -132,13 +131,13 @@ def look(problem: Problem, table: LensTable | None, x: Array, chunk: Chunk) -> V
 
 @eqx.filter_jit
 def sums(problem: Problem, table: LensTable | None, x: Array, over: Array, chunk: Chunk) -> Sums:
-    """A chunk's part of the normal equations.
+    """A chunk's contribution to the normal equations.
 
     Args:
         problem: the fit.
-        table: of a lens, made near `x`; None of a cone.
-        x: of the parameters.
-        over: by which part the frame's exposure exceeds the reported one.
+        table: light of the lens, computed near `x`; None for a cone.
+        x: the parameters.
+        over: relative excess of the frame's exposure over the reported one.
         chunk: the pixels.
     """
 
@@ -175,7 +174,7 @@ def _radiance(
 def poses(
     problem: Problem, values: Mapping[str, ArrayLike], readings: Float[np.ndarray, "frames"]
 ) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "3"]]:
-    """Tips and axis of frames, by their readings."""
+    """Tips and axis of frames with the given readings."""
     known = {name: jnp.asarray(value) for name, value in values.items()}
     camera, surface = _eye(problem, known)
     tips, axes = zip(*(_pose(problem, known, camera, surface, r) for r in readings), strict=True)

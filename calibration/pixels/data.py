@@ -1,7 +1,8 @@
-"""Frames as light with a known noise, and what a log book says of how they were taken.
+"""Frames as light with a known noise, with the conditions of the recording.
 
-Labels stay unread: images, their times and exposures, the robot's poses, the microscope's file, and
-of the scene as run the camera's data sheet, the wall's kind, the medium and the instrument's sizes.
+Reads images, times, exposures, the robot's poses and the microscope's file. From the scene it reads
+only the camera's data sheet, the wall's kind, the medium and the instrument's sizes. It does not
+read the labels.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from estimator.image import Response
 from estimator.sources import open_source
 
 _CHANNELS = 3
-# Of 20 gauge, the thickest in use: a thinner shaft hides less, which costs a few pixels.
+# 20 gauge, the thickest shaft in use. With a thinner shaft a few visible pixels are left out.
 _SHAFT_RADIUS_MM = 0.455
-_CLEAR_SIGMAS = 4.0  # that light must keep from black and white, where it would be cut
+_CLEAR_SIGMAS = 4.0  # least distance of a pixel from black and white, where noise is clipped
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,9 +35,9 @@ class CameraNoise:
         full_well_e: electrons at full scale.
         read_noise_e: standard deviation of a dark pixel, electrons.
         dark_signal_e: mean thermal electrons.
-        black: level of a dark pixel, as a part of full scale.
-        full_scale: largest number in a file.
-        response: curve of the numbers.
+        black: level of a dark pixel, as a fraction of full scale.
+        full_scale: largest pixel value in a file.
+        response: response curve of the pixel values.
     """
 
     full_well_e: float
@@ -48,21 +49,21 @@ class CameraNoise:
 
     @classmethod
     def of(cls, camera: dict[str, Any], response: Response) -> CameraNoise:
-        """From the table [camera] of the scene as run.
+        """Read the table [camera] of the scene.
 
         Raises:
-            ValueError: pixels whose noise is not independent.
+            ValueError: the camera correlates the noise of pixels or has fixed-pattern noise.
         """
-        told = {
+        unsupported = {
             "bayer": camera["bayer"] != "none",
             "jpeg_quality": camera["jpeg_quality"] > 0,
             "prnu": camera["prnu"] > 0,
             "dsnu_e": camera["dsnu_e"] > 0,
         }
-        if any(told.values()):
-            names = ", ".join(f"{name} = {camera[name]}" for name, is_set in told.items() if is_set)
+        if any(unsupported.values()):
+            names = ", ".join(f"{name} = {camera[name]}" for name, on in unsupported.items() if on)
             raise ValueError(
-                f"the image fit takes every pixel's noise for its own; this camera has {names}. "
+                f"the image fit needs independent noise in every pixel; this camera has {names}. "
                 "Record raw frames, divided by a flat field, or fit the spots (--model cone)."
             )
         full_scale = (1 << camera["bit_depth"]) - 1
@@ -76,15 +77,15 @@ class CameraNoise:
         )
 
     def light(self, values: np.ndarray) -> Float[np.ndarray, "h w"]:
-        """Mean light of an image's channels; noise may take it below 0."""
+        """Mean light of an image's channels; with noise it can be negative."""
         straight = self._straight(values).mean(axis=-1, dtype=float)
         return (straight - self.black) / (1 - self.black) - self.dark_signal_e / self.full_well_e
 
     def variance(self, light: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Of the mean over channels: shot and read noise, and rounding, where the light is known.
+        """Variance of the mean over channels for known light: shot noise, read noise and rounding.
 
-        Rounding acts behind the response curve, so that its steps of light are those of the
-        curve's inverse.
+        Pixel values are rounded after the response curve, so the inverse curve gives the step in
+        light.
         """
         electrons = np.maximum(light, 0) * self.full_well_e + self.dark_signal_e
         counted = (electrons + self.read_noise_e**2) / self.full_well_e**2
@@ -94,7 +95,7 @@ class CameraNoise:
         return (counted + step**2 / 12) / _CHANNELS
 
     def is_clear(self, light: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
-        """Whether noise takes a pixel of this light neither to black nor to white."""
+        """Whether a pixel with this light stays between black and white in spite of noise."""
         reach = _CLEAR_SIGMAS * np.sqrt(_CHANNELS * self.variance(light))
         level = self._level(light)
         return (level > reach) & (level < 1 - reach)
@@ -103,13 +104,13 @@ class CameraNoise:
         return self.black + (1 - self.black) * (light + self.dark_signal_e / self.full_well_e)
 
     def _straight(self, values: np.ndarray) -> np.ndarray:
-        """Numbers before the response curve, as parts of full scale."""
+        """Pixel values before the response curve, as fractions of full scale."""
         light = self.response.light(values, float(self.full_scale))
         return light.astype(float) / self.full_scale
 
 
 class Instrument(NamedTuple):
-    """Bare fibre at the end of a shaft: its radius and length, mm."""
+    """Bare fibre at the end of a shaft: the fibre's radius and length, mm."""
 
     fibre_radius: float
     fibre_length: float
@@ -123,11 +124,11 @@ class Instrument(NamedTuple):
         axis: Float[np.ndarray, "3"],
         margin: float,
     ) -> Bool[np.ndarray, "*n"]:
-        """Whether lines of sight meet the instrument, thickened by a margin.
+        """Whether lines of sight meet the instrument, enlarged by a margin.
 
         Args:
-            origin: a point of each line, mm.
-            sight: unit directions.
+            origin: a point on each line, mm.
+            sight: unit directions of the lines.
             tip: S, mm.
             axis: unit vector from the tip towards the wall.
             margin: mm.
@@ -139,7 +140,7 @@ class Instrument(NamedTuple):
         offset = origin - tip
         height, rise = offset @ axis, sight @ axis
         foot, aside = offset - height[..., None] * axis, sight - rise[..., None] * axis
-        # Each line's stretches inside an endless cylinder and between two planes must overlap.
+        # A line meets a rod if its sections inside the cylinder and between the ends overlap.
         a, b = np.sum(aside**2, axis=-1), np.sum(foot * aside, axis=-1)
         hidden = np.zeros(a.shape, bool)
         for radius, back, front in rods:
@@ -159,17 +160,16 @@ class Footage:
 
     Attributes:
         light: mean of the channels, full wells, frames x h x w.
-        clear: neither black nor white in any channel.
-        exposure_s: reported by the camera.
+        clear: whether a pixel is neither black nor saturated in any channel.
+        exposure_s: exposure times that the camera reports.
         readings: distance along the beam since the first frame, mm.
-        axis: unit vector from the tip towards the wall, as the robot reports it.
-        noise: the camera's.
-        microscope: the stack's.
-        instrument: what may hide the wall, and touches it in the first frame.
-        in_view: whether the instrument is.
-        edge_variance: of the part of a pixel that a sharp edge cuts off, where a renderer found it
-            by samples.
-        kind: of the wall, "eyeball" or "plane".
+        axis: unit vector from the tip towards the wall, reported by the robot.
+        noise: the camera's noise.
+        microscope: the stack's microscope file.
+        instrument: the tool, which can hide the wall and touches it in the first frame.
+        in_view: whether the instrument is visible.
+        edge_variance: variance of a cut pixel's lit fraction, caused by the renderer's sampling.
+        kind: kind of the wall, "eyeball" or "plane".
         medium_index: n0.
     """
 
@@ -191,12 +191,12 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
     """Read a stack's frames as light.
 
     Args:
-        stack: of a withdrawal that begins at contact.
-        exposure: "paper" or "metered", where the stack holds both.
+        stack: a withdrawal that begins at contact.
+        exposure: "paper" or "metered" if the stack has both.
 
     Raises:
-        ValueError: the exposure has to be chosen, a camera that the noise model does not know, or
-            poses of the robot that are no withdrawal or lack frames.
+        ValueError: no exposure chosen, a camera that the noise model does not support, or robot
+            poses that are no withdrawal or do not cover all frames.
     """
     scene = stack.description["scene"]
     microscope = read_microscope(stack.folder / "microscope.json")
@@ -215,7 +215,7 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
         microscope=microscope,
         instrument=Instrument(tool["fibre_diameter_mm"] / 2, tool["fibre_length_mm"]),
         in_view=tool["visible"],
-        # Each of n rows of n samples is off by a part of 1/n, evenly spread.
+        # Each of n rows of n samples has an error that is uniform over 1/n.
         edge_variance=1 / (12 * scene["microscope"]["samples"] ** 1.5),
         kind=scene["phantom"]["kind"],
         medium_index=optics.MEDIA[scene["source"]["medium"]],

@@ -1,4 +1,4 @@
-"""Every pixel of a withdrawal fitted at once: source, brightness and pose, with their sigmas."""
+"""Fit of source, brightness and pose to all pixels of a withdrawal at once."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ def fit_image(
     """Fit the light of a cone or of a glue lens to all pixels that the beam reaches.
 
     Args:
-        stack: a withdrawal from contact, on an even wall; its labels are not read. A rendered edge
-            is as good as its samples: with 4 a pixel its weight is low, with 64 and more it counts.
-        source: what the light comes from.
-        start: values to begin with, and of what is not free: `half_angle` and `b` of a cone,
-            `lens_start` of a lens; `reflectance` and `power` (default 0.5 and 1 mW) matter to
-            the light that the eye scatters back, and 30 % off is near enough for what is free.
-        free: names of `UNITS`; by default the cone's half_angle and b, or the lens's sag and
-            numerical_aperture. The pose, sensitivity and illumination always are.
-        priors: of free parameters.
-        exposure: of a stack with several.
-        exposures: taken as reported, or fitted too, each frame's as a multiple of the reported.
-        lean_sigma: of the robot's axis, rad.
+        stack: a withdrawal from contact, on an even wall; its labels are not read. The more samples
+            per pixel the stack was rendered with, the larger the weight of pixels on the edge.
+        source: kind of the light source.
+        start: start values of free parameters, within 30 %, and values of the others: `half_angle`
+            and `b` for a cone, `lens_start` for a lens. `reflectance` and `power` (default 0.5 and
+            1 mW) affect the light that the eye scatters back.
+        free: names from `UNITS`; by default the cone's half_angle and b, or the lens's sag and
+            numerical_aperture. The pose, sensitivity and illumination are always free.
+        priors: priors of free parameters.
+        exposure: which exposure to use if the stack has several.
+        exposures: use the reported exposure times, or also fit each frame's as a multiple of it.
+        lean_sigma: standard deviation of the robot's axis, rad.
 
     Raises:
-        ValueError: an unknown name, no start, or a stack that cannot be fitted.
+        ValueError: an unknown name, a missing start value, or a stack that cannot be fitted.
     """
     footage = read_footage(stack, exposure=exposure)
     return fit_footage(
@@ -60,7 +60,7 @@ def fit_image(
 
 
 def lens_start(lens: optics.GlueLens) -> dict[str, float]:
-    """Start values of a lens for `fit_image`."""
+    """Start values of `fit_image` for a lens."""
     return lens_parameters(lens)
 
 
@@ -75,7 +75,7 @@ def fit_footage(
     lean_sigma: float = np.radians(1.0),
     progress: Callable[[float], None] = lambda chi_squared: None,
 ) -> ImageFit:
-    """`fit_image` of frames that have been read; `progress` gets chi squared at every step."""
+    """`fit_image` for frames in memory; calls `progress` with chi squared at every step."""
     if free is None:
         free = FREE[source]
     check_names(source, start, free, priors or {})

@@ -10,19 +10,19 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImageFit:
-    """Parameters that were free, nuisances included, and how well the pixels know them.
+    """The free parameters, including nuisances, with their standard errors.
 
     Attributes:
-        parameters: by name (see `UNITS`), value and standard error.
-        values: of all parameters, the given ones too.
-        covariance: of `parameters` in their order, from the camera's noise and the priors.
+        parameters: value and standard error by name (see `UNITS`).
+        values: values of all parameters, including those that were not fitted.
+        covariance: covariance of `parameters` in their order, from camera noise and priors.
         chi_squared: sum of squared residuals over their sigma, priors included.
-        degrees_of_freedom: pixels and priors minus parameters.
-        tips: of the frames, mm, eye frame.
-        axis: of the beam, unit vector from the tip towards the wall, eye frame.
-        undetermined: directions that neither data nor priors hold, in words; empty if none.
-        converged: whether less than 0.001 of chi squared was still to be had.
-        residuals: frames x h x w, light minus model over sigma; NaN where not fitted.
+        degrees_of_freedom: number of pixels and priors minus number of parameters.
+        tips: tips of the frames, mm, eye frame.
+        axis: unit vector along the beam from the tip towards the wall, eye frame.
+        undetermined: parameters that neither data nor priors determine, in words; may be empty.
+        converged: whether another step would lower chi squared by less than 0.001.
+        residuals: light minus model over sigma, frames x h x w; NaN for pixels not fitted.
     """
 
     parameters: dict[str, tuple[float, float]]
@@ -38,5 +38,5 @@ class ImageFit:
 
     @property
     def chi_squared_per_dof(self) -> float:
-        """1 where camera and model are as assumed."""
+        """Expected to be 1 if camera and model are as assumed."""
         return self.chi_squared / self.degrees_of_freedom

@@ -1,13 +1,13 @@
-r"""What a pixel sees: the light of a cone or a lens on the wall, as a differentiable function.
+r"""Radiance of the wall lit by a cone or a lens, as a differentiable function.
 
-A matt wall of reflectance rho sends the radiance
+A Lambertian wall of reflectance rho sends the radiance
 
 $$ L = \frac{\rho}{\pi}\bigl(P\,E(X) + E_\mathrm{indirect} + E_0\,c(X)\bigr) $$
 
-towards the microscope: P the power, E the source's irradiance of the wall point X per unit power,
-the uniform light that a closed eyeball scatters back, and the microscope's own light, E_0 at the
-pole. The mean over a pixel is that of its centre, but for the cone's edge, which cuts pixels, and
-for the lens's light, whose edges may be as narrow as one.
+towards the microscope. P is the power, E the source's irradiance of the wall point X per unit
+power, E_indirect the uniform light that a closed eyeball scatters back, and E_0 c(X) the
+microscope's own light, E_0 at the pole. A pixel's mean is the value at its centre, with two
+exceptions: pixels cut by the cone's edge, and the lens's light, whose edges can be one pixel wide.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from jaxtyping import Array, Float, ScalarLike
 import optics
 from calibration.pixels.table import LensTable
 
-_ACROSS = 1e-3  # px; a pixel's width along an edge that runs along its side, instead of 0
+_ACROSS = 1e-3  # px; avoids a width of 0 for an edge parallel to a pixel's side
 _GAUSS = 12**-0.5 * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])  # px from a pixel's centre
-_FAR_PX, _FAR_SIGMAS = 2.0, 9.0  # from an edge, beyond which a pixel is wholly lit or dark
+_FAR_PX, _FAR_SIGMAS = 2.0, 9.0  # distance from an edge beyond which a pixel is fully lit or dark
 
 
 class WallPixels(NamedTuple):
@@ -38,7 +38,7 @@ class WallPixels(NamedTuple):
         normal: inward unit normal N.
         right, down: dX/du and dX/dv, mm/px.
         bend_right, bend_down: dN/du and dN/dv, 1/px.
-        coaxial: irradiance by a light in the pinhole, relative to that at the pole.
+        coaxial: irradiance from a light in the pinhole, relative to that at the pole.
     """
 
     point: Float[Array, "n 3"]
@@ -51,11 +51,11 @@ class WallPixels(NamedTuple):
 
 
 class Edge(NamedTuple):
-    """Where pixels lie to an edge.
+    """Position of pixels relative to an edge.
 
     Attributes:
-        inside: distance of their centres from it, px, positive on the lit side.
-        normal_u, normal_v: of its unit normal towards the lit side.
+        inside: distance of the pixels' centres from the edge, px, positive on the lit side.
+        normal_u, normal_v: components of the edge's unit normal towards the lit side.
     """
 
     inside: Float[Array, "*n"]
@@ -64,7 +64,7 @@ class Edge(NamedTuple):
 
 
 class BeamLight(Protocol):
-    """A light at a tip, pointing along an axis."""
+    """A light source at a tip, pointing along an axis."""
 
     def irradiance(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
@@ -74,19 +74,19 @@ class BeamLight(Protocol):
     def lit(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        """Part of each pixel on the lit side of a sharp edge."""
+        """Fraction of each pixel on the lit side of a sharp edge."""
 
     def emitted(self) -> Float[Array, ""]:
-        """Part of the power that reaches the wall."""
+        """Fraction of the power that reaches the wall."""
 
 
 def wall_pixels(
     pixels: Float[Array, "n 2"], *, microscope: optics.Microscope, surface: optics.Surface
 ) -> WallPixels:
-    """Wall points behind pixels, and how they move from pixel to pixel.
+    """Wall points behind pixels, with their derivatives with respect to u and v.
 
     Args:
-        pixels: (u, v) of their centres, px.
+        pixels: (u, v) of the pixels' centres, px.
         microscope: the camera.
         surface: the wall.
     """
@@ -124,7 +124,7 @@ def radiance(
         source: the light.
         tip: S, mm.
         axis: unit vector from the tip towards the wall.
-        eyeball: whether the wall is closed and scatters light back to itself.
+        eyeball: whether the wall is a closed eyeball, which scatters light back onto itself.
     """
     light = jnp.asarray(values["power"]) * source.irradiance(wall, tip=tip, axis=axis)
     light += values["illumination"] * wall.coaxial
@@ -138,7 +138,7 @@ def radiance(
 
 
 class Cone(eqx.Module):
-    """An even cone: the same intensity in all of its directions, none outside.
+    """A uniform cone: constant intensity inside, none outside.
 
     Attributes:
         half_angle: alpha, rad.
@@ -153,7 +153,7 @@ class Cone(eqx.Module):
     def irradiance(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        """Intensity over squared distance, times cosine, over the part of the pixel within."""
+        """Intensity over squared distance, times cosine, over the pixel's part inside the cone."""
         edge = self._edge(wall, tip, axis)
         along = edge.normal_u[:, None] * wall.right + edge.normal_v[:, None] * wall.down
         bend = edge.normal_u[:, None] * wall.bend_right + edge.normal_v[:, None] * wall.bend_down
@@ -164,14 +164,14 @@ class Cone(eqx.Module):
             return -_dot(offset, normal) / (squared * jnp.sqrt(squared))
 
         value, slope = jax.jvp(even, (wall.point, wall.normal), (along, bend))
-        # What is lit of a cut pixel does not have its middle at the pixel's.
+        # The centre of a cut pixel's lit part is not the pixel's centre.
         whole = lit_part(edge, blur=self.blur) * value + lit_moment(edge, blur=self.blur) * slope
         return whole / (2.0 * jnp.pi * (1.0 - jnp.cos(self.half_angle)))
 
     def lit(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        """Part of each pixel within the cone."""
+        """Fraction of each pixel inside the cone."""
         return lit_part(self._edge(wall, tip, axis), blur=self.blur)
 
     def _edge(self, wall: WallPixels, tip: Float[Array, "3"], axis: Float[Array, "3"]) -> Edge:
@@ -180,13 +180,13 @@ class Cone(eqx.Module):
         lateral = offset - along[:, None] * axis
         off_axis = jnp.sqrt(_dot(lateral, lateral) + 1e-24)
         sin_a, cos_a = jnp.sin(self.half_angle), jnp.cos(self.half_angle)
-        # Distance from the cone's surface, mm; over its slope in the image it is that in px.
+        # Distance from the cone's surface, mm. Divided by its slope in the image, it is in px.
         inside = along * sin_a - off_axis * cos_a
         inwards = sin_a * axis - cos_a * lateral / off_axis[:, None]
         slope_u, slope_v = _dot(inwards, wall.right), _dot(inwards, wall.down)
         per_px = jnp.hypot(slope_u, slope_v)
         normal_u, normal_v = slope_u / per_px, slope_v / per_px
-        # The edge is no straight line: within a pixel's or the blur's reach along it, it recedes.
+        # The edge is curved, so the mean over a pixel or over the blur lies behind its tangent.
         tangent = normal_u[:, None] * wall.down - normal_v[:, None] * wall.right
         around = _dot(tangent, jnp.cross(axis, lateral)) / off_axis
         spread = 1.0 / 12.0 + (0.0 if self.blur is None else jnp.square(self.blur))
@@ -194,15 +194,15 @@ class Cone(eqx.Module):
         return Edge((inside - recedes) / per_px, normal_u, normal_v)
 
     def emitted(self) -> Float[Array, ""]:
-        """All of it."""
+        """1: the whole power."""
         return jnp.ones(())
 
 
 class Lens(eqx.Module):
-    """A glue lens, by a table of its vector irradiance.
+    """A glue lens, given by a table of its vector irradiance.
 
     Attributes:
-        table: the lens's light near the parameters that it was made for.
+        table: the lens's light near the parameters for which the table was computed.
     """
 
     table: LensTable
@@ -210,7 +210,7 @@ class Lens(eqx.Module):
     def irradiance(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        """E = -n · V (see `optics.vector_irradiance`), as Gauss' rule has a pixel's mean."""
+        """E = -n · V (see `optics.vector_irradiance`), a pixel's mean by Gauss quadrature."""
         u, v = (node[:, None, None] for node in _GAUSS.T)
         offset = wall.point + u * wall.right + v * wall.down - tip
         normal = wall.normal + u * wall.bend_right + v * wall.bend_down
@@ -224,23 +224,23 @@ class Lens(eqx.Module):
     def lit(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        """All of it: a lens's light ends without an edge that a pixel would see."""
+        """1 everywhere: a lens's light has no edge as sharp as a pixel."""
         return jnp.ones(wall.coaxial.shape)
 
     def emitted(self) -> Float[Array, ""]:
-        """What leaves the cap."""
+        """Fraction of the power that leaves the cap."""
         return self.table.transmitted()
 
 
 def lit_part(edge: Edge, *, blur: ScalarLike | None = None) -> Float[Array, "*n"]:
-    r"""Part of a pixel on the lit side of a straight edge, exact, with or without Gaussian blur.
+    r"""Exact fraction of a pixel on the lit side of a straight edge, with or without Gaussian blur.
 
-    A pixel seen along the edge is a trapezoid, the convolution of boxes of width $|n_u|$ and
-    $|n_v|$, so that its lit part is a mixed second difference of $G_2$, the second integral of the
-    step, $\max(t, 0)^2/2$, or of the blurred step $\Phi(t/\sigma)$.
+    A pixel projected along the edge is a trapezoid, the convolution of boxes of width $|n_u|$ and
+    $|n_v|$. Its lit fraction is therefore a mixed second difference of $G_2$, the second integral
+    of the step, $\max(t, 0)^2/2$, or of the blurred step $\Phi(t/\sigma)$.
 
     Args:
-        edge: where it is.
+        edge: position of the pixels relative to the edge.
         blur: sigma, px, or None.
     """
     return _second_difference(2, edge, blur)
@@ -249,11 +249,9 @@ def lit_part(edge: Edge, *, blur: ScalarLike | None = None) -> Float[Array, "*n"
 def lit_moment(edge: Edge, *, blur: ScalarLike | None = None) -> Float[Array, "*n"]:
     r"""First moment of a pixel's lit part about its centre, along the edge's normal, px.
 
-    $-t\,L(t) + \int L\,dt$ with L the lit part: 0 for wholly lit and for dark pixels.
+    $-t\,L(t) + \int L\,dt$ with L the lit fraction: 0 for fully lit and for dark pixels.
 
-    Args:
-        edge: where it is.
-        blur: sigma, px, or None.
+    Args: as for `lit_part`.
     """
     t = _near(edge, blur)
     return _second_difference(3, edge, blur) - t * _second_difference(2, edge, blur)
@@ -265,7 +263,7 @@ def _near(edge: Edge, blur: ScalarLike | None) -> Array:
 
 
 def _second_difference(order: int, edge: Edge, blur: ScalarLike | None) -> Array:
-    """Of a step's integral of an order, over a pixel's two widths."""
+    """Second difference of the step's integral of the given order over a pixel's two widths."""
     t = _near(edge, blur)
     a = jnp.maximum(jnp.abs(edge.normal_u), _ACROSS)
     b = jnp.maximum(jnp.abs(edge.normal_v), _ACROSS)
@@ -285,5 +283,5 @@ def _second_difference(order: int, edge: Edge, blur: ScalarLike | None) -> Array
 
 
 def _dot(a: Array, b: Array, size: int = 3) -> Array:
-    """Scalar product of the first components on the last axis, as `optics.vector` has it."""
+    """Scalar product of the first components on the last axis, computed as in `optics.vector`."""
     return sum((a[..., k] * b[..., k] for k in range(size)), jnp.zeros(()))

@@ -1,4 +1,4 @@
-"""The parameters of the fit to all pixels: names, units, and what they may be."""
+"""Names, units and valid ranges of the parameters of the fit to all pixels."""
 
 from __future__ import annotations
 
@@ -29,21 +29,22 @@ UNITS = {
     "lean": "rad",
     "lean_sideways": "rad",
 }
-"""Every parameter's unit. `sensitivity`: full wells per radiance and second; `u`, `v`: where the
-beam's axis meets the wall; `touch`: distance along it in the first frame; `lean`: of the axis from
-what the robot says, along `optics.perpendicular_frame`."""
+"""Every parameter's unit. `sensitivity`: full wells per radiance and second. `u`, `v`: image of
+the point where the beam's axis meets the wall. `touch`: distance along the axis in the first frame.
+`lean`, `lean_sideways`: deviation of the axis from the robot's, along
+`optics.perpendicular_frame`."""
 
 CONE = ("half_angle", "b")
 FREE = {"cone": CONE, "lens": ("sag", "numerical_aperture")}
-"""What a fit finds unless told otherwise."""
+"""Parameters that are free by default."""
 NUISANCES = ("sensitivity", "illumination", "touch", "u", "v", "lean", "lean_sideways")
-"""Free in every fit: no log book knows them well enough."""
+"""Parameters that are free in every fit, because no log book contains them accurately enough."""
 DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0}
 _MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", "lean", "lean_sideways", "rim_height"}
 
 
 def known_names(source: str) -> tuple[str, ...]:
-    """Parameters of a fit to the light of a "cone" or a "lens"."""
+    """Names of the parameters for the source "cone" or "lens"."""
     others = (*CONE, "blur") if source == "lens" else LENS
     return tuple(name for name in UNITS if name not in others)
 
@@ -51,10 +52,10 @@ def known_names(source: str) -> tuple[str, ...]:
 def check_names(
     source: str, start: Mapping[str, float], free: Sequence[str], priors: Mapping[str, Prior]
 ) -> None:
-    """Refuse names that a fit does not know, and starts that it lacks.
+    """Check the names of parameters.
 
     Raises:
-        ValueError: naming them.
+        ValueError: unknown names or missing start values.
     """
     own = CONE if source == "cone" else LENS
     names = known_names(source)
@@ -63,14 +64,14 @@ def check_names(
     missing += ["blur"] if "blur" in free and "blur" not in start else []
     if unknown or missing:
         raise ValueError(
-            f"the image fit of a {source} knows {', '.join(names)} and starts from "
-            f"{', '.join(own)}; got unknown {', '.join(unknown) or 'none'}, missing "
+            f"the image fit of a {source} has the parameters {', '.join(names)} and needs start "
+            f"values of {', '.join(own)}. Unknown: {', '.join(unknown) or 'none'}; missing: "
             f"{', '.join(missing) or 'none'}."
         )
 
 
 def possible(values: Mapping[str, float]) -> bool:
-    """Whether parameters describe anything; a step to where they do not is not taken."""
+    """Whether the parameters are physically possible; the solver rejects steps that are not."""
     positive = all(value > 0 for name, value in values.items() if name not in _MAY_BE_NEGATIVE)
     lens = "sag" not in values or (
         values["sag"] <= values["aperture_radius"] >= values["core_radius"]

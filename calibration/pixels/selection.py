@@ -1,4 +1,4 @@
-"""Which pixels a fit takes: what the beam reaches and a ring about it, less what hides the wall."""
+"""Which pixels a fit uses: those the beam reaches and a ring around them, unless hidden."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from calibration.pixels.chunks import CHUNK, Chunk, Problem, View, look
 from calibration.pixels.data import Footage
 from calibration.pixels.table import LensTable
 
-_GRID_PX = 4  # of the search for what the beam reaches
+_GRID_PX = 4  # step of the search for pixels that the beam reaches
 _RING_PX = 8
 _RING_SIGMAS = 4
-_LIT = 1e-3  # of a frame's peak, above which light counts as the beam's
-_MARGIN_PX = {True: 10.0, False: 3.0}  # about the instrument, while its place is only guessed
+_LIT = 1e-3  # fraction of a frame's peak above which a pixel counts as lit by the beam
+_MARGIN_PX = {True: 10.0, False: 3.0}  # around the instrument; larger while its pose is a guess
 
 
 def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
-    """Where the frames are brighter than their median: centre, px, and typical radius, px.
+    """Centre (px) and typical radius (px) of the pixels much brighter than the frame's median.
 
     Raises:
-        ValueError: nothing is.
+        ValueError: a frame has no such pixels.
     """
     dark = np.median(footage.light, axis=(1, 2), keepdims=True)
     excess = np.maximum(footage.light - dark, 0)
     peak = np.quantile(excess, 0.999, axis=(1, 2), keepdims=True)
     excess = np.where(excess > peak / 2, excess, 0)
     if not peak.min() > 4 * np.sqrt(footage.noise.variance(dark.min())):
-        raise ValueError("the image fit finds frames without a spot. Leave them out of the stack.")
+        raise ValueError("the stack has frames without a spot. Leave them out of the image fit.")
     weight = excess.sum(axis=0)
     v, u = np.mgrid[: weight.shape[0], : weight.shape[1]]
     centre = np.array([np.sum(u * weight), np.sum(v * weight)]) / np.sum(weight)
@@ -49,16 +49,17 @@ def chosen_chunks(
     stride: int,
     nearest: float,
 ) -> list[Chunk]:
-    """Pixels of all frames with their light and weight.
+    """Select pixels of all frames, with their light and weight.
 
     Args:
         footage: the frames.
         problem: the fit; its blur is applied to the frames.
-        table: of a lens.
-        x: where the fit is.
-        coarse: whether that is only a guess: noise is then judged by the light, not by the model.
-        stride: every how many px one is taken, along u and v.
-        nearest: distance from the tip's plane from which on the model holds, mm.
+        table: light of the lens; None for a cone.
+        x: current parameters.
+        coarse: whether `x` is only a guess. If so, the noise follows from the measured light
+            instead of the model.
+        stride: step between selected pixels along u and v, px.
+        nearest: least distance from the tip's plane at which the model is valid, mm.
     """
     blur = 0.0 if problem.blur is None else float(problem.blur)
     chunks: list[Chunk] = []
@@ -100,7 +101,7 @@ def _reached(
     frame: int,
     blur: float,
 ) -> Bool[np.ndarray, "h w"]:
-    """What the beam reaches, and a ring about it."""
+    """Pixels that the beam reaches, and a ring around them."""
     height, width = footage.light.shape[1:]
     v, u = np.mgrid[0:height:_GRID_PX, 0:width:_GRID_PX]
     pixels = np.stack([u.ravel(), v.ravel()], axis=-1).astype(float)
@@ -123,7 +124,7 @@ def _seen(
     views = [look(problem, table, x, c) for c in _chunks(footage, frame, pixels, ones, ones)]
 
     def joined(*parts: Array) -> np.ndarray:
-        # Tip and axis are the same in all chunks of a frame.
+        # All chunks of a frame have the same tip and axis.
         whole = np.concatenate([np.asarray(part) for part in parts])
         return whole[: len(pixels)] if len(parts[0]) == CHUNK else whole[:3]
 
@@ -153,7 +154,7 @@ def _chunks(
 def _blurred(
     light: Float[np.ndarray, "h w"], usable: tuple[np.ndarray, np.ndarray], sigma: float
 ) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Light blurred over usable pixels, and where those were more than half of it."""
+    """Light blurred over usable pixels, and where these have more than half of the weight."""
     part = np.zeros(light.shape)
     part[usable] = 1.0
     weight = ndimage.gaussian_filter(part, sigma)

@@ -1,12 +1,11 @@
-r"""How the fit to all pixels goes: from the start, coarse and blurred, to all pixels as they are.
+r"""The steps of the fit to all pixels, from blurred frames to all pixels.
 
-The sum over pixels of ((light - model)/sigma)^2 is minimised by Levenberg-Marquardt. Its Jacobian
-over 40 frames would take 24 GB, and the solver needs J^T J and J^T r only, which are sums over
-pixels: they are gathered in chunks, by forward mode. Optimistix asks for the residuals themselves,
-which is why the loop is one of our own.
+Levenberg-Marquardt minimises the sum over pixels of ((light - model)/sigma)^2. The Jacobian over 40
+frames would take 24 GB, but only J^T J and J^T r are needed. These are sums over pixels, computed
+in chunks by forward mode. Optimistix needs the residuals themselves, so it cannot be used here.
 
-The cone's edge is sharp, and from 30 % off a pixel's slope does not see it. So first fits are of
-frames and model blurred alike, by a quarter of the spot's radius and then less.
+The cone's edge is sharp. If the start deviates by 30 %, no pixel's derivative shows the edge. So
+the first fits blur frames and model alike, by a quarter of the spot's radius and then by less.
 """
 
 from __future__ import annotations
@@ -33,26 +32,26 @@ from calibration.spots import Prior, phantom_wall
 
 _TOUCH_SIGMA_MM = 0.02
 _BLURS = (1 / 4, 1 / 12, 1 / 36)
-"""Of the spot's radius, in turn; then none."""
+"""Blurs of the first fits, relative to the spot's radius; the last fits have no blur."""
 _COARSE_PIXELS = 200_000
 _ROUNDS = 2
-"""Of the fit to all pixels: their noise, and which of them there are, follow the round before."""
+"""Rounds of the fit to all pixels. Each selects pixels and computes noise from the last result."""
 _NEAREST_MM = {"cone": 0.03, "lens": 0.3}
-"""From the tip's plane: a touching rim, or light too near the lens for its table."""
+"""Least distance from the tip's plane. Nearer, the rim touches or the lens's table is invalid."""
 _REACH = {True: 1.6, False: 1.05}
-"""Of a lens's table over the light's envelope: how far the lens may move, at first and later."""
+"""Size of a lens's table over the light's envelope, for coarse and for full fits."""
 _TABLES = 10
-"""Of a lens at most in a round, each where the fit with the former one ended."""
+"""Most tables of a lens per round; each is computed where the fit with the last one ended."""
 _HALVINGS = {True: 1, False: 3}
-"""Of a lens's table where it needs them, at first and later."""
+"""Most halvings of the cells of a lens's table, for coarse and for full fits."""
 _EXACT = 1e-6
-"""Sigma of what is so by definition: that fitted exposures are those reported, on average."""
+"""Sigma of the constraint that fitted exposures equal the reported ones on average."""
 _SETTLED, _COARSELY = 1e-3, 0.1
-"""Decrease of chi squared still to be had: 0.03 standard errors, and 0.3 of coarse fits."""
+"""A fit ends if a step would lower chi squared by less: 0.03 or 0.3 standard errors."""
 
 
 class Solver:
-    """A fit on its way: parameters x in units of their size, the frames' exposures behind them."""
+    """A running fit. Parameters x are in units of their size, followed by the frames' exposures."""
 
     def __init__(
         self,
@@ -80,7 +79,7 @@ class Solver:
         )
         surface = phantom_wall(footage.kind, eye_radius=file.eye_radius_mm)
         normal = surface.intersect(*microscope.ray(place)).normal
-        # The rim of a tilted tip touches before its centre does.
+        # The rim of a tilted tip touches the wall before the centre does.
         touch = optics.contact_distance(
             surface,
             incidence=jnp.arccos(-normal @ footage.axis),
@@ -109,14 +108,14 @@ class Solver:
         )
 
     def _size(self, name: str, value: float) -> float:
-        """Steps of one size in all parameters keep the damping fair."""
+        """Scale of a parameter; with it, the damping affects all parameters equally."""
         if name in self.priors:
             return self.priors[name].sigma
         own = {"u": 1.0, "v": 1.0, "illumination": 0.01}
         return own.get(name) or abs(value) or 1.0
 
     def run(self) -> ImageFit:
-        """From the start to the fit of all pixels."""
+        """Fit blurred frames first, then all pixels."""
         x = np.zeros(len(self.names) + self.frames * self.exposures)
         if self.source == "cone":
             coarse = [part * self.radius_px for part in _BLURS]
@@ -136,10 +135,10 @@ class Solver:
         return self._result(found)
 
     def _settled(self, x: np.ndarray) -> Minimum:
-        """The minimum, where a lens's table is exact.
+        """Iterate until a lens's table is exact at the minimum.
 
-        With a table made anew at every step chi squared would jump by 0.02 as the quadrature
-        finds arcs or loses them, and no step would be known to lower it.
+        A new table at every step would make chi squared jump by 0.02, because the quadrature finds
+        or misses arcs, and the solver could not recognise an improvement.
         """
         for _ in range(_TABLES):
             found = minimise(self._sums, x, tolerance=_SETTLED)
@@ -150,14 +149,14 @@ class Solver:
         return found._replace(converged=False)
 
     def _choose(self, x: np.ndarray, *, blur: float | None = None, stride: int = 1) -> None:
-        """Take pixels as the fit stands; without a blur, all of them."""
+        """Select pixels for the current parameters; without a blur, all pixels."""
         if self.source == "lens":
             values = self._values(x)
             gone = self.footage.readings + values["touch"]
             self.sampling = lens_sampling(
                 values,
                 medium_index=self.footage.medium_index,
-                # The wall leans: parts of it are nearer and farther than where the axis meets it.
+                # The wall is oblique, so parts of it are nearer and farther than on the axis.
                 nearest=max(_NEAREST_MM["lens"], gone.min() - 1.0),
                 farthest=gone.max() + 1.0,
                 reach=_REACH[blur is not None],
@@ -181,7 +180,7 @@ class Solver:
         )
 
     def _bright_enough(self, x: np.ndarray) -> np.ndarray:
-        """With the sensitivity and illumination that fit best as the light falls: two unknowns."""
+        """Set sensitivity and illumination by linear least squares, with all else fixed."""
         own = [self.names.index(name) for name in ("sensitivity", "illumination")]
         first, size = np.array(self.problem.first), np.array(self.problem.size)
         columns = []
@@ -196,7 +195,7 @@ class Solver:
         basis = np.stack([source, both - source], axis=1) * weight[:, None]
         sensitivity, product = np.linalg.lstsq(basis, light * weight, rcond=None)[0]
         if not sensitivity > 0:
-            raise ValueError("the spot is nowhere near where the start puts it. Check the start.")
+            raise ValueError("the spot is not near its place in the start values. Check these.")
         first[own] = sensitivity, max(product / sensitivity, 0.0)
         size[own[0]] = sensitivity
         self.problem = eqx.tree_at(
@@ -222,13 +221,13 @@ class Solver:
         )
 
     def _tabulated_sums(self, x: np.ndarray) -> NormalEquations:
-        """With a table made at x: far from the solution a lens's light is not linear for long."""
+        """`_sums` with a new table at x, because far from the solution the light is not linear."""
         if possible(self._values(x)):
             self.table = self._table(x)
         return self._sums(x)
 
     def _sums(self, x: np.ndarray) -> NormalEquations:
-        """Normal equations of all chunks and priors."""
+        """Normal equations, summed over all chunks and priors."""
         p = len(self.names)
         gradient, information = np.zeros(x.size), np.zeros((x.size, x.size))
         values = self._values(x)
@@ -250,7 +249,7 @@ class Solver:
                 gradient[i] += slope * off
                 information[i, i] += slope**2
         if self.exposures:
-            # The camera's clock is right on average; else they would show with sensitivity alone.
+            # Exposures are right on average; without this, only exposure x sensitivity is known.
             share = np.zeros(x.size)
             share[p:] = 1.0 / (_EXACT * self.frames)
             cost += float(share @ x) ** 2
@@ -260,7 +259,7 @@ class Solver:
         return NormalEquations(cost, gradient, information)
 
     def _parts(self, x: np.ndarray) -> list[Sums]:
-        """Every chunk's sums, on all cores."""
+        """The sums of every chunk, on all cores."""
         p = len(self.names)
         at, over = jnp.asarray(x[:p]), x[p:] if self.exposures else np.zeros(self.frames)
 
@@ -270,7 +269,7 @@ class Solver:
             )
 
         with ThreadPoolExecutor() as pool:
-            # The first one alone, so that only one thread compiles.
+            # The first chunk runs alone, so that only one thread compiles.
             return [part(self.chunks[0]), *pool.map(part, self.chunks[1:])]
 
     def _result(self, found: Minimum) -> ImageFit:

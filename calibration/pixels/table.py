@@ -1,9 +1,9 @@
-"""The light of a lens near some parameters: vector irradiance and its slopes on a small grid.
+"""Vector irradiance of a lens and its derivatives on a small grid.
 
-Quadrature at every pixel would take minutes a frame. A grid over the distances and radii that the
-frames show takes seconds, slopes in the lens's parameters with it, and is made anew wherever the
-fit has moved to. Its samples are close where the light has edges, as `optics.irradiance_table`
-has them: in its focal plane a lens shows the cone of its core, sharply.
+Quadrature at every pixel would take minutes per frame. A grid over the visible distances and radii
+takes seconds, including the derivatives with respect to the lens's parameters. It is computed again
+when the fit has moved. Its samples are denser at edges of the light, as in
+`optics.irradiance_table`: in its focal plane a lens makes a sharp image of its core.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from scipy.ndimage import binary_dilation
 import optics
 from calibration.pixels.lens import lens_of
 
-_ROWS, _COLUMNS = 24, 48  # cells of the first grid, all of whose samples are computed
-_TOLERANCE = 1e-3  # of a row's peak; where the spline is off by more, halving goes on
-_BATCH = 64  # as in optics.irradiance: what so many points need stays in the cache
+_ROWS, _COLUMNS = 24, 48  # cells of the first grid, for which all samples are computed
+_TOLERANCE = 1e-3  # of a row's peak; cells with a larger error of the spline are halved again
+_BATCH = 64  # points per call, few enough to stay in the cache, as in optics.irradiance
 
 
 class Grid(NamedTuple):
-    """Where a table has its samples.
+    """Positions of a table's samples.
 
     Attributes:
-        contact_radius, slope: of the envelope within which there is light, mm and 1.
+        contact_radius, slope: envelope of the light, mm and 1.
         nearest, farthest: distances from the tip of its first and last row, mm.
     """
 
@@ -46,9 +46,10 @@ class Sampling(NamedTuple):
     """Which samples of a grid are computed.
 
     Attributes:
-        grid: where the table has its samples.
-        computed: of the first grid, all; of each one with cells of half the size, those that a
-            cubic spline through the former ones misses. The others are the spline's.
+        grid: positions of the table's samples.
+        computed: which samples are computed by quadrature, for each grid. First all samples of the
+            first grid. Then each grid has cells of half the size, and only samples for which the
+            cubic spline through the previous grid is wrong. The spline gives the others.
     """
 
     grid: Grid
@@ -56,19 +57,19 @@ class Sampling(NamedTuple):
 
 
 class LensTable(eqx.Module):
-    """Vector irradiance, to first order in the lens's parameters, cubic between its samples.
+    """Vector irradiance, to first order in the lens's parameters, cubic between samples.
 
-    Rows are even in ln s, columns in rho / e(s); samples are V e(s)², as in
+    Rows are uniform in ln s, columns in rho / e(s); samples are V e(s)², as in
     `optics.IrradianceTable`.
 
     Attributes:
-        values: at the parameters that the table was made for.
-        slopes: per parameter.
-        transmitted_value: part of the power that leaves the cap.
-        transmitted_slopes: per parameter.
-        at: those parameters.
-        moved: away from them.
-        grid: where the samples are.
+        values: samples at the parameters `at`.
+        slopes: derivatives of the samples with respect to each parameter.
+        transmitted_value: fraction of the power that leaves the cap.
+        transmitted_slopes: its derivatives.
+        at: parameters for which the table was computed.
+        moved: difference of the current parameters from `at`.
+        grid: positions of the samples.
     """
 
     values: Float[Array, "rows columns 2"]
@@ -90,8 +91,8 @@ class LensTable(eqx.Module):
         y = jnp.log(reached / self.grid.nearest) / jnp.log(self.grid.farthest / self.grid.nearest)
         i, down = _taps(y * (rows - 1), rows)
         j, across = _taps(jnp.clip(x, 0.0, 1.0) * (columns - 1), columns)
-        # One gather per tap: XLA on a CPU handles an axis of two badly. And none of what moves with
-        # the parameters, or every direction of a derivative would gather again.
+        # One gather per tap, because XLA is slow on a CPU for an axis of length two. The gathers do
+        # not depend on the parameters; otherwise each direction of a derivative would repeat them.
         fields = [(1.0, self.values), *((self.moved[k], x) for k, x in enumerate(self.slopes))]
         lateral, axial = (
             sum(
@@ -107,7 +108,7 @@ class LensTable(eqx.Module):
         return scale * lateral, scale * axial
 
     def transmitted(self) -> Float[Array, ""]:
-        """Part of the power that leaves the cap."""
+        """Fraction of the power that leaves the cap."""
         return self.transmitted_value + jnp.dot(self.moved, self.transmitted_slopes)
 
 
@@ -120,15 +121,15 @@ def lens_sampling(
     reach: float,
     halvings: int,
 ) -> Sampling:
-    """Where to compute the light of lenses near the given one.
+    """Choose the samples for lenses near the given one.
 
     Args:
         values: all `PARAMETERS`.
         medium_index: n0.
-        nearest: distance that the frames show, mm.
-        farthest: likewise.
-        reach: of the envelope, over that of the given lens.
-        halvings: of the first grid's cells, where the light needs them; the first all over.
+        nearest: least visible distance, mm.
+        farthest: largest visible distance, mm.
+        reach: size of the envelope relative to that of the given lens.
+        halvings: how often the first grid's cells may be halved; the first time for all cells.
     """
     envelope = optics.LensField(lens_of(values), medium_index).envelope
     contact_radius = float(envelope(0.0))
@@ -151,13 +152,14 @@ def lens_sampling(
 def lens_table(
     values: Mapping[str, float], free: Sequence[str], *, medium_index: float, sampling: Sampling
 ) -> LensTable:
-    """Tabulate a lens and its slopes in the free parameters.
+    """Tabulate a lens and its derivatives with respect to the free parameters.
 
     Args:
         values: all `PARAMETERS`.
-        free: those to take slopes in.
+        free: names of the parameters to differentiate with respect to.
         medium_index: n0.
-        sampling: where. A fit keeps it while it moves, so that what interpolation gets wrong stays.
+        sampling: the samples. A fit keeps them while its parameters change, so that interpolation
+            errors stay constant.
     """
     field = _Field(values, tuple(free), medium_index, sampling.grid)
     first, *rest = sampling.computed
@@ -178,7 +180,7 @@ def lens_table(
 
 
 class _Field:
-    """V e² of a lens on a grid, and its slopes in some parameters."""
+    """V e² of a lens on a grid, and its derivatives with respect to some parameters."""
 
     def __init__(
         self, values: Mapping[str, float], names: tuple[str, ...], medium_index: float, grid: Grid
@@ -191,7 +193,7 @@ class _Field:
     def __call__(
         self, wanted: Bool[np.ndarray, "rows columns"], known: np.ndarray | None = None
     ) -> Float[np.ndarray, "p+1 2 rows columns"]:
-        """Known samples, and in their place those that are wanted."""
+        """The known samples, with the wanted ones computed."""
         samples = (
             np.empty((1 + len(self.names), 2, *wanted.shape)) if known is None else known.copy()
         )
@@ -208,7 +210,7 @@ class _Field:
             own = (self.names, self.at, self.fixed, self.medium_index)
             return np.asarray(_with_slopes(*own, *batch))
 
-        # A batch is too small to be shared among cores; the first alone compiles.
+        # A batch is too small for several cores. The first batch runs alone, to compile only once.
         with ThreadPoolExecutor() as pool:
             parts = [evaluate(batches[0]), *pool.map(evaluate, batches[1:])]
         samples[..., row, column] = np.concatenate(parts, axis=-1)[..., : row.size] * envelope**2
@@ -216,7 +218,7 @@ class _Field:
 
 
 def _halved(samples: Float[np.ndarray, "p 2 n m"]) -> Float[np.ndarray, "p 2 2n-1 2m-1"]:
-    """Samples of a cubic spline through the given ones, at half their distance."""
+    """Samples of a cubic spline through the given ones, at half their spacing."""
     for axis in (2, 3):
         count = samples.shape[axis]
         samples = CubicSpline(np.arange(count), samples, axis=axis)(np.arange(2 * count - 1) / 2)
@@ -232,7 +234,7 @@ def _with_slopes(
     radius: Float[Array, "n"],
     distance: Float[Array, "n"],
 ) -> Float[Array, "p+1 2 n"]:
-    """V at some points, then its derivatives."""
+    """V at some points, followed by its derivatives."""
 
     def field(free: Array) -> Array:
         lens = lens_of(fixed | dict(zip(names, free, strict=True)))
@@ -264,7 +266,7 @@ def _value_and_slopes(function: Callable[[Array], Array], at: Float[Array, "p"])
 
 
 def _taps(place: Array, count: int) -> tuple[Array, tuple[Array, Array, Array, Array]]:
-    """First of the four samples around a place, and their weights in the cubic through them."""
+    """First of the four samples around a position, and the weights of the cubic through them."""
     first = jnp.clip(place.astype(int) - 1, 0, count - 4)
     t = place - first
     return first, (

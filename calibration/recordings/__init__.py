@@ -1,9 +1,7 @@
-"""Stacks, spots files and bags as trials with readings.
+"""Stacks, spots files and bags read as trials with the robot's readings.
 
-trials       Recordings as trials: spots measured by the estimator, readings and axis from the
-             robot's report
-withdrawals  How far the tip had gone at each frame, and along which axis: from the robot's
-             reports
+trials       Recordings read as trials: spots from the estimator, readings and axis from the robot
+withdrawals  Distance of the tip at each frame and mean axis, from the robot's poses
 """
 
 import lazy_loader

@@ -1,7 +1,7 @@
-"""Recordings as trials: spots measured by the estimator, readings and axis from the robot's report.
+"""Recordings read as trials: spots from the estimator, readings and axis from the robot.
 
-Of a stack's labels only each frame's time is read, so a fit uses what a rig would have. The rest is
-what a rig's log book would say: the wall's kind and tilt, the medium, the fibre's diameter, and
+From a stack's labels only each frame's time is read, so a fit uses only what a real rig has. The
+rest would be in a rig's log book: the wall's kind and tilt, the medium, the fibre's diameter, and
 whether the withdrawal began at the touch.
 """
 
@@ -28,22 +28,22 @@ from estimator.sources import open_source
 
 _FEWEST_SPOTS = 3
 _TOUCH_SIGMA_MM = 0.02
-"""How well a hand finds the moment of contact; the paper's own trials scatter by more."""
+"""Accuracy with which an operator finds the contact; the paper's own trials scatter more."""
 _LEAST_COVERAGE = 0.5
-"""Of the contour: with less, the ellipse rests on its model (as in the paper's trials here)."""
+"""Least visible fraction of the contour; below it, the ellipse depends mainly on the model."""
 _METERED = "metered"
 _SPOTS_FILES = (".csv", ".parquet")
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogBook:
-    """How a recording was made. A stack contains it; for other recordings a person gives it.
+    """The conditions of a recording. A stack contains them; for other recordings the user does.
 
     Attributes:
-        kind: of the wall, as `ConeTrial.kind`.
-        tilt: of the plane, as `phantom_wall` takes it.
-        medium: name of what lies between the tip and the wall, of `optics.MEDIA`.
-        fibre_diameter_mm: of the tip's face, whose rim touches first.
+        kind: kind of the wall, as in `ConeTrial.kind`.
+        tilt: tilt of the plane, as in `phantom_wall`.
+        medium: medium between the tip and the wall, a name in `optics.MEDIA`.
+        fibre_diameter_mm: diameter of the tip's face, whose rim touches first.
         microscope: file, see `read_microscope`.
         poses: file, see `read_poses`.
         eye_from_robot: unit quaternion that turns the poses' frame into the eye's.
@@ -64,18 +64,18 @@ class Recording(NamedTuple):
     """A withdrawal, ready to be fitted.
 
     Attributes:
-        name: of its file or folder.
+        name: name of its file or folder.
         source: the file or folder.
         trial: spots, readings and axis.
-        tilt: of the plane, as the log book has it.
-        frames: number of frames, with a usable spot or without.
-        microscope: as its file describes it.
-        medium: name of what lies between the tip and the wall.
+        tilt: tilt of the plane, from the log book.
+        frames: number of frames, with or without a usable spot.
+        microscope: content of the microscope file.
+        medium: medium between the tip and the wall.
         fibre_radius_mm: half the diameter of the tip's face.
-        relative_edge_width: edge width over semi-minor axis of each usable spot; NaN where it was
-            not measured.
-        sha256: of a stack's manifest, which holds the checksums of all its files; else of the files
-            read.
+        relative_edge_width: edge width over semi-minor axis of each usable spot; NaN if it was not
+            measured.
+        sha256: checksum of a stack's manifest, which contains the checksums of all its files;
+            otherwise of the files read.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Recording(NamedTuple):
 
     @property
     def is_stack(self) -> bool:
-        """Whether its pixels can be fitted, too."""
+        """Whether its pixels can be fitted, too, and not only its spots."""
         return is_stack(self.source)
 
 
@@ -101,7 +101,7 @@ def is_stack(source: Path) -> bool:
 
 
 def usual_exposure(folder: Path) -> str | None:
-    """The exposure to use of a stack with two: "metered", whose peaks are never saturated."""
+    """The exposure to use if a stack has two: "metered", whose peaks are never saturated."""
     kinds = {labels.exposure for labels in read_stack(folder).labels}
     return _METERED if len(kinds) > 1 and _METERED in kinds else None
 
@@ -116,18 +116,17 @@ def read_recording(
 ) -> Recording:
     """Measure or read the spots of a withdrawal and join them with the robot's poses.
 
-    Readings count from the first frame, along the mean axis that the robot reports.
+    Readings are distances from the first frame along the mean axis that the robot reports.
 
     Args:
-        source: a stack; a spots file; or a bag, video or what else `open_source` takes.
-        exposure: "paper" or "metered", of a stack that holds both; by default "metered".
-        log_book: of a source that is no stack.
-        touch: distance at the first frame, mm; by default where the rim touches the wall.
-        progress: called after each frame that was measured.
+        source: a stack, a spots file, or any other source of `open_source`, such as a bag or video.
+        exposure: "paper" or "metered" if a stack has both; by default "metered".
+        log_book: for a source other than a stack.
+        touch: distance at the first frame, mm; by default the distance at which the rim touches.
+        progress: called after each measured frame.
 
     Raises:
-        ValueError: a file that is missing or broken, no withdrawal from the touch, or too few spots
-            to fit.
+        ValueError: a missing or broken file, no withdrawal from the touch, or too few spots.
     """
     source = Path(source)
     if is_stack(source):
@@ -135,11 +134,11 @@ def read_recording(
         exposure = exposure or usual_exposure(source)
         prints = [source / "manifest.json"]
     elif source.is_dir() and log_book is None:
-        read_stack(source)  # which says what of a stack is missing
+        read_stack(source)  # its error says which part of the stack is missing
     if log_book is None:
         raise ValueError(
-            f"{source} is no stack, so a fit needs --microscope, --poses, --phantom and --medium. "
-            "Add them."
+            f"{source} is no stack, so the fit needs --microscope, --poses, --phantom and "
+            "--medium. Add them."
         )
     if source.suffix.lower() in _SPOTS_FILES:
         records = read_spots(source)
@@ -186,13 +185,13 @@ def _joined(
     usable = [
         (record.result, reading)
         for record, reading in zip(records, readings, strict=True)
-        # A mode that does not measure the coverage has NaN.
+        # The coverage is NaN in modes that do not measure it.
         if isinstance(record.result, Spot) and not record.result.coverage < _LEAST_COVERAGE
     ]
     if len(usable) < _FEWEST_SPOTS:
         raise ValueError(
             f"{source} has {len(usable)} usable spots in {len(records)} frames; a fit needs "
-            f"{_FEWEST_SPOTS}. See why with `eyespot track {source} --out spots.csv`."
+            f"{_FEWEST_SPOTS}. `eyespot track {source} --out spots.csv` shows the reasons."
         )
     spots = [spot for spot, _ in usable]
     microscope = read_microscope(log_book.microscope)
@@ -200,7 +199,7 @@ def _joined(
     if touch is None:
         wall = phantom_wall(log_book.kind, eye_radius=microscope.eye_radius_mm, tilt=log_book.tilt)
         normal = wall.intersect(*microscope.ideal_microscope().ray(ellipses.centre[0])).normal
-        # The rim of a tilted tip touches before its centre does.
+        # The rim of a tilted tip touches the wall before the centre does.
         contact = optics.contact_distance(
             wall,
             incidence=jnp.arccos(-normal @ axis),

@@ -1,12 +1,9 @@
 """Least squares with covariance.
 
-identifiability      Which parameters data determine: the covariance, and in words the directions
-                     without one
-levenberg_marquardt  Nonlinear least squares by Optimistix: the solution, its information, what
-                     was left over
-normal_equations     Levenberg-Marquardt on J^T J and J^T r, where there are too many residuals for
-                     a Jacobian
-robust               Huber's M-estimator: least squares that no single bad spot can bend
+identifiability      Covariance, and the parameters that the data do not determine, in words
+levenberg_marquardt  Nonlinear least squares by Optimistix
+normal_equations     Levenberg-Marquardt on J^T J and J^T r, without a Jacobian in memory
+robust               Huber's M-estimator, which limits the influence of outliers
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Which parameters data determine: the covariance, and in words the directions without one."""
+"""Covariance, and the parameters that the data do not determine, in words."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-_PART = 0.1  # of a unit direction, from which on a parameter has a part in it
-_ALIKE = 0.2  # between the relative changes of two parameters that count as one
+_PART = 0.1  # least component of a unit direction at which a parameter counts as part of it
+_ALIKE = 0.2  # largest difference of two relative changes that count as equal
 _LOST = 0.5
-"""Information, in units of a parameter's own size (or of a nuisance's prior), below which a
-direction counts as not seen: its standard error exceeds the parameter itself."""
+"""Information below which a direction counts as undetermined, in units of the parameter's size (or
+of a nuisance's prior). Below it, the standard error exceeds the parameter itself."""
 
 _REMEDIES = {
     "scale": "a trial in the eyeball, 3 mm or more from the axis",
@@ -22,7 +22,7 @@ _REMEDIES = {
     "b": "touches that are known better",
     "half_angle": "frames at other distances",
 }
-"""What to add, by parameter; the first one that has a part in a direction counts."""
+"""Which data to add, by parameter; the first parameter that is part of a direction applies."""
 
 
 def covariance_and_lost(
@@ -30,33 +30,34 @@ def covariance_and_lost(
     names: Sequence[str],
     values: Sequence[float] | None = None,
 ) -> tuple[Float[np.ndarray, "p p"], tuple[str, ...]]:
-    """Covariance, and in words the directions in which there is none.
+    """Covariance, and a sentence for each direction that the data do not determine.
 
     Args:
-        information: Fisher's, of parameters in units of their own size (of a nuisance: of its
-            prior's sigma), priors included.
-        names: of the parameters.
-        values: of the parameters, whose signs tell products from ratios; all positive by default.
+        information: Fisher information, priors included, of parameters in units of their size (for
+            a nuisance, of its prior's sigma).
+        names: names of the parameters.
+        values: values of the parameters, whose signs distinguish products from ratios; by default
+            all are positive.
 
     Returns:
-        The inverse, infinite where a parameter has a part in a lost direction, and a sentence for
-        each of these.
+        The inverse, infinite for parameters that are part of an undetermined direction, and a
+        sentence for each of these directions.
     """
     strength, directions = np.linalg.eigh(information)
     lost = strength < _LOST
     signs = np.ones(len(names)) if values is None else np.where(np.asarray(values) < 0, -1.0, 1.0)
-    told = tuple(_sentence(direction, names, signs) for direction in directions.T[lost])
+    sentences = tuple(_sentence(direction, names, signs) for direction in directions.T[lost])
     inverse = np.where(lost, 0.0, 1.0 / np.where(lost, 1.0, strength))
     covariance = (directions * inverse) @ directions.T
     hidden = np.abs(directions[:, lost]).max(axis=1, initial=0.0) > _PART
     covariance[hidden, :] = covariance[:, hidden] = np.inf
-    return covariance, told
+    return covariance, sentences
 
 
 def marginal_information(
     information: Float[np.ndarray, "p p"], count: int
 ) -> Float[np.ndarray, "f f"]:
-    """Fisher's information of the first `count` parameters where the others are unknown."""
+    """Fisher information of the first `count` parameters, with the others unknown."""
     own, mixed = information[:count, :count], information[:count, count:]
     return own - mixed @ np.linalg.solve(information[count:, count:], mixed.T)
 
@@ -71,18 +72,19 @@ def correlations(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p
 def _sentence(
     direction: Float[np.ndarray, "p"], names: Sequence[str], signs: Float[np.ndarray, "p"]
 ) -> str:
-    # Relative growth of each: two that grow alike without a trace show in their ratio alone.
+    # If only equal relative growth of two is undetermined, the data determine their ratio.
     parts = np.flatnonzero(np.abs(direction) > _PART).tolist()
     called = list(dict.fromkeys(names[i] for i in parts))
+    both = " and ".join(called)
     growth = (direction * signs)[parts]
     if len(called) == 1:
-        seen = f"{called[0]} is not seen"
+        known = f"{both} is not determined"
     elif len(parts) == 2 and abs(growth[0] - growth[1]) < _ALIKE:
-        seen = f"{' and '.join(called)} only as their ratio"
+        known = f"only the ratio of {both} is determined"
     elif len(parts) == 2 and abs(growth[0] + growth[1]) < _ALIKE:
-        seen = f"{' and '.join(called)} only as their product"
+        known = f"only the product of {both} is determined"
     else:
-        seen = f"{' and '.join(called)} only together"
+        known = f"only a combination of {both} is determined"
     remedy = next((_REMEDIES[name] for name in _REMEDIES if name in called), "")
-    trial = f"add {remedy}" if remedy else "add a trial that tells them apart"
-    return f"{seen}: fix one, give a prior, or {trial}"
+    trial = f"add {remedy}" if remedy else "add a trial in which they differ"
+    return f"{known}: fix one, give a prior, or {trial}"

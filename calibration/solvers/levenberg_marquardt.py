@@ -1,4 +1,4 @@
-"""Nonlinear least squares by Optimistix: the solution, its information, what was left over."""
+"""Nonlinear least squares by Optimistix."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ _PADDING = 64
 Solver = optx.AbstractLeastSquaresSolver
 
 LEVENBERG_MARQUARDT: Solver = optx.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
-"""From far off, or where directions are nearly unseen."""
+"""For distant starts, or if some directions are nearly undetermined."""
 GAUSS_NEWTON: Solver = optx.GaussNewton(
     rtol=_TOLERANCE, atol=_TOLERANCE, linear_solver=lineax.Normal(lineax.Cholesky())
 )
-"""Of few parameters that enter almost linearly: a few steps, and batches run side by side."""
+"""For few parameters of almost linear problems: it needs a few steps, also for batches."""
 
 
 class Solution(NamedTuple):
     """Least-squares solution.
 
     Attributes:
-        parameters: at the best point found, in the order of the start.
+        parameters: best point found, in the order of the start.
         covariance: s^2 (J^T J)^-1 with s^2 = sum of squares / (n - p).
-        information: J^T J, whose inverse is the covariance where residuals are over their sigma.
+        information: J^T J, whose inverse is the covariance if residuals are over their sigma.
         residuals: at the solution, in the residual function's unit.
-        converged: whether the solver says so; never silently assumed.
+        converged: whether the solver converged.
     """
 
     parameters: Float[Array, "p"]
@@ -54,9 +54,9 @@ def least_squares(
     """Minimise the sum of squared residuals.
 
     Args:
-        residual: function of the parameters, differentiable by JAX; zero where data are padding.
+        residual: function of the parameters, differentiable by JAX; zero for padding.
         start: first guess.
-        count: number of data that are not padding.
+        count: number of data without padding.
         solver: `LEVENBERG_MARQUARDT` or `GAUSS_NEWTON`.
     """
     result: optx.Solution = optx.least_squares(
@@ -80,9 +80,9 @@ def least_squares(
 
 
 def padded(*columns: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "m"], ...]:
-    """Columns padded to a multiple of 64, and the weight (1, or 0 for padding) behind them.
+    """Columns padded to a multiple of 64, followed by the weights (1, or 0 for padding).
 
-    Trials keep different numbers of frames; equal shapes spare a compilation each.
+    Trials have different numbers of frames; equal shapes avoid a compilation for each.
     """
     count = len(columns[0])
     missing = -count % _PADDING

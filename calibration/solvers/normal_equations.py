@@ -1,7 +1,7 @@
-"""Levenberg-Marquardt on J^T J and J^T r, where there are too many residuals for a Jacobian.
+"""Levenberg-Marquardt on J^T J and J^T r, without a Jacobian in memory.
 
-Optimistix and SciPy need the residuals or their Jacobian, which over the pixels of 40 frames takes
-24 GB; these sums over the pixels are gathered in chunks.
+Optimistix and SciPy need the residuals or their Jacobian, which takes 24 GB for the pixels of 40
+frames. The sums over pixels used here can be computed in chunks.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ _DAMPING, _MOST_DAMPING = 1e-6, 1e8
 
 
 class NormalEquations(NamedTuple):
-    """A sum of squares about a point.
+    """Quadratic approximation of a sum of squares at a point.
 
     Attributes:
-        cost: sum of squared residuals; infinite where parameters have no meaning.
+        cost: sum of squared residuals; infinite for impossible parameters.
         gradient: J^T r.
         information: J^T J.
     """
@@ -31,7 +31,7 @@ class NormalEquations(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """Where a minimisation ended, and whether less than its tolerance was still to be had."""
+    """The last point, and whether another step would lower the cost by less than the tolerance."""
 
     x: Float[np.ndarray, "p"]
     at: NormalEquations
@@ -46,19 +46,19 @@ def minimise(
 ) -> Minimum:
     """Levenberg-Marquardt with Nielsen's damping.
 
-    It ends where an undamped step would lower the cost by less than the tolerance; of a chi
-    squared that is the square of the step in standard errors (Nielsen 1999, "Damping parameter in
-    Marquardt's method").
+    It ends when an undamped step would lower the cost by less than the tolerance. If the cost is
+    chi squared, this is the square of the step in standard errors (Nielsen 1999, "Damping parameter
+    in Marquardt's method").
 
     Args:
-        evaluate: normal equations at a point.
+        evaluate: function that returns the normal equations at a point.
         start: first guess.
-        tolerance: of the cost.
+        tolerance: tolerance of the cost.
     """
     x, at = start, evaluate(start)
     damping, growth = _DAMPING, 2.0
     for _ in range(_MOST_STEPS):
-        # Where no residual depends on a parameter, or only on a product, the least step is taken.
+        # If the residuals do not determine a parameter, take the minimum-norm step.
         if at.gradient @ np.linalg.pinv(at.information, rcond=1e-12) @ at.gradient < tolerance:
             return Minimum(x, at, True)
         damped = at.information + damping * np.diag(np.diag(at.information))

@@ -1,4 +1,4 @@
-"""Huber's M-estimator: least squares that no single bad spot can bend."""
+"""Huber's M-estimator, which limits the influence of outliers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from calibration.solvers.levenberg_marquardt import GAUSS_NEWTON, Solution, least_squares
 
 _TUNING = 1.345
-"""In standard deviations: 95 % as efficient as least squares where noise is normal (Huber 1981)."""
+"""In standard deviations; 95 % as efficient as least squares for normal noise (Huber 1981)."""
 _MAD_OF_NORMAL = 0.6745
 _OUTLIER = 3.5  # modified z-score from which Iglewicz and Hoaglin (1993) call a value an outlier
 _MAX_STEPS = 256
@@ -23,8 +23,8 @@ class Robust(NamedTuple):
     """An M-estimate.
 
     Attributes:
-        solution: its residuals are unweighted, its covariance is Huber's.
-        outliers: residuals beyond 3.5 robust standard deviations.
+        solution: with unweighted residuals and Huber's covariance.
+        outliers: whether each residual exceeds 3.5 robust standard deviations.
     """
 
     solution: Solution
@@ -39,15 +39,15 @@ def huber(
 ) -> Robust:
     r"""Minimise Huber's loss by iteratively reweighted least squares.
 
-    The scale is the median of the absolute residuals over 0.6745, so that it is found along with
-    the parameters: both are a fixed point of reweighting. Covariance as of Huber (1981, eq. 6.5):
+    The scale is the median of the absolute residuals over 0.6745. Scale and parameters are a fixed
+    point of the reweighting. The covariance is that of Huber (1981, eq. 6.5):
     $\kappa^2 \frac{\sum\psi^2/(n-p)}{(\overline{\psi'})^2} (J^T J)^{-1}$,
     $\kappa = 1 + \frac{p}{n}\frac{1 - \overline{\psi'}}{\overline{\psi'}}$.
 
     Args:
-        residual: of almost linear parameters, unweighted; zero where data are padding.
+        residual: unweighted, almost linear function of the parameters; zero for padding.
         start: first guess.
-        weight: 1, or 0 where data are padding.
+        weight: 1, or 0 for padding.
     """
     real = jnp.asarray(weight) > 0
     count = jnp.sum(real)
@@ -57,7 +57,7 @@ def huber(
 
     def reweighted(parameters: Float[Array, "p"], _: None) -> Float[Array, "p"]:
         left = residual(parameters)
-        # Data that fit exactly have no scale, and every weight is 1.
+        # If the data fit exactly, the scale is 0 and every weight is 1.
         limit = _TUNING * scale(left)
         root = jnp.sqrt(jnp.where(jnp.abs(left) > limit, limit / jnp.abs(left), 1.0))
         return least_squares(

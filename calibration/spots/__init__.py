@@ -1,15 +1,12 @@
 """Fits to the ellipses of spots.
 
-cone_fit      The exact geometry fitted to measured ellipses: cone, scale, eye, and each trial's
-              nuisances
-cone_trials   Trials whose ellipses the exact geometry is fitted to, and how far they are from its
-              contours
-lines         The paper's line d_r = delta k e1' + b through many trials at once
+cone_fit      Fit of the exact geometry to measured ellipses, with nuisances per trial
+cone_trials   Data, nuisances and residuals of the exact geometry
+lines         The paper's line d_r = delta k e1' + b for many trials at once, without errors
 plane_fit     delta k and b of one withdrawal from a plane: Table I of Zhou et al. 2020
-plane_trials  The paper's line through several trials at once, with what makes trials differ as
-              nuisances
+plane_trials  One line through several trials, with touches and the plane's tilt as nuisances
 sphere_fit    c of one withdrawal in an eyeball: Table II of Zhou et al. 2020
-tool_pose     The pose of a tool with one or several cones of light, from all their spots at once
+tool_pose     The pose of a tool with one or several cones of light, from all spots together
 """
 
 import lazy_loader

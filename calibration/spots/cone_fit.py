@@ -1,8 +1,4 @@
-r"""The exact geometry fitted to measured ellipses: cone, scale, eye, and each trial's nuisances.
-
-Each trial brings nuisances of its own (`_cone_trials`), which are fitted along with the parameters
-asked for.
-"""
+"""Fit of the exact geometry to measured ellipses, with nuisances per trial (see `cone_trials`)."""
 
 from __future__ import annotations
 
@@ -34,35 +30,35 @@ PARAMETERS = (
     "tilt_x",
     "tilt_y",
 )
-"""What a fit may leave free: rad, mm, mm/px, mm, 1/mm, and the tangents of the plane's tilt.
+"""Parameters that can be fitted: rad, mm, mm/px, mm, 1/mm, and the tangents of the plane's tilt.
 
-The focal length is 1/(scale inverse_working_distance) px, the pinhole's height
+The focal length is 1/(scale inverse_working_distance) px; the pinhole's height is
 1/inverse_working_distance - eye_radius.
 """
 
 _SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1}
-"""Of parameters that may be zero; the others are as large as they are."""
+"""Scales of parameters that may be zero; the scale of the others is their value."""
 
 
 class ConeFit(NamedTuple):
-    """Parameters that were free, and how well the data know them.
+    """The parameters, with the covariance of the fitted ones.
 
     Attributes:
-        values: by name, in the units of `PARAMETERS`, the given ones too.
-        free: names of the fitted ones, in the covariance's order.
-        covariance: of the fitted ones, from the noise model (the ellipses' covariances).
-        information: Fisher's, of the fitted ones, with the nuisances unknown but for their priors.
-        touch: per trial, mm: the distance at reading 0.
-        touch_error: its standard error, mm; infinite where the data do not determine it.
-        lean: per trial, rad: of the axis off the robot's, along the two vectors of
-            `optics.perpendicular_frame`.
-        spot: per trial, (x, y) of the wall's point in the first frame, mm.
-        spot_covariance: of each spot; infinite where the data do not determine it.
-        residuals: per trial, n x 5: of `optics.ellipse_mismatch`, each of variance 1.
-        chi_squared: sum of squared whitened residuals, priors included.
-        degrees_of_freedom: data and priors minus parameters.
-        undetermined: directions that neither data nor priors hold, in words; empty if none.
-        converged: whether the solver says so.
+        values: all parameters by name, in the units of `PARAMETERS`.
+        free: names of the fitted parameters, in the covariance's order.
+        covariance: covariance of the fitted parameters, from the ellipses' covariances.
+        information: Fisher information of the fitted parameters, marginal over the nuisances.
+        touch: distance at reading 0 per trial, mm.
+        touch_error: its standard error, mm; infinite if the data do not determine it.
+        lean: deviation of the axis from the robot's per trial, along the two vectors of
+            `optics.perpendicular_frame`, rad.
+        spot: (x, y) of the lit point of the wall in the first frame per trial, mm.
+        spot_covariance: covariance of each spot; infinite if the data do not determine it.
+        residuals: `optics.ellipse_mismatch` with variance 1, n x 5 per trial.
+        chi_squared: sum of squared residuals over their sigma, priors included.
+        degrees_of_freedom: number of data and priors minus number of parameters.
+        undetermined: parameters that neither data nor priors determine, in words; may be empty.
+        converged: whether the solver converged.
     """
 
     values: dict[str, float]
@@ -82,12 +78,12 @@ class ConeFit(NamedTuple):
 
     @property
     def correlations(self) -> Float[np.ndarray, "p p"]:
-        """Of the fitted ones."""
+        """Correlations of the fitted parameters."""
         return correlations(self.covariance)
 
     @property
     def eccentricity(self) -> Float[np.ndarray, "trials"]:
-        """Of each trial's spot: c, mm."""
+        """c of each trial's spot, mm."""
         return np.hypot(*self.spot.T)
 
     @property
@@ -114,13 +110,13 @@ def fit_cone(
 
     Args:
         trials: planes and spheres together.
-        microscope: ideal pinhole; `start` may replace its scale, eye radius and working distance,
-            each trial has its own principal point.
-        start: values of `half_angle` and `b`, and of others that the microscope does not tell (the
-            plane's tilt is 0); those that are not free stay as they are.
+        microscope: ideal pinhole. `start` may replace its scale, eye radius and working distance;
+            each trial replaces its principal point.
+        start: start values of free parameters and values of the others: `half_angle` and `b`;
+            optionally those that replace the microscope's, and the plane's tilt (default 0).
         free: names of `PARAMETERS` to fit.
-        priors: of free parameters.
-        lean_sigma: of the robot's axis, rad.
+        priors: priors of free parameters.
+        lean_sigma: standard deviation of the robot's axis, rad.
 
     Raises:
         ValueError: an unknown name, or no trial.
@@ -137,17 +133,17 @@ def fit_cone(
         "inverse_working_distance": float(microscope.inverse_working_distance),
     }
     fixed = known | {"tilt_x": 0.0, "tilt_y": 0.0} | dict(start)
-    # Steps of one size in all parameters keep the damping fair.
+    # With these scales, the damping affects all parameters equally.
     sizes = np.array([_SIZES.get(name) or abs(fixed[name]) for name in free])
     held = [(priors or {}).get(name) if name in free else None for name in PARAMETERS]
     groups = [
         Group.of(trials, kind, lean_sigma) for kind in sorted({trial.kind for trial in trials})
     ]
-    # Every nuisance counts from what is expected of it, in units of its standard deviation.
+    # Nuisances are deviations from their expected values, in standard deviations.
     begin = jnp.zeros(len(free) + len(NUISANCES) * len(trials))
     priors_held = sum(prior is not None for prior in held)
     count = sum(group.data for group in groups) + priors_held + 3 * len(trials)
-    # Names become numbers here, so that one compilation serves all choices of as many parameters.
+    # Arrays replace names here, so that one compilation is valid for all choices of equal number.
     solution, spot, spot_slopes = _solve(
         begin,
         groups,
@@ -202,7 +198,7 @@ def fit_cone(
 def _carried_on(
     covariance: Float[np.ndarray, "x x"], slopes: Float[np.ndarray, "trials 2 x"]
 ) -> Float[np.ndarray, "trials 2 2"]:
-    """Covariance of what has these slopes; all infinite where it hangs on what is unknown."""
+    """Covariance of values with these derivatives; infinite if an undetermined parameter enters."""
     unknown = np.isinf(covariance).any(axis=0)
     known = np.where(unknown | unknown[:, None], 0.0, covariance)
     carried = slopes @ known @ slopes.swapaxes(1, 2)
@@ -222,7 +218,7 @@ def _names(groups: list[Group]) -> list[str]:
 def _by_trial(
     residuals: Float[np.ndarray, "n"], groups: list[Group], trials: Sequence[ConeTrial]
 ) -> tuple[Float[np.ndarray, "n 5"], ...]:
-    """The frames' residuals of each trial, from the order of `_solve`."""
+    """Residuals of each trial's frames, sorted from the order of `_solve`."""
     found = {}
     for group in groups:
         longest = group.readings.shape[1]
@@ -245,9 +241,9 @@ def _solve(
     prior_weights: Float[Array, "q"],
     count: Array,
 ) -> tuple[Solution, Float[Array, "trials 2"], Float[Array, "trials 2 x"]]:
-    """Free parameters first, then the nuisances group by group; residuals likewise.
+    """The solution, and the spots of all trials with their derivatives, in the groups' order.
 
-    Also returns the spots of all trials, in the groups' order, and their derivatives.
+    Free parameters come first, then the nuisances by group; the residuals have the same order.
     """
 
     def unpacked(x: Array) -> tuple[Array, dict[str, Array], optics.Microscope, list[Array]]:

@@ -1,9 +1,9 @@
-"""Trials whose ellipses the exact geometry is fitted to, and how far they are from its contours.
+"""Data, nuisances and residuals of the exact geometry.
 
-A trial is a withdrawal along one beam. The robot tells how far the tip has gone and, to a degree or
-so, where the beam points; it does not know where the wall is. So each trial brings five nuisances:
-where its first reading is (`touch`: the rim meets the wall before the centre does), the spot's
-place in the image (two), and how the axis leans from what the robot says (two).
+A trial is a withdrawal along one beam. The robot reports the distance travelled and, to about a
+degree, the direction of the beam, but not the position of the wall. So each trial has five
+nuisances: the distance at the first reading (`touch`; the rim meets the wall before the centre
+does), the spot's position in the image (two), and the deviation of the axis from the robot's (two).
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from jaxtyping import Array, Float, ScalarLike
 import optics
 
 NUISANCES = ("touch", "u", "v", "lean", "lean_sideways")
-"""Of each trial: touch and lean in units of their priors' sigma, the place in px."""
+"""Nuisances of each trial: touch and lean in units of their priors' sigma, the position in px."""
 _POINTS = 32
 
 
 class Prior(NamedTuple):
-    """What is known of a parameter beforehand, in its unit."""
+    """Prior knowledge of a parameter, in the parameter's unit."""
 
     mean: float
     sigma: float
@@ -34,18 +34,18 @@ class Prior(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConeTrial:
-    """Spots along one beam, and what the robot says of it.
+    """Spots along one beam, with the robot's readings and axis.
 
     Attributes:
-        ellipses: measured, one a frame, px; leading axis n.
-        covariances: of each ellipse's (centre u, centre v, semi-major, semi-minor, angle), n x 5 x
-            5.
+        ellipses: measured ellipses, one per frame, px; leading axis n.
+        covariances: covariance of each ellipse's (centre u, centre v, semi-major, semi-minor,
+            angle), n x 5 x 5.
         readings: distance along the beam since the touch, mm.
         axis: unit vector from the tip towards the wall, eye frame.
         principal_point: (u0, v0) of this trial's window, px.
         touch: distance at reading 0, mm.
-        kind: "eyeball", a sphere about the origin, or "plane", through its pole and square to z but
-            for its tilt.
+        kind: "eyeball", a sphere around the origin, or "plane", a plane through the sphere's pole
+            that is perpendicular to z except for its tilt.
     """
 
     ellipses: optics.Ellipse
@@ -65,7 +65,7 @@ def phantom_wall(
     Args:
         kind: "eyeball" or "plane".
         eye_radius: mm.
-        tilt: of the plane about the pole: tangents towards +X and +Y of its normal's lean.
+        tilt: tilt of the plane: tangents of its normal's angle from z, towards +X and +Y.
     """
     if kind == "eyeball":
         return optics.Sphere(eye_radius)
@@ -75,7 +75,7 @@ def phantom_wall(
 
 
 class Group(eqx.Module):
-    """Trials on walls of one kind, padded to one number of frames."""
+    """Trials on walls of one kind, padded to the same number of frames."""
 
     ellipses: optics.Ellipse
     whitening: Float[Array, "trials n 5 5"]
@@ -102,7 +102,7 @@ class Group(eqx.Module):
         longest = max(trial.readings.size for trial in trials)
 
         def stacked(arrays: list[np.ndarray]) -> Array:
-            # A frame that pads a trial repeats its last, and weighs nothing.
+            # Padding repeats the trial's last frame with weight 0.
             rows = [
                 np.pad(a, [(0, longest - len(a)), *[(0, 0)] * (a.ndim - 1)], mode="edge")
                 for a in map(np.asarray, arrays)
@@ -138,12 +138,12 @@ def spots(
     values: Mapping[str, ScalarLike],
     nuisances: Float[Array, "trials 5"],
 ) -> Float[Array, "trials 3"]:
-    """The wall's point in each trial's first frame, mm."""
+    """The lit point of the wall in each trial's first frame, mm."""
     wall = _wall(group, values)
 
     def of_trial(ellipses: optics.Ellipse, principal_point: Array, nuisance: Array) -> Array:
         view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
-        # The spot's place moves with the first frame's ellipse, in px.
+        # The spot's position is relative to the first frame's ellipse, px.
         return wall.intersect(*view.ray(ellipses.centre[0] + nuisance[1:3])).point
 
     return jax.vmap(of_trial)(group.ellipses, group.principal_points, nuisances)
@@ -156,7 +156,7 @@ def _wall(group: Group, values: Mapping[str, ScalarLike]) -> optics.Surface:
 
 
 def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
-    """Whitened mismatch of every frame, and the priors of the nuisances."""
+    """Residuals over their sigma: the mismatch of every frame and the priors of the nuisances."""
     wall = _wall(group, values)
 
     def of_trial(ellipses, whitening, readings, axis, principal_point, spot, touch, nuisance):
@@ -176,7 +176,7 @@ def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
             return whiten @ optics.ellipse_mismatch(contour, ellipse)
 
         frames = jax.vmap(of_frame)(ellipses, whitening, readings)
-        # The spot's place in the image has no prior.
+        # The spot's position in the image has no prior.
         return jnp.concatenate([jnp.ravel(frames), nuisance[:1], nuisance[3:]])
 
     return jnp.ravel(

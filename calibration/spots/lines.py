@@ -1,4 +1,4 @@
-"""The paper's line d_r = delta k e1' + b through many trials at once."""
+"""The paper's line d_r = delta k e1' + b for many trials at once, without errors."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 
 class Lines(NamedTuple):
-    """What Table I lists of a trial, as arrays over trials (Zhou et al. 2020).
+    """The columns of Table I as arrays over trials (Zhou et al. 2020).
 
     Attributes:
-        delta_k: mm/px, or k where spots are given in mm.
+        delta_k: mm/px, or k if the spots are given in mm.
         b: mm.
         r_squared: coefficient of determination.
         rmse: root mean square error, mm.
@@ -27,11 +27,11 @@ def fit_lines(semi_minor: np.ndarray, reading: np.ndarray) -> Lines:
     """Least squares of d_r on e1': the same line as `fit_plane`, without standard errors.
 
     Args:
-        semi_minor: ... x n, px or mm; NaN where no spot was found.
-        reading: broadcasts against it, mm.
+        semi_minor: e1', ... x n, px or mm; NaN for frames without a spot.
+        reading: d_r, mm; broadcasts against `semi_minor`.
 
     Returns:
-        Arrays of the shape ...; NaN where fewer than three spots, or spots of one size, are left.
+        Arrays of the shape ...; NaN for trials with fewer than three spots, or with equal sizes.
     """
     seen = np.isfinite(semi_minor)
     count = np.count_nonzero(seen, axis=-1)

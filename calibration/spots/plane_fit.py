@@ -1,7 +1,7 @@
 """delta k and b of one withdrawal from a plane: Table I of Zhou et al. 2020.
 
-`fit_plane` checks the data of one trial and gives its row of the table. `plane_solution` is what it
-solves: a pure function of arrays, for `jax.vmap` over many trials at once.
+`fit_plane` checks the data of one trial and returns its row of the table. `plane_solution` solves
+the problem as a pure function of arrays, for `jax.vmap` over many trials.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ _LINE_START = np.array([0.1, 0.0])  # delta k, mm/px, and b, mm
 
 
 class PlaneFit(NamedTuple):
-    """d = delta k e1' + b, with what the paper's Table I lists, and standard errors.
+    """d = delta k e1' + b, with the columns of the paper's Table I and standard errors.
 
     Attributes:
         delta_k: mm per px.
         b: mm.
         delta_k_error: standard error of delta_k, mm per px.
         b_error: standard error of b, mm.
-        correlation: of the two errors.
+        correlation: correlation of the two errors.
         r_squared: coefficient of determination.
         rmse: root mean square error, mm.
         spots: number of spots fitted.
         converged: whether the solver converged.
-        outliers: indices of the spots beyond 3.5 robust standard deviations; of the loss "huber".
+        outliers: indices of spots beyond 3.5 robust standard deviations, with the loss "huber".
     """
 
     delta_k: float
@@ -54,7 +54,7 @@ class PlaneFit(NamedTuple):
 
     @property
     def covariance(self) -> Float[np.ndarray, "2 2"]:
-        """Of delta_k and b."""
+        """Covariance of delta_k and b."""
         mixed = self.correlation * self.delta_k_error * self.b_error
         return np.array([[self.delta_k_error**2, mixed], [mixed, self.b_error**2]])
 
@@ -65,7 +65,7 @@ class PlaneFit(NamedTuple):
 
         Args:
             semi_minor_px: e1', px.
-            level: of confidence.
+            level: level of confidence.
         """
         rows = np.stack([np.asarray(semi_minor_px, float), np.ones(np.shape(semi_minor_px))], -1)
         sigma = np.sqrt(np.einsum("...i,ij,...j->...", rows, self.covariance, rows))
@@ -82,11 +82,11 @@ def fit_plane(
 
     Args:
         semi_minor_px: e1', px.
-        distance: d_r, reading of the robot since contact, mm.
+        distance: d_r, the robot's reading since contact, mm.
         loss: see `Loss`.
 
     Raises:
-        ValueError: fewer than 3 spots, or all of one size.
+        ValueError: fewer than 3 spots, or spots of one size only.
     """
     axis, reading = np.asarray(semi_minor_px, float), np.asarray(distance, float)
     if axis.size < _FEWEST_SPOTS or np.ptp(axis) == 0:
@@ -99,7 +99,7 @@ def fit_plane(
     spread = float(np.sum((reading - reading.mean()) ** 2))
     squares = float(np.sum(np.square(solution.residuals)))
     errors = np.sqrt(np.diag(solution.covariance))
-    # Where spots fit exactly, rounding alone is left, and it has no correlation of its own.
+    # If the spots fit exactly, the errors are rounding errors, without a defined correlation.
     correlation = solution.covariance[0, 1] / (errors[0] * errors[1]) if errors.all() else 0.0
     return PlaneFit(
         delta_k=float(solution.parameters[0]),
@@ -141,5 +141,5 @@ def _solve_plane(axis: ArrayLike, reading: ArrayLike, weight: ArrayLike, *, loss
 
 
 def outlier_indices(flags: Array) -> tuple[int, ...]:
-    """Indices of the spots that are flagged."""
+    """Indices of flagged spots."""
     return tuple(np.flatnonzero(flags).tolist())

@@ -1,15 +1,16 @@
-r"""The paper's line through several trials at once, with what makes trials differ as nuisances.
+r"""One line through several trials, with touches and the plane's tilt as nuisances.
 
-Each trial's robot counts from the touch, which it may miss, and the rim of a tilted tip meets the
-wall before its centre does: so the distance is the reading plus a touch t_i. And a plane that tilts
-lies further from the microscope at one spot than at another, and is seen more obliquely. To first
-order in its tilt $\mathbf{s}$
+The robot's readings start at the touch, which the operator may miss, and the rim of a tilted tip
+meets the wall before its centre does. So the distance is the reading plus a touch t_i. A tilted
+plane is farther from the microscope at one spot than at another, and is seen more obliquely. To
+first order in its tilt $\mathbf{s}$
 
 $$ d_r + t_i = \delta k\,[1 + \kappa\,(\mathbf{X}_i + (\mathbf{X}_i\cdot\mathbf{n})\,\mathbf{n})
 \cdot\mathbf{s}]\,e_1' + b $$
 
-with $\kappa = 1/(z_F + r)$, $\mathbf{X}_i$ the spot's place and $\mathbf{n}$ its minor axis. All is
-linear but for the products $\delta k\,\mathbf{s}$, which are fitted in the tilt's place.
+with $\kappa = 1/(z_F + r)$, $\mathbf{X}_i$ the spot's position and $\mathbf{n}$ its minor axis. The
+model is linear except for the products $\delta k\,\mathbf{s}$, so the fit uses these instead of
+the tilt.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from calibration.solvers import GAUSS_NEWTON, Solution, least_squares, padded
 from calibration.spots.cone_trials import Prior
 from calibration.spots.plane_fit import fit_plane
 
-_ROUNDS = 8  # of the noise's estimate: each gains two digits where priors say less than data
+_ROUNDS = 8  # of the noise's estimate; each adds two digits if the priors are weaker than the data
 
 
 class PlaneTrial(NamedTuple):
@@ -49,19 +50,19 @@ class PlaneTrial(NamedTuple):
 
 
 class PlaneTrialsFit(NamedTuple):
-    """One line for all trials, and how each departs from it.
+    """One line for all trials, with the nuisances of each.
 
     Attributes:
         delta_k: mm per px.
         b: mm.
-        covariance: of delta_k and b, the nuisances' uncertainty included.
-        touch: per trial, mm.
+        covariance: covariance of delta_k and b, including the uncertainty of the nuisances.
+        touch: distance at reading 0 per trial, mm.
         touch_error: its standard error, mm.
-        tilt: of the plane: tangents towards +X and +Y of its normal's lean.
+        tilt: tilt of the plane: tangents of its normal's angle from z, towards +X and +Y.
         tilt_error: its standard errors.
         r_squared: coefficient of determination.
         rmse: root mean square error, mm.
-        residuals: of the spots in the order given, distance by the line less reading and touch, mm.
+        residuals: the line's distance minus reading and touch, per spot in the given order, mm.
         noise: standard deviation of a spot's error, mm.
         converged: whether the solver converged.
     """
@@ -83,16 +84,16 @@ class PlaneTrialsFit(NamedTuple):
 def fit_plane_trials(
     trials: Sequence[PlaneTrial], *, inverse_working_distance: float, tilt_sigma: float
 ) -> PlaneTrialsFit:
-    """Fit delta k and b of all trials, with a touch of each and the plane's tilt.
+    """Fit delta k and b to all trials, with each trial's touch and the plane's tilt.
 
     Args:
-        trials: of one plane.
+        trials: trials on one plane.
         inverse_working_distance: kappa, 1/mm; 0 is telecentric, where a tilt has no first-order
             effect.
-        tilt_sigma: of each component of the tilt about 0.
+        tilt_sigma: standard deviation of each component of the tilt around 0.
 
     Raises:
-        ValueError: as `fit_plane` of all spots.
+        ValueError: as for `fit_plane` with all spots.
     """
     axis = np.concatenate([trial.semi_minor_px for trial in trials])
     readings = np.concatenate([trial.readings for trial in trials])
@@ -146,8 +147,8 @@ def _solve(
     tilt_sigma: Float[Array, ""],
     noise: Float[Array, ""],
 ) -> tuple[Solution, Float[Array, ""]]:
-    """The line, and the noise that leaves chi squared as many as there are degrees of freedom."""
-    # Spots and priors less parameters; every nuisance has its prior.
+    """The line, and the noise for which chi squared equals the number of degrees of freedom."""
+    # Number of spots and priors minus parameters; every nuisance has a prior.
     degrees = jnp.sum(weight) - 2
 
     def given(noise: Float[Array, ""]) -> Solution:

@@ -1,7 +1,7 @@
 """c of one withdrawal in an eyeball: Table II of Zhou et al. 2020.
 
-`fit_eccentricity` checks the data of one trial and gives its row of the table. `sphere_solution` is
-what it solves: a pure function of arrays, for `jax.vmap` over many trials at once.
+`fit_eccentricity` checks the data of one trial and returns its row of the table. `sphere_solution`
+solves the problem as a pure function of arrays, for `jax.vmap` over many trials.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from calibration.solvers import GAUSS_NEWTON, Robust, Solution, huber, least_squ
 from calibration.spots.plane_fit import Loss, outlier_indices
 
 _FEWEST_SPOTS = 2
-# Below this phi, cos(phi) differs from 1 by less than 5e-5, and no spots can show that.
+# Below this phi, cos(phi) differs from 1 by less than 5e-5, which no measurement resolves.
 _PHI_BOUND = 0.01
 _SQUARE = np.ones(1)  # cos(phi) at the pole
 
 
 class SphereFit(NamedTuple):
-    """c of the small-plane model, with what the paper's Table II lists.
+    """c of the small-plane model, with the columns of the paper's Table II.
 
     Attributes:
-        c: eccentricity that fits best, mm; 0 where the data ask for none (`at_bound`).
-        c_error: standard error for given delta_k and b, mm; NaN at the bound, where the model has
-            no slope.
-        standard_deviation: of the errors (estimate - truth), mm.
+        c: best eccentricity, mm; 0 if the fit is at its bound (`at_bound`).
+        c_error: standard error for given delta_k and b, mm; NaN at the bound, where the derivative
+            of the model is 0.
+        standard_deviation: standard deviation of the errors (estimate - truth), mm.
         mean_absolute_error: mm.
         max_error: largest absolute error, mm.
         spots: number of spots fitted.
         converged: whether the solver converged.
-        at_bound: the fit ran into c = 0.
-        outliers: indices of the spots beyond 3.5 robust standard deviations; of the loss "huber".
-        sensitivity: of c to the given delta_k (px) and b (1), for the propagation of their errors.
+        at_bound: whether the fit is at the bound c = 0.
+        outliers: indices of spots beyond 3.5 robust standard deviations, with the loss "huber".
+        sensitivity: derivatives of c with respect to delta_k (px) and b (1), for error propagation.
     """
 
     c: float
@@ -63,14 +63,9 @@ class SphereFit(NamedTuple):
         eye_radius: float,
         level: float = 0.95,
     ) -> Float[np.ndarray, "n"]:
-        """Half-width of the curve's confidence band from c alone, by Student's t; mm.
+        """Half-width of the curve's confidence band due to c alone, by Student's t; mm.
 
-        Args:
-            semi_minor_px: e1', px.
-            delta_k: as in `fit_eccentricity`, mm per px.
-            scale: delta, mm/px.
-            eye_radius: r, mm.
-            level: of confidence.
+        Args: as for `fit_eccentricity`; `level` is the level of confidence.
         """
 
         def at(c: Array) -> Array:
@@ -102,9 +97,9 @@ def fit_eccentricity(
     Args:
         semi_minor_px: e1', px.
         distance: d_r, mm.
-        delta_k: from the plane, mm per px.
-        b: from the plane, mm.
-        scale: delta, mm/px; the paper leaves it open, though the sagitta term needs it.
+        delta_k: slope fitted to the plane, mm per px.
+        b: offset fitted to the plane, mm.
+        scale: delta, mm/px; the sagitta term needs it, although the paper does not state it.
         eye_radius: r, mm.
         loss: see `Loss`.
 
@@ -117,7 +112,7 @@ def fit_eccentricity(
     given = {"delta_k": delta_k, "b": b, "scale": scale, "eye_radius": eye_radius}
     (solution, outliers), sensitivity = _solve_sphere(
         *padded(axis, reading),
-        # As arrays, for which one compilation serves all values.
+        # As arrays, so that one compilation is valid for all values.
         **{name: jnp.asarray(value, float) for name, value in given.items()},
         loss=loss,
     )
@@ -154,8 +149,8 @@ def sphere_solution(
 ) -> Solution:
     """Least squares for (cos(phi),); arguments as in `fit_eccentricity`, weight 0 or 1.
 
-    The model is almost linear in cos(phi) = sqrt(1 - (c/r)^2), and a value above 1 says that the
-    data ask for no eccentricity.
+    The model is almost linear in cos(phi) = sqrt(1 - (c/r)^2). A value above 1 means that c = 0
+    fits best.
     """
 
     def residual(parameters: Array) -> Array:
@@ -174,7 +169,7 @@ def _misfit(
     scale: ArrayLike,
     eye_radius: ArrayLike,
 ) -> Float[Array, "n"]:
-    """The small-plane model's errors, mm, with (cos(phi),) as its parameter."""
+    """Errors of the small-plane model with the parameter (cos(phi),), mm."""
     radius = scale * jnp.asarray(axis) * parameters[0]
     return (
         optics.sphere_distance(spot_radius=radius, k=delta_k / scale, b=b, eye_radius=eye_radius)
@@ -194,7 +189,7 @@ def _solve_sphere(
     eye_radius: Array,
     loss: Loss,
 ) -> tuple[Robust, Float[Array, "2"]]:
-    """The solution, and how its cos(phi) follows delta_k and b (implicit function theorem)."""
+    """The solution, and d cos(phi) / d (delta_k, b) by the implicit function theorem."""
 
     def misfit(parameters: Array, line: Array) -> Array:
         misfit = _misfit(parameters, axis, reading, line[0], line[1], scale, eye_radius)

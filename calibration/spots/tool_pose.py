@@ -1,4 +1,4 @@
-"""The pose of a tool with one or several cones of light, from all their spots at once."""
+"""The pose of a tool with one or several cones of light, from all spots together."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from scipy.optimize import least_squares
 
 import optics
 
-_POINTS = 32  # of a contour whose ellipse is compared: 1e-7 px
+_POINTS = 32  # per contour; its ellipse is then accurate to 1e-7 px
 
 
 class Tool(NamedTuple):
-    """Equal cones fixed to one rigid shaft, evenly about its axis, all leaning outwards alike.
+    """Equal cones fixed to a rigid shaft, evenly spaced around its axis and tilted outwards.
 
     Attributes:
-        half_angle: of each cone, rad.
+        half_angle: half-angle of each cone, rad.
         apex_offset: b of each cone, mm.
-        cones: their number.
-        circle_mm: radius of the circle on which their tips lie.
+        cones: number of cones.
+        circle_mm: radius of the circle on which the tips lie, mm.
         splay: angle between each cone's axis and the tool's, rad.
     """
 
@@ -37,7 +37,7 @@ class Tool(NamedTuple):
 
     @property
     def unknowns(self) -> int:
-        """Number of parameters: tip and axis, and the roll, which one spot does not show."""
+        """Number of parameters: tip, axis and roll; a single spot does not determine the roll."""
         return 5 if self.cones == 1 else 6
 
 
@@ -47,7 +47,7 @@ class ToolPose(NamedTuple):
     Attributes:
         tip: centre of the circle of tips, mm.
         axis: unit vector towards the wall.
-        roll: of the first cone from `perpendicular_frame(axis)`'s first vector, rad.
+        roll: angle of the first cone from the first vector of `perpendicular_frame(axis)`, rad.
     """
 
     tip: Float[ArrayLike, "3"]
@@ -59,7 +59,7 @@ class ToolFit(NamedTuple):
     """A tool's pose from its spots.
 
     Attributes:
-        best: the pose of least cost.
+        best: the pose with the least cost.
         distance: from its tip along its axis to the wall, mm.
     """
 
@@ -68,7 +68,7 @@ class ToolFit(NamedTuple):
 
 
 def tool_beams(tool: Tool, pose: ToolPose) -> optics.Beam:
-    """The tool's cones in the eye frame, the leading axis over cones."""
+    """The tool's cones in the eye frame; the leading axis is over cones."""
     first, second = optics.perpendicular_frame(pose.axis)
     turns = pose.roll + 2.0 * np.pi * np.arange(tool.cones) / tool.cones
     outward = jnp.cos(turns)[:, None] * first + jnp.sin(turns)[:, None] * second
@@ -81,7 +81,7 @@ def tool_beams(tool: Tool, pose: ToolPose) -> optics.Beam:
 
 
 def moved(pose: ToolPose, step: Float[ArrayLike, "6"]) -> ToolPose:
-    """Tip shifted (mm), axis turned along its two perpendiculars and rolled (rad)."""
+    """The pose with its tip shifted (mm), its axis turned along its perpendiculars, and rolled."""
     step = jnp.asarray(step)
     first, second = optics.perpendicular_frame(pose.axis)
     turned = pose.axis + step[3] * first + step[4] * second
@@ -131,12 +131,12 @@ def tool_pose_bound(
         pose: its true pose.
         wall: the eyeball.
         view: the camera.
-        sigma_px: noise across the contour of each of 128 points a spot, px.
-        axis_known: only the tip and the roll are estimated.
+        sigma_px: standard deviation across the contour of each of a spot's 128 points, px.
+        axis_known: estimate only the tip and the roll.
 
     Returns:
-        Covariance of the tip (mm) and of the axis along its two perpendiculars (rad); of the tip
-        only if `axis_known`.
+        Covariance of the tip (mm) and of the axis along its two perpendiculars (rad), or only of
+        the tip if `axis_known`.
     """
     across = contour_normals(tool_contours(tool, pose, wall, view))
     slopes = jax.jacfwd(lambda step: tool_contours(tool, moved(pose, step), wall, view))(
@@ -152,12 +152,12 @@ def tool_pose_bound(
 def contour_mismatch_covariance(
     contour: Float[Array, "points 2"], ellipse: optics.Ellipse, sigma_px: ScalarLike
 ) -> Float[Array, "5 5"]:
-    """Covariance of `optics.ellipse_mismatch` from noise across a contour at each of its points.
+    """Covariance of `optics.ellipse_mismatch` for independent noise across the contour per point.
 
     Args:
-        contour: px; with or without noise, which does not matter to first order.
-        ellipse: fitted to the contour.
-        sigma_px: standard deviation of the noise.
+        contour: px; its own noise has no effect to first order.
+        ellipse: ellipse fitted to the contour.
+        sigma_px: standard deviation of the noise, px.
     """
     across = contour_normals(contour)
 
@@ -176,15 +176,15 @@ def fit_tool(
     view: optics.Microscope,
     prior: optics.DirectionPrior,
 ) -> ToolFit:
-    """The pose whose spots have the measured ellipses, all at once.
+    """Fit the pose to the measured ellipses of all spots.
 
     Args:
         tool: the tool.
-        ellipses: of its spots in the order of the cones, px; the leading axis is over the cones.
-        covariances: of `optics.ellipse_mismatch`.
+        ellipses: ellipses of the spots, px; the leading axis is over the cones.
+        covariances: covariances of `optics.ellipse_mismatch`.
         wall: the eyeball.
         view: the camera.
-        prior: of the axis; the solver starts from it and from its mirror image at the wall.
+        prior: prior of the axis; the solver starts with it and with its mirror image at the wall.
     """
     whitening = np.linalg.inv(np.linalg.cholesky(np.asarray(covariances)))
     starts = _starts(tool, ellipses, wall, view, prior.axis)
@@ -216,7 +216,7 @@ def _linear(tool, step, start, ellipses, whitening, wall, view, prior):
         seen = tool_contours(tool, pose, wall, view, points=_POINTS)
         off = jax.vmap(optics.ellipse_mismatch)(seen, ellipses)
         of_prior = jnp.cross(pose.axis, prior.axis) / prior.sigma
-        # A single spot does not show the roll, which keeps its start.
+        # A single spot does not determine the roll, which keeps its start value.
         still = step[tool.unknowns :]
         found = jnp.concatenate([jnp.einsum("cij,cj->ci", whitening, off).ravel(), of_prior, still])
         return found, found
@@ -241,7 +241,7 @@ def _starts(
     view: optics.Microscope,
     axis: Float[Array, "3"],
 ) -> ToolPose:
-    """Poses with the given axis and with its mirror image, from the spots' sizes and places."""
+    """Start poses with the axis and with its mirror image, from the spots' sizes and positions."""
     met = wall.intersect(*view.ray(ellipses.centre))
     middle, outward = jnp.mean(met.point, axis=0), -jnp.mean(met.normal, axis=0)
     outward = outward / jnp.linalg.norm(outward)
