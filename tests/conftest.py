@@ -37,3 +37,13 @@ def _nothing_compiled_is_kept() -> Iterator[None]:
         sys.modules["drjit"].flush_kernel_cache()
         sys.modules["drjit"].flush_malloc_cache()
     gc.collect()
+
+
+@pytest.fixture(scope="module")
+def fast_compilation() -> Iterator[None]:
+    """Compile without optimising: for a file whose time goes into compiling, not into computing."""
+    import jax
+
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)

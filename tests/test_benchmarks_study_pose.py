@@ -28,6 +28,8 @@ from calibration.spots.tool_pose import (
 )
 from scenes.world import Cone, World
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 CONE = Cone(math.atan(1 / 20), -5.117)
 ONE, THREE = one_spot(*CONE), three_spots(*CONE)
 WALL = optics.Sphere(11.5)
@@ -50,13 +52,12 @@ def bounds(tool: Tool, incidence_deg: float) -> tuple[float, float]:
 
 
 @jax.jit
-def spots(at: ToolPose) -> tuple[optics.Ellipse, jax.Array]:
-    """Ellipses of the three spots, and what noise makes of them."""
+def spots(at: ToolPose) -> tuple[jax.Array, optics.Ellipse, jax.Array]:
+    """Contours of the three spots, their ellipses, and the covariances that noise gives these."""
     seen = tool_contours(THREE, at, WALL, VIEW)
     ellipses = optics.ellipse_of_contour(seen)
-    return ellipses, jax.vmap(lambda c, e: contour_mismatch_covariance(c, e, SIGMA_PX))(
-        seen, ellipses
-    )
+    covariances = jax.vmap(lambda c, e: contour_mismatch_covariance(c, e, SIGMA_PX))(seen, ellipses)
+    return seen, ellipses, covariances
 
 
 @pytest.mark.parametrize(("incidence", "tip_um"), [(10.0, (5.0, 7.0)), (30.0, (1.5, 2.5))])
@@ -84,7 +85,7 @@ def test_three_spots_give_the_tool_back_even_where_the_mirror_image_is_expected(
     for incidence in (10.0, 25.0):
         true = place(incidence)
         tip, axis = np.asarray(true.pose.tip), np.asarray(true.pose.axis)
-        ellipses, covariances = spots(true.pose)
+        _, ellipses, covariances = spots(true.pose)
         for expected in (axis, 2.0 * (true.outward @ axis) * true.outward - axis):
             prior = optics.DirectionPrior(jnp.asarray(expected), 1e6)  # which weighs nothing
             found = fit_tool(THREE, ellipses, np.asarray(covariances), WALL, VIEW, prior)
@@ -100,7 +101,8 @@ def test_spots_of_a_tool_lie_evenly_round_its_axis_at_square_incidence():
     at = pose_errors.place_at(
         WALL, c=0.0, around_deg=0.0, d=3.0, incidence_deg=0.0, azimuth_deg=0.0
     )
-    centres = np.asarray(tool_contours(THREE, at.pose, WALL, VIEW)).mean(axis=1)
+    contours, _, _ = spots(at.pose)
+    centres = np.asarray(contours).mean(axis=1)
     apart = np.linalg.norm(centres - np.roll(centres, 1, axis=0), axis=1)
     assert apart == pytest.approx(apart[0])
     # Tips 0.5/sqrt(3) mm off the axis, 10 degrees outwards, on a plane 3 mm away; the sphere's

@@ -11,6 +11,8 @@ from scipy import stats
 import calibration
 import optics
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 TRUE = {
     "half_angle": float(np.arctan(1 / 20)),
     "b": -5.117,

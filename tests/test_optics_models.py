@@ -7,12 +7,21 @@ import pytest
 
 import optics
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 R_EYE, SCALE, K, B = 11.5, 0.0067, 20.0, -5.117
 CONE = {"half_angle": float(np.arctan(1 / K)), "apex_offset": B}
 
 
 def exact(height, *, d, c):
+    """e1' of the exact contour, px."""
     eye = optics.microscope(scale=SCALE, pinhole_height=height, eye_radius=R_EYE)
+    return compiled_exact(eye, d, c)
+
+
+@jax.jit
+def compiled_exact(eye, d, c):
+    # Without jit, JAX compiles the loop in `ellipse_of_contour` again at every call.
     return optics.exact_semi_minor(optics.Sphere(R_EYE), eye, distance=d, eccentricity=c, **CONE)
 
 

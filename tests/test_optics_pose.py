@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import optics
+
+pytestmark = pytest.mark.usefixtures("fast_compilation")
 
 WALL = optics.Sphere(11.5)
 CONE: dict[str, Any] = {"half_angle": float(np.arctan(1 / 20)), "apex_offset": -5.117}
@@ -25,16 +28,22 @@ GEOMETRIES = {
 }
 
 
+@jax.jit
 def beam(*, incidence_deg: float, c: float = 3.0, d: float = 4.0, azimuth: float = 1.0):
     return optics.beam_at_spot(
         WALL,
         eccentricity=c,
         azimuth=0.5,
         distance=d,
-        incidence=np.radians(incidence_deg),
+        incidence=jnp.radians(incidence_deg),
         incidence_azimuth=azimuth,
         **CONE,
     )
+
+
+# Without jit, JAX compiles the loop in `ellipse_of_contour` again at every call.
+spot_contour, spot_ellipse = jax.jit(optics.spot_contour), jax.jit(optics.spot_ellipse)
+ellipse_of_contour = jax.jit(optics.ellipse_of_contour)
 
 
 def eye(height: float, scale: float = 0.0065) -> optics.Microscope:
@@ -66,7 +75,7 @@ def test_pose_inverts_ten_thousand_contours(c, d, incidence, azimuth, height):
 
 def assert_pose_returns(c, d, incidence, azimuth, height):
     true = beam(incidence_deg=incidence, c=c, d=d, azimuth=azimuth)
-    found = estimate(optics.spot_contour(true, WALL, eye(height)), height).best
+    found = estimate(spot_contour(true, WALL, eye(height)), height).best
     np.testing.assert_allclose(found.tip, true.tip, atol=1e-8)
     np.testing.assert_allclose(found.axis, true.axis, atol=1e-8)
     np.testing.assert_allclose(found.distance, d, atol=1e-8)
@@ -77,7 +86,7 @@ def assert_pose_returns(c, d, incidence, azimuth, height):
 def test_pose_inverts_the_ellipse_of_the_contour(c, d, incidence, azimuth, height):
     true = beam(incidence_deg=incidence, c=c, d=d, azimuth=azimuth)
     found = from_ellipse(
-        optics.spot_ellipse(true, WALL, eye(height)),
+        spot_ellipse(true, WALL, eye(height)),
         height,
         # Five numbers for five parameters: the mirror fits as well, so that a prior must choose.
         prior=optics.DirectionPrior(true.axis, np.radians(5.0)),
@@ -89,9 +98,9 @@ def test_pose_inverts_the_ellipse_of_the_contour(c, d, incidence, azimuth, heigh
 
 def test_pose_from_an_ellipse_is_as_good_as_from_the_contour_that_it_was_fitted_to():
     true = beam(incidence_deg=20.0)
-    clean = np.asarray(optics.spot_contour(true, WALL, eye(200.0)))
+    clean = np.asarray(spot_contour(true, WALL, eye(200.0)))
     noise = SIGMA_PX * np.random.default_rng(0).standard_normal((2000, *clean.shape))
-    ellipses = optics.ellipse_of_contour(jnp.asarray(clean + noise))
+    ellipses = ellipse_of_contour(jnp.asarray(clean + noise))
     spread = np.cov(
         np.column_stack(
             [ellipses.centre, ellipses.semi_major, ellipses.semi_minor, ellipses.angle]
@@ -99,7 +108,7 @@ def test_pose_from_an_ellipse_is_as_good_as_from_the_contour_that_it_was_fitted_
     )
     # So wide that it chooses between the mirror solutions and tells nothing else.
     prior = optics.DirectionPrior(true.axis, np.radians(5.0))
-    ellipse = optics.spot_ellipse(true, WALL, eye(200.0))
+    ellipse = spot_ellipse(true, WALL, eye(200.0))
     promised = from_ellipse(ellipse, 200.0, covariance=jnp.asarray(spread), prior=prior).best
     bound = estimate(jnp.asarray(clean), 200.0, prior=prior).best
     # The algebraic fit of a near-circle has the bound's variance but for a percent; 2000 draws
@@ -111,7 +120,7 @@ def test_pose_from_an_ellipse_is_as_good_as_from_the_contour_that_it_was_fitted_
 
 
 def test_a_perfect_circle_has_a_pose():
-    square = optics.spot_ellipse(beam(incidence_deg=0.0, c=0.0), WALL, eye(200.0))
+    square = spot_ellipse(beam(incidence_deg=0.0, c=0.0), WALL, eye(200.0))
     circle = square._replace(semi_major=square.semi_minor)
     found = from_ellipse(circle, 200.0)
     np.testing.assert_allclose(found.best.distance, 4.0, atol=1e-4)
@@ -120,7 +129,7 @@ def test_a_perfect_circle_has_a_pose():
 @pytest.mark.parametrize(("incidence", "tip_um"), [(10.0, (5.0, 7.0)), (30.0, (1.5, 2.5))])
 def test_covariance_is_the_known_bound(incidence, tip_um):
     # Bounds from an independent computation at z_F = r, 6.5 um/px, d 3 to 6 mm, 0.05 px.
-    found = estimate(optics.spot_contour(beam(incidence_deg=incidence), WALL, eye(11.5)), 11.5).best
+    found = estimate(spot_contour(beam(incidence_deg=incidence), WALL, eye(11.5)), 11.5).best
     error = 1e3 * float(jnp.sqrt(jnp.trace(found.covariance[:3, :3])))
     assert tip_um[0] < error < tip_um[1]
     assert 0.5 < 1e3 * float(found.distance_error) < 1.5
@@ -128,7 +137,7 @@ def test_covariance_is_the_known_bound(incidence, tip_um):
 
 def test_covariance_is_the_spread_over_noise():
     true = beam(incidence_deg=20.0)
-    clean = np.asarray(optics.spot_contour(true, WALL, eye(200.0)))
+    clean = np.asarray(spot_contour(true, WALL, eye(200.0)))
     rng = np.random.default_rng(0)
     normal = clean - clean.mean(axis=0)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -151,7 +160,7 @@ def test_covariance_is_the_spread_over_noise():
 
 def test_the_mirror_fits_almost_as_well_and_has_the_same_distance_but_another_tip():
     true = beam(incidence_deg=10.0)
-    found = estimate(optics.spot_contour(true, WALL, eye(11.5)), 11.5)
+    found = estimate(spot_contour(true, WALL, eye(11.5)), 11.5)
     assert float(found.mirror.misfit_px) < 0.005
     assert abs(float(found.mirror.distance) - 4.0) < 0.01
     # Leaning the other way by 10 degrees at 4 mm: 2 * 4 * sin(10 deg) = 1.4 mm.
@@ -161,7 +170,7 @@ def test_the_mirror_fits_almost_as_well_and_has_the_same_distance_but_another_ti
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_prior_chooses_between_the_solution_and_its_mirror(side):
     true = beam(incidence_deg=6.0)
-    contour = optics.spot_contour(true, WALL, eye(200.0))
+    contour = spot_contour(true, WALL, eye(200.0))
     free = estimate(contour, 200.0)
     wanted = free.best if side > 0 else free.mirror
     led = estimate(contour, 200.0, prior=optics.DirectionPrior(wanted.axis, np.radians(2.0))).best
@@ -169,7 +178,7 @@ def test_a_prior_chooses_between_the_solution_and_its_mirror(side):
 
 
 def test_square_incidence_is_not_observable_but_its_distance_is():
-    found = estimate(optics.spot_contour(beam(incidence_deg=0.0), WALL, eye(11.5)), 11.5)
+    found = estimate(spot_contour(beam(incidence_deg=0.0), WALL, eye(11.5)), 11.5)
     assert not bool(found.observable)
     np.testing.assert_allclose(found.best.distance, 4.0, atol=1e-4)
     assert float(found.best.distance_error) < 0.002
@@ -178,7 +187,7 @@ def test_square_incidence_is_not_observable_but_its_distance_is():
 @pytest.mark.parametrize("height", [11.5, 200.0])
 def test_tip_with_known_axis_is_found_from_half_of_a_contour(height):
     true = beam(incidence_deg=25.0)
-    half = optics.spot_contour(true, WALL, eye(height))[:64]
+    half = spot_contour(true, WALL, eye(height))[:64]
     found = optics.tip_from_contour(
         half, WALL, eye(height), axis=true.axis, sigma_px=SIGMA_PX, **CONE
     )
@@ -190,7 +199,7 @@ def test_pose_on_a_tilted_plane():
     true = optics.beam_at_spot(
         plane, eccentricity=2.0, distance=3.0, incidence=0.4, incidence_azimuth=2.0, **CONE
     )
-    contour = optics.spot_contour(true, plane, eye(200.0))
+    contour = spot_contour(true, plane, eye(200.0))
     found = optics.pose_from_contour(contour, plane, eye(200.0), sigma_px=SIGMA_PX, **CONE)
     # On a plane the mirror is exact: either of the two.
     tips = (found.best.tip, found.mirror.tip)
@@ -201,10 +210,11 @@ def test_pose_on_a_tilted_plane():
 def test_a_tightly_held_axis_does_not_collapse_the_cone_onto_the_wall():
     # A cone whose apex touches the wall has a contour of no size, which agrees with any ellipse.
     true = beam(incidence_deg=20.0)
-    ellipse = optics.spot_ellipse(true, WALL, eye(11.5))
+    ellipse = spot_ellipse(true, WALL, eye(11.5))
     # Measured 1 % too large along its major axis: no cone of this axis has that ellipse.
     measured = ellipse._replace(semi_major=1.01 * ellipse.semi_major)
-    prior = optics.DirectionPrior(true.axis, 1e-6)
+    # A scalar of NumPy is traced; the compiler would take a float of Python for a constant.
+    prior = optics.DirectionPrior(true.axis, np.float64(1e-6))
     found = from_ellipse(measured, 11.5, prior=prior)
     # Distance follows the size of the spot: between none and 1 % of the 9 mm to the apex.
     assert 3.95 < float(found.best.distance) < 4.1
