@@ -9,6 +9,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -68,10 +69,22 @@ def seen(settings: Scene) -> WallPixels:
     """The wall behind the pixels of a scene with a cone or lens over an eyeball."""
     v, u = np.mgrid[: settings.microscope.height_px, : settings.microscope.width_px]
     pixels = jnp.stack([jnp.asarray(u.ravel(), float), jnp.asarray(v.ravel(), float)], axis=-1)
-    return wall_pixels(pixels, microscope=World(settings).microscope, surface=World(settings).wall)
+    world = World(settings)
+    return compiled_wall(pixels, microscope=world.microscope, surface=world.wall)
 
 
 VALUES = {"power": 1.0, "reflectance": 0.5, "illumination": 0.05, "eye_radius": 11.5}
+
+compiled_wall = jax.jit(wall_pixels)
+
+
+@jax.jit
+def compiled_light(
+    wall: WallPixels, source: Cone | Lens, tip: jax.Array, axis: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Radiance of an eyeball's wall and the source's part of its irradiance."""
+    image = radiance(wall, VALUES, source=source, tip=tip, axis=axis, eyeball=True)
+    return image, source.irradiance(wall, tip=tip, axis=axis)
 
 
 @pytest.mark.parametrize("pinhole", [11.5, 200.0])
@@ -86,17 +99,12 @@ def test_model_image_of_a_cone_is_the_renderers(pinhole):
     cone = Cone(jnp.asarray(HALF_ANGLE), jnp.asarray(B), None)
     for frame in range(2):
         beam = renderer.world.truth.beam
-        image = radiance(
-            wall, VALUES, source=cone, tip=beam.tip[frame], axis=beam.axis[frame], eyeball=True
-        )
         rendered = renderer.render(frame).radiance[..., 0]
-        off = np.asarray(image).reshape(rendered.shape) - rendered
-        lit = (
-            np.asarray(cone.irradiance(wall, tip=beam.tip[frame], axis=beam.axis[frame])).reshape(
-                rendered.shape
-            )
-            > 0
+        image, irradiance = (
+            np.asarray(light).reshape(rendered.shape)
+            for light in compiled_light(wall, cone, beam.tip[frame], beam.axis[frame])
         )
+        off, lit = image - rendered, irradiance > 0
         inside = ndimage.binary_erosion(lit, iterations=2)
         outside = ~ndimage.binary_dilation(lit, iterations=2)
         # Single precision, summed over a pixel's samples; curvature within a pixel 1e-6.
@@ -127,9 +135,7 @@ def test_model_image_of_a_lens_is_the_renderers(medium, scale):
     lens = Lens(lens_table(values, ("sag",), medium_index=index, sampling=sampling))
     for frame in range(2):
         beam = renderer.world.truth.beam
-        image = radiance(
-            wall, VALUES, source=lens, tip=beam.tip[frame], axis=beam.axis[frame], eyeball=True
-        )
+        image, _ = compiled_light(wall, lens, beam.tip[frame], beam.axis[frame])
         rendered = renderer.render(frame).radiance[..., 0]
         off = (np.asarray(image).reshape(rendered.shape) - rendered) / rendered.max()
         # The renderer's own table is good to 3e-4 of the peak; where an edge runs through a pixel,
@@ -181,6 +187,11 @@ def _table_of(values, grid):
     )
 
 
+@jax.jit
+def compiled_look_up(table: LensTable, radius: jax.Array, distance: jax.Array) -> tuple:
+    return table(radius=radius, distance=distance)
+
+
 def test_table_is_exact_for_cubic_fields():
     grid = Grid(1.0, 0.5, 0.5, 8.0)
     y, x = np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 7), indexing="ij")
@@ -194,7 +205,7 @@ def test_table_is_exact_for_cubic_fields():
     s = jnp.asarray(rng.uniform(0.5, 8.0, 50))
     envelope = 1.0 + 0.5 * s
     share = jnp.asarray(rng.uniform(0.0, 1.0, 50))
-    lateral, axial = table(radius=share * envelope, distance=s)
+    lateral, axial = compiled_look_up(table, share * envelope, s)
     expected = field(share, jnp.log(s / 0.5) / jnp.log(16.0)) / envelope**2
     np.testing.assert_allclose(lateral, expected, rtol=1e-10)
     np.testing.assert_allclose(axial, 2 * expected, rtol=1e-10)
@@ -215,13 +226,13 @@ def test_light_of_a_lens_is_the_mean_over_a_pixel():
     n = 8
     shifts = np.stack(np.meshgrid(*2 * [(np.arange(n) + 0.5) / n - 0.5]), axis=-1).reshape(-1, 1, 2)
     wall, parts = (
-        wall_pixels(jnp.asarray(at), microscope=eye, surface=surface)
+        compiled_wall(jnp.asarray(at), microscope=eye, surface=surface)
         for at in (pixels, (pixels + shifts).reshape(-1, 2))
     )
-    found = Lens(table).irradiance(wall, tip=tip, axis=axis)
+    _, found = compiled_light(wall, Lens(table), tip, axis)
     offset = parts.point - tip
     off_axis = jnp.hypot(offset[:, 0], offset[:, 1])
-    lateral, axial = table(radius=off_axis, distance=-offset[:, 2])
+    lateral, axial = compiled_look_up(table, off_axis, -offset[:, 2])
     across = (offset[:, :2] * parts.normal[:, :2]).sum(axis=-1) / off_axis
     light = axial * parts.normal[:, 2] - lateral * across
     expected = np.asarray(light).reshape(n * n, -1).mean(axis=0)
