@@ -510,7 +510,7 @@ def test_fitted_eccentricity_claim_follows_the_fits() -> None:
 def test_a_way_that_sees_nothing_is_counted() -> None:
     # 12 trials of 9 frames in three ways and 8 of 4 in one, less the blind third.
     found = find(paper_like_run(), "frames used")
-    assert found.text.startswith("248 of 356 measurements enter the fits.")
+    assert found.text.startswith("The fits use 248 of 356 measurements.")
     by_way = dict(zip(found.numbers["ways"].split("; "), found.numbers["used"], strict=True))
     assert by_way == {LITERAL.name: 108, LITERAL_METERED.name: 0, SUBPIXEL.name: 140}
 

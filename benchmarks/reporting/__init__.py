@@ -1,13 +1,13 @@
-"""What all studies share; it knows none of them.
+"""Code that all studies share, independent of any of them.
 
-claims      Claims: what a run found, each a number beside what was expected of it
-command     The options that the commands of all studies share
-figures     Figures of one style: colours, small multiples, and the files that they are written to
+claims      A claim: a measured value, its bounds, and a sentence
+command     The options of the studies' commands
+figures     Style, small multiples and files of figures
 page        The report as one HTML page
-report      What a report is made of: claims, sections with tables and pictures, CSV files
-run_folder  The folder of a run: taken by one request, resumed by the same one, never half written
-study       One run of a study: its request, its scene, its stacks, its folder
-tables      Tables: what a column shows, rows as a table of the report, rows as a CSV file
+report      The parts of a report: claims, sections with tables and pictures, CSV files
+run_folder  The folder of a run, which the same request resumes; files appear only when complete
+study       One run of a study: its request, scene, stacks and folder
+tables      Tables of the report and CSV files
 typeset     Numbers as text, alone and in sentences
 """
 

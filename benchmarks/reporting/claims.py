@@ -1,4 +1,4 @@
-"""Claims: what a run found, each a number beside what was expected of it."""
+"""A claim: a measured value, its bounds, and a sentence."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from benchmarks.reporting.typeset import filled
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """A row of what a run found.
+    """One result of a run.
 
     Attributes:
-        name: what it is about, the same in every run.
-        sentence: template that `value` and `numbers` fill: "Off by {value:.2f} mm at most."
-        value: what was measured; several numbers where each must lie within the bounds.
-        low: least value with which the claim holds.
-        high: greatest such value.
-        numbers: more for the sentence by name: numbers, texts, and rows for "{row.field:.2f}".
+        name: subject of the claim, the same in every run.
+        sentence: template for `value` and `numbers`: "The largest error is {value:.2f} mm."
+        value: measured value; if there are several, each must lie within the bounds.
+        low: least value for which the claim holds.
+        high: greatest value for which the claim holds.
+        numbers: further values of the sentence by name: numbers, texts, rows ("{row.field:.2f}").
     """
 
     name: str
@@ -32,7 +32,7 @@ class Claim:
 
     @property
     def holds(self) -> bool | None:
-        """Whether all values lie within the bounds; None where nothing was expected."""
+        """Whether all values lie within the bounds; None for a claim without bounds."""
         if math.isinf(self.low) and math.isinf(self.high):
             return None
         values = self.value if isinstance(self.value, tuple) else (self.value,)

@@ -1,4 +1,4 @@
-"""Figures of one style: colours, small multiples, and the files that they are written to."""
+"""Style, small multiples and files of figures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-# Okabe and Ito's palette, which colour-blind readers can tell apart.
+# Palette of Okabe and Ito, which colour-blind readers can distinguish.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, VERMILION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#8A8A8A"
 
@@ -62,11 +62,11 @@ def small_multiples(
         draw: draws a panel.
         rows: keys of the rows; [""] for a single row.
         columns: keys of the columns; [""] for a single column.
-        title: of a panel; the row and the column if not given.
+        title: title of a panel; by default the row and the column.
         x: label of the axis below the last row, the same for all or by column.
         y: label of the axis left of the first column, the same for all or by row.
-        height: of a panel, inches.
-        legend_columns: of the legend of all labels, below the panels; 0 for none.
+        height: height of a panel, inches.
+        legend_columns: number of columns of the legend below the panels; 0 for no legend.
         shared: `sharex` and `sharey` of `Figure.subplots`.
     """
     figure = Figure(
@@ -104,7 +104,7 @@ def limit_lines(axes: Axes, *limits: float) -> None:
 def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
     """Write PNG and SVG; returns the figure as a data URI, of `inline` "svg" or "jpeg"."""
     figure.savefig(path.with_suffix(".png"), pil_kwargs={"compress_level": 1})
-    figure.set_layout_engine("none")  # it is laid out by now, which takes half of the time
+    figure.set_layout_engine("none")  # the layout takes half of the time; do not repeat it
     # Without a date the same data give the same file.
     figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
     if inline == "svg":

@@ -1,4 +1,4 @@
-"""What a report is made of: claims, sections with tables and pictures, CSV files."""
+"""The parts of a report: claims, sections with tables and pictures, CSV files."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Picture(NamedTuple):
     """A figure of the report; written as figures/NAME.png and .svg.
 
     Attributes:
-        name: of its files.
+        name: name of its files.
         figure: the drawing.
-        caption: what is seen; "z_F" and "d_r" get their subscripts.
-        data: the CSV file behind it.
-        inline: format within the page; frames with a camera's noise are ten times smaller as JPEG.
+        caption: description; "z_F" and "d_r" get their subscripts.
+        data: CSV file with the data.
+        inline: format in the page; frames with a camera's noise are ten times smaller as JPEG.
     """
 
     name: str
@@ -41,9 +41,9 @@ class Data(NamedTuple):
     """A CSV file.
 
     Attributes:
-        name: of the file.
+        name: name of the file.
         row_type: NamedTuple whose fields are the columns, with units.
-        rows: of that type.
+        rows: rows of that type.
     """
 
     name: str
@@ -53,14 +53,14 @@ class Data(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a study found.
+    """The report of a study.
 
     Attributes:
         title: the question.
-        lead: what was done, in a sentence or two.
+        lead: the method, in a sentence or two.
         claims: the answers, computed in this run.
-        sections: what they rest on.
-        data: CSV files to write; a name alone is that of a file which the study has written itself.
+        sections: the evidence.
+        data: CSV files to write; a name alone is a file that the study has already written.
         summary: further entries of summary.json.
     """
 

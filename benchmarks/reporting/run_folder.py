@@ -1,4 +1,4 @@
-"""The folder of a run: taken by one request, resumed by the same one, never half written."""
+"""The folder of a run, which the same request resumes; files appear only when complete."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _PACKAGES = (
 
 
 def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
-    """Take an empty folder, or that of an earlier run with the same settings; writes run.json.
+    """Use an empty folder, or one of an earlier run with the same settings, and write run.json.
 
     Args:
-        out: the folder; made if missing.
-        settings: the run's.
-        command: the run's, for the message.
+        out: the folder; created if missing.
+        settings: settings of the run.
+        command: command of the run, for the message.
 
     Raises:
         ValueError: the folder has a run with other settings, or other files.
@@ -52,7 +52,7 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
             )
         return
     if out.is_dir() and any(out.iterdir()):
-        raise ValueError(f"{out} has other files than a run of `{command}`. Choose another --out.")
+        raise ValueError(f"{out} has files that are not from `{command}`. Choose another --out.")
     out.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(settings) + "\n")
 

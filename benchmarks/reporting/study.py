@@ -40,8 +40,8 @@ class Request:
         scene: scene file, or None for the study's own.
         changes: "table.key=value" each, set after reading.
         quick: a smaller study, for a first look.
-        seed: of everything random; None is the scene's.
-        options: those of one study only, by the command line's name without dashes.
+        seed: random seed; None uses the scene's.
+        options: options of this study only, by their names on the command line without dashes.
     """
 
     out: Path
@@ -56,7 +56,7 @@ class Study:
     """One run of a study.
 
     Args:
-        name: of the study.
+        name: name of the study.
         request: the arguments.
         defaults: changes of the default scene, used if no scene file is given; the request's own
             changes come after them.
@@ -65,8 +65,8 @@ class Study:
 
     Attributes:
         scene: the scene to start from.
-        seed: of everything random.
-        folder: of the results.
+        seed: random seed.
+        folder: folder of the results.
         seconds: wall time of this run by step.
 
     Raises:
@@ -92,7 +92,7 @@ class Study:
         self.seconds: dict[str, float] = {}
         self._words = tuple(command) or ("eyespot", "study", name)
         check(self.scene)
-        scenes.load_mitsuba()  # a machine that cannot render makes no folder
+        scenes.load_mitsuba()  # before the folder is made, in case this machine cannot render
         settings = {
             "schema": _RUN_SCHEMA,
             "study": name,
@@ -126,10 +126,10 @@ class Study:
     def measured(
         self, trials: Mapping[str, Scene], measure: Callable[[str, Stack], T]
     ) -> dict[str, T]:
-        """What `measure` returns for each stack (its name and itself).
+        """The results of `measure(name, stack)` by name.
 
-        A stack is measured in a thread while the next one is rendered, because rendering leaves a
-        core half idle.
+        A thread measures a stack while the next one is rendered, because rendering does not use all
+        cores fully.
         """
         folder = self.folder / "stacks"
         folder.mkdir(exist_ok=True)
@@ -152,7 +152,7 @@ class Study:
 
     @contextlib.contextmanager
     def timed(self, step: str) -> Iterator[None]:
-        """Note the wall time of a step, for the report."""
+        """Measure the wall time of a step for the report."""
         start = time.perf_counter()
         yield
         self.seconds[step] = time.perf_counter() - start
@@ -161,8 +161,8 @@ class Study:
         """Write report.html, summary.json, scene.toml, CSV files and figures, all or none; say so.
 
         Args:
-            report: makes the report; its figures are drawn in the house style.
-            findings: what it is made of.
+            report: function that makes the report; its figures use the common style.
+            findings: results of the study.
         """
         with matplotlib.rc_context(STYLE), run_folder.published(self.folder) as folder:
             self._write(report(findings), folder)

@@ -1,4 +1,4 @@
-"""Tables: what a column shows, rows as a table of the report, rows as a CSV file."""
+"""Tables of the report and CSV files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Column(NamedTuple):
     sign: bool = False
 
     def cell(self, value: Any) -> str:
-        """The value as text: texts and integers as they are, floats rounded."""
+        """The value as text: texts and integers unchanged, floats rounded."""
         if isinstance(value, str | int):
             return str(value)
         return number(value * self.scale, self.digits, sign=self.sign)
@@ -41,8 +41,8 @@ class Table(NamedTuple):
     Attributes:
         columns: how each is shown.
         rows: values, as many as there are columns.
-        caption: what is listed.
-        data: the CSV file behind it.
+        caption: description.
+        data: CSV file with the data.
     """
 
     columns: Sequence[Column]

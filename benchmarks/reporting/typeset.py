@@ -9,14 +9,14 @@ from typing import Any
 
 
 def number(value: float, digits: int = 2, *, sign: bool = False) -> str:
-    """The value with a true minus sign; zero has none, and what is not finite is a dash."""
+    """The value with a true minus sign; zero has no sign; infinite values and NaN are a dash."""
     return _typeset(value, f"{'+' if sign else ''}.{digits}f")
 
 
 def filled(template: str, numbers: Mapping[str, Any]) -> str:
     """The template with its fields filled in, "{tip:.3f}" by `number`.
 
-    A sequence is written out, its members separated by commas.
+    The members of a sequence are separated by commas.
     """
     return _Formatter().vformat(template, (), numbers)
 

@@ -23,7 +23,7 @@ def dynamic(
 ) -> None:
     """Measure the error while the tip moves: by speed, motion blur and a late pose.
 
-    A run that was stopped continues where it was if it gets the same folder.
+    To continue a run that was stopped, start it again with the same folder.
     """
     from benchmarks.reporting import Request
     from benchmarks.studies.dynamic.run import run

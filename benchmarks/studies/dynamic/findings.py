@@ -1,4 +1,4 @@
-"""What the dynamic study finds: the error of every frame, and its size by speed."""
+"""The results as data: the error of every frame, and its size by speed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COMPARED = (LITERAL, SUBPIXEL)
 MOTIONS = {"withdrawal": "along the beam", "scan": "across the wall", "hand": "in a hand"}
 
 LATENCIES_S = (0.0, 0.05, 0.1)
-"""How late a pose without a stamp of its own is read."""
+"""Delays with which a pose without a time stamp is read."""
 
 PARTS = ("rest", "blur", "stamps", "latency")
 
@@ -25,9 +25,9 @@ PARTS = ("rest", "blur", "stamps", "latency")
 class DynamicError(NamedTuple):
     """Row of dynamic_error.csv: one frame and latency; error = estimate - reading.
 
-    `set_speed_mm_s` is the speed of a straight motion or a hand's highest, `speed_mm_s` the tip's
-    in the middle of the exposure; `doubt` is the reason why an estimate does not count,
-    `rest_doubt` that of the frame without blur. NaN: there is no estimate.
+    `set_speed_mm_s` is the speed of a straight motion or the highest speed of a hand. `speed_mm_s`
+    is the tip's speed in the middle of the exposure. `doubt` is the reason why an estimate does not
+    count; `rest_doubt` is the same for the frame without blur. NaN: there is no estimate.
     """
 
     source: str
@@ -77,7 +77,7 @@ class DynamicSpread(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class DynamicFindings:
-    """What the report is made of.
+    """All results of a run.
 
     Attributes:
         scene: the study's.

@@ -1,20 +1,16 @@
-"""Model error against the place of the spot.
+"""Model error against the position of the spot.
 
-causes    The error of every model split by cause, so that the parts sum to the whole
-chain     The chain from a distance to a spot's size and back, each link of which can be real
-          or ideal
+causes    The error of every model, split by cause so that the parts sum to the whole
+chain     The chain from a distance to a spot's size and back, with each link real or ideal
 command   The command `eyespot study eccentricity`
-figures   Figures of the study of eccentricity
-findings  What the study of eccentricity finds: errors of the models, where they exceed limits, and
-          why
-limits    The c at which a model's error reaches a limit, with the true c and with a fitted one
-rendered  The rendered part: frames, the spots measured in them, and what rendering adds to their
-          size
-report    The report of the study of eccentricity
-run       `eyespot study eccentricity`: how wrong each model is, where, and by which cause
-shapley   Shapley's fair shares: what each player adds to a whole, over all orders of joining
-space     The space of geometries: scrambled Sobol points, every model's error there, in
-          bounded memory
+figures   The figures of the report
+findings  The results as data: errors of the models, limits and causes
+limits    The c at which a model's error reaches a limit, for the true and for a fitted c
+rendered  The rendered part: frames, measured spots, and the effect of rendering on their size
+report    The report
+run       The computation: exact contours, rendered frames, the space of geometries
+shapley   Shapley values: the part of each cause in a sum, averaged over all orders
+space     Every model's error at scrambled Sobol points of the space of geometries
 """
 
 import lazy_loader

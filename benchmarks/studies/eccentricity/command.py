@@ -28,7 +28,7 @@ def eccentricity(
 ) -> None:
     """Measure how wrong each model is, at which eccentricity, and by which cause.
 
-    A run that was stopped continues where it was if it gets the same folder.
+    To continue a run that was stopped, start it again with the same folder.
     """
     from benchmarks.reporting import Request
     from benchmarks.studies.eccentricity.run import run

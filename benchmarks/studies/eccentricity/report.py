@@ -191,7 +191,8 @@ def _errors(findings: EccentricityFindings) -> Section:
             figures.worst_errors(findings),
             "Largest absolute error over d = 0.5 to 6 mm, on exact contours (lines) and on "
             "rendered spots (dots). Dashed: with c fitted to the withdrawal itself. Dotted: "
-            f"{limits} mm. On exact contours, exact is right to rounding and not drawn.",
+            f"{limits} mm. On exact contours the model exact has no error except rounding and is "
+            "not drawn.",
             data="model_error.csv",
         ),
         Table.of(
@@ -235,10 +236,10 @@ def _refit(findings: EccentricityFindings) -> Section:
         and r.c_mm > 0
     ]
     return Section(
-        "What fitting c hides",
-        "The paper finds c by fitting its model to the same distances by which it then judges the "
-        "model (Table II). A wrong c compensates for a wrong factor as long as the right factor is "
-        "below 1; where it is above, the fit ends at c = 0.",
+        "The error that a fit of c hides",
+        "The paper fits c to the same distances with which it then tests the model (Table II). A "
+        "wrong c compensates for a wrong factor as long as the correct factor is below 1. If the "
+        "correct factor is above 1, the fit ends at c = 0.",
         Picture(
             "refit",
             figures.fitted_eccentricity(findings),
@@ -261,11 +262,12 @@ def _causes(findings: EccentricityFindings) -> Section:
     shares = findings.rendered.shares
     text = (
         "Each link between distance and spot is real or ideal, together with the model's own term "
-        "for it; every model is right when all links are ideal. Each cause's part is its Shapley "
+        "for it. Every model is exact if all links are ideal. Each cause's part is its Shapley "
         f"value, exact over all {1 << len(CAUSES):,} sets of causes, and the parts sum to the "
         "error. Edge and pixels are measured in rendered frames: with noise, and without it at "
         f"twice the resolution. The models are given an r {WRONG_R_MM:g} mm and a c "
-        f"{WRONG_C_MM:g} mm too large, which is also why exact has parts of links that it models. "
+        f"{WRONG_C_MM:g} mm too large, so the model exact also has errors from links that it "
+        "models. "
         "The paper's cos φ counts as a term for foreshortening, as the paper derives it."
     )
     if not shares:

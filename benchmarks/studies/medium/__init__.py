@@ -1,12 +1,10 @@
-"""Calibrated in air, used in vitreous.
+"""The error of a calibration in air when it is used in vitreous.
 
 command   The command `eyespot study medium`
-figures   Figures of the study of media
-findings  What the study of media finds: curves of lights, errors of distances
-light     What a medium makes of a lens's half-maximum radius, in closed form from the lens's
-          light
-rendered  The rendered part: calibrated on a plane in air, used in an eyeball full of another
-          medium
-report    The report of the study of media
-run       `eyespot study medium`: calibrated in air, used in vitreous
+figures   The figures of the report
+findings  The results as data: curves of light sources, errors of distances
+light     A lens's half-maximum radius in a medium, in closed form
+rendered  The rendered part: calibrated on a plane in air, used in an eyeball with another medium
+report    The report
+run       The computation: curves, rendered frames, errors
 """

@@ -14,7 +14,7 @@ def medium(
 ) -> None:
     """Calibrate in air, measure in vitreous: the error, and how much the lens model corrects.
 
-    A run that was stopped continues where it was if it gets the same folder.
+    To continue a run that was stopped, start it again with the same folder.
     """
     from benchmarks.reporting import Request
     from benchmarks.studies.medium.run import run

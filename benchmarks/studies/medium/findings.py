@@ -1,4 +1,4 @@
-"""What the study of media finds: curves of lights, errors of distances."""
+"""The results as data: curves of light sources, errors of distances."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from scenes import Scene
 
 AIR, VITREOUS = "air", "vitreous"
 NEAREST_MM, FARTHEST_MM = 0.5, 6.0
-"""Distances of the paper's trials, over which is calibrated and measured."""
+"""Range of distances of calibration and measurement, as in the paper's trials."""
 
 CONE = "cone"
 """The light without a lens: the control."""
 
 
 class Method(StrEnum):
-    """How a radius becomes a distance."""
+    """Methods to compute a distance from a radius."""
 
     AIR_CONE = "cone of air"
     """The cone calibrated in air."""
@@ -36,9 +36,9 @@ class Method(StrEnum):
 class MediumError(NamedTuple):
     """Row of medium_error.csv; error = estimate - truth.
 
-    `light`: a lens by name, or "cone". Where the answer is `ambiguous`, the analytic estimate is
-    the solution farthest from the truth, the rendered one the likeliest. `estimate_mm` is empty if
-    the method has no answer.
+    `light`: a lens by name, or "cone". If the result is `ambiguous`, the analytic estimate is the
+    solution farthest from the truth and the rendered one is the most likely solution. `estimate_mm`
+    is empty if the method has no result.
     """
 
     source: str
@@ -92,7 +92,7 @@ class Curve(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class MediumFindings:
-    """What the report is made of.
+    """All results of a run.
 
     Attributes:
         scene: the study's.

@@ -43,10 +43,10 @@ def report(findings: MediumFindings) -> Report:
     """The report of a run."""
     indices = ", ".join(f"{medium} {float(optics.MEDIA[medium]):g}" for medium in (AIR, VITREOUS))
     return Report(
-        title="How wrong is a calibration in air when it is used in vitreous?",
-        lead="The cone fitted to a glue lens in air is used in vitreous, beside what the lens "
-        "model makes of the same spots without another fit. The control is an ideal cone, whose "
-        "light no medium bends.",
+        title="How large is the error of a calibration in air when it is used in vitreous?",
+        lead="The cone fitted to a glue lens in air is used in vitreous, and compared with the "
+        "lens model for the same spots, which needs no other fit. The control is an ideal cone, "
+        "whose light no medium refracts.",
         claims=list(_claims(findings)),
         sections=[
             Section(
@@ -100,10 +100,10 @@ def report(findings: MediumFindings) -> Report:
 _METHODS = (
     f"“{Method.AIR_CONE}”: d = kR + b with k and b from air. “{Method.LENS_CONE}”: k and b "
     f"computed for vitreous from the lens's parameters. “{Method.LENS}”: the distance at which the "
-    "lens has this spot in vitreous. On its own curve the lens model is right by construction "
-    "wherever one radius belongs to one distance, so its lines show ambiguity only. Its rendered "
-    "marks show its accuracy, because there the profile's shape helps to decide. The lens's "
-    "parameters are the scene's own, without the uncertainty of a fit in air."
+    "lens makes this spot in vitreous. On its own curve the lens model has no error by "
+    "construction if only one distance has this radius, so its lines show only the ambiguity. Its "
+    "rendered marks show its accuracy, because there the shape of the profile also contributes. "
+    "The lens's parameters are those of the scene, without the uncertainty of a fit in air."
 )
 
 
@@ -165,8 +165,8 @@ def _control(findings: MediumFindings) -> Claim:
     return Claim(
         name="control",
         sentence="The ideal cone's rendered distances differ by {value:.4f} mm at most between the "
-        "media ({pairs} pairs of frames of the same seed). No medium bends the cone, so a "
-        "difference could only come from the study itself.",
+        "media ({pairs} pairs of frames of the same seed). No medium refracts the cone, so any "
+        "difference would be an error of the study itself.",
         value=largest(differences),
         numbers={"pairs": len(differences)},
     )

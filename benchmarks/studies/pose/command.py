@@ -14,7 +14,7 @@ def pose(
 ) -> None:
     """Estimate the tool's tip and axis from one spot and from three, beside their bounds.
 
-    A run that was stopped continues where it was if it gets the same folder.
+    To continue a run that was stopped, start it again with the same folder.
     """
     from benchmarks.reporting import Request
     from benchmarks.studies.pose.run import run

@@ -1,4 +1,4 @@
-"""What the study of poses finds: the error of every pose, and summaries of many."""
+"""The results as data: the error of every pose, and summaries."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from benchmarks.reporting import Column
 from scenes import Scene
 
 HALF_WIDTH_MM = 5.0
-"""Of the square about the microscope's axis in which O lies: 10 mm x 10 mm."""
+"""Half the side of the square around the microscope's axis in which O lies: 10 mm x 10 mm."""
 NEAREST_MM, FARTHEST_MM = 0.5, 5.5
-"""Tip to wall along the beam: 5 mm of depth."""
+"""Distances from tip to wall along the beam: 5 mm of depth."""
 INCIDENCE_DEG = (10.0, 30.0)
 NOISE_PX = 0.05
-"""Noise across the contour, of each of 128 points."""
+"""Standard deviation across the contour of each of 128 points."""
 LARGEST_C_MM = 5.0
 """Largest eccentricity of the rendered spots."""
 PRIOR_DEG = 5.0
-"""Standard deviation of the direction prior across the axis: a robot's, roughly known."""
+"""Standard deviation of the direction prior across the axis, as for a rough robot calibration."""
 
 SOURCES = ("analytic", "rendered")
 NAMES = {1: "one spot", 3: "three spots"}
@@ -37,7 +37,7 @@ REQUIRED_TIP_MM, REQUIRED_AXIS_DEG, REQUIRED_DISTANCE_MM = 0.010, 0.1, 0.005
 
 
 class Prior(StrEnum):
-    """What is known of the axis beforehand."""
+    """Prior knowledge of the axis."""
 
     ROUGH = "5 deg"
     NONE = "none"
@@ -45,16 +45,16 @@ class Prior(StrEnum):
 
     @property
     def sigma_rad(self) -> float:
-        """Standard deviation across the axis that the solver is given, rad."""
+        """The solver's standard deviation of the prior across the axis, rad."""
         return {Prior.ROUGH: math.radians(PRIOR_DEG), Prior.NONE: 1e6, Prior.KNOWN: 1e-6}[self]
 
 
 class PoseError(NamedTuple):
     """Row of pose_error.csv; errors are estimate - truth, or lengths and angles between the two.
 
-    `mirrored`: the solution has the incidence reversed; bounds are Cramer and Rao's standard
-    deviations of the same quantities, for the row's noise; `sigma_distance_mm` is the estimator's
-    own standard deviation.
+    `mirrored`: whether the solution has the reversed incidence. The bounds are the Cramér-Rao
+    standard deviations of the same quantities for the row's noise. `sigma_distance_mm` is the
+    standard deviation that the estimator reports.
     """
 
     source: str
@@ -124,7 +124,7 @@ def scatter(rows: Sequence[PoseError]) -> Scatter:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseFindings:
-    """What the report is made of.
+    """All results of a run.
 
     Attributes:
         scene: the study's.

@@ -77,8 +77,8 @@ def report(findings: PoseFindings) -> Report:
                 Table.of(
                     Scatter,
                     findings.scatters(Prior.KNOWN),
-                    "Root mean square errors where the robot knows the axis; the last column is "
-                    "the estimator's own standard deviation of the distance.",
+                    "Root mean square errors if the robot gives the axis. The last column is the "
+                    "standard deviation of the distance that the estimator reports.",
                     data=_FILE,
                 ),
                 Picture(
@@ -190,10 +190,10 @@ def _claims(findings: PoseFindings) -> Iterator[Claim]:
 
 
 _MIRROR = (
-    "The beam that leans the other way explains a spot almost as well, at the same distance but "
-    "with another tip. For one spot only the quartic's difference from an ellipse decides between "
-    "the two. It shrinks with the incidence, and an estimator that reports ellipses does not see "
-    "it. For three splayed spots their places decide."
+    "A beam that is tilted the other way explains a spot almost as well, at the same distance but "
+    "with another tip. For one spot the two differ only in the contour's deviation from an "
+    "ellipse. This deviation decreases with the incidence, and an estimator that reports ellipses "
+    "does not measure it. For three splayed spots their positions distinguish the two solutions."
 )
 
 

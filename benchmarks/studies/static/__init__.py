@@ -1,12 +1,11 @@
-"""Tables I and II over many runs, and what adds to their error.
+"""Spread of Tables I and II over many runs, and the causes of their error.
 
 bench     Rendered withdrawals, photographed and measured under each set of causes
-causes    What each cause adds to the error of the paper's line: alone, and all together
+causes    The error that each cause adds to the paper's line, alone and together
 command   The command `eyespot study static`
-figures   Figures of the static study
-findings  What the static study finds: Tables I and II of many runs, and the parts of their error
-report    The report of the static study
-run       `eyespot study static`: the paper's Tables I and II over many runs, and what adds to
-          their error
-tables    Tables I and II of every run, and their spread beside the paper's figures
+figures   The figures of the report
+findings  The results as data: Tables I and II of many runs, and the parts of their error
+report    The report
+run       The computation: render once, photograph and measure many times, fit
+tables    Tables I and II of every run, and their spread
 """

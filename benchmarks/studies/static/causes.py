@@ -1,4 +1,4 @@
-"""What each cause adds to the error of the paper's line: alone, and all together."""
+"""The error that each cause adds to the paper's line, alone and together."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Draws:
     """Sizes of the causes by run (rows) and trial (columns).
 
     Attributes:
-        touch: how much readings are smaller than the distance since contact, mm.
+        touch: distance since contact minus the reading, mm.
         tilt: -1, or 1, times TILT_DEG.
         light: factor on the exposure.
         threshold: of the literal mode, by run.

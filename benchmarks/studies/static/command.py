@@ -14,7 +14,7 @@ def static(
 ) -> None:
     """Repeat the paper's Tables I and II many times, and split their error by cause.
 
-    A run that was stopped continues where it was if it gets the same folder.
+    To continue a run that was stopped, start it again with the same folder.
     """
     from benchmarks.reporting import Request
     from benchmarks.studies.static.run import run

@@ -1,4 +1,4 @@
-"""What the static study finds: Tables I and II of many runs, and the parts of their error."""
+"""The results as data: Tables I and II of many runs, and the parts of their error."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from benchmarks.reporting import Column
 from scenes import Scene
 
 FROM_MM = 0.5
-"""Readings from here on enter the fits: nearer, the fibre hides a good part of the spot."""
+"""Least reading that the fits use; nearer, the fibre hides a large part of the spot."""
 
 TOUCH_MM = 0.1
 TILT_DEG = 5.0
@@ -32,7 +32,7 @@ CAUSES = {
 """The causes and their sizes, which are assumptions: the paper does not report them."""
 
 NONE, TOGETHER, ALL = "none", "together", "all"
-"""Without causes; what all causes add beyond the sum of each; all causes."""
+"""No cause; what all causes together add beyond their sum; all causes."""
 
 
 class Scope(StrEnum):
@@ -43,11 +43,10 @@ class Scope(StrEnum):
 
 
 class CausePart(NamedTuple):
-    """Row of static_causes.csv: what a cause alone adds to the mean square error.
+    """Row of static_causes.csv: the mean square error that a cause alone adds.
 
-    `scope`: of the line through all trials, or of each trial's own, in the mean. The parts, with
-    what all causes add beyond their sum ("together"), lead from the error without any to that with
-    all.
+    `scope`: error of the line through all trials, or the mean over each trial's own line. The error
+    without causes plus all parts and "together" is the error with all causes.
     """
 
     scope: Annotated[Scope, Column("line of")]
@@ -59,7 +58,7 @@ class CausePart(NamedTuple):
 
 
 class StaticSpot(NamedTuple):
-    """Row of static_spots.csv: a frame of the first run, with all causes but a plane's tilt."""
+    """Row of static_spots.csv: a frame of the first run, with all causes (eyeballs: no tilt)."""
 
     trial: str
     way: str
@@ -68,7 +67,7 @@ class StaticSpot(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """Row of static_tables.csv: one figure of one trial in one run."""
+    """Row of static_tables.csv: one quantity of one trial in one run."""
 
     way: str
     run: int
@@ -78,9 +77,9 @@ class Entry(NamedTuple):
 
 
 class RunSpread(NamedTuple):
-    """Row of static_spread.csv: a figure over all runs, beside the paper's.
+    """Row of static_spread.csv: a quantity over all runs, and the paper's value.
 
-    `paper` of c is what the paper fitted; it is the trial's true c.
+    For c, `paper` is the value that the paper fitted; it is the true c of the trial here.
     """
 
     way: str
@@ -107,7 +106,7 @@ class Measured:
 
 @dataclass(frozen=True, kw_only=True)
 class StaticFindings:
-    """What the report is made of.
+    """All results of a run.
 
     Attributes:
         scene: the study's.
@@ -130,7 +129,7 @@ class StaticFindings:
     parts: list[CausePart]
 
     def spread(self, way: str, trial: str, quantity: str) -> RunSpread | None:
-        """A figure over all runs; None where too few runs have it."""
+        """A quantity over all runs; None if too few runs have it."""
         key = (way, trial, quantity)
         return next((row for row in self.spreads if row[:3] == key), None)
 

@@ -39,11 +39,11 @@ _COLUMNS = {
 def report(findings: StaticFindings) -> Report:
     """The report of a run."""
     return Report(
-        title="How far do the paper's Tables I and II spread, and what adds to their error?",
-        lead=f"The paper's static experiment rendered, photographed and fitted {findings.runs} "
-        "times: each run with its own noise, wall, touch, tilt, exposure and threshold. "
-        f"Only readings from {FROM_MM:g} mm on count; nearer to contact the fibre hides a good "
-        "part of the spot.",
+        title="How much do the paper's Tables I and II scatter, and what causes their error?",
+        lead=f"The paper's static experiment was rendered, photographed and fitted {findings.runs} "
+        "times. Each run has its own noise, wall, touch, tilt, exposure and threshold. "
+        f"The fits use readings from {FROM_MM:g} mm on, because nearer to contact the fibre hides "
+        "a large part of the spot.",
         claims=list(_claims(findings)),
         sections=[
             Section(
@@ -63,11 +63,11 @@ def report(findings: StaticFindings) -> Report:
                 _table(
                     findings,
                     TABLE_II,
-                    "Table II likewise: the small-plane model with each run's own δk and b.",
+                    "Table II with all causes: the small-plane model with each run's own δk and b.",
                 ),
             ),
             Section(
-                "What adds to the RMSE",
+                "Causes of the RMSE",
                 Picture(
                     "static_causes",
                     figures.causes(findings.parts),
@@ -80,10 +80,11 @@ def report(findings: StaticFindings) -> Report:
                     CausePart,
                     findings.parts,
                     "Parts of the mean square error in literal mode. The first row is the error "
-                    "without any cause: a lens's light makes no exact line. The parts and "
-                    "“together” lead from it to “all”. The sizes are assumptions; small causes add "
-                    "in proportion to the square of their size. Runs share walls in turn, which "
-                    "the standard error of texture allows for.",
+                    "without any cause, because a lens's light does not give an exact line. This "
+                    "error, the parts and “together” sum to “all”. The sizes of the causes are "
+                    "assumptions. A small cause adds an error in proportion to the square of its "
+                    "size. Several runs share a wall; the standard error of texture accounts for "
+                    "this.",
                     data="static_causes.csv",
                 ),
             ),
@@ -142,10 +143,10 @@ def _causes(findings: StaticFindings) -> Claim:
     ordered = sorted((parts[cause] for cause in CAUSES), key=lambda part: -part.part_mm2)
     return Claim(
         name="causes",
-        sentence="Of the causes, {causes[0]} adds most to the mean square error of all planes. "
-        "In 10⁻³ mm², {causes} add {parts:+.2f} (standard errors over runs: {errors:.2f}); "
-        "together they add {together:+.2f} ± {together_error:.2f} beyond their sum. Without causes "
-        "the error is {none:.2f} (RMSE {none_rmse:.3f} mm), with all {value:.2f} (RMSE "
+        sentence="The cause {causes[0]} adds most to the mean square error of all planes. "
+        "In 10⁻³ mm², {causes} add {parts:+.2f} (standard errors over runs: {errors:.2f}). "
+        "Together they add {together:+.2f} ± {together_error:.2f} beyond their sum. Without causes "
+        "the error is {none:.2f} (RMSE {none_rmse:.3f} mm), with all causes {value:.2f} (RMSE "
         "{all_rmse:.3f} mm).",
         value=1e3 * parts[ALL].part_mm2,
         numbers={

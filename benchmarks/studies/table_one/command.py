@@ -14,7 +14,7 @@ def table_one(
 ) -> None:
     """Find the lenses that give the paper's Table I, and why its trials differ.
 
-    A run that was stopped continues where it was if it gets the same folder.
+    To continue a run that was stopped, start it again with the same folder.
     """
     from benchmarks.reporting import Request
     from benchmarks.studies.table_one.run import run

@@ -1,4 +1,4 @@
-"""What the study of Table I finds: lenses, their lines, and what changes a line."""
+"""The results as data: lenses, their lines, and what changes a line."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from scenes import Scene
 
 
 class Demand(StrEnum):
-    """Which of the paper's unknowns a lens may choose freely."""
+    """Which of the paper's unknown conditions are free for a lens."""
 
     AT_SCALE = "from contact, at the scene's scale"
     ANYWHERE = "at any distance and scale"
 
 
 class LensChoice(NamedTuple):
-    """Row of table_one_scan.csv: a lens, a threshold and a range, and the line that they give.
+    """Row of table_one_scan.csv: a lens, a threshold and a range, and the resulting line.
 
-    `level` is the threshold over the peak at 5 mm; `scale_mm_px` the scale that the row is judged
-    at; `miss` the worst violation of Table I's criteria, in units of their tolerance: up to 1 they
-    are met.
+    `level` is the threshold over the peak at 5 mm. `scale_mm_px` is the scale of the comparison.
+    `miss` is the worst deviation from Table I in units of its tolerance; up to 1, all criteria are
+    met.
     """
 
     numerical_aperture: Annotated[float, Column("NA", 2)]
@@ -151,7 +151,7 @@ class ConfirmedLens(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class TableOneFindings:
-    """What the report is made of.
+    """All results of a run.
 
     Attributes:
         scene: the study's.

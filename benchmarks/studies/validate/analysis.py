@@ -1,4 +1,4 @@
-"""Where a fit reproduces Table I best, and where a lens's radius is ambiguous."""
+"""The range that reproduces Table I best; distances at which a lens's radius is ambiguous."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class PartialFit(NamedTuple):
 
 
 def nearest_reproduction(findings: ValidateFindings, *, source: str, way: Way) -> PartialFit | None:
-    """The part of the range that meets most criteria of Table I, the widest of those.
+    """The widest of those parts of the range that meet most criteria of Table I.
 
-    The paper does not say over which distances it fitted. Tried are all parts of 2 mm or more that
-    begin and end at multiples of 0.5 mm; None if no part has three spots of each trial.
+    The paper does not state the distances of its fits. This tries all parts of 2 mm or more that
+    begin and end at multiples of 0.5 mm. None if no part has three spots of each trial.
     """
     tracked = {t.group: findings.tracked[t.name, way.name] for t in findings.planes(source)}
     farthest = max(t.travel_mm.max(initial=0.0) for t in tracked.values())
@@ -68,7 +68,7 @@ def half_maximum_curve(findings: ValidateFindings) -> tuple[np.ndarray, np.ndarr
 
 
 def ambiguous_range(distance: np.ndarray, radius: np.ndarray) -> tuple[float, float] | None:
-    """First and last distance whose radius another distance has too; None if there is none."""
+    """First and last distance that share their radius with another distance, or None."""
     largest_before = np.maximum.accumulate(np.concatenate([[-math.inf], radius[:-1]]))
     least_after = np.minimum.accumulate(np.concatenate([radius[1:], [math.inf]])[::-1])[::-1]
     shared = (radius <= largest_before) | (radius >= least_after)

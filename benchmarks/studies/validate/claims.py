@@ -74,8 +74,8 @@ def _rendered_models(findings: ValidateFindings) -> Iterator[Claim]:
     for row in accuracy(findings.rendered):
         yield Claim(
             name=f"{row.model} on rendered spots, z_F = {row.z_f_mm:g} mm",
-            sentence="Off by {value:.3f} mm at most on {row.spots} spots of the ideal cone in "
-            "sub-pixel mode (acceptable: {high:g} mm).",
+            sentence="The largest error is {value:.3f} mm on {row.spots} spots of the ideal cone "
+            "in sub-pixel mode (acceptable: {high:g} mm).",
             value=row.max_abs_error_mm,
             high=ACCEPTABLE_ERROR_MM,
             numbers={"row": row},
@@ -115,10 +115,10 @@ def _cone_returned(findings: ValidateFindings) -> Iterator[Claim]:
         contact = findings.tracked[trial.name, SUBPIXEL.name].labels[0].d_mm
         yield Claim(
             name="the ideal cone is returned",
-            sentence="In sub-pixel mode the fitted δk of the ideal cone (k {k:g}, b {b:.3f} mm) is "
-            "off by {value:+.2f} % and the fitted b of {fit.b:.3f} mm by {b_error:+.3f} mm. d_r "
-            "begins at contact, where the tip's rim touches and its axis is {contact:.3f} mm from "
-            "the wall.",
+            sentence="In sub-pixel mode the fitted δk of the ideal cone (k {k:g}, b {b:.3f} mm) "
+            "has an error of {value:+.2f} %. The fitted b of {fit.b:.3f} mm has an error of "
+            "{b_error:+.3f} mm. d_r is zero at contact, where the tip's rim touches and its centre "
+            "is {contact:.3f} mm from the wall.",
             value=100 * (fit.delta_k / (trial.scene.microscope.scale_mm_px * source.cone_k) - 1),
             numbers={
                 "k": source.cone_k,
@@ -173,8 +173,8 @@ def _table_one(findings: ValidateFindings) -> Iterator[Claim]:
         if part is not None:
             yield Claim(
                 name=f"Table I by the {name}, best part of the range",
-                sentence="Of the parts of the range, d_r = {low_mm:g} to {high_mm:g} mm meets most "
-                "criteria, {value:g} of {low:g}: δk {values[0]:.4f} mm/px, b {values[1]:.2f} mm, "
+                sentence="The range d_r = {low_mm:g} to {high_mm:g} mm meets most criteria, "
+                "{value:g} of {low:g}: δk {values[0]:.4f} mm/px, b {values[1]:.2f} mm, "
                 "R² {values[2]:.3f} and RMSE {values[3]:.3f} mm of the trials.",
                 value=part.met,
                 low=len(part.criteria),
@@ -199,7 +199,7 @@ def _used(findings: ValidateFindings) -> Claim:
     used = {way: found.count(USED) for way, found in outcomes.items()}
     return Claim(
         name="frames used",
-        sentence="{value:g} of {total} measurements enter the fits. By way of measuring ({ways}): "
+        sentence="The fits use {value:g} of {total} measurements. By way of measuring ({ways}): "
         "{used:g} of {frames:g}.",
         value=sum(used.values()),
         numbers={

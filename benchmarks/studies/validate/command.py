@@ -17,7 +17,7 @@ def validate(
 ) -> None:
     """Repeat the paper's static experiment on rendered images and write a report.
 
-    A run that was stopped continues where it was if it gets the same folder.
+    To continue a run that was stopped, start it again with the same folder.
     """
     from benchmarks.studies.validate.run import run
 

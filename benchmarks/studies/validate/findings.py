@@ -1,4 +1,4 @@
-"""What the main job finds: tracked trials, fits, model errors, and the rows of its CSV files."""
+"""The results as data: tracked trials, fits, model errors, and the rows of the CSV files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CHOSEN_ECCENTRICITIES_MM = (3.0, 5.0)
 
 @dataclass(frozen=True, kw_only=True)
 class ValidateFindings:
-    """What the report is made of.
+    """All results of a run.
 
     Attributes:
         stacks: folder of the rendered stacks.
@@ -47,7 +47,7 @@ class ValidateFindings:
 
 
 class PlaneFitRow(NamedTuple):
-    """Row of table_1.csv: a fit of delta k and b beside what the paper prints."""
+    """Row of table_1.csv: a fit of delta k and b, and the paper's values."""
 
     source: Annotated[str, Column("source")]
     way: Annotated[str, Column("way")]
@@ -68,9 +68,9 @@ class PlaneFitRow(NamedTuple):
 
 
 class SphereFitRow(NamedTuple):
-    """Row of table_2.csv: a fit of c beside the truth and what the paper prints.
+    """Row of table_2.csv: a fit of c, the true c and the paper's values.
 
-    `c_expected_mm` is the c whose factor cos(phi) equals the right one of the true c.
+    `c_expected_mm` is the c whose factor cos(phi) equals the correct factor of the true c.
     """
 
     source: Annotated[str, Column("source")]
@@ -94,7 +94,7 @@ class SphereFitRow(NamedTuple):
 class SpotRow(NamedTuple):
     """Row of spots.csv: truth and measurement of one frame in one way.
 
-    `estimate_mm` is by the fit that the frame entered and counts from contact, as d_r does.
+    `estimate_mm` comes from the fit that used the frame. It is zero at contact, like d_r.
     """
 
     trial: str

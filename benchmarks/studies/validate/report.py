@@ -1,4 +1,4 @@
-"""The report of the main job: the models' errors first, then the paper's tables."""
+"""The report: the errors of the models first, then the paper's tables."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def report(findings: ValidateFindings) -> Report:
     rendered_accuracy = accuracy(findings.rendered)
     drawn = figures.SpotFigures(findings, spots)
     return Report(
-        title="How accurate is a distance read off a spot of light?",
+        title="How accurate is a distance measured from a spot of light?",
         lead="The static experiment of Zhou et al. 2020 (“Spotlight-based 3D Instrument Guidance "
         "for Retinal Surgery”) on rendered images whose truth is known, and its small-plane model "
         "against the exact geometry.",
@@ -136,8 +136,8 @@ def _models(findings: ValidateFindings) -> Section:
             "model_error_size",
             figures.model_error_size(findings),
             "The largest absolute error over all distances, on exact contours (lines) and rendered "
-            "spots (marks), at the incidence of the frames. On exact contours, exact is right by "
-            "construction and not drawn. Dashed: the acceptable error.",
+            "spots (marks), at the incidence of the frames. On exact contours the model exact has "
+            "no error by construction and is not drawn. Dashed: the acceptable error.",
             data="rendered_accuracy.csv",
         ),
         Table(
@@ -196,10 +196,9 @@ def _fits(
         Table.of(
             PlaneFitRow,
             planes,
-            "Table I: fits of d_r = δk e₁′ + b on the plane, with standard errors, beside what the "
-            "paper prints for its own trials. −b/δk is the radius at contact in px. The paper "
-            "calls b a diameter, but its value is the distance from the virtual apex to the tip, "
-            "negated.",
+            "Table I: fits of d_r = δk e₁′ + b on the plane, with standard errors, and the paper's "
+            "values for its own trials. −b/δk is the radius at contact in px. The paper calls b a "
+            "diameter, but its value is minus the distance from the virtual apex to the tip.",
             data="table_1.csv",
         ),
         Picture(
@@ -219,11 +218,10 @@ def _fits(
         Table.of(
             SphereFitRow,
             spheres,
-            "Table II: the small-plane model with δk and b of all planes in the eyeball, its only "
-            "free parameter c; SD, mean absolute and largest error of the estimates. The scenes "
-            "have the c that the paper prints. “Expected” is the c whose cos φ is the right "
-            "first-order factor of the true c. The paper's text gives a largest error of 0.372 mm, "
-            "its table one of 0.396 mm.",
+            "Table II: fits of the small-plane model in the eyeball. δk and b come from all "
+            "planes, and c is the only free parameter. The scenes have the c that the paper "
+            "prints. “Expected” is the c whose cos φ is the correct first-order factor of the true "
+            "c. The largest error is 0.372 mm in the paper's text and 0.396 mm in its table.",
             data="table_2.csv",
         ),
         Picture(
@@ -261,8 +259,8 @@ def _frames_used(findings: ValidateFindings) -> Section:
         Table(
             [Column("trial"), Column("way"), Column("frames")],
             rows,
-            "Frames that enter the fits (“used”), and why others do not. A frame counts if a spot "
-            "was found and at least half of the true contour is visible past the instrument.",
+            "Frames that the fits use, and the reasons why others are left out. A frame is used if "
+            "a spot was found and the instrument hides less than half of the true contour.",
             data="frames.csv",
         ),
     )
@@ -284,7 +282,7 @@ def _trials(findings: ValidateFindings) -> Section:
         Table(
             [Column(heading, 1) for heading in headings],
             rows,
-            "In each trial the tip withdraws at 0.1 mm/s and stands still in every frame. (The "
-            "paper gives 0.1 mm/s in one place and 0.01 mm/s in another.)",
+            "In each trial the tip withdraws at 0.1 mm/s, without motion blur. (The paper states "
+            "0.1 mm/s in one place and 0.01 mm/s in another.)",
         ),
     )
