@@ -49,7 +49,7 @@ class Microscope(eqx.Module):
         return 1.0 / self.inverse_working_distance + self.pole_height
 
     def depth(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-        """(z_F - Z)/(z_F + r): 1 at the pole, 0 or less for points that cannot be seen."""
+        """(z_F - Z)/(z_F + r): 1 at the pole, 0 or less for invisible points."""
         return 1.0 - self.inverse_working_distance * (points[..., 2] - self.pole_height)
 
     def project(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
@@ -75,8 +75,8 @@ class Microscope(eqx.Module):
             pixels: (u, v) in px.
 
         Returns:
-            A point of the line at the pole's height in mm and the unit direction away from
-            the microscope.
+            The line's point at the pole's height, mm, and its unit direction away from the
+            microscope.
         """
         offset = _undistort(
             jnp.asarray(pixels) - self.principal_point, self.distortion, self.inverse_focal
@@ -92,7 +92,7 @@ class Microscope(eqx.Module):
         )
 
     def camera_matrix(self) -> Float[Array, "3 3"]:
-        """K of OpenCV for a camera at F that looks down (x right, y down, z away), px."""
+        """OpenCV's matrix K for a camera at F that looks down (x right, y down, z away), px."""
         f = 1.0 / self.inverse_focal
         (u, v), one, zero = self.principal_point, jnp.ones(()), jnp.zeros(())
         return jnp.array([[f, zero, u], [zero, f, v], [zero, zero, one]])
@@ -111,9 +111,9 @@ class Microscope(eqx.Module):
 
         Args:
             point: eye frame, mm.
-            width: of the window, px.
-            height: of the window, px.
-            offset: of the window's middle from the point's image, px.
+            width: width of the window, px.
+            height: height of the window, px.
+            offset: offset of the window's middle from the point's image, px.
         """
         middle = jnp.array([(width - 1) / 2.0, (height - 1) / 2.0])
         shift = middle - jnp.array(offset) - self.project(point)
@@ -141,7 +141,7 @@ def microscope(
         ValueError: scale or the working distance z_F + r is not positive.
     """
     delta = jnp.asarray(scale, float)
-    # Traced values cannot be judged; what a person types can.
+    # Traced values have no known size; check the others.
     if _known(delta) and not delta > 0:
         raise ValueError(f"microscope(scale=...) must be positive; got {scale} mm/px.")
     reach = jnp.asarray(pinhole_height, float) + eye_radius
@@ -175,8 +175,8 @@ def microscope_from_camera_matrix(
         distortion: (k1, k2, p1, p2, k3).
 
     Raises:
-        ValueError: the pixels are not square or K has skew (relative 1e-6), which this
-            pinhole cannot hold; rectify the images first.
+        ValueError: the pixels are not square or K has skew (relative 1e-6), which this pinhole
+            does not model; rectify the images first.
     """
     fx, fy, skew = float(matrix[0][0]), float(matrix[1][1]), float(matrix[0][1])
     if abs(fx - fy) > 1e-6 * fx or abs(skew) > 1e-6 * fx:
@@ -222,13 +222,13 @@ def _undistort(
     distortion: Float[Array, "5"],
     inverse_focal: Float[Array, ""],
 ) -> Float[Array, "*batch 2"]:
-    """Inverse of `_distort` by fixed-point steps, each of which gains the distortion's order.
+    """Inverse of `_distort` by fixed-point steps.
 
-    A lens of 10 % distortion converges to 1e-12 within the fixed number of steps.
+    Each step reduces the error by the distortion's size: 10 % distortion converges to 1e-12.
     """
 
     def step(_: int, ideal: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         return ideal + offset - _distort(ideal, distortion, inverse_focal)
 
-    # A loop of its own, because unrolled it takes a second to compile wherever it is used.
+    # Unrolled, the loop would take a second to compile wherever it is used.
     return jax.lax.fori_loop(0, _UNDISTORT_STEPS, step, offset)

@@ -1,4 +1,4 @@
-"""`exact`: the distance whose exact contour has the measured semi-minor axis."""
+"""Model `exact`: distance from the semi-minor axis of the exact contour."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from optics.surface import Surface
 
 _ITERATION: optx.AbstractFixedPointSolver = optx.FixedPointIteration(rtol=1e-11, atol=1e-11)
 _MOST_STEPS = 12
-"""Each step leaves some 5 % of the error, so 12 reach rounding."""
+"""Each step reduces the error to about 5 %, so 12 steps reach rounding."""
 
 
 def exact_semi_minor(
@@ -30,7 +30,7 @@ def exact_semi_minor(
     half_angle: ScalarLike,
     apex_offset: ScalarLike,
 ) -> Float[Array, ""]:
-    """e1' of the exact contour, px; arguments as `beam_at_spot`, in mm and rad."""
+    """e1' of the exact contour, px. Args: as for `beam_at_spot`, in mm and rad."""
     beam = beam_at_spot(
         surface,
         eccentricity=eccentricity,
@@ -56,25 +56,12 @@ def exact_distance(
     half_angle: ScalarLike,
     apex_offset: ScalarLike,
 ) -> Float[Array, ""]:
-    """Distance from a semi-minor axis where spot position and beam direction are known.
+    """Distance d = |SO| (mm) from e1' (px) for a known spot position and beam direction.
 
-    The contour's size is nearly proportional to the distance d - b from the apex. So d - b is
-    multiplied by measured over expected size until it stays; each step reduces the error to the
-    share that the wall's curvature has in the spot's size (R/r, some 5 %).
-
-    Args:
-        surface: the wall.
-        microscope: the camera.
-        semi_minor_px: e1', px.
-        eccentricity: c of O, mm.
-        azimuth: of O, rad.
-        incidence: iota, rad.
-        incidence_azimuth: rad.
-        half_angle: rad.
-        apex_offset: b, mm.
-
-    Returns:
-        d = |SO|, mm.
+    The contour's size is nearly proportional to the distance d - b from the apex. So each step
+    multiplies d - b by measured over expected size. It reduces the error to the effect of the
+    wall's curvature on the spot's size (R/r, about 5 %). Other args: as for `beam_at_spot`, in mm
+    and rad.
     """
     forward = partial(
         exact_semi_minor,

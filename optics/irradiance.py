@@ -1,11 +1,11 @@
-r"""Vector irradiance of a glue lens on any wall point, by deterministic quadrature.
+r"""Vector irradiance of a glue lens at a wall point, by quadrature.
 
 $\mathbf V(X) = \int L\,\boldsymbol\omega\,d\omega$ over the part of the cap that is lit when seen
-from X, with $L = L_0\,T\,(n_0/n_g)^2$: radiance is conserved along a ray but for $n^2$ and the
-Fresnel loss. The lit part is bounded by the cone, the core and the rim; spherical aberration makes
-crescents and rings of it. The quadrature runs over rings of the cap about the axis, and on each
-over its lit arcs, whose ends are found by root finding: the integrand is smooth, and derivatives
-include what the moving ends add.
+from X, with $L = L_0\,T\,(n_0/n_g)^2$: radiance is conserved along a ray except for $n^2$ and the
+Fresnel loss. The cone, the core and the rim bound the lit part; spherical aberration gives it the
+shape of crescents and rings. The quadrature runs over rings of the cap around the axis, and on each
+ring over its lit arcs. The ends of the arcs are found by root finding, so the integrand is smooth
+and the derivatives include the motion of the ends.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +25,7 @@ from optics.lens_trace import BackwardRays, trace_backwards
 _RINGS = 6  # Gauss-Legendre nodes between two breaks
 _CELLS = 8  # cells of the scan along half a ring
 _ARC = 5  # Gauss-Legendre nodes on an arc
-_BATCH = 64  # wall points at a time: what they need stays in the cache
+_BATCH = 64  # wall points per call, few enough to stay in the cache
 
 
 def vector_irradiance(
@@ -33,8 +33,8 @@ def vector_irradiance(
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     r"""Vector irradiance V of a lens at wall points, per unit power in the core.
 
-    A matt wall with inward unit normal **n** receives E = -**n**·**V**, exactly, while the whole
-    cap is in front of it. Light that the cap throws back into the glue is lost.
+    A wall with inward unit normal **n** receives exactly E = -**n**·**V** if the whole cap is in
+    front of it. Light that the cap reflects back into the glue is lost.
 
     Args:
         lens: the lens.
@@ -43,7 +43,7 @@ def vector_irradiance(
         distance: s, distance of the wall point from the tip along the axis, mm, positive.
 
     Returns:
-        V_rho and V_s, 1/mm². Both are 0 outside the light.
+        V_rho and V_s, 1/mm². Both are 0 where no light arrives.
     """
     radius, distance = jnp.broadcast_arrays(
         jnp.asarray(radius, dtype=float), jnp.asarray(distance, dtype=float)
@@ -55,7 +55,7 @@ def vector_irradiance(
     wall = jnp.stack([radius.ravel(), distance.ravel()])
     leaves = jax.tree.leaves((lens, medium_index, wall))
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
-    # Known wall points come in whole batches, so that one compilation serves any number of them.
+    # Whole batches need one compilation for any number of wall points.
     width = min(size, _BATCH) if traced else _BATCH
     wall = jnp.pad(wall, ((0, 0), (0, -size % width)), mode="edge")
     batches = wall.reshape(2, -1, width).transpose(1, 0, 2)
@@ -66,8 +66,8 @@ def vector_irradiance(
     if traced:
         field = lax.map(lambda batch: _batch_field(lens, medium_index, *batch), batches)
     else:
-        # One batch is too small to be shared among cores, so each core takes its own. The first is
-        # computed alone, so that only one thread compiles.
+        # One batch is too small for several cores, so each core takes a batch of its own. The first
+        # batch runs alone, so that only one thread compiles.
         first, *rest = np.asarray(batches)
         with ThreadPoolExecutor() as pool:
             fields = [evaluate(first), *pool.map(evaluate, rest)]
@@ -88,8 +88,8 @@ def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
     )
 
     def haversine(ring: Array, tau: Array) -> Array:
-        # A Möbius map of sin²(phi/2) in which the squared sine at the wall point is linear along a
-        # ring, for wall points near the cap and far from it: few Newton steps find a root.
+        # With this Möbius map of sin²(phi/2) the squared sine at the wall point is linear along a
+        # ring, for near and far wall points, so a few Newton steps find a root.
         gap_squared = jnp.square(radius - ring) + jnp.square(distance + lens.sagitta(ring))
         return tau / (1.0 + 4.0 * radius * ring / gap_squared * (1.0 - tau))
 
@@ -98,7 +98,7 @@ def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
 
     breaks = ring_breaks(lens, rays, radius=radius, distance=distance)
     node, weight = np.polynomial.legendre.leggauss(_RINGS)
-    # An arc opens and closes like a square root at a break; the cosine makes that smooth.
+    # At a break an arc opens and closes like a square root; the cosine makes this smooth.
     turn = 0.5 * np.pi * (node + 1.0)
     share, share_weight = 0.5 - 0.5 * np.cos(turn), 0.25 * np.pi * np.sin(turn) * weight
     start, width = breaks[:-1, None], jnp.diff(breaks)[:, None]
@@ -113,13 +113,13 @@ def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
     tangent = first + half * (1.0 + node)
     stretch = 1.0 + jnp.square(tangent)
     light = trace(cap_radius=ring, haversine=jnp.square(2.0 * tangent / stretch))
-    # Twice, for the half of the ring on the other side of the meridian's plane.
+    # The factor 2 adds the half of the ring on the other side of the meridional plane.
     area = 2.0 * ring * ring_weight * (4.0 * half / stretch) * weight
     return jnp.stack([jnp.sum(area * light.lateral), jnp.sum(area * light.axial)])
 
 
 def _lit_arcs(excess: Excess, rings: int) -> Float[Array, "2 2 rings"]:
-    """First and last tau in [0, 1] of the two lit arcs that half a ring can have; empty if not."""
+    """First and last tau in [0, 1] of the at most two lit arcs of half a ring; may be empty."""
     tau = jnp.broadcast_to(np.linspace(0.0, 1.0, _CELLS + 1)[:, None], (_CELLS + 1, rings))
     values = excess(tau)
     found, lit, dark = scan_boundaries(tau, values, count=2)
@@ -134,7 +134,7 @@ def _lit_arcs(excess: Excess, rings: int) -> Float[Array, "2 2 rings"]:
 def _quarter_tangent(haversine: Array) -> Array:
     """tan(phi/4) from sin²(phi/2), with a zero derivative at the ends 0 and pi.
 
-    As a variable of integration it is as smooth as phi, and needs no sines, which are slow.
+    As a variable of integration it is as smooth as phi, but needs no sines, which are slow.
     """
     inside = (haversine > 0.0) & (haversine < 1.0)
     safe = jnp.where(inside, haversine, 0.5)

@@ -28,13 +28,13 @@ class GlueLens(eqx.Module):
 
     for p <= core_radius and n_g sin theta <= numerical_aperture, 0 elsewhere. Without a launch
     radius or aperture the core or the cone is filled uniformly; with them they are the 1/e^2 radii
-    of a Gaussian launch. Only what passes the cap at its first try counts: light that
-    the cap throws back into the glue, or that meets the drop's side, is lost.
+    of a Gaussian launch. Only light that passes the cap directly counts: light that the cap
+    reflects back into the glue, or that meets the drop's side, is lost.
 
     Attributes:
         core_radius: a_c, mm.
         glue_length: L, from the core's face to the cap's vertex, mm, at least the sag.
-        aperture_radius: a, of the cap's rim and of the glue's cylinder, mm, at least a_c.
+        aperture_radius: a, radius of the cap's rim and of the glue's cylinder, mm, at least a_c.
         sag: h, height of the cap over its rim, mm; 0 is a flat end.
         glue_index: n_g.
         numerical_aperture: NA of the light in the core.
@@ -53,7 +53,7 @@ class GlueLens(eqx.Module):
 
     @property
     def curvature(self) -> Float[Array, ""]:
-        """Curvature of the cap, 2h/(a² + h²), 1/mm: exact for the flat end, where R is infinite."""
+        """Curvature of the cap, 2h/(a² + h²), 1/mm; 0 for the flat end, where R is infinite."""
         return 2.0 * self.sag / (jnp.square(self.aperture_radius) + jnp.square(self.sag))
 
     @property
@@ -69,7 +69,7 @@ class GlueLens(eqx.Module):
     def focal_length(self, *, medium_index: ArrayLike) -> Float[Array, ""]:
         """Distance from the vertex to the paraxial focus in the medium, n0 R/(n_g - n0), mm.
 
-        Infinite for a flat end or an index-matched medium, negative where the cap diverges.
+        Infinite for a flat end or an index-matched medium, negative for a diverging cap.
 
         Args:
             medium_index: n0, refractive index of the medium.
@@ -97,7 +97,7 @@ class GlueLens(eqx.Module):
             sine_squared: squared sine of the angle to the axis inside the glue.
 
         Returns:
-            The profile of the class's docstring without its limits, which the caller applies.
+            The profile in the class's docstring without its limits, which the caller applies.
         """
         launch_sine = (
             None if self.launch_aperture is None else self.launch_aperture / self.glue_index
@@ -110,7 +110,7 @@ class GlueLens(eqx.Module):
 
 
 def _decay(squared: ArrayLike, waist: ArrayLike | None) -> Array:
-    """Exponent by which a Gaussian launch has fallen, 0 for a uniform one."""
+    """Exponent of a Gaussian launch's decrease, 0 for a uniform one."""
     return jnp.zeros(()) if waist is None else jnp.asarray(2.0 * squared / jnp.square(waist))
 
 
@@ -124,7 +124,7 @@ def _weight(extent: Array, waist: ArrayLike | None) -> Array:
 
 
 def _lit_extent(limit: ArrayLike, waist: ArrayLike | None) -> Float[Array, ""]:
-    """The limit, or 2.6 waists of a Gaussian launch: what is beyond has 1e-6 of its power."""
+    """The limit, or 2.6 waists of a Gaussian launch, beyond which only 1e-6 of its power lies."""
     return jnp.asarray(limit) if waist is None else jnp.minimum(limit, 2.6 * jnp.asarray(waist))
 
 
@@ -139,7 +139,7 @@ def glue_lens(
     launch_radius: ArrayLike | None = None,
     launch_aperture: ArrayLike | None = None,
 ) -> GlueLens:
-    """Make a lens whose values are checked as far as they are known (not under tracing).
+    """Make a lens and check its values, except under tracing.
 
     Args:
         core_radius: a_c, mm.
@@ -152,7 +152,7 @@ def glue_lens(
         launch_aperture: 1/e² half-width of a Gaussian launch in n_g sin theta, or None.
 
     Raises:
-        ValueError: a value outside its range; the message says which and how to mend it.
+        ValueError: a value outside its range; the message says which, and what to change.
     """
     lens = GlueLens(
         _number(core_radius),
@@ -206,7 +206,7 @@ def _check(lens: GlueLens) -> None:
         (
             glue_length >= sag and math.isfinite(glue_length),
             "glue_length",
-            f"must be at least the sag (the core's face lies under the cap's rim); got "
+            f"must be at least the sag (the core's face is below the cap's rim); got "
             f"glue_length={glue_length:g} mm, sag={sag:g} mm. Raise glue_length or lower sag",
         ),
         (
@@ -242,7 +242,7 @@ def lens_names() -> tuple[str, ...]:
 
 
 def load_lens(name_or_path: str | Path) -> GlueLens:
-    """Read a lens from a preset's name or from a TOML file of the presets' form.
+    """Read a lens from a preset's name or from a TOML file in the presets' format.
 
     Args:
         name_or_path: one of `lens_names()`, or the path of a `.toml` file.
@@ -275,8 +275,8 @@ def load_lens(name_or_path: str | Path) -> GlueLens:
     missing = [key for key in required if key not in values]
     if wrong or missing:
         raise ValueError(
-            f"load_lens: [lens] of {path.name} must hold the numbers {', '.join(required)} and may "
-            f"hold {', '.join(known[-2:])}; wrong: {', '.join(wrong) or 'none'}, missing: "
+            f"load_lens: [lens] in {path.name} must contain the numbers {', '.join(required)}; "
+            f"{', '.join(known[-2:])} are optional; wrong: {', '.join(wrong) or 'none'}, missing: "
             f"{', '.join(missing) or 'none'}."
         )
     return glue_lens(**values)

@@ -1,4 +1,4 @@
-"""Rays traced backwards through the cap of a glue lens: from a wall point to the core's face."""
+"""Rays traced backwards from a wall point through the cap of a glue lens to the core's face."""
 
 from typing import NamedTuple
 
@@ -11,18 +11,19 @@ from optics.refraction import fresnel_transmittance, refracted_cosine
 
 
 class BackwardRays(NamedTuple):
-    """What the rays through cap points tell of the light that reaches a wall point.
+    """Light that reaches a wall point through points of the cap.
 
-    The light keeps four limits, each given as an excess that is negative where it is kept.
+    Light arrives only within four limits. Each is given as an excess that is negative within it.
 
     Attributes:
         cone: sin² of the angle to the axis inside the glue over that of the numerical aperture,
-            less 1.
-        face: squared radius at which the ray starts over that of the face's lit part, less 1.
-        drop: the larger excess of two: the squared radius at which the ray passes the rim's plane
-            over the aperture's, less 1, and minus the cosine at which the cap faces the wall point.
-        lateral: dV_rho per area of the aperture's plane, the limits apart, 1/mm⁴.
-        axial: dV_s per area of the aperture's plane, the limits apart, 1/mm⁴.
+            minus 1.
+        face: squared radius at which the ray starts over that of the face's lit part, minus 1.
+        drop: the larger of two excesses: the squared radius at which the ray passes the rim's plane
+            over the aperture's, minus 1, and minus the cosine between the cap's normal and the
+            direction to the wall point.
+        lateral: dV_rho per area of the aperture's plane, without the limits, 1/mm⁴.
+        axial: dV_s per area of the aperture's plane, without the limits, 1/mm⁴.
     """
 
     cone: Float[Array, "*batch"]
@@ -54,17 +55,17 @@ def trace_backwards(
         radius: distance of the wall point from the axis, mm.
         distance: distance of the wall point from the tip's plane, mm.
         cap_radius: distance of the cap point from the axis, mm, within the aperture.
-        haversine: sin²(φ/2) of the angle φ about the axis from the wall point to the cap point.
-            Unlike cos φ it keeps its digits where the two are close.
+        haversine: sin²(φ/2) of the angle φ around the axis from the wall point to the cap point.
+            Unlike cos φ it stays accurate for small angles.
     """
     ratio = jnp.asarray(medium_index) / lens.glue_index
     curvature = lens.curvature
-    # A hemisphere's rim stands upright: the floor keeps its neighbourhood finite.
+    # The normal of a hemisphere's rim is perpendicular to the axis; the bound avoids infinities.
     normal_s = jnp.sqrt(jnp.maximum(1.0 - jnp.square(curvature * cap_radius), 1e-12))
     depth = curvature * jnp.square(cap_radius) / (1.0 + normal_s)
 
-    # In the plane across the axis only the cap point's radial unit vector and the wall point's
-    # meridian matter; components are along the former and across it.
+    # In the plane perpendicular to the axis, components are along the cap point's radial unit
+    # vector and perpendicular to it.
     cos, sin_squared = 1.0 - 2.0 * haversine, 4.0 * haversine * (1.0 - haversine)
     out_radial = radius * cos - cap_radius
     out_across_squared = jnp.square(radius) * sin_squared
@@ -82,7 +83,7 @@ def trace_backwards(
     in_across_squared = jnp.square(ratio * per_length) * out_across_squared
 
     sine_squared = jnp.square(in_radial) + in_across_squared
-    # Rays that run back towards the medium are outside every cone: 2 - sin² goes on growing there.
+    # Rays back towards the medium are outside every cone; 2 - sin² continues to increase there.
     opening = jnp.where(in_s > 0.0, sine_squared, 2.0 - sine_squared)
     per_forward = 1.0 / jnp.maximum(in_s, 1e-3)
 

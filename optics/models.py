@@ -1,12 +1,12 @@
 """Models from spot size to distance: planar, small_plane, corrected, stereographic.
 
-Each is a closed form for a beam square to the wall. The terms of the paper's derivation are
-functions of their own, so that a study can say what each approximation costs. The model `exact`
+Each is a closed form for a beam perpendicular to the wall. The terms of the paper's derivation are
+separate functions, so that a study can measure the error of each approximation. The model `exact`
 needs the beam's direction and is in `distance`.
 
-The functions take floats, NumPy arrays and JAX arrays, and compute in JAX if one of the arguments
-is a JAX array, else in NumPy. This file does not import JAX, so that a program on the robot can
-use the closed forms without it. Where a model has no such spot, the result is NaN.
+The functions accept floats, NumPy arrays and JAX arrays. They compute in JAX if an argument is a
+JAX array, otherwise in NumPy. This file does not import JAX, so that a program on the robot can use
+the closed forms without it. The result is NaN if a model has no such spot.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     Batch = Float[Array, "*batch"]
 
 CLOSED_FORMS = ("planar", "small_plane", "corrected", "stereographic")
-"""Names of the models that `closed_form_distance` knows."""
+"""Names of the models of `closed_form_distance`."""
 
 MODELS = (*CLOSED_FORMS, "exact")
-"""The models' names, everywhere: command line, files, code."""
+"""Names of all models on the command line, in files and in code."""
 
 
 def closed_form_distance(
@@ -38,7 +38,7 @@ def closed_form_distance(
     eye_radius: ArrayLike,
     inverse_working_distance: ArrayLike,
 ) -> Batch:
-    """Distance by the model of this name; each uses those of the arguments that it needs.
+    """Distance by the model with this name; each model uses only the arguments that it needs.
 
     Args:
         model: one of `CLOSED_FORMS`.
@@ -75,18 +75,9 @@ def closed_form_distance(
 
 
 def planar_distance(*, semi_minor_px: ArrayLike, scale: ArrayLike, k: ArrayLike, b: ArrayLike):
-    """Distance on a plane that is parallel to the sensor, d = delta k e1' + b.
+    """Distance d (mm) on a plane parallel to the sensor, d = delta k e1' + b.
 
-    Zhou et al. 2020, eq. 7.
-
-    Args:
-        semi_minor_px: e1', px.
-        scale: delta, mm/px.
-        k: 1/tan(half-angle).
-        b: apex offset, mm.
-
-    Returns:
-        d, mm.
+    Zhou et al. 2020, eq. 7. Args: as for `closed_form_distance`.
     """
     xp = array_namespace(semi_minor_px, scale, k, b)
     return scale * k * xp.asarray(semi_minor_px) + b
@@ -95,7 +86,7 @@ def planar_distance(*, semi_minor_px: ArrayLike, scale: ArrayLike, k: ArrayLike,
 def sagitta(*, spot_radius: ArrayLike, eye_radius: ArrayLike) -> Batch:
     """S'O = r - sqrt(r^2 - e1^2), depth of the spot's cap, mm (Zhou et al. 2020, eq. 5).
 
-    Written e1^2/(r + sqrt(r^2 - e1^2)), which does not cancel for small spots.
+    Computed as e1^2/(r + sqrt(r^2 - e1^2)), which avoids cancellation for small spots.
     """
     xp = array_namespace(spot_radius, eye_radius)
     squared = xp.asarray(spot_radius) ** 2
@@ -103,7 +94,10 @@ def sagitta(*, spot_radius: ArrayLike, eye_radius: ArrayLike) -> Batch:
 
 
 def sphere_distance(*, spot_radius: ArrayLike, k: ArrayLike, b: ArrayLike, eye_radius: ArrayLike):
-    """d = k e1 + b + r - sqrt(r^2 - e1^2), mm (Zhou et al. 2020, eq. 6); exact if square."""
+    """d = k e1 + b + r - sqrt(r^2 - e1^2), mm; exact at perpendicular incidence.
+
+    Zhou et al. 2020, eq. 6.
+    """
     xp = array_namespace(spot_radius, k, b, eye_radius)
     return k * xp.asarray(spot_radius) + b + sagitta(spot_radius=spot_radius, eye_radius=eye_radius)
 
@@ -115,7 +109,7 @@ def paper_foreshortening(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> B
 
 
 def paper_pinhole_distance(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> Batch:
-    """FP = r + sqrt(r^2 - c^2), mm: eq. 9 of Zhou et al. 2020 puts the pinhole on the sphere."""
+    """FP = r + sqrt(r^2 - c^2), mm, for a pinhole on the sphere (Zhou et al. 2020, eq. 9)."""
     xp = array_namespace(eccentricity, eye_radius)
     r = xp.asarray(eye_radius)
     return r + xp.sqrt(r**2 - xp.asarray(eccentricity) ** 2)
@@ -124,7 +118,7 @@ def paper_pinhole_distance(*, eccentricity: ArrayLike, eye_radius: ArrayLike) ->
 def paper_angle_s_d_e(
     *, eccentricity: ArrayLike, eye_radius: ArrayLike, spot_radius: ArrayLike
 ) -> Batch:
-    """Angle S'DE of Zhou et al. 2020, eq. 9, rad; the paper drops the term with its cosine."""
+    """Angle S'DE of Zhou et al. 2020, eq. 9, rad; the paper neglects the term with its cosine."""
     xp = array_namespace(eccentricity, eye_radius, spot_radius)
     phi = xp.arcsin(xp.asarray(eccentricity) / eye_radius)
     fp = paper_pinhole_distance(eccentricity=eccentricity, eye_radius=eye_radius)
@@ -149,18 +143,9 @@ def small_plane_distance(
     eccentricity: ArrayLike,
     eye_radius: ArrayLike,
 ) -> Batch:
-    """The paper's distance in the eyeball: eq. 10 put into eq. 6 (Zhou et al. 2020, eq. 11).
+    """The paper's distance d (mm) in the eyeball: eq. 10 inserted in eq. 6.
 
-    Args:
-        semi_minor_px: e1', px.
-        scale: delta, mm/px at the pole.
-        k: 1/tan(half-angle).
-        b: apex offset, mm.
-        eccentricity: c, mm.
-        eye_radius: r, mm.
-
-    Returns:
-        d, mm.
+    Zhou et al. 2020, eq. 11. Args: as for `closed_form_distance`.
     """
     radius = small_plane_spot_radius(
         semi_minor_px=semi_minor_px, scale=scale, eccentricity=eccentricity, eye_radius=eye_radius
@@ -177,8 +162,8 @@ def corrected_factor(
     r"""e1/(delta e1') to first order in the spot's size, for a pinhole at any height.
 
     $\frac{z_F + r\cos\varphi}{z_F + r} / \min(1, m)$ with
-    $m = \cos\varphi + \frac{r\sin^2\varphi}{z_F + r\cos\varphi}$: magnification with depth, and
-    foreshortening where the meridional axis is the shorter one. With $\kappa = 1/(z_F + r)$,
+    $m = \cos\varphi + \frac{r\sin^2\varphi}{z_F + r\cos\varphi}$: magnification by depth, and
+    foreshortening if the meridional axis is the shorter one. With $\kappa = 1/(z_F + r)$,
     $z_F + r\cos\varphi = (1 - \kappa r (1 - \cos\varphi))/\kappa$, finite for $\kappa = 0$.
 
     Args:
@@ -205,19 +190,9 @@ def corrected_distance(
     eye_radius: ArrayLike,
     inverse_working_distance: ArrayLike,
 ) -> Batch:
-    """Distance in the eyeball with the right first-order factor for the pinhole's height.
+    """Distance d (mm) in the eyeball with the correct first-order factor for the pinhole's height.
 
-    Args:
-        semi_minor_px: e1', px.
-        scale: delta, mm/px at the pole.
-        k: 1/tan(half-angle).
-        b: apex offset, mm.
-        eccentricity: c, mm.
-        eye_radius: r, mm.
-        inverse_working_distance: 1/(z_F + r), 1/mm; 0 is telecentric.
-
-    Returns:
-        d, mm.
+    Args: as for `closed_form_distance`.
     """
     xp = array_namespace(
         semi_minor_px, scale, k, b, eccentricity, eye_radius, inverse_working_distance
@@ -240,20 +215,10 @@ def stereographic_distance(
     eccentricity: ArrayLike,
     eye_radius: ArrayLike,
 ) -> Batch:
-    r"""Distance in the eyeball from a pinhole on the sphere, exact for a square beam.
+    r"""Distance d (mm) in the eyeball for a pinhole on the sphere; exact for a perpendicular beam.
 
     $m = e_1'/f$, $\beta = \arctan m + \arcsin(m\cos\varphi/\sqrt{1+m^2})$, $R = r\sin\beta$.
-
-    Args:
-        semi_minor_px: e1', px.
-        scale: delta, mm/px at the pole.
-        k: 1/tan(half-angle).
-        b: apex offset, mm.
-        eccentricity: c of O, mm.
-        eye_radius: r, mm.
-
-    Returns:
-        d, mm.
+    Args: as for `closed_form_distance`.
     """
     xp = array_namespace(semi_minor_px, scale, k, b, eccentricity, eye_radius)
     r = xp.asarray(eye_radius)

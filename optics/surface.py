@@ -1,4 +1,4 @@
-"""Walls that the beam meets: a plane of any normal and the eyeball's sphere."""
+"""The walls: a plane with any normal, and the eyeball's sphere."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 from optics.vector import dot, ray_point
 
 HIT, MISS, BEHIND = 0, 1, 2
-"""Status of an intersection: the wall lies ahead, is never met, or lies behind the origin."""
+"""Status of an intersection: the wall is ahead, is not met, or is behind the origin."""
 
 
 class Intersection(NamedTuple):
-    """Where rays meet a wall; where `status` is not HIT, `point` and `distance` are finite fillers.
+    """Intersection of rays with a wall; `point` and `distance` are valid only if `status` is HIT.
 
     Attributes:
-        distance: along the unit direction, mm.
+        distance: distance along the unit direction, mm.
         point: mm, eye frame.
         normal: inward unit normal (into the eye) at `point`.
         status: HIT, MISS or BEHIND.
@@ -47,7 +47,7 @@ class WallFrame(NamedTuple):
 
 
 class Sphere(eqx.Module):
-    """Eyeball phantom: a sphere round the origin of the eye frame, seen from inside.
+    """Eyeball phantom: a sphere around the origin of the eye frame, seen from inside.
 
     Attributes:
         radius: r, mm.
@@ -61,11 +61,11 @@ class Sphere(eqx.Module):
     def intersect(
         self, origin: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"]
     ) -> Intersection:
-        """Far intersection of rays with the sphere: the one at which they leave the eye."""
+        """Far intersection of rays with the sphere, where they leave the eye."""
         along = dot(origin, direction)
         discriminant = along**2 + self.radius**2 - dot(origin, origin)
         meets = discriminant > 0
-        # The inner `where` keeps the square root's derivative finite where the ray misses.
+        # The inner `where` keeps the square root's derivative finite for rays that miss.
         distance = jnp.sqrt(jnp.where(meets, discriminant, 1.0)) - along
         point = ray_point(origin, direction, distance)
         status = jnp.where(meets, jnp.where(distance > 0, HIT, BEHIND), MISS)
@@ -136,12 +136,12 @@ Surface = Sphere | Plane
 def pole_plane(
     *, eye_radius: ScalarLike, tilt: ScalarLike = 0.0, tilt_azimuth: ScalarLike = 0.0
 ) -> Plane:
-    """Plane phantom through the retinal pole, tilted about it.
+    """Plane phantom through the retinal pole, tilted around it.
 
     Args:
         eye_radius: r, mm: the plane passes through (0, 0, -r).
         tilt: angle between its normal and the microscope's axis, rad.
-        tilt_azimuth: direction into which the normal leans, rad.
+        tilt_azimuth: azimuth of the direction in which the normal tilts, rad.
     """
     lean, towards = jnp.asarray(tilt, float), jnp.asarray(tilt_azimuth, float)
     sideways = jnp.sin(lean)
