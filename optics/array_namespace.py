@@ -1,4 +1,4 @@
-"""NumPy or JAX, by the arrays that a function is given; does not import JAX."""
+"""NumPy or JAX, chosen by a function's arguments; does not import JAX."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ if TYPE_CHECKING:
 
 
 def array_namespace(*values: ArrayLike) -> Any:
-    """`jax.numpy` if one of the values is a JAX array, traced or not, else `numpy`."""
+    """`jax.numpy` if one of the values is a JAX array (traced or not), otherwise `numpy`."""
     spaces = (v.__array_namespace__() for v in values if hasattr(v, "__array_namespace__"))
     return next((space for space in spaces if space is not np), np)

@@ -1,4 +1,4 @@
-"""The fibre's beam: a cone given by tip and axis, by spot and distance, or through a trocar."""
+"""The fibre's beam: a cone, given by tip and axis, by spot and distance, or through a trocar."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Beam(eqx.Module):
         return self.tip + self.apex_offset * self.axis
 
     def generators(self, angles: Float[Array, "n"]) -> Float[Array, "n 3"]:
-        """Unit directions of the cone's generators at angles (rad) about the axis."""
+        """Unit directions of the cone's generators at angles (rad) around the axis."""
         across = [components(side) for side in perpendicular_frame(self.axis)]
         cos_t, sin_t = jnp.cos(angles), jnp.sin(angles)
         cos_a, sin_a = jnp.cos(self.half_angle), jnp.sin(self.half_angle)
@@ -80,17 +80,17 @@ def beam_at_spot(
     half_angle: ScalarLike,
     apex_offset: ScalarLike,
 ) -> Beam:
-    """Beam that meets the wall at a given spot, from a given distance.
+    """Beam that meets the wall at a given spot from a given distance.
 
     Args:
         surface: the wall.
         eccentricity: c, distance of O from the microscope's axis, mm, in [0, r).
         distance: d = |SO|, mm.
-        azimuth: of O about the microscope's axis, rad.
+        azimuth: azimuth of O around the microscope's axis, rad.
         incidence: angle between the beam's axis and the outward normal at O, rad.
-        incidence_azimuth: 0 where the beam travels towards growing eccentricity, so that the tip
-            is nearer to the microscope's axis than O; counted towards growing azimuth, rad.
-        half_angle: rad.
+        incidence_azimuth: 0 if the beam travels towards larger eccentricity, so that the tip is
+            nearer to the microscope's axis than O; increases with the azimuth, rad.
+        half_angle: alpha, rad.
         apex_offset: b, mm.
     """
     frame = surface.frame_at(
@@ -116,7 +116,7 @@ def beam_through_trocar(
     half_angle: ScalarLike,
     apex_offset: ScalarLike,
 ) -> Beam:
-    """Beam whose shaft passes a trocar (remote centre of motion) towards a wall point.
+    """Beam whose shaft passes through a trocar (remote centre of motion) towards a wall point.
 
     Args:
         trocar: entry point, mm, eye frame.
@@ -146,7 +146,8 @@ def contact_distance(
         rim_radius: rho, radius of the tip's face, mm.
 
     Returns:
-        d at first contact, mm; 0 at square incidence on a plane, slightly above 0 in a sphere.
+        d at first contact, mm; at perpendicular incidence 0 on a plane, slightly above 0 in a
+        sphere.
     """
     if isinstance(surface, Sphere):
         r = surface.radius
@@ -155,7 +156,7 @@ def contact_distance(
 
 
 def generator_angles(count: int) -> np.ndarray:
-    """Angles of `count` generators uniform about the axis, rad."""
+    """Angles of `count` generators uniform around the axis, rad."""
     return np.arange(count) * (2.0 * np.pi / count)
 
 

@@ -1,12 +1,12 @@
 r"""Tip and axis of the beam from the image of the spot's edge.
 
-An image point is a line of sight; where it meets the wall is known. So a contour gives wall points
-X, and the cone through them obeys, with apex A and half-angle $\alpha$,
+An image point defines a line of sight, whose intersection with the wall is known. So a contour
+gives wall points X. The cone through them, with apex A and half-angle $\alpha$, obeys
 
 $$ |(X - A)_\perp| \cos\alpha - (X - A)\cdot\mathbf u \, \sin\alpha = 0, $$
 
-the signed distance of X from the cone. Divided by its gradient in the image it is the point's
-distance from the contour in px (Sampson 1982), without tracing any contour.
+where the left side is the signed distance of X from the cone. Divided by its gradient in the image
+it is the point's distance from the contour in px (Sampson 1982); no contour needs to be computed.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from optics.surface import Surface
 from optics.vector import dot
 
 _HELD = 1e-7
-"""Width of the prior that holds a known axis, rad: 1e-6 mm at the tip."""
+"""Standard deviation of the prior that fixes a known axis, rad: 1e-6 mm at the tip."""
 
 
 @eqx.filter_jit

@@ -1,4 +1,4 @@
-"""The ellipse of a contour, by one definition that labels, models and fits share."""
+"""The ellipse of a contour, with one definition for labels, models and fits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from optics.cholesky import solve_cholesky
 
 _REWEIGHTINGS = 2
 _CENTRAL_DIFFERENCE = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
-"""Of eighth order (Fornberg 1988): the second-order one would cost 4e-5 px at 128 points."""
+"""Eighth order (Fornberg 1988); second order would have an error of 4e-5 px at 128 points."""
 _CONIC_POWERS = ((2, 0), (1, 1), (0, 2), (1, 0), (0, 1))
 """Powers of x and y in A x^2 + B xy + C y^2 + D x + E y = 1."""
 
@@ -25,7 +25,7 @@ class Ellipse(NamedTuple):
         centre: (u, v).
         semi_major: half of the longer axis.
         semi_minor: half of the shorter axis.
-        angle: of the semi-major axis from +u towards +v, rad, in (-pi/2, pi/2].
+        angle: angle of the semi-major axis from +u towards +v, rad, in (-pi/2, pi/2].
     """
 
     centre: Float[Array, "*batch 2"]
@@ -37,15 +37,15 @@ class Ellipse(NamedTuple):
 def ellipse_of_contour(contour: Float[Array, "*batch n 2"]) -> Ellipse:
     r"""Ellipse of a closed contour: algebraic least squares, uniform in the ellipse's own angle.
 
-    The conic $A x^2 + B xy + C y^2 + D x + E y = 1$ about the centroid minimises the unweighted sum
-    of squared residuals over points that are uniform in the ellipse's eccentric angle t. The
-    contour is given at equal steps of another parameter (the generator's angle), so each point
-    carries the weight dt of its step: the trapezoid rule of the same integral, which on a periodic
-    smooth curve converges faster than any power of n. t needs the ellipse; it is found from
-    uniform weights and twice refined.
+    The conic $A x^2 + B xy + C y^2 + D x + E y = 1$ around the centroid minimises the unweighted
+    sum of squared residuals over points that are uniform in the ellipse's eccentric angle t. The
+    contour has equal steps of another parameter (the generator's angle), so the weight of each
+    point is its step dt. This is the trapezoid rule of the same integral, which converges faster
+    than any power of n on a smooth periodic curve. t depends on the ellipse, so a first fit uses
+    uniform weights and two more refine them.
 
     Args:
-        contour: points in order round the curve; n of 32 or more.
+        contour: points in order around the curve; n of 32 or more.
 
     Returns:
         The ellipse; exact (to rounding) if the contour is one.
@@ -54,7 +54,7 @@ def ellipse_of_contour(contour: Float[Array, "*batch n 2"]) -> Ellipse:
     def refit(_: int, ellipse: Ellipse) -> Ellipse:
         return _fit(contour, steps_of_eccentric_angle(contour, ellipse))
 
-    # A loop, because unrolled it takes seconds to compile wherever it is used.
+    # Unrolled, the loop would take seconds to compile wherever it is used.
     even = _fit(contour, jnp.ones(contour.shape[:-1]))
     return jax.lax.fori_loop(0, _REWEIGHTINGS, refit, even)
 
@@ -71,7 +71,7 @@ def ellipse_points(ellipse: Ellipse, angles: Float[Array, "n"]) -> Float[Array, 
 def in_unit_circle(
     points: Float[Array, "*batch n 2"], ellipse: Ellipse
 ) -> tuple[Float[Array, "*batch n"], Float[Array, "*batch n"]]:
-    """Points in the coordinates along the ellipse's axes in which it is the unit circle."""
+    """Points in coordinates along the ellipse's axes, scaled so that it is the unit circle."""
     c, s = jnp.cos(ellipse.angle)[..., None], jnp.sin(ellipse.angle)[..., None]
     x = points[..., 0] - ellipse.centre[..., 0, None]
     y = points[..., 1] - ellipse.centre[..., 1, None]
@@ -99,10 +99,7 @@ def _per_step(periodic: Float[Array, "*batch n"]) -> Float[Array, "*batch n"]:
 
 
 def _fit(contour: Float[Array, "*batch n 2"], weights: Float[Array, "*batch n"]) -> Ellipse:
-    """Weighted algebraic least squares by its moments, in coordinates about the centroid.
-
-    The points enter by their weighted moments up to the fourth order alone.
-    """
+    """Weighted algebraic least squares around the centroid, from moments up to fourth order."""
     total = jnp.sum(weights, axis=-1)
     u, v = contour[..., 0], contour[..., 1]
     u0, v0 = jnp.sum(u * weights, axis=-1) / total, jnp.sum(v * weights, axis=-1) / total
@@ -139,7 +136,7 @@ def _from_conic(
     level = 1.0 + a * x0 * x0 + b * x0 * y0 + c * y0 * y0
     mean, half_difference = 0.5 * (a + c), 0.5 * (a - c)
     circular = (half_difference == 0) & (b == 0)
-    # A circle has no direction; the inner `where`s keep the derivatives finite there.
+    # A circle has no direction; the inner `where`s keep the derivatives finite.
     safe = jnp.where(circular, 1.0, half_difference)
     spread = jnp.where(circular, 0.0, jnp.sqrt(safe**2 + 0.25 * b * b))
     angle = 0.5 * jnp.arctan2(-0.5 * b, -safe)

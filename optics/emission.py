@@ -1,4 +1,4 @@
-"""Light on its way out: rays from the core's face through the cap, and the power they carry."""
+"""Rays from the core's face through the cap, and the power they carry."""
 
 from typing import NamedTuple
 
@@ -15,14 +15,14 @@ from optics.refraction import refract
 TRANSMITTED, TOTAL_INTERNAL_REFLECTION, MISSED_APERTURE = 0, 1, 2
 
 _HEIGHTS, _SINES, _TURNS = 20, 96, 96  # Gauss-Legendre nodes of the power's integral
-_HEIGHT_CELLS = 24  # cells of the scan for the heights at which losses set in
+_HEIGHT_CELLS = 24  # cells of the scan for the heights at which losses begin
 
 
 class EmittedRays(NamedTuple):
     """Rays behind the cap, in the frame of the lens.
 
     Attributes:
-        point: where they leave the cap, mm.
+        point: points where the rays leave the cap, mm.
         direction: unit vectors in the medium.
         transmittance: Fresnel transmittance of unpolarised light, 0 unless transmitted.
         status: TRANSMITTED, TOTAL_INTERNAL_REFLECTION, or MISSED_APERTURE for a ray that meets
@@ -48,9 +48,9 @@ def emitted_rays(
     Args:
         lens: the lens.
         medium_index: n0, refractive index of the medium.
-        points: where the rays start on the core's face, mm from its centre.
-        directions: the directions' two components across the axis inside the glue (their length
-            is the sine of the angle to the axis, NA/n_g at most for light of the core).
+        points: start points on the core's face, mm from its centre.
+        directions: components of the directions perpendicular to the axis, inside the glue. Their
+            length is the sine of the angle to the axis, at most NA/n_g for light of the core.
     """
     meeting = _meet_cap(lens, points, directions)
     axis = jnp.array([0.0, 0.0, 1.0])
@@ -72,11 +72,11 @@ def emitted_rays(
 
 @jax.jit
 def transmitted_power(lens: GlueLens, *, medium_index: ArrayLike) -> Float[Array, ""]:
-    r"""Part of the core's power that leaves the cap at its first try.
+    r"""Fraction of the core's power that leaves the cap without a reflection.
 
-    $\Phi = \int\!\!\int L\,T\,d^2p\,d^2q$ over the core's face and the two components **q** of
-    the direction across the axis, with the Fresnel transmittance T; what is lost is reflected
-    into the glue or meets the side of the drop.
+    $\Phi = \int\!\!\int L\,T\,d^2p\,d^2q$ over the core's face and the two components **q** of the
+    direction perpendicular to the axis, with the Fresnel transmittance T. The other light is
+    reflected into the glue or meets the side of the drop.
 
     Args:
         lens: the lens.
@@ -100,7 +100,7 @@ def transmitted_power(lens: GlueLens, *, medium_index: ArrayLike) -> Float[Array
         rim = jnp.sum(jnp.square(meeting.point[..., :2]), axis=-1) / lens.aperture_radius**2
         return jnp.where(meeting.meets, jnp.maximum(sine_out, rim), 2.0) - 1.0
 
-    # For each direction the heights on the face between which nothing is lost.
+    # For each direction, find the heights on the face between which no light is lost.
     share = np.linspace(0.0, 1.0, _HEIGHT_CELLS + 1).reshape(-1, 1, 1)
     height = lens.face_radius * share + jnp.zeros(direction.shape[:-1])
     values = excess(height)
@@ -110,7 +110,7 @@ def transmitted_power(lens: GlueLens, *, medium_index: ArrayLike) -> Float[Array
     starts_lit = values[0] < 0.0
     low, high = jnp.where(starts_lit, 0.0, end), jnp.where(starts_lit, end, other)
 
-    # Towards total internal reflection T falls like a square root, which the cosine makes smooth.
+    # Near total internal reflection T falls like a square root; the cosine makes this smooth.
     node, weight = np.polynomial.legendre.leggauss(_HEIGHTS)
     turned = (0.5 * np.pi * (node + 1.0)).reshape(-1, 1, 1)
     height = low + (high - low) * (0.5 - 0.5 * np.cos(turned))

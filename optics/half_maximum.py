@@ -1,4 +1,4 @@
-"""The spot's edge by light: where the direct irradiance on the wall falls to half of its peak."""
+"""The contour where direct irradiance on the wall is half of its peak."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def wall_irradiance(
     radius: Float[Array, "*batch"],
     angle: Float[Array, "*batch"],
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
-    """Direct irradiance of a matt wall at points given by their offset from the beam's axis.
+    """Direct irradiance of the wall at points given by their offset from the beam's axis.
 
     E = -n . V with the wall's inward normal n; zero behind the plane of the tip.
 
     Args:
         table: vector irradiance per unit power.
-        beam: tip and axis; the cone plays no part.
+        beam: tip and axis; its cone is not used.
         surface: the wall.
         radius: rho, distance of the wall point from the axis, mm.
-        angle: about the axis, rad.
+        angle: angle around the axis, rad.
 
     Returns:
         E per unit power, 1/mm^2, and the wall points, mm.
@@ -56,11 +56,11 @@ def half_maximum_contour(
     Args:
         table: vector irradiance of the lens.
         beam: tip and axis.
-        surface: the wall, matt and uniform.
-        points: uniform in angle about the beam's axis.
+        surface: the wall, Lambertian and uniform.
+        points: number of points, uniform in angle around the beam's axis.
 
     Returns:
-        Wall points, mm; noise-free, unoccluded, direct light only.
+        Wall points, mm; without noise, occlusion and indirect light.
     """
     angles = jnp.asarray(generator_angles(points))
     reach = table.envelope(jnp.linalg.norm(beam.spot(surface).distance) * 1.5 + 0.5)

@@ -1,4 +1,4 @@
-"""Light that a matt eyeball scatters back onto its own wall."""
+"""Light that a Lambertian eyeball scatters back onto its own wall."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ def indirect_irradiance(
     eye_radius: ArrayLike,
     pupil_radius: ArrayLike = 0.0,
 ) -> Float[Array, "*batch"]:
-    r"""Indirect irradiance in a sphere with a uniform matt wall, the same everywhere.
+    r"""Indirect irradiance in a sphere with a uniform Lambertian wall, the same everywhere.
 
-    $E = \rho\Phi / (4\pi r^2 (1-\rho(1-f)))$ with $f = (1 - \sqrt{1 - p^2/r^2})/2$, the part of
-    the sphere that the pupil opens (the integrating sphere with a port: Jacquez & Kuppenheim 1955).
-    Each bounce spreads its light evenly over the sphere, and what meets the opening is lost, so the
-    sum over bounces is geometric. It leaves out the instrument's shadow and absorption, and uneven
-    reflectance beyond its flux-weighted mean.
+    $E = \rho\Phi / (4\pi r^2 (1-\rho(1-f)))$ with $f = (1 - \sqrt{1 - p^2/r^2})/2$, the fraction of
+    the sphere's area that the pupil takes (integrating sphere with a port: Jacquez & Kuppenheim
+    1955). Each reflection spreads light uniformly over the sphere, and light through the pupil is
+    lost, so the sum over reflections is geometric. The formula neglects the instrument's shadow and
+    absorption, and any variation of the reflectance around its flux-weighted mean.
 
     Args:
-        flux: light that reaches the wall directly, W.
+        flux: power that reaches the wall directly, W.
         reflectance: rho in [0, 1), one value or one per colour channel.
         eye_radius: r, mm.
-        pupil_radius: p, of the opening's rim, mm, in [0, r); 0 is closed.
+        pupil_radius: p, radius of the pupil's rim, mm, in [0, r); 0 is closed.
 
     Returns:
         Irradiance, W/mm^2.

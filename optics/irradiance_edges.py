@@ -1,6 +1,6 @@
 """Edges of the part of a cap that is lit when seen from a wall point.
 
-A place is lit where the excess over all limits is negative (see `BackwardRays`).
+A point is lit if the excess over all limits is negative (see `BackwardRays`).
 """
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ from optics.lens_trace import BackwardRays
 
 _MERIDIAN = 64  # cells of the scan along the meridian
 _ZOOM = 16  # cells of the second scan, for a lit part smaller than a cell
-_CROSSINGS = 6  # of the meridian with the lit part's edge: a disc and a ring, both cut through
-_MEETING_GRID = 6  # samples each way of the search for a meeting
+_CROSSINGS = 6  # of the meridian with the lit part's edge, for a disc and a ring
+_MEETING_GRID = 6  # samples per axis in the search for a meeting
 _STEPS = 6  # Newton or bisection steps towards a boundary
 
 Excess = Callable[[Array], Array]
@@ -28,11 +28,11 @@ RingRays = Callable[[Array, Array], BackwardRays]
 def ring_breaks(
     lens: GlueLens, rays: RingRays, *, radius: ArrayLike, distance: ArrayLike
 ) -> Float[Array, "breaks"]:
-    """Radii of the cap between which its rings are lit alike, both ends included.
+    """Radii of the cap at which the number or the bounds of lit arcs change, with both ends.
 
     At a break the lit part's edge crosses the meridian through the wall point or touches a ring, so
-    that arcs begin or end, or the cone takes over from the core in bounding them. Breaks carry
-    their derivatives: where the core's edge runs along a ring, all of an arc ends with them.
+    that arcs begin or end, or their bound changes between the core and the cone. Breaks have
+    derivatives, because a whole arc ends at a break if the core's edge is along a ring.
 
     Args:
         lens: the lens.
@@ -46,9 +46,9 @@ def ring_breaks(
     def excess(x):
         return rays(jnp.abs(x), jnp.where(x < 0.0, 1.0, 0.0)).excess
 
-    # Samples (nearly) equidistant in the angle seen from the wall point resolve the lit part of one
-    # near the cap (small beside the aperture) and of one far away (all of the aperture) alike.
-    # At the aperture itself the core's limit can be just reached; the strip beside it may be lit.
+    # Samples are nearly equidistant in the angle seen from the wall point. So they resolve the lit
+    # part for near wall points (small) and for far ones (the whole aperture). At the aperture
+    # itself light can be exactly at the core's limit although the strip next to it is lit.
     end = aperture * (1.0 - 1e-6)
     gap = distance + lens.sagitta(jnp.minimum(radius, end))
     first = _half_tangent((-aperture - radius) / gap)
@@ -79,7 +79,7 @@ def ring_breaks(
     inner, outer = jnp.minimum(inner, outer), jnp.maximum(inner, outer)
     is_met, meeting = _meetings(rays, inner, outer)
     found, breaks = jnp.append(found, is_met), jnp.append(crossing, meeting)
-    # Breaks that are not needed divide the range instead, evenly in the angle again.
+    # Unused breaks divide the range evenly in the angle.
     first, last = _half_tangent((inner - radius) / gap), _half_tangent((outer - radius) / gap)
     even = place(first + (last - first) * np.linspace(0.0, 1.0, breaks.size))
     breaks = jnp.clip(jnp.where(found, breaks, even), 0.0, aperture)
@@ -129,7 +129,7 @@ def _meetings(
     best = jnp.argmin(jnp.maximum(*map(jnp.abs, values(start))), axis=0)
     place = lax.stop_gradient(jnp.stack([start[0, :, 0][best], start[1, best, np.arange(3)]]))
     place = lax.stop_gradient(lax.fori_loop(0, _STEPS, lambda _, place: step(place)[0], place))
-    # The last step alone is differentiated: it gives the implicit function's derivative.
+    # Only the last step is differentiated; it gives the implicit function's derivative.
     place, residual = step(place)
     return residual < 1e-6, inner + (outer - inner) * place[0]
 
@@ -140,12 +140,12 @@ def scan_boundaries(
     """Find the first boundaries between lit and dark along a scan.
 
     Args:
-        x: where the samples are, in order.
+        x: positions of the samples, in order.
         values: their excess.
-        count: how many boundaries are looked for.
+        count: number of boundaries to find.
 
     Returns:
-        Whether there are so many, and the samples on the lit and on the dark side of each.
+        Whether each boundary exists, and the samples on its lit and on its dark side.
     """
     number = np.arange(count).reshape(-1, *(1 for _ in values.shape[1:]))
 
@@ -163,7 +163,7 @@ def scan_boundaries(
     is_lit = values < 0.0
     nowhere = jnp.zeros((count, *values.shape[1:]))
     start = (jnp.zeros(values.shape[1:], dtype=int), nowhere, nowhere)
-    # Not a cumulative sum with a gather: XLA's are thirty times slower here.
+    # A cumulative sum with a gather would be thirty times slower in XLA.
     cells = (x[:-1], x[1:], is_lit[:-1], is_lit[1:])
     # A short scan costs less unrolled, a long one takes long to compile that way.
     (passed, lit, dark), _ = lax.scan(visit, start, cells, unroll=len(x) <= 16)
@@ -171,18 +171,18 @@ def scan_boundaries(
 
 
 def settle(excess: Excess, lit: Array, dark: Array) -> Array:
-    """Narrow pairs of a lit and a dark place down to the boundary between them.
+    """Find the boundary between each pair of a lit and a dark position.
 
-    Newton steps, and bisection where such a step leaves the pair: the excess has kinks where
-    limits take turns.
+    Newton steps, with bisection if a step leaves the pair, because the excess has kinks where
+    another limit becomes the largest.
 
     Args:
         excess: the excess along the scan.
-        lit: places where it is negative.
-        dark: places where it is not.
+        lit: positions where it is negative.
+        dark: positions where it is not.
 
     Returns:
-        Places from which one Newton step more leads to the boundary; they carry no derivative.
+        Positions from which one more Newton step leads to the boundary, without derivatives.
     """
 
     def measure(x):
@@ -205,16 +205,16 @@ def settle(excess: Excess, lit: Array, dark: Array) -> Array:
     state = lax.fori_loop(0, _STEPS + 1, step, (lit, dark, dark, unknown, unknown))
     lit, dark, x, value, slope = lax.stop_gradient(state)
     x_next = newton(x, value, slope)
-    # On the dark side the limit that is broken first is the largest; on the lit side it need not.
+    # On the dark side the limit that bounds the light is the largest; on the lit side maybe not.
     return jnp.where((x_next - lit) * (x_next - dark) <= 0.0, x, dark)
 
 
 def implicit_root(excess: Excess, root: Array) -> Array:
-    """Take one Newton step more, which also gives roots the implicit function's derivative.
+    """Take one more Newton step, which gives roots the implicit function's derivative.
 
     Args:
         excess: the excess along the scan.
-        root: the places found, without derivative.
+        root: the positions found, without derivatives.
     """
     value, slope = jax.jvp(excess, (root,), (jnp.ones_like(root),))
     slope = lax.stop_gradient(slope)

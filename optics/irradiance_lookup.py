@@ -1,4 +1,4 @@
-"""Vector irradiance of a lens in a medium, tabulated for look-up."""
+"""Vector irradiance of a lens in a medium, as a table."""
 
 import equinox as eqx
 import jax
@@ -13,9 +13,9 @@ from optics.irradiance import vector_irradiance
 from optics.lens import GlueLens
 
 _NEAREST, _FARTHEST = 0.01, 24.0
-_ROWS, _COLUMNS = 48, 96  # cells of the first grid, all of whose points are computed
+_ROWS, _COLUMNS = 48, 96  # cells of the first grid, for which all points are computed
 _DOUBLINGS = 4
-_TOLERANCE = 3e-4  # of the row's peak: where interpolation is off by more, refinement goes on
+_TOLERANCE = 3e-4  # of the row's peak; points with a larger interpolation error are refined
 
 
 class LensField(eqx.Module):
@@ -32,7 +32,8 @@ class LensField(eqx.Module):
     def envelope(self, distance: ArrayLike) -> Float[Array, "*batch"]:
         """Radius outside which there is no light at a distance from the tip, mm.
 
-        It carries no derivative in the lens: at the critical angle that is infinite.
+        It has no derivative with respect to the lens, because that is infinite at the critical
+        angle.
 
         Args:
             distance: s, mm.
@@ -77,7 +78,7 @@ class IrradianceTable(eqx.Module):
         farthest: distance of the last row, mm.
     """
 
-    # A NumPy array, as from a file, would be copied at every compiled call: 19 MB.
+    # A NumPy array, as from a file, would be copied (19 MB) at every compiled call.
     values: Float[Array, "n_s n_rho 2"] = eqx.field(converter=jnp.asarray)
     medium_index: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     contact_radius: Float[Array, ""] = eqx.field(converter=jnp.asarray)
@@ -128,9 +129,9 @@ def _look_up(table: IrradianceTable, radius: Array, distance: Array) -> tuple[Ar
 def irradiance_table(lens: GlueLens, *, medium_index: ArrayLike) -> IrradianceTable:
     """Tabulate the vector irradiance of a lens in a medium.
 
-    The grid is refined by halves, and a new point computed only near points at which cubic
-    interpolation from the coarser grid failed: smooth light needs few points, edges and caustics
-    get all of them. Not for tracing; differentiate `vector_irradiance` or a `LensField` instead.
+    Each refinement halves the cells. It computes new points only near points at which cubic
+    interpolation from the coarser grid was wrong, so smooth light needs few points. This function
+    cannot be traced; differentiate `vector_irradiance` or a `LensField` instead.
 
     Args:
         lens: the lens.
@@ -166,7 +167,7 @@ def irradiance_table(lens: GlueLens, *, medium_index: ArrayLike) -> IrradianceTa
 
 
 def _halved(values: Float[np.ndarray, "*shape"], *, axis: int) -> Float[np.ndarray, "*finer"]:
-    """The values and, between them, their cubic interpolants at half steps along an axis."""
+    """The values, with their cubic interpolants at half steps along an axis."""
     values = np.moveaxis(values, axis, 0)
     before = 3.0 * values[:1] - 3.0 * values[1:2] + values[2:3]
     after = 3.0 * values[-1:] - 3.0 * values[-2:-1] + values[-3:-2]
@@ -178,7 +179,7 @@ def _halved(values: Float[np.ndarray, "*shape"], *, axis: int) -> Float[np.ndarr
 
 
 def _with_neighbours(mask: Bool[np.ndarray, "n m"]) -> Bool[np.ndarray, "n m"]:
-    """The mask and all points next to it, diagonally too."""
+    """The mask and all adjacent points, including diagonal ones."""
     padded = np.pad(mask, 1)
     along = padded[:-2] | padded[1:-1] | padded[2:]
     return along[:, :-2] | along[:, 1:-1] | along[:, 2:]
@@ -188,7 +189,8 @@ def _with_neighbours(mask: Bool[np.ndarray, "n m"]) -> Bool[np.ndarray, "n m"]:
 def _envelope(lens: GlueLens, medium_index) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Contact radius and slope of a cone outside which there is no light.
 
-    From rays in a meridian plane: a skew ray of the same height and angle stays nearer the axis.
+    Rays in a meridional plane are enough: a skew ray with the same height and angle stays nearer
+    to the axis.
     """
     share = np.linspace(-1.0, 1.0, 401)
     height, sine = jnp.meshgrid(share * lens.face_radius, share * lens.sine_limit)

@@ -1,4 +1,4 @@
-"""A glue lens whose cap sits off the core's centre or tilted to it: no symmetry about the axis."""
+"""A glue lens with a decentred or tilted cap, without symmetry around the axis."""
 
 from functools import partial
 
@@ -14,23 +14,23 @@ from optics.irradiance_edges import implicit_root, scan_boundaries, settle
 from optics.lens import GlueLens
 from optics.refraction import refract
 
-_VIEW = 24  # samples each way of the search for the lit part
-_AZIMUTHS = 96  # of the midpoint rule about the lit part's centre, which is periodic
+_VIEW = 24  # samples per axis in the search for the lit part
+_AZIMUTHS = 96  # of the periodic midpoint rule around the lit part's centre
 _CELLS = 16  # cells of the scan along one azimuth
 _RADII = 6  # Gauss-Legendre nodes on a lit stretch
-_BATCH = 32  # wall points at a time: what they need stays in the cache
+_BATCH = 32  # wall points per call, few enough to stay in the cache
 
 
 class MisalignedLens(eqx.Module):
     """A glue lens with its core shifted and its light tilted in the frame of the cap.
 
-    A cap off centre by d is a core shifted by -d; an end face tilted to the fibre is light tilted
-    in the frame of that face. The core's face stays parallel to the rim's plane.
+    A cap decentred by d equals a core shifted by -d. A tilted end face equals tilted light in the
+    frame of that face. The core's face stays parallel to the rim's plane.
 
     Attributes:
         lens: the lens, with the shape of cap, core and cone.
-        core_offset: centre of the core's face across the cap's axis, mm.
-        tilt: the two components across the cap's axis of the unit vector along the core's cone,
+        core_offset: centre of the core's face perpendicular to the cap's axis, mm.
+        tilt: components perpendicular to the cap's axis of the unit vector along the core's cone,
             inside the glue.
     """
 
@@ -47,17 +47,17 @@ def misaligned_vector_irradiance(
 ) -> Float[Array, "*batch 3"]:
     r"""Vector irradiance at wall points of a lens without symmetry, per unit power in the core.
 
-    The integral of `vector_irradiance`, over polar coordinates about the centre of the lit part of
-    the cap: good to 2e-3 of the peak, and to 2e-2 beside caustics.
+    The integral of `vector_irradiance` in polar coordinates around the centre of the lit part of
+    the cap. The error is 2e-3 of the peak, and 2e-2 near caustics.
 
     Args:
         misaligned: the lens.
         medium_index: n0, refractive index of the medium.
-        points: wall points in the frame of the cap: the vertex is the origin, the third axis the
-            cap's, away from the fibre, mm.
+        points: wall points in the frame of the cap, mm. The origin is the vertex; the third axis is
+            the cap's, away from the fibre.
 
     Returns:
-        **V** in that frame, 1/mm²; 0 outside the light.
+        **V** in that frame, 1/mm²; 0 where no light arrives.
     """
     points = jnp.asarray(points, dtype=float)
     field = _fields(misaligned, jnp.asarray(medium_index, dtype=float), points.reshape(-1, 3))
@@ -80,7 +80,7 @@ def _field(misaligned: MisalignedLens, medium_index, point) -> Float[Array, "3"]
     end = jnp.sqrt(aperture**2 - centre @ centre + along**2) - along
 
     def radius(t):
-        # From 0 to the aperture's rim, at first in steps of the lit part's size.
+        # From 0 to the aperture's rim; the first steps are relative to the lit part's size.
         return size * t / (1.0 - t * (1.0 - size / end))
 
     def place(r):
@@ -109,7 +109,7 @@ def _lit_part(misaligned: MisalignedLens, trace, point) -> tuple[Float[Array, "2
     """Centre and size of the part of the aperture that is lit when seen from a wall point, mm."""
     aperture = misaligned.lens.aperture_radius
     foot = point[:2]
-    # Samples in equal angles seen from the wall point, out to the far side of the aperture.
+    # Samples at equal angles seen from the wall point, up to the far side of the aperture.
     beyond = jnp.sqrt(foot @ foot)
     gap = point[2] + misaligned.lens.sagitta(jnp.minimum(beyond, 0.999 * aperture))
     reach = jnp.arctan((beyond + aperture) / gap)
@@ -117,7 +117,7 @@ def _lit_part(misaligned: MisalignedLens, trace, point) -> tuple[Float[Array, "2
     azimuth = 2.0 * np.pi * np.arange(_VIEW) / _VIEW
     spread = gap * jnp.tan(angle)[:, None]
     x, y = foot[0] + spread * np.cos(azimuth), foot[1] + spread * np.sin(azimuth)
-    # Samples beside the aperture move to its rim.
+    # Samples outside the aperture move to its rim.
     shrink = jnp.minimum(1.0, 0.999 * aperture / jnp.sqrt(x**2 + y**2))
     places = jnp.stack([x * shrink, y * shrink])
     excess = trace(places)[0]
@@ -146,7 +146,7 @@ def _trace(misaligned: MisalignedLens, medium_index, point, places: Float[Array,
     out = ray / jnp.sqrt(length_squared)[..., None]
     cos_medium = jnp.sum(out * normal, axis=-1)
     facing = cos_medium > 0.0
-    # Light is reversible: the ray from the wall into the glue, turned round.
+    # Light paths are reversible: trace the ray from the wall into the glue and reverse it.
     inside, transmittance, passes = refract(
         direction=-jnp.where(facing[..., None], out, normal),
         normal=-normal,
@@ -169,7 +169,7 @@ def _trace(misaligned: MisalignedLens, medium_index, point, places: Float[Array,
         jnp.sum(rim**2, axis=-1) / lens.aperture_radius**2,
     )
     excess = jnp.maximum(jnp.where(passes, kept - 1.0, 1.0), -cos_medium)
-    # A tilted cone fills less of the face's étendue, by the cosine of the tilt.
+    # The étendue of a tilted cone is smaller by the cosine of the tilt.
     radiance = lens.radiance(face_radius_squared=face_squared, sine_squared=sine_squared) / axis_s
     ratio_squared = jnp.square(medium_index / lens.glue_index)
     per_area = radiance * transmittance * ratio_squared * cos_medium / (normal_s * length_squared)

@@ -1,7 +1,7 @@
-"""How far a contour's fitted ellipse is from a measured one, without fitting it.
+"""Difference of a contour's ellipse from a measured one, without a fit.
 
-Fitting ellipses inside a solver is slow. But whether a given ellipse is the fitted one shows in the
-fit's normal equations alone.
+Fitting ellipses inside a solver is slow. The fit's normal equations are enough to test whether a
+given ellipse is the fitted one.
 """
 
 from __future__ import annotations
@@ -13,26 +13,25 @@ from jaxtyping import Array, Float
 from optics.ellipse import Ellipse, in_unit_circle, steps_of_eccentric_angle
 
 _LEAST_SINE = 0.25
-"""Least variance of the term of sin 2t over that of cos 2t. Noise that is alike all round a circle
-makes the two equal."""
+"""Least variance of the sin 2t term over that of the cos 2t term. For uniform noise around a
+circle the two are equal."""
 
 
 def ellipse_mismatch(contour: Float[Array, "n 2"], ellipse: Ellipse) -> Float[Array, "5"]:
-    """How a contour's fitted ellipse differs from a given one; zero where it is the given one.
+    """Difference of a contour's fitted ellipse from a given one, to first order.
 
-    In the coordinates (p, q) in which the given ellipse is the unit circle: shift along p and q,
-    and the terms of 1, cos 2t and sin 2t in the radius. To first order; the zero is exact, for
-    there the conic 1 - p^2 - q^2 fulfils the normal equations of the fit, whose test functions
-    about the centroid these are.
+    In coordinates (p, q) in which the given ellipse is the unit circle: shift along p and q, and
+    the terms of 1, cos 2t and sin 2t in the radius. They are exactly zero if the two ellipses are
+    equal, because then the conic 1 - p^2 - q^2 satisfies the normal equations of the fit.
 
     Args:
-        contour: in order round the curve, px; 32 points leave 1e-7 px.
-        ellipse: the given one, px.
+        contour: points in order around the curve, px; with 32 points the error is 1e-7 px.
+        ellipse: the given ellipse, px.
 
     Returns:
         Five numbers, relative to the ellipse's axes.
     """
-    # Without the barrier XLA computes the contour anew for each of its points: 3 ms, not 0.7.
+    # Without the barrier XLA computes the contour again for each of its points: 3 ms, not 0.7.
     contour = jax.lax.optimization_barrier(contour)
     p, q = in_unit_circle(contour, ellipse)
     weights = steps_of_eccentric_angle(contour, ellipse)
@@ -56,7 +55,7 @@ def mismatch_covariance(ellipse: Ellipse, covariance: Float[Array, "5 5"]) -> Fl
 
     Args:
         ellipse: measured, px.
-        covariance: of (centre u, centre v, semi-major, semi-minor in px; angle in rad).
+        covariance: covariance of (centre u, centre v, semi-major, semi-minor in px; angle in rad).
     """
     a, b = ellipse.semi_major, ellipse.semi_minor
     c, s = jnp.cos(ellipse.angle), jnp.sin(ellipse.angle)
@@ -71,6 +70,6 @@ def mismatch_covariance(ellipse: Ellipse, covariance: Float[Array, "5 5"]) -> Fl
         ]
     )
     relative = jacobian @ covariance @ jacobian.T
-    # A circle's angle says nothing of sin 2t, which noise moves about as much as cos 2t.
+    # A circle's angle has no effect on sin 2t, but noise changes it about as much as cos 2t.
     sine = jnp.maximum(relative[4, 4], _LEAST_SINE * relative[3, 3])
     return relative.at[4, 4].set(sine)

@@ -1,7 +1,7 @@
-"""Tip and axis of the beam, five parameters: what is estimated, and the solver for it.
+"""The five parameters of tip and axis, and their solver.
 
-Two beams explain a spot almost equally well: the incidence and its reverse. The solver starts from
-both and ranks them.
+Two beams with opposite incidence explain a spot almost equally well. The solver starts from both
+and ranks them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ TipAndAxis = Callable[[Float[Array, "3"], Float[Array, "3"]], Float[Array, "*n"]
 
 
 class DirectionPrior(NamedTuple):
-    """What is known of the axis beforehand, from the robot or from the last frame.
+    """Prior knowledge of the axis, from the robot or from the last frame.
 
     Attributes:
         axis: unit vector.
@@ -51,10 +51,10 @@ class BeamPose(NamedTuple):
         tip: S, mm.
         axis: unit vector.
         distance: d = |SO|, mm.
-        covariance: of (tip x, y, z in mm; axis along its two perpendiculars in rad).
+        covariance: covariance of (tip x, y, z in mm; axis along its two perpendiculars in rad).
         distance_error: standard error of d, mm.
-        misfit_px: root mean square distance of what was measured from the contour, px.
-        cost: sum of squares over sigma, prior included; ranks solutions.
+        misfit_px: root mean square distance of the measurement from the contour, px.
+        cost: sum of squared residuals over sigma, prior included; ranks the solutions.
     """
 
     tip: Float[Array, "3"]
@@ -67,13 +67,13 @@ class BeamPose(NamedTuple):
 
 
 class PoseEstimate(NamedTuple):
-    """The better solution, its mirror (incidence reversed), and what can be told.
+    """The better solution, its mirror (incidence reversed), and the direction's observability.
 
     Attributes:
-        best: the solution of least cost.
-        mirror: the other one; the same where both starts end in one place.
-        observable: whether the direction is determined better than 2 degrees; near square
-            incidence it is not, while the distance still is.
+        best: the solution with the least cost.
+        mirror: the other solution; equal to `best` if both starts converge to one solution.
+        observable: whether the direction is determined better than 2 degrees. Near perpendicular
+            incidence it is not, although the distance still is.
     """
 
     best: BeamPose
@@ -87,14 +87,15 @@ def leaning_either_way(
     half_angle: ScalarLike,
     apex_offset: ScalarLike,
 ) -> tuple[Float[Array, "2 3"], Float[Array, "2 3"]]:
-    """Tips and axes of the two beams that would make the spot on a plane: the starts.
+    """Start values: tips and axes of the two beams that would make this spot on a plane.
 
-    Such a spot has cos(incidence) = minor/major, leaning either way along the major axis.
+    Such a spot has cos(incidence) = minor/major; the beam is tilted either way along the major
+    axis.
 
     Args:
-        points: of the spot's edge on the wall, mm.
+        points: points on the spot's edge on the wall, mm.
         outward: mean normal of the wall there, of any length.
-        half_angle: of the cone, rad.
+        half_angle: half-angle of the cone, rad.
         apex_offset: b, mm.
     """
     outward = outward / jnp.linalg.norm(outward)
@@ -103,7 +104,7 @@ def leaning_either_way(
     apart = points - centre
     ellipse = ellipse_of_contour(jnp.stack([dot(apart, first), dot(apart, second)], axis=-1))
     along = jnp.cos(ellipse.angle) * first + jnp.sin(ellipse.angle) * second
-    # An exactly square start would stay square: both lean by 3 degrees at least.
+    # An exactly perpendicular start would remain so; both starts are tilted by 3 degrees at least.
     cosine = jnp.minimum(ellipse.semi_minor / ellipse.semi_major, np.cos(np.radians(3.0)))
     sine = jnp.sqrt(1.0 - cosine**2)
     axes = jnp.stack([cosine * outward + side * sine * along for side in (1.0, -1.0)])
@@ -112,14 +113,14 @@ def leaning_either_way(
 
 
 def best_and_mirror(solve: Callable[..., BeamPose], starts: object) -> PoseEstimate:
-    """Solve from two starts, ranked by cost.
+    """Solve from two starts and rank the solutions by cost.
 
     Args:
-        solve: from a tip and an axis to a solution.
-        starts: tips and axes, the leading axis over the two starts.
+        solve: function from a tip and an axis to a solution.
+        starts: tips and axes; the leading axis is over the two starts.
     """
     both = jax.vmap(lambda start: solve(*start))(starts)
-    # With its apex on the wall a cone's contour is a point, which fits the mismatch of any ellipse.
+    # If a cone's apex is on the wall, its contour is a point, whose mismatch is always 0.
     ahead = jnp.where(both.distance > 0, both.cost, jnp.inf)
     first, second = (jax.tree.map(itemgetter(k), both) for k in (0, 1))
     swap = ahead[1] < ahead[0]
@@ -137,11 +138,11 @@ def refined_pose(
     tip: Float[Array, "3"],
     axis: Float[Array, "3"],
 ) -> BeamPose:
-    """Gauss-Newton with Levenberg's damping from a start until the steps are lost in rounding.
+    """Gauss-Newton with Levenberg's damping until the steps are below rounding.
 
     Args:
-        residual: over its standard deviation.
-        misfit_px: a single number.
+        residual: function that returns residuals over their standard deviation.
+        misfit_px: function that returns a single number, px.
         surface: the wall.
         prior: of the direction.
         tip: start, mm.
@@ -178,7 +179,7 @@ def refined_pose(
         damping = jnp.clip(jnp.where(better, 0.1, 10.0) * damping, 1e-15, 1e3)
         return count + 1, *kept[:2], damping, kept[2], jnp.linalg.norm(step)
 
-    # The first round makes no step but the system at the start: so `linear` is compiled once.
+    # The first round only computes the system at the start, so that `linear` is compiled once.
     unknown = (jnp.asarray(jnp.inf), jnp.eye(5), zero)
     start = (0, tip, axis, jnp.asarray(10 * _DAMPING), unknown, jnp.asarray(0.0))
     _, tip, axis, _, (cost, normal, _), _ = jax.lax.while_loop(going_on, iterate, start)
@@ -200,14 +201,14 @@ def refined_pose(
 
 
 def _moved(step, tip, axis):
-    """Tip shifted by mm, axis turned by rad along its two perpendiculars."""
+    """Tip shifted (mm) and axis turned along its two perpendiculars (rad)."""
     first, second = perpendicular_frame(axis)
     turned = axis + step[3] * first + step[4] * second
     return tip + step[:3], turned / jnp.linalg.norm(turned)
 
 
 def _covariance(normal: Float[Array, "5 5"]) -> Float[Array, "5 5"]:
-    """Inverse of the normal matrix; directions that nothing observes get a huge variance."""
+    """Inverse of the normal matrix; unobserved directions get a very large variance."""
     scale = jnp.sqrt(jnp.diag(normal))
     values, vectors = jnp.linalg.eigh(normal / (scale * scale[:, None]))
     inverse = (vectors / jnp.maximum(values, _UNOBSERVED)) @ vectors.T

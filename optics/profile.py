@@ -1,6 +1,6 @@
-"""What a spot's radius means behind a lens: half maximum, isophote, and the cone they amount to.
+"""Spot radius behind a lens: half maximum, isophote, equivalent cone.
 
-All on a plane square to the axis, where the irradiance is V_s.
+All are for a plane perpendicular to the axis, where the irradiance is V_s.
 """
 
 from typing import NamedTuple
@@ -21,13 +21,13 @@ Light = IrradianceTable | LensField
 
 
 class EffectiveCone(NamedTuple):
-    """The cone d = kR + b that a regression makes of a lens (paper eq. 1).
+    """The cone d = kR + b that a regression fits to a lens (Zhou et al. 2020, eq. 1).
 
     Attributes:
         k: slope.
         b: apex offset, mm.
         half_angle: atan(1/k), rad.
-        r_squared: R², the part of the variance of d that the cone explains.
+        r_squared: R², the fraction of the variance of d that the cone explains.
     """
 
     k: Float[Array, ""]
@@ -37,7 +37,7 @@ class EffectiveCone(NamedTuple):
 
 
 def half_maximum_radius(light: Light, *, distance: ArrayLike) -> Float[Array, "*batch"]:
-    """Radius of the outermost circle on a square plane with half of the plane's peak irradiance.
+    """Radius of the outermost circle on a plane with half of the plane's peak irradiance.
 
     Args:
         light: of a lens in a medium, as a table or by quadrature.
@@ -54,15 +54,15 @@ def half_maximum_radius(light: Light, *, distance: ArrayLike) -> Float[Array, "*
 def isophote_radius(
     light: Light, *, distance: ArrayLike, level: ArrayLike
 ) -> Float[Array, "*batch"]:
-    """Radius of the outermost circle on a square plane with a given irradiance.
+    """Radius of the outermost circle on a plane with a given irradiance.
 
     Args:
         light: of a lens in a medium, as a table or by quadrature.
         distance: d, distance of the plane from the tip, mm.
-        level: irradiance per unit power in the core, 1/mm²: a camera's threshold at an exposure.
+        level: irradiance per unit power in the core, 1/mm², such as a camera's threshold.
 
     Returns:
-        R, mm; 0 where the plane nowhere reaches the level.
+        R, mm; 0 if the irradiance is below the level everywhere.
     """
     radius, irradiance = _profile(light, distance)
     return _outermost_crossing(radius, irradiance, jnp.asarray(level)[..., None])
@@ -75,14 +75,14 @@ def effective_cone(
     to_distance: float,
     level: ArrayLike | None = None,
 ) -> EffectiveCone:
-    """Fit d = kR + b by least squares over evenly spaced distances (paper eq. 1, Table I).
+    """Fit d = kR + b by least squares over evenly spaced distances (Zhou et al. 2020, eq. 1).
 
     Args:
         light: of a lens in a medium, as a table or by quadrature.
         from_distance: smallest d, mm.
         to_distance: largest d, mm.
-        level: R is the isophote of this irradiance, 1/mm² per unit power; the half maximum if None.
-            Distances at which the plane nowhere reaches it are left out.
+        level: irradiance of the isophote with radius R, 1/mm² per unit power; None for the half
+            maximum. Distances at which the irradiance is below it everywhere are left out.
     """
     distance = jnp.linspace(from_distance, to_distance, _REGRESSION_SAMPLES)
     if level is None:
@@ -106,21 +106,21 @@ def effective_cone(
 def ambiguous_distances(
     light: Light, *, from_distance: float, to_distance: float
 ) -> list[tuple[float, float]]:
-    """Intervals of distance in which the half-maximum radius belongs to another distance, too.
+    """Intervals of distances that share their half-maximum radius with another distance.
 
     Args:
         light: of a lens in a medium, as a table or by quadrature.
-        from_distance: smallest d in question, mm.
-        to_distance: largest d in question, mm.
+        from_distance: smallest d, mm.
+        to_distance: largest d, mm.
 
     Returns:
-        (first, last) of every interval, mm, to the resolution of 1200 samples; empty where the
-        radius tells the distance.
+        (first, last) of every interval, mm, at a resolution of 1200 samples; empty if every radius
+        belongs to only one distance.
     """
     distance = np.linspace(from_distance, to_distance, _AMBIGUITY_SAMPLES)
     radius = np.asarray(half_maximum_radius(light, distance=jnp.asarray(distance)))
     low, high = np.minimum(radius[:-1], radius[1:]), np.maximum(radius[:-1], radius[1:])
-    # A radius is ambiguous if the curve R(d) passes it in two steps that are not neighbours.
+    # A radius is ambiguous if more than one step of the curve R(d) passes it.
     middle = 0.5 * (low + high)
     passes = (low <= middle[:, None]) & (middle[:, None] < high)
     ambiguous = np.sum(passes, axis=1) > 1
@@ -129,7 +129,7 @@ def ambiguous_distances(
 
 
 def _profile(light: Light, distance: ArrayLike) -> tuple[Array, Array]:
-    """Radii (last axis) and irradiance on square planes, at a table's own columns if it is one."""
+    """Radii (last axis) and irradiance on planes, at the columns of a table if there is one."""
     samples = light.values.shape[1] if isinstance(light, IrradianceTable) else _FIELD_SAMPLES
     distance = jnp.asarray(distance, dtype=float)[..., None]
     radius = light.envelope(distance) * np.linspace(0.0, 1.0, samples)
@@ -138,9 +138,9 @@ def _profile(light: Light, distance: ArrayLike) -> tuple[Array, Array]:
 
 @jax.jit
 def _outermost_crossing(radius: Array, irradiance: Array, level: Array) -> Array:
-    """Where the piecewise linear profile falls below a level for the last time, 0 if it never is.
+    """Radius at which the profile finally falls below a level; 0 if it is never above it.
 
-    A table is linear between its columns, so that this is its exact crossing.
+    Exact for a table, which is linear between its columns.
     """
     above = irradiance[..., :-1] >= level
     last = above.shape[-1] - 1 - jnp.argmax(above[..., ::-1], axis=-1, keepdims=True)

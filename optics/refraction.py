@@ -18,11 +18,11 @@ def refracted_cosine(*, cos_incident: ArrayLike, index_ratio: ArrayLike) -> Floa
         index_ratio: m, index on the incident side over the index on the other side.
 
     Returns:
-        Cosine of the angle of refraction; its derivative is 0 where nothing is refracted.
+        Cosine of the angle of refraction; its derivative is 0 under total internal reflection.
     """
     squared = 1.0 - jnp.square(index_ratio) * (1.0 - jnp.square(cos_incident))
     refracts = squared > 0.0
-    # The root's derivative is infinite at 0: keep 0 out of it, not only out of the result.
+    # The root's derivative is infinite at 0, so 0 must not enter the root at all.
     return jnp.where(refracts, jnp.sqrt(jnp.where(refracts, squared, 1.0)), 0.0)
 
 
@@ -33,7 +33,7 @@ def fresnel_transmittance(
     index_incident: ArrayLike,
     index_transmitted: ArrayLike,
 ) -> Float[Array, "*batch"]:
-    r"""Part of the power of unpolarised light that passes a smooth boundary.
+    r"""Fraction of the power of unpolarised light that passes a smooth boundary.
 
     $T = 1 - (r_s^2 + r_p^2)/2$ (Fresnel; Born & Wolf, Principles of Optics, §1.5.2). The same for
     a ray and its reverse.
@@ -49,8 +49,8 @@ def fresnel_transmittance(
     """
     s_in, s_out = index_incident * cos_incident, index_transmitted * cos_transmitted
     p_in, p_out = index_transmitted * cos_incident, index_incident * cos_transmitted
-    # 1 - r^2 = 4ab/(a + b)^2 loses no digits near grazing exit, where r tends to 1; the floor
-    # makes 0/0, grazing incidence between equal media, a 0.
+    # 1 - r^2 = 4ab/(a + b)^2 is accurate near grazing exit, where r tends to 1. The floor avoids
+    # 0/0 for grazing incidence between equal media.
     floor = jnp.finfo(float).tiny
     s_sum = jnp.maximum(jnp.square(s_in + s_out), floor)
     p_sum = jnp.maximum(jnp.square(p_in + p_out), floor)
@@ -64,7 +64,7 @@ def refract(
     index_incident: ArrayLike,
     index_transmitted: ArrayLike,
 ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch"], Bool[Array, "*batch"]]:
-    r"""Refract unit directions at a boundary whose normal points the way the light goes.
+    r"""Refract unit directions at a boundary whose normal points along the light.
 
     $n_t\mathbf t = n_i\mathbf d + (n_t\cos\theta_t - n_i\cos\theta_i)\mathbf n$ (Snell's law as a
     vector; Born & Wolf §3.2.2).
@@ -76,8 +76,8 @@ def refract(
         index_transmitted: refractive index behind it.
 
     Returns:
-        Unit directions behind the boundary, Fresnel transmittance, and whether the light passes;
-        where it does not (total internal reflection) the direction runs along the boundary.
+        Unit directions behind the boundary, Fresnel transmittance, and whether the light passes.
+        Under total internal reflection the direction is along the boundary.
     """
     ratio = jnp.asarray(index_incident) / index_transmitted
     cos_incident = jnp.sum(direction * normal, axis=-1)

@@ -1,6 +1,7 @@
-"""The spot of a beam square to the wall and its image, in closed form: the models' other direction.
+"""The spot of a beam perpendicular to the wall, and its image, in closed form.
 
-Like `models`, for floats, NumPy and JAX arrays, without importing JAX.
+These functions are the inverses of `models`. They accept floats, NumPy arrays and JAX arrays, and
+do not import JAX.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ def planar_semi_minor(*, distance: ArrayLike, scale: ArrayLike, k: ArrayLike, b:
 def square_spot_radius(
     *, distance: ArrayLike, k: ArrayLike, b: ArrayLike, eye_radius: ArrayLike
 ) -> Batch:
-    """Radius of the lit circle in a sphere for a square beam, mm; inverse of `sphere_distance`.
+    """Radius of the lit circle in a sphere, mm; inverse of `sphere_distance`.
 
     e1 solves (1 + k^2) e1^2 + 2 k q e1 + q^2 = r^2 with q = r - d + b.
     """
@@ -72,7 +73,7 @@ def square_spot_axes(
     scale: ArrayLike,
     inverse_working_distance: ArrayLike,
 ) -> tuple[Batch, Batch]:
-    r"""Image semi-axes of the lit circle of a square beam, any pinhole height, closed form.
+    r"""Image semi-axes of the lit circle for any pinhole height, in closed form.
 
     The circle $(p + q\cos t, R\sin t)$ seen at depth $A - B\cos t$ images as an ellipse with axes
     along and across the meridian:
@@ -112,11 +113,11 @@ def eyeball_point(
     eye_radius: ArrayLike,
     inverse_working_distance: ArrayLike,
 ) -> Float[Array, "3 *batch"]:
-    """Where the line of sight of an image point meets the retina.
+    """Intersection of an image point's line of sight with the retina.
 
-    The line passes at q = delta (right, -down) beside the pole and narrows towards the pinhole by
-    1 - kappa t at the height t over the pole. On the sphere
-    q^2 (1 - kappa t)^2 + (t - r)^2 = r^2, whose lower root t is the retina.
+    At the pole's height the line is at q = delta (right, -down). At a height t above the pole it is
+    at q (1 - kappa t). On the sphere q^2 (1 - kappa t)^2 + (t - r)^2 = r^2, whose lower root t is
+    the retina.
 
     Args:
         right_px: image point, to the right of the principal point, px.

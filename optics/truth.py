@@ -1,4 +1,4 @@
-"""What is true of the spot of any beam: the numbers behind every label."""
+"""The true parameters of a beam's spot, for labels."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from optics.irradiance_lookup import IrradianceTable
 from optics.surface import Surface
 
 _BATCH = 16
-# A few float64 roundings of coordinates of some 10 mm.
+# A few float64 roundings of coordinates of about 10 mm.
 _ROUNDING = 1e-13
 
 
 class SpotTruth(NamedTuple):
-    """Truth of spots, one a beam along the leading axis; mm, px, rad.
+    """Truth of spots, one per beam along the leading axis; mm, px, rad.
 
     Attributes:
         beam: tip, axis and cone.
-        status: of the intersection of axis and wall; where it is not HIT the rest means nothing.
+        status: status of the intersection of axis and wall; the rest is valid only if it is HIT.
         distance: d = |SO|.
         nearest: distance from the tip to the nearest wall point.
         origin: O on the wall.
         eccentricity: c, distance of O from the microscope's axis.
-        azimuth: of O about that axis; 0 where O lies on it.
+        azimuth: azimuth of O around that axis; 0 if O is on it.
         incidence: angle between the beam and the outward normal at O.
-        incidence_azimuth: as in `beam_at_spot`; 0 at square incidence.
+        incidence_azimuth: as in `beam_at_spot`; 0 at perpendicular incidence.
         cone: ellipse of the cone's edge in the image.
-        half_max: ellipse of half of the direct peak in the image.
+        half_max: ellipse of the half-maximum contour in the image.
         contour: the half-maximum contour on the wall.
         contour_px: its image.
     """
@@ -68,10 +68,10 @@ def spot_truth(
     half_angle: ScalarLike,
     apex_offset: ScalarLike,
 ) -> SpotTruth:
-    """Truth of each of many beams that differ in tip and axis.
+    """Truth of many beams that differ in tip and axis.
 
-    The ideal cone is evenly bright up to its edge, so without a table the half-maximum contour
-    is the cone's edge.
+    The ideal cone is uniform up to its edge, so without a table the half-maximum contour is the
+    cone's edge.
 
     Args:
         surface: the wall.
@@ -83,7 +83,7 @@ def spot_truth(
         apex_offset: b, mm.
     """
     poses = np.concatenate([np.asarray(tip, float), np.asarray(axis, float)], axis=1)
-    # As arrays, and in parts of one size, so that one compilation serves every trial.
+    # As arrays, and in parts of one size, so that one compilation is valid for every trial.
     cone = jnp.asarray(half_angle, float), jnp.asarray(apex_offset, float)
     filled = np.pad(poses, ((0, -len(poses) % _BATCH), (0, 0)), mode="edge")
     parts = [
@@ -135,7 +135,7 @@ def _truth(
 
 
 def _polar(x: Float[Array, ""], y: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Radius and angle, both 0 where rounding is all that the radius holds."""
+    """Radius and angle, both 0 if the radius is only a rounding error."""
     radius = jnp.hypot(x, y)
     zero = radius < _ROUNDING
     return jnp.where(zero, 0.0, radius), jnp.where(zero, 0.0, jnp.arctan2(y, x))

@@ -1,7 +1,7 @@
-"""Three-vectors on the last axis, written out by components.
+"""Operations on three-vectors by components.
 
-XLA on a CPU vectorises over the batch only where no operation runs along an axis of three: for the
-contour of a spot this is the difference between 10 and 1.2 us.
+XLA on a CPU vectorises over the batch only if no operation runs along an axis of length three. For
+the contour of a spot this reduces the time from 10 to 1.2 us.
 """
 
 from __future__ import annotations
