@@ -11,6 +11,7 @@ import eyespot
 import optics
 import scenes
 from calibration.command.pixel_models import _means, _propagated
+from calibration.pixels import fit_footage, lens_start, read_footage
 from estimator import Spot
 from estimator.distance.ranger import Ranger
 from estimator.files.calibration import read_calibration
@@ -59,12 +60,12 @@ def test_what_follows_an_undetermined_parameter_is_undetermined():
     assert np.isinf(found[:, 2]).all()
 
 
-def render(folder, *, source, scale, samples):
+def render(folder, *, source, scale, samples, wall="uniform"):
     scene = scenes.Scene.model_validate(
         {
             "schema": 1,
             "seed": 3,
-            "phantom": {"wall": "uniform"},
+            "phantom": {"wall": wall},
             "source": source,
             "spot": {"eccentricity_mm": 2.0},
             "motion": {"travel_mm": 5.0, "frames": 10},
@@ -112,6 +113,19 @@ def test_what_pixels_show_in_products_alone_is_not_a_good_fit(cone, tmp_path):
     assert re.search("not a good fit: the data do not determine .*power", told), result.output
     assert not out.exists()
     assert "Not a good fit" in out.with_suffix(".html").read_text()
+
+
+@pytest.mark.slow  # the lens's light takes a minute to compute
+def test_on_a_textured_wall_no_lens_fits_the_pixels(tmp_path):
+    source = {"kind": "lens", "lens": "dome", "medium": "air"}
+    textured = render(tmp_path / "lens", source=source, scale=0.03, samples=4, wall="printed paper")
+    fit = fit_footage(
+        read_footage(textured, exposure="metered"),
+        source="lens",
+        start=lens_start(optics.load_lens("dome")),
+    )
+    # A print of 10 % contrast is many times the camera's noise; a good fit leaves 1.25 at most.
+    assert fit.chi_squared / fit.degrees_of_freedom > 2
 
 
 @pytest.mark.slow  # most of it for the lens's light, to render, to fit and to range with
