@@ -37,6 +37,8 @@ from benchmarks.studies.eccentricity.findings import (
 )
 from benchmarks.studies.eccentricity.shapley import coalitions, shapley_values
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 SCALE, K, B, R = 0.0067, 20.0, -5.117, 11.5
 EDGE_PX, PIXELS_PX = 0.03, -0.02
 MICROSCOPE, TELECENTRIC, SQUARE, ON_AXIS, CENTRED = range(5)
