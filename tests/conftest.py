@@ -15,9 +15,10 @@ from hypothesis import settings
 # Before the first import of matplotlib and JAX, which read them once.
 os.environ["MPLBACKEND"] = "Agg"
 os.environ["JAX_PLATFORMS"] = "cpu"
-# Half of a run is compilation. The workers of one run share it, with the programs that they start.
+# Half of a run is compilation. The workers of one run share it, with the programs that they start:
+# what takes a moment to compile too, because every file compiles hundreds of such operations.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path.home() / ".cache" / "eyespot" / "jax"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 # A shell's background job ignores Ctrl-C, and so would the programs that tests interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
