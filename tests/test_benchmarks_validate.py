@@ -81,7 +81,7 @@ def test_a_second_run_renders_nothing_and_finds_the_same(cone_run, monkeypatch):
 
 def test_a_folder_with_something_else_is_refused(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(ValueError, match="other files"):
+    with pytest.raises(ValueError, match="has files that are not from `eyespot validate`"):
         validate.run(out=tmp_path, quick=True, seed=0, source="cone")
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
