@@ -336,7 +336,7 @@ def test_stacks_that_a_fit_cannot_use_say_why(stack, tmp_path):
     scanned = stack("scanned", kind="plane", c=1.5, motion=scan)
     late = stack("late", kind="plane", c=1.5, motion={"start_mm": 0.5, "frames": 4})
     for source, model, told in (
-        (tilted, "plane", "tilted plane.*Take --model cone"),
+        (tilted, "plane", "tilted plane.*Use --model cone"),
         (scanned, "cone", "does not begin where the tip touches"),
         (late, "cone", "does not begin where the tip touches.*--prior touch"),
     ):
