@@ -15,9 +15,6 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-# `optics` switches JAX to 64 bits. The renderers' arrays are of 64 bits, too.
-import optics  # noqa: F401
-
 Value = Callable[[np.ndarray], np.ndarray]
 """Function from p parameters to an image."""
 
