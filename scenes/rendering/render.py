@@ -72,7 +72,7 @@ class Renderer:
         self.world = World(scene)
         self.images = Images(self.world, variant=variant)
         self.mitsuba_scene = self.images.mitsuba_scene
-        self.world.truth  # noqa: B018 - refuse an impossible scene before rendering
+        self.world.check()
 
     def render(self, frame: int) -> LinearFrame:
         """Sharp linear frame at the middle of its exposure."""

@@ -14,5 +14,5 @@ def check_scene(scene: Scene) -> None:
             is longer than a frame, or a file of the scene cannot be read.
     """
     world = World(scene)
-    world.truth  # noqa: B018 - deriving it is the check
+    world.check()
     paper_exposure(world)

@@ -107,6 +107,14 @@ class World(Geometry):
         check_window(self, times=self.times, contours=np.asarray(truth.contour_px))
         return truth
 
+    def check(self) -> None:
+        """Refuse an impossible scene by deriving its truth.
+
+        Raises:
+            SceneError: as for `truth`.
+        """
+        _ = self.truth
+
     @cached_property
     def speed(self) -> np.ndarray:
         """Speed of the tip in the middle of every frame's exposure, mm/s."""

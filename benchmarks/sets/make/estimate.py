@@ -108,7 +108,7 @@ def image_counts(planned: Sequence[PlannedStack]) -> dict[tuple[str, str], int]:
     for stack in planned:
         try:
             world = World(stack.scene)
-            world.truth  # noqa: B018 - refuses scenes that cannot be rendered
+            world.check()
         except scenes.SceneError as error:
             problems.append(f"{stack.split}/{stack.name}: {error}")
             continue
