@@ -27,7 +27,6 @@ import typer
 HOME = Path(__file__).resolve().parent
 PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
 
-
 COMMANDS = {
     "validate": "benchmarks.studies.validate.command:validate",
     "render": "scenes.stacks.command:render",
@@ -136,9 +135,8 @@ def version() -> None:
 def main() -> None:
     """Run the command line; the one place that decides what an error looks like.
 
-    Our functions raise ValueError for what the user can correct, and the operating system raises
-    OSError; their messages are printed as they are. Any other exception is a bug and keeps its
-    traceback.
+    Our functions raise InputError for what the user can correct, the operating system OSError;
+    their messages are printed. Any other exception is a bug and keeps its traceback.
     """
     # Compilation is half of a short run; the next run takes it from this cache.
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
@@ -148,22 +146,25 @@ def main() -> None:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:
-        _refuse_foreign_packages()
-        app()
+        message = _foreign_package()
+        if message is None:
+            sys.exit(app())
     except KeyboardInterrupt:
         sys.exit(130)
     except Exception as error:
         message = _message_of(error)
         if message is None or os.environ.get("EYESPOT_TRACEBACK"):
             raise
-        print(f"eyespot: {message}", file=sys.stderr)
-        sys.exit(2)
+    print(f"eyespot: {message}", file=sys.stderr)
+    sys.exit(2)
 
 
 def _message_of(error: Exception) -> str | None:
     """The message of an expected error; None for a bug."""
     # A class whose module was never loaded cannot have been raised.
-    pydantic, variant = sys.modules.get("pydantic"), sys.modules.get("scenes.machine.variant")
+    pydantic, variant, optics = map(
+        sys.modules.get, ("pydantic", "scenes.machine.variant", "optics.input_error")
+    )
     if pydantic and isinstance(error, pydantic.ValidationError):
         return "\n".join(
             f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}; got {problem['input']!r}"
@@ -175,25 +176,26 @@ def _message_of(error: Exception) -> str | None:
         return f"the Python package {error.name} is not installed. Run `make setup` again."
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}. {REMEDIES.get(error.errno or 0, '')}".rstrip()
-    if isinstance(error, ValueError | OSError):
+    if isinstance(error, OSError) or (optics and isinstance(error, optics.InputError)):
         return str(error)
     return None
 
 
-def _refuse_foreign_packages() -> None:
-    """Our packages have common names; Python may find another distribution's `benchmarks`."""
+def _foreign_package() -> str | None:
+    """A message if Python finds another distribution's `benchmarks`; our names are common."""
     for name in PACKAGES:
         spec = importlib.util.find_spec(name)
         if spec is None or spec.origin is None:
-            raise ValueError(f"eyespot's package {name} is missing in {HOME}. Install it again.")
+            return f"eyespot's package {name} is missing in {HOME}. Install it again."
         found = Path(spec.origin).resolve().parent
         if found != HOME / name:
             owners = importlib.metadata.packages_distributions().get(name, [])
             owner = next((owner for owner in owners if owner != "eyespot"), "its distribution")
-            raise ValueError(
+            return (
                 f"the package {name} that Python finds is {found}, not eyespot's. Uninstall "
                 f"{owner}, or give eyespot an environment of its own (`make setup`)."
             )
+    return None
 
 
 if __name__ == "__main__":

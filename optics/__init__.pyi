@@ -27,6 +27,7 @@ from .emission import transmitted_power as transmitted_power
 from .half_maximum import half_maximum_contour as half_maximum_contour
 from .half_maximum import wall_irradiance as wall_irradiance
 from .indirect import indirect_irradiance as indirect_irradiance
+from .input_error import InputError as InputError
 from .irradiance import vector_irradiance as vector_irradiance
 from .irradiance_lookup import IrradianceTable as IrradianceTable
 from .irradiance_lookup import LensField as LensField

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
+from optics.input_error import InputError
 from optics.vector import components
 
 _UNDISTORT_STEPS = 12
@@ -138,15 +139,15 @@ def microscope(
         distortion: (k1, k2, p1, p2, k3), OpenCV's order.
 
     Raises:
-        ValueError: scale or the working distance z_F + r is not positive.
+        InputError: scale or the working distance z_F + r is not positive.
     """
     delta = jnp.asarray(scale, float)
     # Traced values have no known size; check the others.
     if _known(delta) and not delta > 0:
-        raise ValueError(f"microscope(scale=...) must be positive; got {scale} mm/px.")
+        raise InputError(f"microscope(scale=...) must be positive; got {scale} mm/px.")
     reach = jnp.asarray(pinhole_height, float) + eye_radius
     if _known(reach) and not reach > 0:
-        raise ValueError(
+        raise InputError(
             "microscope(pinhole_height=...) must lie above the retinal pole at -eye_radius; got "
             f"{pinhole_height} mm with eye_radius={eye_radius} mm. Raise pinhole_height."
         )
@@ -175,12 +176,12 @@ def microscope_from_camera_matrix(
         distortion: (k1, k2, p1, p2, k3).
 
     Raises:
-        ValueError: the pixels are not square or K has skew (relative 1e-6), which this pinhole
+        InputError: the pixels are not square or K has skew (relative 1e-6), which this pinhole
             does not model; rectify the images first.
     """
     fx, fy, skew = float(matrix[0][0]), float(matrix[1][1]), float(matrix[0][1])
     if abs(fx - fy) > 1e-6 * fx or abs(skew) > 1e-6 * fx:
-        raise ValueError(
+        raise InputError(
             f"microscope_from_camera_matrix needs square pixels without skew; got fx={fx} px, "
             f"fy={fy} px, skew={skew} px. Rectify the images (cv2.undistort) first."
         )

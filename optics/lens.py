@@ -14,6 +14,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from optics.input_error import InputError
+
 _PRESETS = Path(__file__).parent / "lenses"
 _SCHEMA = 1
 
@@ -152,7 +154,7 @@ def glue_lens(
         launch_aperture: 1/e² half-width of a Gaussian launch in n_g sin theta, or None.
 
     Raises:
-        ValueError: a value outside its range; the message says which, and what to change.
+        InputError: a value outside its range; the message says which, and what to change.
     """
     lens = GlueLens(
         _number(core_radius),
@@ -233,7 +235,7 @@ def _check(lens: GlueLens) -> None:
     )
     for holds, name, rule in rules:
         if not holds:
-            raise ValueError(f"GlueLens({name}=...) {rule}.")
+            raise InputError(f"GlueLens({name}=...) {rule}.")
 
 
 def lens_names() -> tuple[str, ...]:
@@ -248,13 +250,13 @@ def load_lens(name_or_path: str | Path) -> GlueLens:
         name_or_path: one of `lens_names()`, or the path of a `.toml` file.
 
     Raises:
-        ValueError: no such preset or file, another schema, an unknown, missing or wrong key.
+        InputError: no such preset or file, another schema, an unknown, missing or wrong key.
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":
         path = _PRESETS / f"{name_or_path}.toml"
     if not path.is_file():
-        raise ValueError(
+        raise InputError(
             f"load_lens({str(name_or_path)!r}): no such lens. Presets: {', '.join(lens_names())}; "
             "or give the path of a .toml file."
         )
@@ -262,9 +264,9 @@ def load_lens(name_or_path: str | Path) -> GlueLens:
         try:
             content = tomllib.load(file)
         except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"load_lens: {path.name} is not TOML: {error}.") from error
+            raise InputError(f"load_lens: {path.name} is not TOML: {error}.") from error
     if content.get("schema") != _SCHEMA:
-        raise ValueError(
+        raise InputError(
             f"load_lens: {path.name} must have schema = {_SCHEMA}; got {content.get('schema')!r}. "
             "Compare it with the presets in optics/lenses."
         )
@@ -274,7 +276,7 @@ def load_lens(name_or_path: str | Path) -> GlueLens:
     wrong = [key for key in values if key not in known or type(values[key]) not in (int, float)]
     missing = [key for key in required if key not in values]
     if wrong or missing:
-        raise ValueError(
+        raise InputError(
             f"load_lens: [lens] in {path.name} must contain the numbers {', '.join(required)}; "
             f"{', '.join(known[-2:])} are optional; wrong: {', '.join(wrong) or 'none'}, missing: "
             f"{', '.join(missing) or 'none'}."

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from optics.array_namespace import array_namespace
+from optics.input_error import InputError
 
 if TYPE_CHECKING:
     from jaxtyping import Array, ArrayLike, Float
@@ -54,7 +55,7 @@ def closed_form_distance(
         d, mm.
 
     Raises:
-        ValueError: no closed form has this name.
+        InputError: no closed form has this name.
     """
     line: dict[str, Any] = {"semi_minor_px": semi_minor_px, "scale": scale, "k": k, "b": b}
     eye: dict[str, Any] = {"eccentricity": eccentricity, "eye_radius": eye_radius}
@@ -69,7 +70,7 @@ def closed_form_distance(
             )
         case "stereographic":
             return stereographic_distance(**line, **eye)
-    raise ValueError(
+    raise InputError(
         f"closed_form_distance(model=...) must be one of {', '.join(CLOSED_FORMS)}; got {model!r}."
     )
 

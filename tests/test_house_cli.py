@@ -14,6 +14,7 @@ import pydantic
 import pytest
 
 import eyespot
+from optics import InputError
 from scenes.machine import doctor
 from scenes.machine.llvm import ENVIRONMENT_VARIABLE
 from scenes.machine.variant import RendererUnavailable
@@ -167,7 +168,7 @@ def test_a_foreign_package_of_the_same_name_is_named_and_refused(tmp_path):
 @pytest.mark.parametrize(
     ("error", "message"),
     [
-        (ValueError("Sphere(radius=...) must be positive"), "Sphere(radius=...) must be positive"),
+        (InputError("Sphere(radius=...) must be positive"), "Sphere(radius=...) must be positive"),
         (RendererUnavailable("no usable libLLVM"), "no usable libLLVM"),
         (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "a.png"), "a.png: No space left"),
         (ModuleNotFoundError("No module named 'jax'", name="jax"), "the Python package jax is not"),
@@ -193,16 +194,17 @@ def test_each_problem_of_a_settings_file_is_one_line(run, monkeypatch):
     assert "pinhole_mm" in lines[1]
 
 
-def test_a_bug_keeps_its_traceback(run, monkeypatch):
-    fail_with(monkeypatch, KeyError("semi_minor"))
-    with pytest.raises(KeyError):
+@pytest.mark.parametrize("bug", [KeyError("semi_minor"), ValueError("math domain error")])
+def test_a_bug_keeps_its_traceback(run, monkeypatch, bug):
+    fail_with(monkeypatch, bug)
+    with pytest.raises(type(bug)):
         run("version")
 
 
 def test_the_environment_can_ask_for_the_traceback_of_an_expected_error(run, monkeypatch):
-    fail_with(monkeypatch, ValueError("too large"))
+    fail_with(monkeypatch, InputError("too large"))
     monkeypatch.setenv("EYESPOT_TRACEBACK", "1")
-    with pytest.raises(ValueError, match="too large"):
+    with pytest.raises(InputError, match="too large"):
         run("version")
 
 

@@ -126,7 +126,7 @@ def test_the_estimator_reaches_for_optics_only_where_a_spot_becomes_a_distance()
     found = {
         (path, imported.late)
         for path, imported in imports_of_package("estimator")
-        if imported.module.partition(".")[0] == "optics"
+        if imported.module.partition(".")[0] == "optics" and imported.names != ("InputError",)
     }
     assert found == {(path, True) for path in FROM_SPOT_TO_DISTANCE}
 
@@ -206,3 +206,18 @@ def test_no_help_loads_a_heavy_library():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOME
     )
     assert not HEAVY & set(child.stdout.split())
+
+
+def test_what_a_user_can_correct_is_an_input_error():
+    """`raise ValueError` would be reported as a bug: only an InputError is bad input."""
+    raised = [
+        f"{path}:{node.lineno}"
+        for package in PACKAGES
+        for path in sorted((HOME / package).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Raise)
+        and isinstance(node.exc, ast.Call)
+        and isinstance(node.exc.func, ast.Name)
+        and node.exc.func.id == "ValueError"
+    ]
+    assert raised == []

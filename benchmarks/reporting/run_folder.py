@@ -15,6 +15,7 @@ from typing import Any
 
 import scenes
 from estimator import Stack, read_stack
+from optics import InputError
 from scenes import Scene
 
 _PACKAGES = (
@@ -40,19 +41,19 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
         command: command of the run, for the message.
 
     Raises:
-        ValueError: the folder has a run with other settings, or other files.
+        InputError: the folder has a run with other settings, or other files.
     """
     file = out / "run.json"
     if file.is_file():
         found = json.loads(file.read_text())
         if found != settings:
-            raise ValueError(
+            raise InputError(
                 f"{out} has a run with other settings: {_difference(found, settings)}. "
                 "Choose another --out, or remove the folder."
             )
         return
     if out.is_dir() and any(out.iterdir()):
-        raise ValueError(f"{out} has files that are not from `{command}`. Choose another --out.")
+        raise InputError(f"{out} has files that are not from `{command}`. Choose another --out.")
     out.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(settings) + "\n")
 
@@ -68,13 +69,13 @@ def finished_stack(
         progress: called once for each frame.
 
     Raises:
-        ValueError: the folder has a stack of another scene.
+        InputError: the folder has a stack of another scene.
     """
     if not folder.is_dir():
         return scenes.render_stack(scene, folder, progress=progress)
     stack = read_stack(folder)
     if stack.description["scene"] != scene.model_dump(mode="json", by_alias=True):
-        raise ValueError(
+        raise InputError(
             f"{folder} was rendered from another scene than this version would render. Remove it, "
             "or choose another --out."
         )

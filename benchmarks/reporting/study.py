@@ -70,7 +70,7 @@ class Study:
         seconds: wall time of this run by step.
 
     Raises:
-        ValueError: the scene is not valid, or the folder has other files.
+        InputError: the scene is not valid, or the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
 

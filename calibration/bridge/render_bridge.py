@@ -15,6 +15,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from optics import InputError
+
 Value = Callable[[np.ndarray], np.ndarray]
 """Function from p parameters to an image."""
 
@@ -90,7 +92,7 @@ def _checked(array: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray
     """The array in float64, after a check of its shape."""
     array = np.asarray(array, dtype=np.float64)
     if array.shape != shape:
-        raise ValueError(
+        raise InputError(
             f"render_as_jax: {name} returned an array of shape {array.shape} instead of {shape}. "
             "Give the image's shape as shape=; a Jacobian has one more axis, the parameters."
         )

@@ -11,6 +11,7 @@ import optics
 from calibration.recordings import LogBook
 from calibration.spots import Prior
 from estimator.files import Quaternion, unit_quaternion
+from optics import InputError
 
 _T = TypeVar("_T")
 
@@ -19,7 +20,7 @@ def read_priors(given: Iterable[str]) -> dict[str, Prior]:
     """`--prior NAME=MEAN,SIGMA`, each a normal distribution.
 
     Raises:
-        ValueError: wrong format, or a sigma that is not positive.
+        InputError: wrong format, or a sigma that is not positive.
     """
     found = {}
     for text in given:
@@ -29,7 +30,7 @@ def read_priors(given: Iterable[str]) -> dict[str, Prior]:
         except ValueError:
             mean = sigma = math.nan
         if not (math.isfinite(mean) and 0 < sigma < math.inf):
-            raise ValueError(
+            raise InputError(
                 f"--prior must be NAME=MEAN,SIGMA with a positive sigma, such as "
                 f"eye_radius=11.5,0.2; got {text!r}."
             )
@@ -41,7 +42,7 @@ def read_rotation(text: str | None) -> Quaternion:
     """`--eye-from-robot QX,QY,QZ,QW`, a unit quaternion (default: no rotation).
 
     Raises:
-        ValueError: not a unit quaternion.
+        InputError: not a unit quaternion.
     """
     if text is None:
         return (0.0, 0.0, 0.0, 1.0)
@@ -49,7 +50,7 @@ def read_rotation(text: str | None) -> Quaternion:
         x, y, z, w = map(float, text.split(","))
         return unit_quaternion((x, y, z, w))
     except ValueError:
-        raise ValueError(
+        raise InputError(
             f"--eye-from-robot must be a unit quaternion QX,QY,QZ,QW; got {text!r}."
         ) from None
 
@@ -66,7 +67,7 @@ def log_books(
     """The log book of each source that is not a stack; a stack contains its own.
 
     Raises:
-        ValueError: an option is missing, or does nothing because all sources are stacks.
+        InputError: an option is missing, or does nothing because all sources are stacks.
     """
     if not sources:
         for option, said in (
@@ -76,15 +77,15 @@ def log_books(
             ("--medium", medium),
         ):
             if said:
-                raise ValueError(f"{option} does nothing: a stack contains its own. Leave it out.")
+                raise InputError(f"{option} does nothing: a stack contains its own. Leave it out.")
         return {}
     if microscope is None or medium is None or not phantoms:
-        raise ValueError(
+        raise InputError(
             f"{sources[0]} is no stack, so the fit needs --microscope, --phantom and --medium, and "
             "--poses unless the source is a bag. Add them."
         )
     if medium not in optics.MEDIA:
-        raise ValueError(f"--medium must be one of {', '.join(optics.MEDIA)}; got {medium!r}.")
+        raise InputError(f"--medium must be one of {', '.join(optics.MEDIA)}; got {medium!r}.")
     kinds = _one_each("--phantom", phantoms, sources)
     # A bag of images also contains the poses, unless a file is given.
     tracks = _one_each("--poses", poses, sources) if poses else list(sources)
@@ -105,7 +106,7 @@ def _one_each(option: str, given: Sequence[_T], sources: Sequence[Path]) -> Sequ
     if len(given) == 1:
         return [*given] * len(sources)
     if len(given) != len(sources):
-        raise ValueError(
+        raise InputError(
             f"{option} must be given once, or once per source other than a stack ({len(sources)} "
             f"here); got {len(given)}."
         )

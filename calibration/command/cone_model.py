@@ -11,6 +11,7 @@ from calibration.command.fitted import Choices, Fitted
 from calibration.command.goodness import bounds_hit
 from calibration.recordings import Recording
 from calibration.spots import fit_cone, fit_plane
+from optics import InputError
 
 _MISMATCHES = ("position along", "position across", "size", "elongation", "direction")
 """The components of `optics.ellipse_mismatch`, in words."""
@@ -19,17 +20,17 @@ _MISMATCHES = ("position along", "position across", "size", "elongation", "direc
 def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit the exact geometry to planes and eyeballs together."""
     if choices.loss != "squares":
-        raise ValueError("--robust works with the models plane and sphere only. Leave it out.")
+        raise InputError("--robust works with the models plane and sphere only. Leave it out.")
     for recording in recordings:
         if not np.isfinite(recording.trial.covariances).all():
-            raise ValueError(
+            raise InputError(
                 f"{recording.name} has spots without standard deviations, as the literal mode "
                 "writes them. The model cone weights spots by these. Track in the sub-pixel mode, "
                 "or use --model plane."
             )
     free = choices.free or ("half_angle", "b")
     for name in {"half_angle", "b"} - set(free):
-        raise ValueError(f"--free must contain half_angle and b; {name} is missing. Add it.")
+        raise InputError(f"--free must contain half_angle and b; {name} is missing. Add it.")
     microscope = recordings[0].microscope
     planes = [r for r in recordings if r.trial.kind == "plane"]
     line = fit_plane(

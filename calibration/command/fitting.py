@@ -23,6 +23,7 @@ from calibration.recordings import LogBook, Recording, is_stack, read_recording
 from calibration.spots import Prior
 from estimator.files import Calibration, write_calibration, written_whole
 from estimator.run import progress
+from optics import InputError
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
 
@@ -64,7 +65,7 @@ def run(
         eye_from_robot: "QX,QY,QZ,QW", rotation from the poses' frame to the eye frame.
 
     Raises:
-        ValueError: wrong input, or a fit that is not good. In the second case only the report is
+        InputError: wrong input, or a fit that is not good. In the second case only the report is
             written. A fit whose only fault is too large standard deviations raises nothing.
     """
     sources = [Path(source) for source in sources]
@@ -107,12 +108,12 @@ def run(
 def _report_beside(out: Path) -> Path:
     """The report's file. Wrong output paths fail here, before the fit."""
     if out.exists():
-        raise ValueError(f"{out} already exists and is not overwritten. Choose another name.")
+        raise InputError(f"{out} already exists and is not overwritten. Choose another name.")
     if not out.parent.is_dir():
-        raise ValueError(f"{out.parent} is no folder. Create it, or write {out.name} elsewhere.")
+        raise InputError(f"{out.parent} is no folder. Create it, or write {out.name} elsewhere.")
     report = out.with_suffix(".html")
     if report == out:
-        raise ValueError(f"{out}: the report uses the ending .html. End the calibration in .json.")
+        raise InputError(f"{out}: the report uses the ending .html. End the calibration in .json.")
     return report
 
 
@@ -121,9 +122,9 @@ def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:
     chosen = MODELS[model]
     _check_names(chosen, choices)
     if choices.lens and model != "lens":
-        raise ValueError("--lens works with --model lens only. Leave it out.")
+        raise InputError("--lens works with --model lens only. Leave it out.")
     if chosen.of_pixels and (others or sources != 1):
-        raise ValueError(
+        raise InputError(
             f"--model {model} fits the pixels of one stack; got {sources} sources, of which "
             f"{others} are no stacks. Fit each stack by itself, or fit the spots of all sources "
             "together with --model cone."
@@ -142,20 +143,20 @@ def _read(
 def _check_names(model: Model, choices: Choices) -> None:
     for name in choices.free or ():
         if name not in model.parameters:
-            raise ValueError(
+            raise InputError(
                 f"--free accepts {', '.join(model.parameters)}; got {name!r}. Each trial's touch, "
                 "spot position and axis direction are always free."
             )
     always = NUISANCES if model.of_pixels else ("touch",)
     for name in choices.priors:
         if name not in always and name not in (choices.free or model.free):
-            raise ValueError(f"--prior {name} does nothing while {name} is not in --free. Add it.")
+            raise InputError(f"--prior {name} does nothing while {name} is not in --free. Add it.")
 
 
 def _check_alike(recordings: Sequence[Recording]) -> None:
     media = {r.medium for r in recordings}
     if len(media) > 1:
-        raise ValueError(
+        raise InputError(
             f"these recordings were taken in {' and '.join(sorted(media))}. A calibration is valid "
             "in one medium. Fit the recordings of each medium by themselves."
         )
@@ -167,14 +168,14 @@ def _check_alike(recordings: Sequence[Recording]) -> None:
             first.pinhole_height_mm,
             first.eye_radius_mm,
         ):
-            raise ValueError(
+            raise InputError(
                 f"{recording.name} and {recordings[0].name} were taken with different microscopes "
                 "or eyes. Fit each by itself."
             )
     planes = [r for r in recordings if r.trial.kind == "plane"]
     for plane in planes[1:]:
         if plane.tilt != planes[0].tilt:
-            raise ValueError(
+            raise InputError(
                 f"the planes of {planes[0].name} and {plane.name} are tilted differently. Fit each "
                 "by itself."
             )
@@ -207,7 +208,7 @@ def _write(
     title += "" if goodness is None else f"; χ²/n {goodness:.2f}"
     Console().print(result_table(fitted, title=title))
     if not all(doubt.harmless for doubt in found):
-        raise ValueError(refusal(found, model=model, report=report))
+        raise InputError(refusal(found, model=model, report=report))
     medium = recordings[0].medium
     write_calibration(
         out,

@@ -14,6 +14,7 @@ from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_len
 from calibration.pixels import CONE, FREE, known_names
 from calibration.recordings import Recording
 from calibration.spots import PARAMETERS
+from optics import InputError
 
 AUTO = "auto"
 """Name on the command line that chooses the model from the spots."""
@@ -68,7 +69,7 @@ def chosen_model(recordings: Sequence[Recording]) -> ModelChoice:
     a sharp edge at the distance where it images its core.
 
     Raises:
-        ValueError: the spots need a lens, but there are several recordings or no stack.
+        InputError: the spots need a lens, but there are several recordings or no stack.
     """
     widths = np.concatenate([recording.relative_edge_width for recording in recordings])
     if np.isnan(widths).any():
@@ -80,7 +81,7 @@ def chosen_model(recordings: Sequence[Recording]) -> ModelChoice:
     if width <= SOFT_EDGE:
         return ModelChoice("cone", seen.format("sharp"))
     if len(recordings) > 1 or not recordings[0].is_stack:
-        raise ValueError(
+        raise InputError(
             f"{seen.format('soft')}, so the light comes from a lens.\n"
             "A lens is fitted to the pixels of one stack: give one stack. To fit a cone instead, "
             "add --model cone."

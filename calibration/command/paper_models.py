@@ -23,6 +23,7 @@ from calibration.spots import (
     fit_plane_trials,
     phantom_wall,
 )
+from optics import InputError
 
 _TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
 
@@ -32,7 +33,7 @@ def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     _nothing_to_choose("plane", choices)
     for recording in recordings:
         if recording.trial.kind != "plane":
-            raise ValueError(
+            raise InputError(
                 f"the model plane needs recordings of planes; {recording.name} shows an eyeball. "
                 "Leave it out, or use --model sphere or cone."
             )
@@ -66,7 +67,7 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     _nothing_to_choose("sphere", choices)
     spheres = [r for r in recordings if r.trial.kind == "eyeball"]
     if len(spheres) != 1:
-        raise ValueError(
+        raise InputError(
             "the model sphere needs one recording of an eyeball, and planes; got "
             f"{len(spheres)} eyeballs. A calibration has one eccentricity: fit each by itself."
         )
@@ -125,9 +126,9 @@ def _pooled_planes(
     """The planes' recordings, the line through them, and a sentence about each."""
     planes = [r for r in recordings if r.trial.kind == "plane"]
     if not planes:
-        raise ValueError("the model needs a recording of a plane; all of these show eyeballs.")
+        raise InputError("the model needs a recording of a plane; all of these show eyeballs.")
     if any(any(recording.tilt) for recording in planes):
-        raise ValueError(
+        raise InputError(
             f"{planes[0].name} shows a tilted plane. The paper's line is valid only for a plane "
             "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
         )
@@ -213,7 +214,7 @@ def _with_eccentricity(
 def _nothing_to_choose(model: str, choices: Choices) -> None:
     wrong = [*(choices.free or ()), *(name for name in choices.priors if name != "touch")]
     if wrong:
-        raise ValueError(
+        raise InputError(
             f"--model {model} has no selectable parameter {wrong[0]}; --model cone has "
             f"{', '.join(PARAMETERS)}."
         )

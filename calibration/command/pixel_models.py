@@ -20,6 +20,7 @@ from calibration.spots import fit_plane
 from estimator import read_stack
 from estimator.files import LENS_PARAMETERS
 from estimator.run import progress
+from optics import InputError
 
 _BLUR_PX = 1.0  # start value: a camera in focus
 _CONE_IN_FILE = ("half_angle", "b")
@@ -34,7 +35,7 @@ def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitt
     """Fit half-angle and b of a cone to pixels; start with the paper's line through the spots."""
     (recording,) = recordings
     for name in set(_CONE_IN_FILE) - set(choices.free or _CONE_IN_FILE):
-        raise ValueError(f"--free must contain half_angle and b; {name} is missing. Add it.")
+        raise InputError(f"--free must contain half_angle and b; {name} is missing. Add it.")
     line = fit_plane(
         semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
         distance=recording.trial.readings,
@@ -109,9 +110,9 @@ def _fit(
     start: Mapping[str, float],
 ) -> tuple[Footage, ImageFit]:
     if choices.loss != "squares":
-        raise ValueError("--robust works with the models plane and sphere only. Leave it out.")
+        raise InputError("--robust works with the models plane and sphere only. Leave it out.")
     if any(recording.tilt):
-        raise ValueError(
+        raise InputError(
             f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
             "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
         )

@@ -20,6 +20,7 @@ from estimator import Stack
 from estimator.files import MicroscopeFile, read_microscope
 from estimator.image import Response
 from estimator.sources import open_source
+from optics import InputError
 
 _CHANNELS = 3
 # 20 gauge, the thickest shaft in use. With a thinner shaft a few visible pixels are left out.
@@ -52,7 +53,7 @@ class CameraNoise:
         """Read the table [camera] of the scene.
 
         Raises:
-            ValueError: the camera correlates the noise of pixels or has fixed-pattern noise.
+            InputError: the camera correlates the noise of pixels or has fixed-pattern noise.
         """
         unsupported = {
             "bayer": camera["bayer"] != "none",
@@ -62,7 +63,7 @@ class CameraNoise:
         }
         if any(unsupported.values()):
             names = ", ".join(f"{name} = {camera[name]}" for name, on in unsupported.items() if on)
-            raise ValueError(
+            raise InputError(
                 f"the image fit needs independent noise in every pixel; this camera has {names}. "
                 "Record raw frames, divided by a flat field, or fit the spots (--model cone)."
             )
@@ -195,7 +196,7 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
         exposure: "paper" or "metered" if the stack has both.
 
     Raises:
-        ValueError: no exposure chosen, a camera that the noise model does not support, or robot
+        InputError: no exposure chosen, a camera that the noise model does not support, or robot
             poses that are no withdrawal or do not cover all frames.
     """
     scene = stack.description["scene"]

@@ -45,7 +45,7 @@ def fit_image(
         lean_sigma: standard deviation of the robot's axis, rad.
 
     Raises:
-        ValueError: an unknown name, a missing start value, or a stack that cannot be fitted.
+        InputError: an unknown name, a missing start value, or a stack that cannot be fitted.
     """
     footage = read_footage(stack, exposure=exposure)
     return fit_footage(

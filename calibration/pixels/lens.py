@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import ScalarLike
 
 import optics
+from optics import InputError
 
 PARAMETERS = (
     "core_radius",
@@ -32,10 +33,10 @@ def lens_parameters(lens: optics.GlueLens) -> dict[str, float]:
     """`PARAMETERS` of a lens.
 
     Raises:
-        ValueError: a Gaussian launch, which the image fit does not support.
+        InputError: a Gaussian launch, which the image fit does not support.
     """
     if lens.launch_radius is not None or lens.launch_aperture is not None:
-        raise ValueError(
+        raise InputError(
             "the image fit supports uniformly filled cores only; this lens has a launch_radius or "
             "a launch_aperture. Leave them out."
         )

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from calibration.pixels.lens import PARAMETERS as LENS
 from calibration.spots import Prior
+from optics import InputError
 
 UNITS = {
     "half_angle": "rad",
@@ -55,7 +56,7 @@ def check_names(
     """Check the names of parameters.
 
     Raises:
-        ValueError: unknown names or missing start values.
+        InputError: unknown names or missing start values.
     """
     own = CONE if source == "cone" else LENS
     names = known_names(source)
@@ -63,7 +64,7 @@ def check_names(
     missing = [name for name in own if name not in start]
     missing += ["blur"] if "blur" in free and "blur" not in start else []
     if unknown or missing:
-        raise ValueError(
+        raise InputError(
             f"the image fit of a {source} has the parameters {', '.join(names)} and needs start "
             f"values of {', '.join(own)}. Unknown: {', '.join(unknown) or 'none'}; missing: "
             f"{', '.join(missing) or 'none'}."

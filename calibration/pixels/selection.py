@@ -12,6 +12,7 @@ from scipy import ndimage
 from calibration.pixels.chunks import CHUNK, Chunk, Problem, View, look
 from calibration.pixels.data import Footage
 from calibration.pixels.table import LensTable
+from optics import InputError
 
 _GRID_PX = 4  # step of the search for pixels that the beam reaches
 _RING_PX = 8
@@ -24,14 +25,14 @@ def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
     """Centre (px) and typical radius (px) of the pixels much brighter than the frame's median.
 
     Raises:
-        ValueError: a frame has no such pixels.
+        InputError: a frame has no such pixels.
     """
     dark = np.median(footage.light, axis=(1, 2), keepdims=True)
     excess = np.maximum(footage.light - dark, 0)
     peak = np.quantile(excess, 0.999, axis=(1, 2), keepdims=True)
     excess = np.where(excess > peak / 2, excess, 0)
     if not peak.min() > 4 * np.sqrt(footage.noise.variance(dark.min())):
-        raise ValueError("the stack has frames without a spot. Leave them out of the image fit.")
+        raise InputError("the stack has frames without a spot. Leave them out of the image fit.")
     weight = excess.sum(axis=0)
     v, u = np.mgrid[: weight.shape[0], : weight.shape[1]]
     centre = np.array([np.sum(u * weight), np.sum(v * weight)]) / np.sum(weight)

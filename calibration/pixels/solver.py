@@ -29,6 +29,7 @@ from calibration.pixels.selection import bright_spot, chosen_chunks
 from calibration.pixels.table import LensTable, lens_sampling, lens_table
 from calibration.solvers import Minimum, NormalEquations, covariance_and_lost, minimise
 from calibration.spots import Prior, phantom_wall
+from optics import InputError
 
 _TOUCH_SIGMA_MM = 0.02
 _BLURS = (1 / 4, 1 / 12, 1 / 36)
@@ -207,7 +208,7 @@ class Solver:
         basis = np.stack([source, both - source], axis=1) * weight[:, None]
         sensitivity, product = np.linalg.lstsq(basis, light * weight, rcond=None)[0]
         if not sensitivity > 0:
-            raise ValueError("the spot is not near its place in the start values. Check these.")
+            raise InputError("the spot is not near its place in the start values. Check these.")
         first[own] = sensitivity, max(product / sensitivity, 0.0)
         size[own[0]] = sensitivity
         self.problem = eqx.tree_at(

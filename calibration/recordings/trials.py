@@ -25,6 +25,7 @@ from estimator import Spot, read_spots, read_stack, track_source
 from estimator.files import MicroscopeFile, Quaternion, SpotRecord, read_microscope, turned
 from estimator.run import Options
 from estimator.sources import open_source
+from optics import InputError
 
 _FEWEST_SPOTS = 3
 _TOUCH_SIGMA_MM = 0.02
@@ -126,7 +127,7 @@ def read_recording(
         progress: called after each measured frame.
 
     Raises:
-        ValueError: a missing or broken file, no withdrawal from the touch, or too few spots.
+        InputError: a missing or broken file, no withdrawal from the touch, or too few spots.
     """
     source = Path(source)
     if is_stack(source):
@@ -136,7 +137,7 @@ def read_recording(
     elif source.is_dir() and log_book is None:
         read_stack(source)  # its error says which part of the stack is missing
     if log_book is None:
-        raise ValueError(
+        raise InputError(
             f"{source} is no stack, so the fit needs --microscope, --poses, --phantom and "
             "--medium. Add them."
         )
@@ -149,7 +150,7 @@ def read_recording(
     if not is_stack(source):
         prints = [*_files(source), *_files(log_book.poses)]
     if touch is None and not log_book.begins_at_touch:
-        raise ValueError(
+        raise InputError(
             f"{source} does not begin where the tip touches the wall, so the distance at reading 0 "
             "is unknown. Give the first frame's distance in mm, --prior touch=MEAN,SIGMA, "
             "or start at contact."
@@ -189,7 +190,7 @@ def _joined(
         if isinstance(record.result, Spot) and not record.result.coverage < _LEAST_COVERAGE
     ]
     if len(usable) < _FEWEST_SPOTS:
-        raise ValueError(
+        raise InputError(
             f"{source} has {len(usable)} usable spots in {len(records)} frames; a fit needs "
             f"{_FEWEST_SPOTS}. `eyespot track {source} --out spots.csv` shows the reasons."
         )

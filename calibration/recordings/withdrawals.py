@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator import read_poses
+from optics import InputError
 
 _MOST_ASIDE_MM = 0.05
 """Largest distance of a withdrawal from its line. The spot then moves by as much, about 7 px."""
@@ -31,13 +32,13 @@ def withdrawal(
         poses' frame.
 
     Raises:
-        ValueError: poses that cannot be read or do not cover the frames, or no withdrawal.
+        InputError: poses that cannot be read or do not cover the frames, or no withdrawal.
     """
     poses = list(read_poses(poses_file))
     known = np.array([pose.time_s for pose in poses])
     # An unknown time is NaN, for which these comparisons are false.
     if not (known[0] <= times.min() and times.max() <= known[-1]):
-        raise ValueError(
+        raise InputError(
             f"{poses_file} has poses from {known[0]:.3f} to {known[-1]:.3f} s, but the frames of "
             f"{source} go from {times.min():.3f} to {times.max():.3f} s. Record the robot's poses "
             "on the frames' clock, from before the first frame until after the last."
@@ -53,7 +54,7 @@ def withdrawal(
     readings = gone @ axis
     aside = np.linalg.norm(gone - readings[:, None] * axis, axis=1).max()
     if aside > _MOST_ASIDE_MM:
-        raise ValueError(
+        raise InputError(
             f"{source} is no withdrawal: the tip leaves the line of its axis by {aside:.2f} mm; "
             f"{_MOST_ASIDE_MM} mm are allowed. Withdraw the tip along its axis, one spot per trial."
         )

@@ -20,6 +20,7 @@ from calibration.solvers import (
     marginal_information,
 )
 from calibration.spots.cone_trials import NUISANCES, ConeTrial, Group, Prior, misfit, spots
+from optics import InputError
 
 PARAMETERS = (
     "half_angle",
@@ -119,11 +120,11 @@ def fit_cone(
         lean_sigma: standard deviation of the robot's axis, rad.
 
     Raises:
-        ValueError: an unknown name, or no trial.
+        InputError: an unknown name, or no trial.
     """
     unknown = [name for name in (*free, *(priors or {})) if name not in PARAMETERS]
     if unknown or not trials:
-        raise ValueError(
+        raise InputError(
             f"fit_cone needs one trial or more and names of {', '.join(PARAMETERS)}; got "
             f"{len(trials)} trials and {', '.join(unknown) or 'no unknown name'}."
         )

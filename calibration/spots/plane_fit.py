@@ -17,6 +17,7 @@ from scipy import stats
 
 import optics
 from calibration.solvers import GAUSS_NEWTON, Robust, Solution, huber, least_squares, padded
+from optics import InputError
 
 Loss = Literal["squares", "huber"]
 """Least squares, or Huber's loss, which finds outliers."""
@@ -86,11 +87,11 @@ def fit_plane(
         loss: see `Loss`.
 
     Raises:
-        ValueError: fewer than 3 spots, or spots of one size only.
+        InputError: fewer than 3 spots, or spots of one size only.
     """
     axis, reading = np.asarray(semi_minor_px, float), np.asarray(distance, float)
     if axis.size < _FEWEST_SPOTS or np.ptp(axis) == 0:
-        raise ValueError(
+        raise InputError(
             f"fit_plane needs {_FEWEST_SPOTS} spots or more of different sizes; got "
             f"{axis.size} with a range of {np.ptp(axis) if axis.size else 0:g} px. Add frames at "
             "other distances."

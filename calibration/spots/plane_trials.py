@@ -93,7 +93,7 @@ def fit_plane_trials(
         tilt_sigma: standard deviation of each component of the tilt around 0.
 
     Raises:
-        ValueError: as for `fit_plane` with all spots.
+        InputError: as for `fit_plane` with all spots.
     """
     axis = np.concatenate([trial.semi_minor_px for trial in trials])
     readings = np.concatenate([trial.readings for trial in trials])

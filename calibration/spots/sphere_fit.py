@@ -19,6 +19,7 @@ from scipy import stats
 import optics
 from calibration.solvers import GAUSS_NEWTON, Robust, Solution, huber, least_squares, padded
 from calibration.spots.plane_fit import Loss, outlier_indices
+from optics import InputError
 
 _FEWEST_SPOTS = 2
 # Below this phi, cos(phi) differs from 1 by less than 5e-5, which no measurement resolves.
@@ -104,11 +105,11 @@ def fit_eccentricity(
         loss: see `Loss`.
 
     Raises:
-        ValueError: fewer than 2 spots.
+        InputError: fewer than 2 spots.
     """
     axis, reading = np.asarray(semi_minor_px, float), np.asarray(distance, float)
     if axis.size < _FEWEST_SPOTS:
-        raise ValueError(f"fit_eccentricity needs {_FEWEST_SPOTS} spots or more; got {axis.size}.")
+        raise InputError(f"fit_eccentricity needs {_FEWEST_SPOTS} spots or more; got {axis.size}.")
     given = {"delta_k": delta_k, "b": b, "scale": scale, "eye_radius": eye_radius}
     (solution, outliers), sensitivity = _solve_sphere(
         *padded(axis, reading),

@@ -33,6 +33,7 @@ import cv2
 import numpy as np
 
 from estimator.image import NoSpot, Reason, Response, Spot
+from optics import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,23 +63,23 @@ class LiteralSettings:
     def __post_init__(self) -> None:
         """Reject what the filters cannot do."""
         if self.order not in ("filter_first", "threshold_first"):
-            raise ValueError(
+            raise InputError(
                 "LiteralSettings(order=...) must be 'filter_first' or 'threshold_first';"
                 f" got {self.order!r}."
             )
         for name in ("median_px", "gaussian_px"):
             side = getattr(self, name)
             if side < 3 or side % 2 == 0:
-                raise ValueError(
+                raise InputError(
                     f"LiteralSettings({name}=...) must be odd and at least 3; got {side} px."
                 )
         if self.patch_half_width_px < 1:
-            raise ValueError(
+            raise InputError(
                 "LiteralSettings(patch_half_width_px=...) must be at least 1 px;"
                 f" got {self.patch_half_width_px} px."
             )
         if not 0 <= self.threshold < 255:
-            raise ValueError(
+            raise InputError(
                 f"LiteralSettings(threshold=...) must lie in [0, 255); got {self.threshold}."
             )
 

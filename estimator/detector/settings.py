@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from estimator.image import Camera, LightMeter, Response
+from optics import InputError
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,20 +61,20 @@ class SubpixelSettings:
         positive = ("search_half_width_px", "min_semi_minor_px", "min_contrast", "max_jump_px")
         for name in positive:
             if not getattr(self, name) > 0:
-                raise ValueError(
+                raise InputError(
                     f"SubpixelSettings({name}=...) must be positive; got {getattr(self, name)}."
                 )
         for name in ("max_axis_ratio", "max_growth"):
             if not getattr(self, name) > 1:
-                raise ValueError(
+                raise InputError(
                     f"SubpixelSettings({name}=...) must exceed 1; got {getattr(self, name)}."
                 )
         if not 0 < self.min_coverage <= 1:
-            raise ValueError(
+            raise InputError(
                 f"SubpixelSettings(min_coverage=...) must lie in (0, 1]; got {self.min_coverage}."
             )
         if not self.max_semi_major_px > self.min_semi_minor_px:
-            raise ValueError(
+            raise InputError(
                 "SubpixelSettings(max_semi_major_px=...) must exceed min_semi_minor_px; got"
                 f" {self.max_semi_major_px} px and {self.min_semi_minor_px} px."
             )

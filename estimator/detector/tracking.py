@@ -52,7 +52,7 @@ def measure(
         The spot, or why there is none; and the state for the next frame.
 
     Raises:
-        ValueError: the frame is not an image, see `image.checked_frame`.
+        InputError: the frame is not an image, see `image.checked_frame`.
     """
     frame = checked_frame(frame)
     if isinstance(settings, LiteralSettings):

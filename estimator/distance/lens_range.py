@@ -157,7 +157,7 @@ def lens_curve(calibration: Calibration, *, eye_radius_mm: float) -> LensCurve:
         eye_radius_mm: r.
 
     Raises:
-        ValueError: no lens has these parameters; the text says which one is wrong.
+        InputError: no lens has these parameters; the text says which one is wrong.
     """
     import optics
 

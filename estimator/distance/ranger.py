@@ -15,6 +15,7 @@ from estimator.distance.lens_range import distance_from_lens, lens_curve
 from estimator.distance.range import Range
 from estimator.files import CONE_MODELS, MODELS, Calibration, MicroscopeFile
 from estimator.image import Spot
+from optics import InputError
 
 Numbers = float | np.ndarray
 
@@ -56,7 +57,7 @@ class Ranger:
                 the pinhole sees each spot's centre on the sphere.
 
         Raises:
-            ValueError: unknown model, a model that does not fit calibration or microscope, or an
+            InputError: unknown model, a model that does not fit calibration or microscope, or an
                 impossible lens.
         """
         own = calibration.values
@@ -100,7 +101,7 @@ class Ranger:
             exposure_s: of the frame; `lens` with a calibrated `brightness` uses the peak's, too.
 
         Raises:
-            ValueError: the axis is not a unit vector, or the frame is not an image.
+            InputError: the axis is not a unit vector, or the frame is not an image.
         """
         direction = None if axis is None else _unit(axis)
         if self.model == "exact":
@@ -112,23 +113,23 @@ class Ranger:
     def _check(self) -> None:
         model, c, radius = self.model, self.eccentricity_mm, self.microscope.eye_radius_mm
         if model not in MODELS:
-            raise ValueError(
+            raise InputError(
                 f"Ranger(model=...) must be one of {', '.join(MODELS)}; got {model!r}."
             )
         if (model in CONE_MODELS) != (self.calibration.model in CONE_MODELS):
-            raise ValueError(
+            raise InputError(
                 f"Ranger(model={model!r}) does not fit a calibration of the model "
                 f"{self.calibration.model!r}: one is a cone, the other a lens. Leave model out, or "
                 f"calibrate {model}."
             )
         if c is not None and not 0 <= c < radius:
-            raise ValueError(
+            raise InputError(
                 f"Ranger(eccentricity_mm=...) must lie in [0, {radius:g}), inside the eye; got {c} "
                 "mm."
             )
         height = self.microscope.pinhole_height_mm
         if model == "stereographic" and not math.isclose(height, radius, rel_tol=1e-3):
-            raise ValueError(
+            raise InputError(
                 f"Ranger(model='stereographic') needs the pinhole on the sphere, at {radius:g} mm; "
                 f"this microscope has it at {height:g} mm. Take model='corrected'."
             )
@@ -258,7 +259,7 @@ def _unit(axis: ArrayLike) -> np.ndarray:
     vector = np.asarray(axis, float)
     length = float(np.linalg.norm(vector))
     if vector.shape != (3,) or not abs(length - 1) < _UNIT:
-        raise ValueError(
+        raise InputError(
             "Ranger.distance(axis=...) must be a unit vector from the tip towards the wall, (3,); "
             f"got {vector.tolist()}."
         )

@@ -29,6 +29,7 @@ from pydantic import AllowInfNan, ConfigDict, Field
 from estimator.files.json_files import Strict, check_schema, object_in, read_text, validated
 from estimator.files.model_parameters import CalibrationError, check_parameters, quantity
 from estimator.files.whole_files import written_whole
+from optics import InputError
 
 SCHEMA = 1
 
@@ -128,11 +129,11 @@ def read_calibration(path: str | Path) -> Calibration:
     path = Path(path)
     try:
         content = object_in(read_text(path))
-    except ValueError as error:
+    except InputError as error:
         raise CalibrationError(f"{path}: not a calibration file: {error}") from error
     try:
         return _calibration(content)
-    except ValueError as error:
+    except InputError as error:
         raise CalibrationError(f"{path}: {error}") from error
 
 

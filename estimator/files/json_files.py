@@ -12,6 +12,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from optics import InputError
+
 _Model = TypeVar("_Model", bound=BaseModel)
 
 MOST_BYTES = 2**26
@@ -31,17 +33,17 @@ def read_text(path: Path) -> str:
     """The text of a file, UTF-8 with or without a byte order mark.
 
     Raises:
-        ValueError: too large, or not UTF-8.
+        InputError: too large, or not UTF-8.
         OSError: the file cannot be read.
     """
     with path.open("rb") as file:
         data = file.read(MOST_BYTES + 1)
     if len(data) > MOST_BYTES:
-        raise ValueError(f"larger than {MOST_BYTES} bytes. Check that it is the right file.")
+        raise InputError(f"larger than {MOST_BYTES} bytes. Check that it is the right file.")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as fault:
-        raise ValueError(f"not a text file: {fault}.") from fault
+        raise InputError(f"not a text file: {fault}.") from fault
 
 
 def object_in(text: str) -> dict[str, Any]:
@@ -50,18 +52,18 @@ def object_in(text: str) -> dict[str, Any]:
     NaN and infinity are read, so that a model can name the key that has them.
 
     Raises:
-        ValueError: not JSON, not an object, or nested too deeply.
+        InputError: not JSON, not an object, or nested too deeply.
     """
     try:
         content = json.loads(text)
     except RecursionError as fault:
-        raise ValueError(f"nested more than {_DEEPEST} levels deep.") from fault
+        raise InputError(f"nested more than {_DEEPEST} levels deep.") from fault
     except ValueError as fault:  # also a number of more digits than Python reads
-        raise ValueError(f"not JSON ({fault}). Check that the file is whole.") from fault
+        raise InputError(f"not JSON ({fault}). Check that the file is whole.") from fault
     if not isinstance(content, dict):
-        raise ValueError(f"not a JSON object, but {_short(content)}.")
+        raise InputError(f"not a JSON object, but {_short(content)}.")
     if _is_deeper(content, _DEEPEST):
-        raise ValueError(f"nested more than {_DEEPEST} levels deep.")
+        raise InputError(f"nested more than {_DEEPEST} levels deep.")
     return content
 
 
@@ -69,12 +71,12 @@ def check_schema(content: dict[str, Any], known: int, *, remedy: str) -> None:
     """Check the version of a format.
 
     Raises:
-        ValueError: `schema` is missing or not the known one.
+        InputError: `schema` is missing or not the known one.
     """
     if "schema" not in content:
-        raise ValueError("`schema` is missing.")
+        raise InputError("`schema` is missing.")
     if content["schema"] != known:
-        raise ValueError(
+        raise InputError(
             f"schema is {_short(content['schema'])}; this version reads {known}. {remedy}"
         )
 
@@ -88,12 +90,12 @@ def validated(model: type[_Model], content: object, *, remedy: str) -> _Model:
         remedy: sentence that ends the message of an error.
 
     Raises:
-        ValueError: about the first key that breaks a rule.
+        InputError: about the first key that breaks a rule.
     """
     try:
         return model.model_validate(content)
     except ValidationError as fault:
-        raise ValueError(f"{_said(fault)}. {remedy}") from fault
+        raise InputError(f"{_said(fault)}. {remedy}") from fault
 
 
 _RULES = {

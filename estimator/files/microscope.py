@@ -17,6 +17,7 @@ from pydantic import ConfigDict, PlainValidator
 from estimator.files.json_files import Strict, check_schema, object_in, read_text, validated
 from estimator.files.opencv import opencv_camera
 from estimator.image import Camera, Response
+from optics import InputError
 
 if TYPE_CHECKING:
     import optics
@@ -26,7 +27,7 @@ _SAME = 1e-6  # relative; numbers that a file contains twice agree to JSON's dig
 _SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
 
 
-class MicroscopeFileError(ValueError):
+class MicroscopeFileError(InputError):
     """A file describes no microscope that this version can use; the text says why."""
 
 
@@ -129,14 +130,14 @@ def read_microscope(
                 f"{twice[0]} is in the file already. Leave it out of the call, or edit the file."
             )
         return _ours(content)
-    except ValueError as error:
+    except InputError as error:
         raise MicroscopeFileError(f"{path}: {error}") from error
 
 
 def _json_in(text: str) -> dict[str, Any]:
     try:
         return object_in(text)
-    except ValueError:
+    except InputError:
         return {}  # a YAML or XML file of OpenCV
 
 
@@ -151,7 +152,7 @@ def _numbers(*shape: int) -> PlainValidator:
         fits = found.shape == shape if shape else found.ndim == 1
         if not (fits and np.isfinite(found).all()):
             wanted = "x".join(map(str, shape)) or "a list"
-            raise ValueError(f"must be finite numbers ({wanted})")
+            raise InputError(f"must be finite numbers ({wanted})")
         return found
 
     return PlainValidator(array)
@@ -163,7 +164,7 @@ def _curve(value: object) -> Response:
         return Response(curve=value)
     if isinstance(value, int | float) and not isinstance(value, bool):
         return Response(curve="gamma", gamma=float(value))
-    raise ValueError("must be linear, srgb or the exponent of a gamma curve")
+    raise InputError("must be linear, srgb or the exponent of a gamma curve")
 
 
 class _PinholeFile(Strict):

@@ -6,12 +6,14 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from optics import InputError
+
 CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact")
 """Models of a sharp cone: each can use a calibration that was fitted with another of them."""
 MODELS = (*CONE_MODELS, "lens")
 
 
-class CalibrationError(ValueError):
+class CalibrationError(InputError):
     """A calibration that cannot be used; the text names file, key, value and remedy."""
 
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from estimator.image import Camera
+from optics import InputError
 
 _NAMES = {
     "image_width": ("image_width", "image_Width", "width"),
@@ -45,7 +46,7 @@ def opencv_camera(text: str) -> CameraOfFile:
         text: of the file.
 
     Raises:
-        ValueError: cv2.FileStorage does not read it, or a key is missing or not a number; the
+        InputError: cv2.FileStorage does not read it, or a key is missing or not a number; the
             message names the key.
     """
     storage = _storage(text)
@@ -70,7 +71,7 @@ def _storage(text: str) -> cv2.FileStorage:
     except (cv2.error, SystemError):  # its constructor wraps the first in the second
         readable = False
     if not readable:
-        raise ValueError(
+        raise InputError(
             "neither a microscope.json (no `schema` in it) nor a file that cv2.FileStorage reads. "
             "Write it with cv2.FileStorage, or take the one from a stack."
         )
@@ -80,7 +81,7 @@ def _storage(text: str) -> cv2.FileStorage:
 def _count(storage: cv2.FileStorage, name: str) -> int:
     value = _stored(storage, name)
     if value.size != 1 or not value == np.floor(value):
-        raise ValueError(f"{name} must be one whole number; got {value.tolist()}.")
+        raise InputError(f"{name} must be one whole number; got {value.tolist()}.")
     return int(value)
 
 
@@ -96,7 +97,7 @@ def _stored(storage: cv2.FileStorage, name: str) -> np.ndarray:
         if node.isMap() and "dt" in node.keys():
             return np.asarray(node.mat(), float)
         return _plain(node, spelling)
-    raise ValueError(
+    raise InputError(
         f"{name} is missing (looked for {', '.join(_NAMES[name])}). Add it to the file."
     )
 
@@ -107,14 +108,14 @@ def _plain(node: cv2.FileNode, spelling: str) -> np.ndarray:
         shape = tuple(int(node.getNode(key).real()) for key in ("rows", "cols"))
         values = _plain(node.getNode("data"), spelling)
         if math.prod(shape) != values.size:
-            raise ValueError(
+            raise InputError(
                 f"{spelling} has {values.size} numbers, but rows and cols say {shape}."
             )
         return values.reshape(shape)
     parts = [node.at(index) for index in range(node.size())] if node.isSeq() else []
     if not parts or any(part.isString() for part in parts):
-        raise ValueError(f"{spelling} must hold numbers.")
+        raise InputError(f"{spelling} must hold numbers.")
     rows = [np.asarray(p.real()) if not p.isSeq() else _plain(p, spelling) for p in parts]
     if len({row.shape for row in rows}) != 1:
-        raise ValueError(f"{spelling} must have rows of equal length.")
+        raise InputError(f"{spelling} must have rows of equal length.")
     return np.stack(rows)

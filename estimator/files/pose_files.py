@@ -9,6 +9,7 @@ from typing import Any
 
 from estimator.files.poses import Pose, PoseTrack
 from estimator.files.ros_bags import is_bag, messages_of, opened_bag, stamp_s, topic_in
+from optics import InputError
 
 POSE_TOPIC = "/eye_robot/FrameEE"
 """The rig's topic of poses: the instrument's tip as a `geometry_msgs/Transform` in mm, which
@@ -35,15 +36,15 @@ def read_poses(path: str | Path, *, topic: str | None = None) -> PoseTrack:
         topic: of the poses in a bag; None takes `POSE_TOPIC`, or the only topic with poses.
 
     Raises:
-        ValueError: the file is not readable or contains no poses, or the bag has no such topic; the
+        InputError: the file is not readable or contains no poses, or the bag has no such topic; the
             message names the file and the line.
     """
     path = Path(path)
     if not path.exists():
-        raise ValueError(f"{path}: there is no such file. Check the path of the poses.")
+        raise InputError(f"{path}: there is no such file. Check the path of the poses.")
     track = PoseTrack(_from_bag(path, topic) if is_bag(path) else _from_csv(path))
     if not len(track):
-        raise ValueError(f"{path} holds no poses.")
+        raise InputError(f"{path} holds no poses.")
     return track
 
 
@@ -53,8 +54,8 @@ def _from_bag(path: Path, topic: str | None) -> Iterator[Pose]:
         for index, (received_s, message) in enumerate(messages_of(reader, path, topic)):
             try:
                 yield _pose_of_message(message, received_s)
-            except ValueError as error:
-                raise ValueError(f"{path}, {topic}, message {index}: {error}") from error
+            except InputError as error:
+                raise InputError(f"{path}, {topic}, message {index}: {error}") from error
 
 
 def _pose_of_message(message: Any, received_s: float) -> Pose:
@@ -79,16 +80,16 @@ def _from_csv(path: Path) -> list[Pose]:
             direction = _QUATERNION if set(_QUATERNION) <= set(names) else _AXIS
             missing = [name for name in ("time_s", *_POSITION, *direction) if name not in names]
             if missing:
-                raise ValueError(
+                raise InputError(
                     f"{path}, line 1: no poses: column {missing[0]!r} is missing. Name the columns"
                     f" time_s, {', '.join(_POSITION)}, and {', '.join(_QUATERNION)} or"
                     f" {', '.join(_AXIS)}."
                 )
             return [_pose(row, direction, f"{path}, line {rows.line_num}") for row in rows]
     except OSError as error:
-        raise ValueError(f"{path} could not be read: {error.strerror}.") from error
+        raise InputError(f"{path} could not be read: {error.strerror}.") from error
     except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not a CSV file of poses: {error}.") from error
+        raise InputError(f"{path}: not a CSV file of poses: {error}.") from error
 
 
 def _pose(row: dict[str, str], direction: tuple[str, ...], where: str) -> Pose:
@@ -96,7 +97,7 @@ def _pose(row: dict[str, str], direction: tuple[str, ...], where: str) -> Pose:
         try:
             return float(row[name])
         except (TypeError, ValueError):
-            raise ValueError(f"{where}: {name} must be a number; got {row[name]!r}.") from None
+            raise InputError(f"{where}: {name} must be a number; got {row[name]!r}.") from None
 
     time_s = number("time_s")
     x, y, z = map(number, _POSITION)
@@ -107,5 +108,5 @@ def _pose(row: dict[str, str], direction: tuple[str, ...], where: str) -> Pose:
             return Pose.along((ax, ay, az), time_s=time_s, position_mm=(x, y, z))
         qx, qy, qz, qw = towards
         return Pose(time_s=time_s, position_mm=(x, y, z), rotation=(qx, qy, qz, qw))
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None

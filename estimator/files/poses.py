@@ -10,6 +10,8 @@ from typing import Self
 
 import numpy as np
 
+from optics import InputError
+
 _UNIT = 0.01  # tolerance of a unit length: files round
 
 Vector = tuple[float, float, float]
@@ -33,7 +35,7 @@ class Pose:
     def __post_init__(self) -> None:
         """Refuse invalid poses, and normalise the quaternion."""
         if not all(map(math.isfinite, (self.time_s, *self.position_mm))):
-            raise ValueError(
+            raise InputError(
                 "Pose(time_s=..., position_mm=...) must be finite;"
                 f" got {self.time_s} s, {self.position_mm} mm."
             )
@@ -72,7 +74,7 @@ def unit_quaternion(rotation: Quaternion) -> Quaternion:
     """A quaternion (x, y, z, w) of unit length, without the rounding of a file.
 
     Raises:
-        ValueError: its length is not 1 to a percent.
+        InputError: its length is not 1 to a percent.
     """
     x, y, z, w = _of_unit_length(rotation, "A rotation must be a unit quaternion (x, y, z, w)")
     return x, y, z, w
@@ -81,7 +83,7 @@ def unit_quaternion(rotation: Quaternion) -> Quaternion:
 def _of_unit_length(parts: tuple[float, ...], rule: str) -> Iterator[float]:
     length = math.hypot(*parts)
     if not abs(length - 1) <= _UNIT:
-        raise ValueError(f"{rule}; got {parts}, of length {length:.3g}.")
+        raise InputError(f"{rule}; got {parts}, of length {length:.3g}.")
     return (part / length for part in parts)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from estimator.files.whole_files import damage_reported
+from optics import InputError
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -29,7 +30,7 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     """A bag, opened for the `with` block.
 
     Raises:
-        ValueError: the file is not a bag or is damaged.
+        InputError: the file is not a bag or is damaged.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -59,7 +60,7 @@ def topic_in(
         usual: name of the rig's topic.
 
     Raises:
-        ValueError: the bag has no such topic, or several and none was named.
+        InputError: the bag has no such topic, or several and none was named.
     """
     found = sorted(t for t, info in reader.topics.items() if info.msgtype in kinds)
     wanted = name or (usual if usual in found else None)
@@ -70,14 +71,14 @@ def topic_in(
     content = kinds[0].rpartition("/")[2].lower()
     asked = f"no topic {name} of" if name else "no one topic of" if found else "no topic of"
     choice = f"Choose one of {', '.join(found)}." if found else "Check that it is the right bag."
-    raise ValueError(f"{path} holds {asked} {' or '.join(kinds)} for the {content}s. {choice}")
+    raise InputError(f"{path} holds {asked} {' or '.join(kinds)} for the {content}s. {choice}")
 
 
 def messages_of(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[float, Any]]:
     """Time of arrival (s) and content of each message of a topic, in the order of arrival.
 
     Raises:
-        ValueError: a message is damaged.
+        InputError: a message is damaged.
     """
     messages = reader.messages([c for c in reader.connections if c.topic == topic])
     for index in itertools.count():

@@ -18,6 +18,7 @@ import numpy as np
 
 from estimator.files.whole_files import damage_reported, written_whole
 from estimator.image import PARAMETERS, NoSpot, Reason, Spot
+from optics import InputError
 
 SCHEMA_VERSION = 1
 
@@ -98,7 +99,7 @@ def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
         records: in the order of the file's lines.
 
     Raises:
-        ValueError: Parquet without pyarrow installed.
+        InputError: Parquet without pyarrow installed.
     """
     write = _write_parquet if _is_parquet(path) else _write_csv
     with written_whole(Path(path)) as partial:
@@ -109,7 +110,7 @@ def read_spots(path: str | Path) -> list[SpotRecord]:
     """Read a spots file.
 
     Raises:
-        ValueError: not a spots file, of another schema version, or with a wrong value; the message
+        InputError: not a spots file, of another schema version, or with a wrong value; the message
             names the file and the line.
     """
     rows = _parquet_rows(Path(path)) if _is_parquet(path) else _csv_rows(Path(path))
@@ -120,12 +121,12 @@ def pyarrow() -> Any:
     """The library that reads and writes Parquet, loaded when it is needed.
 
     Raises:
-        ValueError: it is not installed.
+        InputError: it is not installed.
     """
     try:
         importlib.import_module("pyarrow.parquet")
     except ModuleNotFoundError as error:
-        raise ValueError(
+        raise InputError(
             "Parquet needs the package pyarrow: pip install 'eyespot[parquet]'. CSV needs nothing."
         ) from error
     return importlib.import_module("pyarrow")
@@ -151,7 +152,7 @@ def _csv_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
             for row in rows:
                 yield row, f"{path}, line {rows.line_num}"
         except (csv.Error, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: not a spots file: {error}.") from error
+            raise InputError(f"{path}: not a spots file: {error}.") from error
 
 
 def _write_parquet(path: Path, records: Iterable[SpotRecord]) -> None:
@@ -178,7 +179,7 @@ def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
 def _check_columns(names: Collection[str], where: str) -> None:
     missing = [name for name in COLUMNS if name not in names]
     if missing:
-        raise ValueError(
+        raise InputError(
             f"{where}: not a spots file: column {missing[0]!r} is missing"
             f" ({len(missing)} of {len(COLUMNS)} are). Write it with write_spots."
         )
@@ -212,9 +213,9 @@ def _value(cell: str) -> float | None:
 
 def _record(row: dict[str, str], where: str) -> SpotRecord:
     if None in row or None in row.values():
-        raise ValueError(f"{where}: {len(COLUMNS)} cells expected, as in the header.")
+        raise InputError(f"{where}: {len(COLUMNS)} cells expected, as in the header.")
     if row["schema_version"] != str(SCHEMA_VERSION):
-        raise ValueError(
+        raise InputError(
             f"{where}: schema_version is {row['schema_version']!r}; this software reads"
             f" {SCHEMA_VERSION}. Write the file again with this version."
         )
@@ -224,7 +225,7 @@ def _record(row: dict[str, str], where: str) -> SpotRecord:
     try:
         frame = int(row["frame"])
     except ValueError:
-        raise ValueError(f"{where}: frame must be a whole number; got {row['frame']!r}.") from None
+        raise InputError(f"{where}: frame must be a whole number; got {row['frame']!r}.") from None
     return SpotRecord(
         frame=frame,
         file_name=row["file_name"],
@@ -240,7 +241,7 @@ def _number(row: dict[str, str], name: str, where: str) -> float:
     try:
         return float(cell) if cell else math.nan
     except ValueError:
-        raise ValueError(f"{where}: {name} must be a number or empty; got {cell!r}.") from None
+        raise InputError(f"{where}: {name} must be a number or empty; got {cell!r}.") from None
 
 
 def _result(row: dict[str, str], values: dict[str, float], where: str) -> Spot | NoSpot:
@@ -249,11 +250,11 @@ def _result(row: dict[str, str], values: dict[str, float], where: str) -> Spot |
             return NoSpot(Reason(row["reason"]))
         except ValueError:
             known = ", ".join(reason.value for reason in Reason)
-            raise ValueError(
+            raise InputError(
                 f"{where}: reason must be one of {known}; got {row['reason']!r}."
             ) from None
     if row["status"] != "spot":
-        raise ValueError(f"{where}: status must be spot or no_spot; got {row['status']!r}.")
+        raise InputError(f"{where}: status must be spot or no_spot; got {row['status']!r}.")
     covariance = np.empty((5, 5))
     for (i, j), name in zip(_UPPER, _COVARIANCES, strict=True):
         covariance[i, j] = covariance[j, i] = values[name]

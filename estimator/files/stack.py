@@ -27,6 +27,7 @@ from pydantic import ConfigDict, Field, create_model
 from pydantic import Strict as StrictType
 
 from estimator.files.json_files import Strict, object_in, read_text, validated
+from optics import InputError
 
 SCHEMA = 1
 _PNG_END = b"IEND\xaeB`\x82"  # the last chunk's name and checksum
@@ -35,7 +36,7 @@ Vector = Annotated[tuple[float, float, float], StrictType(False)]
 """Three numbers; JSON has a list for the tuple."""
 
 
-class StackError(ValueError):
+class StackError(InputError):
     """A folder is not a stack, or not one that this version reads; the text says which file."""
 
 
@@ -155,7 +156,7 @@ class Stack:
             )
         except FileNotFoundError as error:
             raise StackError(f"{path} is missing.") from error
-        except ValueError as error:
+        except InputError as error:
             raise StackError(f"{path}: {error}") from error
 
 
@@ -210,7 +211,7 @@ def read_stack(folder: Path) -> Stack:
 def _parse(folder: Path, number: int, line: str) -> FrameLabels:
     try:
         row = validated(_Row, object_in(line), remedy="Render the stack again.")
-    except ValueError as error:
+    except InputError as error:
         raise StackError(f"{folder / 'metadata.jsonl'}, line {number}: {error}") from error
     return FrameLabels(**vars(row))
 

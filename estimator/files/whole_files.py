@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from optics import InputError
+
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
@@ -46,7 +48,7 @@ def damage_reported(where: str, remedy: str) -> Iterator[None]:
         raise
     except Exception as error:
         said = " ".join(f"{error}".split()).rstrip(".") or type(error).__name__
-        raise ValueError(f"{where}: cannot be read: {said}. {remedy}") from error
+        raise InputError(f"{where}: cannot be read: {said}. {remedy}") from error
 
 
 def _remove(path: Path) -> None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from optics import InputError
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Camera:
@@ -24,12 +26,12 @@ class Camera:
         """Refuse matrices and coefficients that OpenCV cannot use."""
         matrix, distortion = np.asarray(self.matrix, float), np.asarray(self.distortion, float)
         if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or matrix[0, 0] <= 0:
-            raise ValueError(
+            raise InputError(
                 "Camera(matrix=...) must be a finite 3x3 matrix with positive focal lengths;"
                 f" got shape {matrix.shape}."
             )
         if distortion.size not in (4, 5, 8, 12, 14) or not np.isfinite(distortion).all():
-            raise ValueError(
+            raise InputError(
                 "Camera(distortion=...) must have 4, 5, 8, 12 or 14 finite coefficients;"
                 f" got {distortion.size}."
             )

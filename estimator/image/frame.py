@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from optics import InputError
+
 FULL_SCALE = {np.uint8: 255.0, np.uint16: 65535.0, np.float32: 1.0, np.float64: 1.0}
 """Types of a frame's values, and the value at which they saturate by default."""
 
@@ -15,27 +17,27 @@ def checked_frame(frame: np.ndarray) -> np.ndarray:
     """A frame as (H, W) or (H, W, 3) in native byte order.
 
     Raises:
-        ValueError: not an array of uint8, uint16, float32 or float64, not grey or RGB, empty, or
+        InputError: not an array of uint8, uint16, float32 or float64, not grey or RGB, empty, or
             not finite.
     """
     if not isinstance(frame, np.ndarray):
-        raise ValueError(f"A frame must be a NumPy array; got {type(frame).__name__}.")
+        raise InputError(f"A frame must be a NumPy array; got {type(frame).__name__}.")
     if frame.dtype.type not in FULL_SCALE:
-        raise ValueError(
+        raise InputError(
             f"A frame must be uint8, uint16, float32 or float64; got {frame.dtype.name}."
             " Convert it with astype, and give Response(full_scale=...) if its range differs."
         )
     if frame.ndim == 3 and frame.shape[2] == 1:
         frame = frame[:, :, 0]
     if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3):
-        raise ValueError(
+        raise InputError(
             f"A frame must have shape (H, W) or (H, W, 3), RGB; got {frame.shape}."
             " Drop an alpha channel with frame[:, :, :3]."
         )
     if frame.size == 0:
-        raise ValueError(f"A frame must have pixels; got shape {frame.shape}.")
+        raise InputError(f"A frame must have pixels; got shape {frame.shape}.")
     if frame.dtype.kind == "f" and not np.abs(frame).max() < 1e12:
-        raise ValueError(
+        raise InputError(
             "A frame must be finite (and below 1e12); got NaN, infinity or more."
             " Replace such pixels before measuring."
         )

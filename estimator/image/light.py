@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from estimator.image.frame import FULL_SCALE, Window, checked_frame
+from optics import InputError
 
 GREY = -1
 """Channel number of the weighted mean of red, green and blue."""
@@ -38,13 +39,13 @@ class Response:
     def __post_init__(self) -> None:
         """Reject curves that cannot be inverted."""
         if self.curve not in ("linear", "srgb", "gamma"):
-            raise ValueError(
+            raise InputError(
                 f"Response(curve=...) must be 'linear', 'srgb' or 'gamma'; got {self.curve!r}."
             )
         if not 0 < self.gamma < float("inf"):
-            raise ValueError(f"Response(gamma=...) must be positive; got {self.gamma}.")
+            raise InputError(f"Response(gamma=...) must be positive; got {self.gamma}.")
         if self.full_scale is not None and not 0 < self.full_scale < float("inf"):
-            raise ValueError(f"Response(full_scale=...) must be positive; got {self.full_scale}.")
+            raise InputError(f"Response(full_scale=...) must be positive; got {self.full_scale}.")
 
     def full_scale_of(self, frame: np.ndarray) -> float:
         """Value at which the frame's pixels saturate."""
@@ -80,10 +81,10 @@ class LightMeter:
         """Refuse frames that do not fit the reference.
 
         Raises:
-            ValueError: the reference frame has another shape.
+            InputError: the reference frame has another shape.
         """
         if self._reference is not None and self._reference.shape != frame.shape:
-            raise ValueError(
+            raise InputError(
                 "SubpixelSettings(reference=...) must have the frames' shape;"
                 f" got {self._reference.shape}, frame {frame.shape}."
             )

@@ -13,6 +13,7 @@ import sys
 from typing import Any
 
 from estimator.rig.rig import POSES_KEPT, Parameters, Rig
+from optics import InputError
 
 _DEBIAN_PACKAGES = "/usr/lib/python3/dist-packages"  # rospy, outside of environments
 # Larger than an uncompressed 1920x1080 RGB image (6.2 MB). In a smaller buffer old images wait, so
@@ -27,7 +28,7 @@ def main() -> None:
         rospy.init_node("eyespot")
         parameters = Parameters.of(rospy.get_param("~", {}))
         connect(Rig(parameters), parameters)
-    except (ValueError, OSError) as error:
+    except (InputError, OSError) as error:
         print(f"eyespot: {error}", file=sys.stderr)
         sys.exit(2)
     rospy.spin()
@@ -89,7 +90,7 @@ def _imported_rospy() -> Any:
     """ROS's library for Python, which is not installed in the environment.
 
     Raises:
-        ValueError: ROS is not installed.
+        InputError: ROS is not installed.
     """
     # At the end of the path, so that it hides no package of the environment. The folders of a ROS
     # whose setup file was sourced come first.
@@ -97,7 +98,7 @@ def _imported_rospy() -> Any:
     try:
         return importlib.import_module("rospy")
     except ModuleNotFoundError as error:
-        raise ValueError(
+        raise InputError(
             f"ROS 1 is not installed: {error}. Run tools/install-ros, or source the setup file of"
             " your ROS."
         ) from error

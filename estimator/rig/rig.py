@@ -61,7 +61,7 @@ class Rig:
         parameters: of the node.
 
     Raises:
-        ValueError: parameters or files are wrong, alone or together.
+        InputError: parameters or files are wrong, alone or together.
         OSError: a file cannot be read.
     """
 
@@ -77,7 +77,7 @@ class Rig:
             received_s: when it arrived, s: the message has no time stamp.
 
         Raises:
-            ValueError: its rotation is no unit quaternion, or a number is not finite.
+            InputError: its rotation is no unit quaternion, or a number is not finite.
         """
         position, turn = message.translation, message.rotation
         pose = Pose(
@@ -96,7 +96,7 @@ class Rig:
             time_s: of its header, s.
 
         Raises:
-            ValueError: it cannot be decoded, or as `Reader.read`.
+            InputError: it cannot be decoded, or as `Reader.read`.
         """
         image = frame_of_message(message)
         return _output(self._reader.read(image, time_s=time_s, poses=PoseTrack(self._poses)))

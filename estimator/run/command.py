@@ -17,6 +17,7 @@ import typer
 
 from estimator.run.options import Options, with_options
 from estimator.run.progress_bar import progress
+from optics import InputError
 
 if TYPE_CHECKING:
     from estimator.files import SpotRecord
@@ -95,7 +96,7 @@ def track(
             ("eye_from_robot", options["eye_from_robot"]),
         ):
             if value is not None:
-                raise ValueError(f"{name} has no effect without poses. Give both, or neither.")
+                raise InputError(f"{name} has no effect without poses. Give both, or neither.")
     frames = open_source(source, exposure=exposure, image_topic=image_topic)
     if unrelated is not None:
         frames = replace(frames, unrelated=unrelated)
@@ -137,18 +138,18 @@ def _check_results(out: Path, overlay: Path | None) -> None:
     from estimator.run.overlay import check_overlay_path
 
     if out.suffix.lower() not in (".csv", ".parquet"):
-        raise ValueError(f"{out}: a spots file is named .csv or .parquet; got {out.suffix!r}.")
+        raise InputError(f"{out}: a spots file is named .csv or .parquet; got {out.suffix!r}.")
     if out.suffix.lower() == ".parquet":
         pyarrow()
     if overlay is not None:
         check_overlay_path(overlay)
     for path in filter(None, (out, overlay)):
         if path.exists():
-            raise ValueError(
+            raise InputError(
                 f"{path} exists already. Choose another name; nothing is written over."
             )
         if not path.parent.is_dir():
-            raise ValueError(
+            raise InputError(
                 f"{path.parent} is not a folder. Make it, or write {path.name} elsewhere."
             )
 
@@ -178,4 +179,4 @@ def _report_early_end(tracking: Tracking, out: Path) -> None:
         print(f"Stopped. {kept} measured so far.", file=sys.stderr)
         raise KeyboardInterrupt
     if tracking.ended is Ended.BROKEN:
-        raise ValueError(f"{tracking.fault} {kept} before that.")
+        raise InputError(f"{tracking.fault} {kept} before that.")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from estimator.files import PoseTrack, SpotRecord
 from estimator.run.reader import Reader, Reading
 from estimator.sources import Frame, Source
+from optics import InputError
 
 if TYPE_CHECKING:
     from estimator.run.overlay import Draw
@@ -72,7 +73,7 @@ def track_source(
         progress: gets every record.
 
     Raises:
-        ValueError: the first frame cannot be measured: it is unreadable, has no time although
+        InputError: the first frame cannot be measured: it is unreadable, has no time although
             there are poses, or as `Reader.read`.
         KeyboardInterrupt: stopped before the first frame was measured.
     """
@@ -92,12 +93,12 @@ def track_source(
         if not records:
             raise
         ended = Ended.COMPLETE if source.live else Ended.INTERRUPTED
-    except (ValueError, OSError) as error:
+    except (InputError, OSError) as error:
         if not records:
             raise
         ended, fault = Ended.BROKEN, str(error)
     if not records:
-        raise ValueError(f"{source.name} holds no frames. Check that it is the right one.")
+        raise InputError(f"{source.name} holds no frames. Check that it is the right one.")
     return Tracking(records=records, doubtful=doubtful, ended=ended, fault=fault)
 
 
@@ -109,7 +110,7 @@ def _readings(
             reader.forget()
         where = f"{source.name}, frame {frame.index}"
         if poses is not None and math.isnan(frame.time_s):
-            raise ValueError(
+            raise InputError(
                 f"{where} has no time, so that no pose belongs to it. Leave the poses out, or use"
                 " a bag or a video."
             )
@@ -120,8 +121,8 @@ def _readings(
                 exposure_s=frame.exposure_s,
                 poses=poses or PoseTrack(()),
             )
-        except ValueError as error:
-            raise ValueError(f"{where}: {error}") from error
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from error
         yield frame, reading
 
 

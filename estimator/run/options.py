@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from estimator.files import Quaternion, unit_quaternion
+from optics import InputError
 
 if TYPE_CHECKING:
     from estimator.detector import LiteralSettings, SubpixelSettings
@@ -40,7 +41,7 @@ def _point(given: Any) -> tuple[float, float] | None:
     try:
         return _POINT.validate_python(_parts(given))
     except ValidationError:
-        raise ValueError("must be X,Y in px, such as 320,240, or auto") from None
+        raise InputError("must be X,Y in px, such as 320,240, or auto") from None
 
 
 def _turn(given: Any) -> Quaternion | None:
@@ -49,7 +50,7 @@ def _turn(given: Any) -> Quaternion | None:
     try:
         return unit_quaternion(_QUATERNION.validate_python(_parts(given)))
     except ValueError:
-        raise ValueError(
+        raise InputError(
             "must be a unit quaternion QX,QY,QZ,QW, such as 0,0,0,1 for no turn"
         ) from None
 
@@ -123,7 +124,7 @@ class Options(BaseModel):
         """The given options, and the defaults of the others.
 
         Raises:
-            ValueError: an unknown option, or a value of the wrong kind.
+            InputError: an unknown option, or a value of the wrong kind.
         """
         try:
             return cls.model_validate(given)
@@ -132,15 +133,15 @@ class Options(BaseModel):
             name = problem["loc"][0]
             if name not in cls.model_fields:
                 known = ", ".join(cls.model_fields)
-                raise ValueError(f"{name} is unknown; known are {known}.") from error
+                raise InputError(f"{name} is unknown; known are {known}.") from error
             rule = problem.get("ctx", {}).get("error", problem["msg"])
-            raise ValueError(f"{name}: {rule}; got {given[str(name)]!r}.") from error
+            raise InputError(f"{name}: {rule}; got {given[str(name)]!r}.") from error
 
     def reader(self) -> Reader:
         """Read the files and prepare the measurement; `Ranger` says how long that takes.
 
         Raises:
-            ValueError: options or files are wrong, alone or together.
+            InputError: options or files are wrong, alone or together.
             OSError: a file cannot be read.
         """
         from estimator.distance import Ranger
@@ -149,7 +150,7 @@ class Options(BaseModel):
 
         for name, other in _NEEDS.items():
             if getattr(self, name) is not None and getattr(self, other) is None:
-                raise ValueError(f"{name} has no effect without {other}. Give both, or neither.")
+                raise InputError(f"{name} has no effect without {other}. Give both, or neither.")
         microscope = ranger = None
         if self.microscope is not None:
             microscope = read_microscope(
@@ -179,12 +180,12 @@ class Options(BaseModel):
 
         given: dict[str, Any] = dict(self.settings)
         if given.keys() & {"response", "camera", "reference"}:
-            raise ValueError("settings are numbers; response and camera are the microscope file's.")
+            raise InputError("settings are numbers; response and camera are the microscope file's.")
         camera = None
         if microscope is not None:
             camera, given["response"] = microscope.camera(), microscope.response
         if self.mode == "literal" and camera is not None:
-            raise ValueError(
+            raise InputError(
                 "the literal mode does not take the lens's distortion out, which the microscope"
                 " file describes. Use the sub-pixel mode, or a microscope file without distortion."
             )
@@ -193,7 +194,7 @@ class Options(BaseModel):
                 return LiteralSettings(**given)
             return SubpixelSettings(camera=camera, **given)
         except TypeError as error:
-            raise ValueError(f"settings: {error}.") from error
+            raise InputError(f"settings: {error}.") from error
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:

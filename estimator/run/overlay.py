@@ -13,6 +13,7 @@ import numpy as np
 from estimator.files import SpotRecord, written_whole
 from estimator.image import Camera, NoSpot, Response, Spot
 from estimator.sources import Frame
+from optics import InputError
 
 RIG_RATE_HZ = 10.0
 """Frame rate of the rig's camera, and of an overlay video if the source's rate is unknown."""
@@ -69,7 +70,7 @@ def overlay_writer(
         not the video's, and OSError where nothing can be written.
 
     Raises:
-        ValueError: another suffix.
+        InputError: another suffix.
     """
     check_overlay_path(path)
     kind = _video if path.suffix else _folder
@@ -84,7 +85,7 @@ def overlay_writer(
 def check_overlay_path(path: Path) -> None:
     """Raise a ValueError unless a path names a folder or a supported kind of video."""
     if path.suffix.lower() not in (*_CODECS, ""):
-        raise ValueError(
+        raise InputError(
             f"{path}: an overlay is a video ({', '.join(_CODECS)}) or a folder, whose name has no"
             f" suffix; got {path.suffix!r}."
         )
@@ -104,7 +105,7 @@ def _video(path: Path, rate_hz: float) -> Iterator[Callable[[np.ndarray], None]]
             if not writer.open(str(path), codec, rate_hz, size):
                 raise OSError(f"{path} cannot be written as a video. Choose a folder of PNGs.")
         if this != size:
-            raise ValueError(
+            raise InputError(
                 f"a video's frames must have one size; got {this} px after {size} px. Choose a"
                 " folder for the overlay."
             )

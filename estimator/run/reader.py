@@ -14,6 +14,7 @@ from estimator.detector import LiteralSettings, SubpixelSettings, TrackState, me
 from estimator.distance import Range, RangeFlag, Ranger
 from estimator.files import PoseTrack, Quaternion, turned
 from estimator.image import NoSpot, Spot
+from optics import InputError
 
 _NO_POSES = PoseTrack(())
 
@@ -109,7 +110,7 @@ class Reader:
             poses: of the robot.
 
         Raises:
-            ValueError: the image is not an image or not of the microscope's size, or the start lies
+            InputError: the image is not an image or not of the microscope's size, or the start lies
                 outside of the first image.
         """
         self._check(image)
@@ -134,13 +135,13 @@ class Reader:
         height, width = image.shape[:2]
         if self._size_px is not None and self._size_px != (width, height):
             made_for = "x".join(map(str, self._size_px))
-            raise ValueError(
+            raise InputError(
                 f"the image is {width}x{height} px, but the microscope file is made for {made_for}"
                 " px. Calibrate the microscope at the images' size."
             )
         x, y = self._start or (0.0, 0.0)
         if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
-            raise ValueError(
+            raise InputError(
                 f"the start ({x:g}, {y:g}) px lies outside of the image of {width}x{height} px."
                 " Give x to the right and y down, from 0, or auto."
             )

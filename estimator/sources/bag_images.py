@@ -9,6 +9,7 @@ from pathlib import Path
 from estimator.files import messages_of, opened_bag, stamp_s, topic_in
 from estimator.sources.ros_images import frame_of_message
 from estimator.sources.source import Frame, Source
+from optics import InputError
 
 IMAGE_TOPIC = "/decklink/camera/image_raw"
 """The rig's topic of microscope images."""
@@ -20,13 +21,13 @@ def open_bag(path: Path, *, topic: str | None = None) -> Source:
     """The images of a bag as a source.
 
     Raises:
-        ValueError: as `read_frames`, or the bag has no images.
+        InputError: as `read_frames`, or the bag has no images.
     """
     with opened_bag(path) as reader:
         topic = topic_in(reader, path, topic, kinds=IMAGE_MESSAGES, usual=IMAGE_TOPIC)
         length = reader.topics[topic].msgcount
     if not length:
-        raise ValueError(f"{path}: {topic} holds no images. Check that it is the right bag.")
+        raise InputError(f"{path}: {topic} holds no images. Check that it is the right bag.")
     return Source(name=str(path), read=partial(read_frames, path, topic=topic), length=length)
 
 
@@ -42,14 +43,14 @@ def read_frames(path: Path, *, topic: str | None = None) -> Iterator[Frame]:
         ROS's epoch.
 
     Raises:
-        ValueError: not a bag, damaged, without such a topic, or an image cannot be decoded.
+        InputError: not a bag, damaged, without such a topic, or an image cannot be decoded.
     """
     with opened_bag(path) as reader:
         topic = topic_in(reader, path, topic, kinds=IMAGE_MESSAGES, usual=IMAGE_TOPIC)
         for index, (received_s, message) in enumerate(messages_of(reader, path, topic)):
             try:
                 image = frame_of_message(message)
-            except ValueError as error:
-                raise ValueError(f"{path}, {topic}, frame {index}: {error}") from error
+            except InputError as error:
+                raise InputError(f"{path}, {topic}, frame {index}: {error}") from error
             time_s = stamp_s(message.header) or received_s
             yield Frame(index=index, file_name="", time_s=time_s, image=image)

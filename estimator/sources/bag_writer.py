@@ -19,6 +19,7 @@ from estimator.image import checked_frame
 from estimator.sources.bag_images import IMAGE_MESSAGES, IMAGE_TOPIC
 from estimator.sources.ros_images import encoding_of
 from estimator.sources.source import Frame
+from optics import InputError
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -50,12 +51,12 @@ def write_bag(
         pose_topic: name of the poses' topic.
 
     Raises:
-        ValueError: the file exists, a time is not positive (ROS reads 0 as no time: add an
+        InputError: the file exists, a time is not positive (ROS reads 0 as no time: add an
             offset to frames and poses alike), or an image is of floats.
     """
     path = Path(path)
     if path.exists():
-        raise ValueError(f"{path} exists already. Choose another name or remove it.")
+        raise InputError(f"{path} exists already. Choose another name or remove it.")
     version = _ros(ros)
     # ROS 2 names the file inside a bag after the bag, so the bag keeps its name and is written into
     # another folder first.
@@ -106,7 +107,7 @@ def _ros(version: Literal[1, 2]) -> _Ros:
 
 def _nanoseconds(time_s: float) -> int:
     if not time_s >= 1e-9:
-        raise ValueError(
+        raise InputError(
             f"A bag's times must be positive, because ROS reads 0 as no time; got {time_s} s."
             " Add one offset to the times of frames and poses."
         )

@@ -16,6 +16,7 @@ import numpy as np
 from estimator.files import damage_reported
 from estimator.image import checked_frame
 from estimator.sources.source import AGAIN, Frame, Source
+from optics import InputError
 
 if TYPE_CHECKING:
     from tifffile import TiffFile
@@ -31,7 +32,7 @@ def open_folder(folder: Path) -> Source:
     frame_000.png, frame_002.png, are a recording. All others are unrelated to each other.
 
     Raises:
-        ValueError: it contains no images.
+        InputError: it contains no images.
     """
     pictures = [
         path
@@ -39,7 +40,7 @@ def open_folder(folder: Path) -> Source:
         if path.suffix.lower() in IMAGES and not path.name.startswith(".")
     ]
     if not pictures:
-        raise ValueError(
+        raise InputError(
             f"{folder} holds no images ({', '.join(IMAGES)}), and is neither a stack (stack.toml)"
             " nor a ROS 2 bag (metadata.yaml). Check the path."
         )
@@ -84,12 +85,12 @@ def _picture(path: Path, index: int) -> np.ndarray:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise ValueError(f"{where}: cannot be read: {error.strerror}.") from error
+        raise InputError(f"{where}: cannot be read: {error.strerror}.") from error
     cut = _cut_short(data)
     image = None if cut or not data else cv2.imdecode(np.frombuffer(data, np.uint8), -1)
     if image is None:
         fault = "is empty" if not data else "is truncated" if cut else "is damaged or not an image"
-        raise ValueError(f"{where} {fault}. {AGAIN}")
+        raise InputError(f"{where} {fault}. {AGAIN}")
     with damage_reported(where, AGAIN):
         return rgb_of_opencv(image)
 
@@ -98,7 +99,7 @@ def rgb_of_opencv(image: np.ndarray) -> np.ndarray:
     """An image in OpenCV's order of channels as a frame, without its alpha channel.
 
     Raises:
-        ValueError: as `image.checked_frame`.
+        InputError: as `image.checked_frame`.
     """
     if image.ndim == 3 and image.shape[2] in (3, 4):
         order = cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB
@@ -119,7 +120,7 @@ def open_tiff(path: Path) -> Source:
     """The pages of a TIFF.
 
     Raises:
-        ValueError: it cannot be read.
+        InputError: it cannot be read.
     """
     import logging
 
@@ -135,7 +136,7 @@ def open_tiff(path: Path) -> Source:
         file.filehandle.seek(end or 0)
         whole = end is not None and not any(file.filehandle.read(size))
     if whole and announced > length:
-        raise ValueError(
+        raise InputError(
             f"{path} holds {announced} images in {length} pages, as ImageJ writes files above"
             " 4 GB. Save it as a BigTIFF or as a folder of images."
         )
@@ -148,7 +149,7 @@ def open_tiff(path: Path) -> Source:
                     image = _page(file, index)
                 yield Frame(index=index, file_name="", time_s=math.nan, image=image)
         if not whole:
-            raise ValueError(f"{path} breaks off after frame {length - 1}. {AGAIN}")
+            raise InputError(f"{path} breaks off after frame {length - 1}. {AGAIN}")
 
     return Source(name=str(path), read=read, length=length)
 
@@ -162,7 +163,7 @@ def _page(file: TiffFile, index: int) -> np.ndarray:
         # on, so it is used for these only.
         seen, images = cv2.imreadmulti(file.filehandle.path, index, 1, flags=cv2.IMREAD_UNCHANGED)
         if not seen:
-            raise ValueError(f"page {index} cannot be decoded")
+            raise InputError(f"page {index} cannot be decoded")
         return rgb_of_opencv(images[0])
     image = page.asarray()
     if page.axes == "SYX":

@@ -14,6 +14,7 @@ from estimator.sources.bag_images import open_bag
 from estimator.sources.images import IMAGES, TIFF, open_folder, open_image, open_tiff
 from estimator.sources.source import Frame, Source
 from estimator.sources.videos import open_camera, open_video
+from optics import InputError
 
 
 def open_source(
@@ -28,7 +29,7 @@ def open_source(
         image_topic: of a bag, see `bag_images.read_frames`.
 
     Raises:
-        ValueError: the source does not exist, cannot be read or is empty, or it has no such
+        InputError: the source does not exist, cannot be read or is empty, or it has no such
             exposure or topic. Reading the frames raises it for damage that is found later.
     """
     path = Path(source)
@@ -36,9 +37,9 @@ def open_source(
         if str(source).isdecimal():
             opened = open_camera(int(str(source)))
         else:
-            raise ValueError(f"{path}: there is no such file or folder. Check the path.")
+            raise InputError(f"{path}: there is no such file or folder. Check the path.")
     elif not os.access(path, os.R_OK):
-        raise ValueError(f"{path} may not be read. Change its permissions.")
+        raise InputError(f"{path} may not be read. Change its permissions.")
     elif (path / "stack.toml").is_file():
         return _stack(path, exposure)
     elif is_bag(path):
@@ -52,7 +53,7 @@ def open_source(
     else:
         opened = open_video(path)
     if exposure is not None:
-        raise ValueError(f"{source} is not a stack, so it has no exposures. Leave the option out.")
+        raise InputError(f"{source} is not a stack, so it has no exposures. Leave the option out.")
     return opened
 
 
@@ -60,12 +61,12 @@ def _stack(folder: Path, exposure: str | None) -> Source:
     stack = read_stack(folder)
     kinds = sorted({labels.exposure for labels in stack.labels})
     if not kinds:
-        raise ValueError(f"{folder} holds no frames. Render the stack again.")
+        raise InputError(f"{folder} holds no frames. Render the stack again.")
     if exposure is None and len(kinds) > 1:
-        raise ValueError(f"{folder} holds the exposures {' and '.join(kinds)}. Choose one of them.")
+        raise InputError(f"{folder} holds the exposures {' and '.join(kinds)}. Choose one of them.")
     chosen = stack.exposed(exposure or kinds[0])
     if not chosen:
-        raise ValueError(f"{folder} holds no exposure {exposure}. Choose {' or '.join(kinds)}.")
+        raise InputError(f"{folder} holds no exposure {exposure}. Choose {' or '.join(kinds)}.")
 
     def read() -> Iterator[Frame]:
         for labels in chosen:

@@ -9,6 +9,7 @@ import numpy as np
 
 from estimator.image import checked_frame
 from estimator.sources.images import rgb_of_opencv
+from optics import InputError
 
 
 class _Layout(NamedTuple):
@@ -39,13 +40,13 @@ def frame_of_message(message: Any) -> np.ndarray:
         (H, W) or RGB (H, W, 3), uint8 or uint16.
 
     Raises:
-        ValueError: an encoding that is not an image's, or too few data for the image.
+        InputError: an encoding that is not an image's, or too few data for the image.
     """
     if hasattr(message, "format"):
         return _decompressed(np.frombuffer(message.data, np.uint8), message.format)
     layout = _LAYOUTS.get(message.encoding)
     if layout is None:
-        raise ValueError(
+        raise InputError(
             f"the image encoding must be one of {', '.join(_LAYOUTS)};"
             f" got {message.encoding!r}. Publish or convert it in one of these."
         )
@@ -54,7 +55,7 @@ def frame_of_message(message: Any) -> np.ndarray:
     row = width * layout.channels * values.itemsize
     data = np.frombuffer(message.data, np.uint8)
     if step < row or data.size < height * step or row * height == 0:
-        raise ValueError(
+        raise InputError(
             f"an image of {width}x{height} px ({message.encoding}, {step} bytes a row) cannot be"
             f" made of {data.size} bytes."
         )
@@ -68,10 +69,10 @@ def encoding_of(image: np.ndarray) -> str:
     """The encoding of a `sensor_msgs/Image` that contains a frame without loss.
 
     Raises:
-        ValueError: floats, for which ROS has no image encoding.
+        InputError: floats, for which ROS has no image encoding.
     """
     if image.dtype.name not in ("uint8", "uint16"):
-        raise ValueError(
+        raise InputError(
             f"A ROS image holds uint8 or uint16; got {image.dtype.name}. Convert it with astype."
         )
     return ("mono" if image.ndim == 2 else "rgb") + str(8 * image.dtype.itemsize)
@@ -80,5 +81,5 @@ def encoding_of(image: np.ndarray) -> str:
 def _decompressed(data: np.ndarray, form: str) -> np.ndarray:
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if image is None:
-        raise ValueError(f"a compressed image ({form!r}, {data.size} bytes) cannot be decoded.")
+        raise InputError(f"a compressed image ({form!r}, {data.size} bytes) cannot be decoded.")
     return rgb_of_opencv(image)

@@ -12,6 +12,7 @@ import cv2
 
 from estimator.sources.images import rgb_of_opencv
 from estimator.sources.source import AGAIN, Frame, Source
+from optics import InputError
 
 
 @contextmanager
@@ -19,7 +20,7 @@ def _capturing(what: str | int, refusal: str) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(what)
     try:
         if not capture.isOpened():
-            raise ValueError(refusal)
+            raise InputError(refusal)
         yield capture
     finally:
         capture.release()
@@ -29,7 +30,7 @@ def open_video(path: Path) -> Source:
     """A video file.
 
     Raises:
-        ValueError: it cannot be read.
+        InputError: it cannot be read.
     """
     refusal = f"{path} is not a video that OpenCV can read, or it is truncated. {AGAIN}"
     with _capturing(str(path), refusal) as capture:
@@ -51,7 +52,7 @@ def open_video(path: Path) -> Source:
         # Some containers state only a duration, and the frame rate may vary: a video is truncated
         # if both its frames and its time are fewer than announced.
         if length and rate and index < length and time_s * rate < length - 2:
-            raise ValueError(
+            raise InputError(
                 f"{path} breaks off at frame {index} of the {length} that it announces. {AGAIN}"
             )
 
@@ -62,7 +63,7 @@ def open_camera(number: int) -> Source:
     """A camera; the time of a frame is that of its arrival, s since 1970.
 
     Raises:
-        ValueError: it cannot be opened.
+        InputError: it cannot be opened.
     """
     refusal = (
         f"camera {number} cannot be opened (and no file is named {number}). Check that it is"
@@ -77,7 +78,7 @@ def open_camera(number: int) -> Source:
             while True:
                 seen, image = capture.read()
                 if not seen:
-                    raise ValueError(f"camera {number} stopped at frame {index}. Check its cable.")
+                    raise InputError(f"camera {number} stopped at frame {index}. Check its cable.")
                 image = rgb_of_opencv(image)
                 yield Frame(index=index, file_name="", time_s=time.time(), image=image)
                 index += 1

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from optics import InputError
 from scenes.camera.output import demosaiced, mosaic
 from scenes.camera.response import CONVERTER_MAX, response_table
 from scenes.description import CameraSettings
@@ -95,7 +96,7 @@ def expose(
         Digital numbers of the image's shape: uint8 at 8 bits, uint16 above.
 
     Raises:
-        ValueError: image or exposure are negative or not finite; patterns are missing or have
+        InputError: image or exposure are negative or not finite; patterns are missing or have
             another shape.
     """
     light = np.array(linear, dtype=np.float32, order="C")
@@ -205,13 +206,13 @@ def _poisson(mean: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.
 
 def _check_light(light: NDArray[np.float32], exposure: float, settings: CameraSettings) -> None:
     if not 0 <= exposure < math.inf:
-        raise ValueError(f"expose(exposure=...) must be finite and not negative; got {exposure:g}.")
+        raise InputError(f"expose(exposure=...) must be finite and not negative; got {exposure:g}.")
     if light.size == 0:
-        raise ValueError(f"expose(linear=...) must contain pixels; got shape {light.shape}.")
+        raise InputError(f"expose(linear=...) must contain pixels; got shape {light.shape}.")
     low, high = float(light.min()), float(light.max())
     # Electrons are summed in single precision; 1e30 is far below its largest number.
     if not (low >= 0 and high * exposure * settings.full_well_e < 1e30):
-        raise ValueError(
+        raise InputError(
             f"expose(linear=...) must be finite and not negative; got values from "
             f"{low:g} to {high:g} at exposure={exposure:g}. Clip negative values, or lower the "
             f"exposure."
@@ -223,12 +224,12 @@ def _check_patterns(
 ) -> None:
     if patterns is None:
         if settings.prnu > 0 or settings.dsnu_e > 0:
-            raise ValueError(
+            raise InputError(
                 f"expose(patterns=...) is needed for a camera with prnu={settings.prnu:g} and "
                 f"dsnu_e={settings.dsnu_e:g}. Call fixed_patterns once for the whole stack."
             )
     elif patterns.gain.shape != shape or patterns.offset_e.shape != shape:
-        raise ValueError(
+        raise InputError(
             f"expose(patterns=...) must have the image's shape {shape}; got "
             f"{patterns.gain.shape} and {patterns.offset_e.shape}. Make them with that shape."
         )

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from optics import InputError
 from scenes.camera.response import full_wells
 from scenes.description import CameraSettings
 
@@ -33,15 +34,15 @@ def metered_exposure(
         Full wells per unit of `linear`.
 
     Raises:
-        ValueError: there is no light or no pixel to measure, or the fraction is out of range.
+        InputError: there is no light or no pixel to measure, or the fraction is out of range.
     """
     if not 0 < peak_fraction <= 1:
-        raise ValueError(
+        raise InputError(
             f"metered_exposure(peak_fraction=...) must lie in (0, 1]; got {peak_fraction:g}."
         )
     level = float(full_wells(np.array(peak_fraction), settings))
     if level <= 0:
-        raise ValueError(
+        raise InputError(
             f"metered_exposure(peak_fraction=...) must lie above the dark image; got peak_fraction="
             f"{peak_fraction:g}, black_level_dn={settings.black_level_dn:g} DN, dark_signal_e="
             f"{settings.dark_signal_e:g}. Raise peak_fraction or lower the black level."
@@ -50,17 +51,17 @@ def metered_exposure(
     pixels = image.reshape(image.shape[0] * image.shape[1], -1)
     if mask is not None:
         if mask.shape != image.shape[:2]:
-            raise ValueError(
+            raise InputError(
                 f"metered_exposure(mask=...) must have the image's height and width "
                 f"{image.shape[:2]}; got {mask.shape}."
             )
         pixels = pixels[mask.reshape(-1)]
     if len(pixels) == 0:
-        raise ValueError("metered_exposure(mask=...) must contain at least one pixel; it is empty.")
+        raise InputError("metered_exposure(mask=...) must contain at least one pixel; it is empty.")
     rank = math.ceil(0.999 * len(pixels)) - 1
     peak = float(np.partition(pixels, rank, axis=0)[rank].max())
     if not 0 < peak < math.inf:
-        raise ValueError(
+        raise InputError(
             f"metered_exposure needs light; the 99.9th percentile of the brightest channel is "
             f"{peak:g}. Give a mask that contains the spot, or set the exposure by hand."
         )

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from optics import InputError
+
 
 def mosaic(linear: NDArray[Any], *, bayer: str) -> NDArray[Any]:
     """The light behind a Bayer filter: for every pixel the channel that its filter transmits.
@@ -20,10 +22,10 @@ def mosaic(linear: NDArray[Any], *, bayer: str) -> NDArray[Any]:
         H x W.
 
     Raises:
-        ValueError: the image does not have that shape.
+        InputError: the image does not have that shape.
     """
     if linear.ndim != 3 or linear.shape[2] != 3 or linear.shape[0] % 2 or linear.shape[1] % 2:
-        raise ValueError(
+        raise InputError(
             "a Bayer mosaic needs an image of H x W x 3 with even H and W; got shape "
             f"{linear.shape}. Set bayer to 'none' or the size to even numbers."
         )

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from optics import InputError
+
 _NonNegative = Annotated[float, Field(ge=0)]
 _Positive = Annotated[float, Field(gt=0)]
 
@@ -60,7 +62,7 @@ class CameraSettings(BaseModel):
     @model_validator(mode="after")
     def _black_is_below_white(self) -> CameraSettings:
         if self.black_level_dn >= self.full_scale_dn:
-            raise ValueError(
+            raise InputError(
                 f"CameraSettings(black_level_dn=...) must lie below full scale; got black_level_dn="
                 f"{self.black_level_dn:g} DN, full scale {self.full_scale_dn} DN at bit_depth="
                 f"{self.bit_depth}. Lower black_level_dn or raise bit_depth."
@@ -70,7 +72,7 @@ class CameraSettings(BaseModel):
     @model_validator(mode="after")
     def _jpeg_has_eight_bits(self) -> CameraSettings:
         if self.jpeg_quality and self.bit_depth != 8:
-            raise ValueError(
+            raise InputError(
                 f"CameraSettings(jpeg_quality=...) needs 8 bits; got jpeg_quality="
                 f"{self.jpeg_quality} at bit_depth={self.bit_depth}. Set bit_depth to 8 or "
                 "jpeg_quality to 0."

@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from optics import InputError
 from scenes.description.camera_settings import CameraSettings
 from scenes.description.motion_settings import Clocks, Motion, Withdrawal
 
@@ -14,7 +15,7 @@ GAUGE_DIAMETER_MM = {20: 0.91, 23: 0.64, 25: 0.51}
 """Outer diameter of vitrectomy instruments by gauge, mm."""
 
 
-class SceneError(ValueError):
+class SceneError(InputError):
     """A scene file is missing, invalid or impossible to render; the text says what to change."""
 
 
@@ -239,50 +240,50 @@ class Scene(_Settings):
     def _is_possible(self) -> Scene:
         r, c = self.phantom.radius_mm, self.spot.eccentricity_mm
         if c >= r:
-            raise ValueError(
+            raise InputError(
                 f"spot.eccentricity_mm must be smaller than phantom.radius_mm; got {c:g} mm with "
                 f"radius {r:g} mm. Lower eccentricity_mm."
             )
         if self.microscope.pinhole_height_mm < -r * 0.5:
-            raise ValueError(
+            raise InputError(
                 "microscope.pinhole_height_mm must lie well above the retina; got "
                 f"{self.microscope.pinhole_height_mm:g} mm with radius {r:g} mm. Raise it."
             )
         if math.isinf(self.microscope.pinhole_height_mm) and any(self.microscope.distortion):
-            raise ValueError(
+            raise InputError(
                 "microscope.distortion is measured in focal lengths, and a telecentric "
                 f"microscope has none; got {list(self.microscope.distortion)} with "
                 "pinhole_height_mm = inf. Set it to zeros or lower pinhole_height_mm."
             )
         if self.phantom.wall == "image" and not self.phantom.wall_image:
-            raise ValueError(
+            raise InputError(
                 "phantom.wall = 'image' needs phantom.wall_image. Set it to the path of the image."
             )
         if self.phantom.pupil_radius_mm and self.phantom.kind == "plane":
-            raise ValueError(
+            raise InputError(
                 "phantom.pupil_radius_mm applies to the eyeball phantom only; got "
                 f"{self.phantom.pupil_radius_mm:g} mm with kind 'plane'. Set it to 0."
             )
         if self.phantom.pupil_radius_mm >= r:
-            raise ValueError(
+            raise InputError(
                 "phantom.pupil_radius_mm must be smaller than phantom.radius_mm; got "
                 f"{self.phantom.pupil_radius_mm:g} mm with radius {r:g} mm. Lower it."
             )
         if self.second_tool.visible and math.hypot(*self.second_tool.tip_mm) >= r:
-            raise ValueError(
+            raise InputError(
                 f"second_tool.tip_mm must lie inside the eye of radius {r:g} mm; got "
                 f"{list(self.second_tool.tip_mm)}, {math.hypot(*self.second_tool.tip_mm):.2f} mm "
                 "from its centre. Move it."
             )
         if self.phantom.kind == "eyeball":
             if self.phantom.tilt_deg:
-                raise ValueError(
+                raise InputError(
                     "phantom.tilt_deg applies to the plane phantom only; got "
                     f"{self.phantom.tilt_deg:g} deg with kind 'eyeball'. Set it to 0 or choose "
                     "kind = 'plane'."
                 )
         elif math.radians(self.phantom.tilt_deg + self.spot.incidence_deg) >= math.pi / 2:
-            raise ValueError(
+            raise InputError(
                 "phantom.tilt_deg + spot.incidence_deg must be below 90; got "
                 f"{self.phantom.tilt_deg:g} + {self.spot.incidence_deg:g} deg, so the beam may "
                 "miss the plane. Lower one of them."

@@ -9,6 +9,7 @@ import os
 import sys
 from types import ModuleType
 
+from optics import InputError
 from scenes.machine.llvm import (
     DEBIAN_COMMAND,
     ENVIRONMENT_VARIABLE,
@@ -32,7 +33,7 @@ def load_mitsuba(variant: str = "llvm_ad_rgb") -> ModuleType:
         The module `mitsuba`.
 
     Raises:
-        ValueError: this build of Mitsuba has no such variant.
+        InputError: this build of Mitsuba has no such variant.
         RendererUnavailable: a system library or the GPU is missing, or this process already uses
             another variant.
     """
@@ -45,7 +46,7 @@ def load_mitsuba(variant: str = "llvm_ad_rgb") -> ModuleType:
 
     if variant not in mitsuba.variants():
         known = ", ".join(mitsuba.variants())
-        raise ValueError(f"load_mitsuba({variant!r}): no such variant; choose one of {known}.")
+        raise InputError(f"load_mitsuba({variant!r}): no such variant; choose one of {known}.")
     if mitsuba.variant() not in (None, variant):
         raise RendererUnavailable(
             f"load_mitsuba({variant!r}): this process already renders with {mitsuba.variant()}, "

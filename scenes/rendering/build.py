@@ -11,6 +11,7 @@ import numpy as np
 
 import scenes.rendering.plugins
 import scenes.rendering.sensor  # noqa: F401
+from optics import InputError
 from scenes.description import GAUGE_DIAMETER_MM, Scene
 from scenes.rendering.placement import rigid_transform
 from scenes.rendering.wall import wall
@@ -242,7 +243,7 @@ def _inside_the_eye(world: World) -> float:
     along = -np.sum(point * direction, axis=-1)
     chord = along**2 + r**2 - np.sum(point * point, axis=-1)
     if chord.min() <= 0:
-        raise ValueError(
+        raise InputError(
             f"the window of {settings.width_px} x {settings.height_px} px looks past the eyeball "
             f"of radius {r:g} mm. Lower spot.eccentricity_mm or the window's size."
         )

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.stats import qmc
 
 import optics
+from optics import InputError
 from scenes.description import Scene, SceneError
 from scenes.rendering import build
 from scenes.rendering.smooth_lens import check_lens, leave_cap
@@ -77,7 +78,7 @@ class PhotonImage:
 
     Raises:
         SceneError: an instrument or tool is visible, or the source has no lens.
-        ValueError: a name in `free` is unknown.
+        InputError: a name in `free` is unknown.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class PhotonImage:
         _refuse_occluders(scene)
         known = (*LENS, *POSE, "power")
         if unknown := [name for name in free if name not in known]:
-            raise ValueError(
+            raise InputError(
                 f"PhotonImage(free=...) does not know {', '.join(unknown)}. "
                 f"Choose from {', '.join(known)}."
             )
@@ -105,7 +106,7 @@ class PhotonImage:
             parameters: values in the order of `free`.
 
         Raises:
-            ValueError: no lens has these values; the message names the value.
+            InputError: no lens has these values; the message names the value.
         """
         image = np.zeros(self.shape)
         for _, photons in self._passes(parameters):
@@ -119,7 +120,7 @@ class PhotonImage:
             parameters: p values in the order of `free`.
 
         Raises:
-            ValueError: no lens has these values; the message names the value.
+            InputError: no lens has these values; the message names the value.
         """
         image, jacobian = np.zeros(self.shape), np.zeros((*self.shape, len(self.free)))
         for leaves, photons in self._passes(parameters, derivatives=True):
@@ -147,7 +148,7 @@ class PhotonImage:
             p derivatives.
 
         Raises:
-            ValueError: no lens has these values; the message names the value.
+            InputError: no lens has these values; the message names the value.
         """
         border = [(_BORDER_PX, _BORDER_PX)] * 2 + [(0, 0)]
         weight = mi.Float(np.pad(cotangent, border).ravel().astype(np.float32))

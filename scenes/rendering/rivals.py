@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 import optics
+from optics import InputError
 from scenes.description import Scene
 from scenes.rendering import build
 from scenes.rendering.render import Renderer
@@ -86,7 +87,7 @@ def cap_scene(scene: Scene) -> Any:
     """
     lens = optics.load_lens(scene.source.lens)
     if float(lens.glue_length) > 0:
-        raise ValueError("a disc of uniform light needs a lens with glue_length = 0")
+        raise InputError("a disc of uniform light needs a lens with glue_length = 0")
     index = optics.MEDIA[scene.source.medium]
     renderer = Renderer(scene)
     content = build.mitsuba_dict(renderer.world, uniform=np.zeros(3))

@@ -20,6 +20,7 @@ import drjit as dr
 import mitsuba as mi
 
 import optics
+from optics import InputError
 
 _GRAZING = 1e-8  # squared cosine at which a ray leaves along the cap; its power is zero there
 
@@ -34,7 +35,7 @@ def check_lens(values: dict[str, float]) -> None:
         ("power", 0.0, math.inf),
     ):
         if not low <= values[name] <= high:
-            raise ValueError(
+            raise InputError(
                 f"PhotonImage: {name} must lie in [{low:g}, {high:g}]; got {values[name]:g}. "
                 "Start the fit nearer, or fit a transformed parameter that stays in this range."
             )

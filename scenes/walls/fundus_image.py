@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from optics import InputError
 from scenes.walls.landmarks import CUP_TO_DISC, DISC_MM, DISC_SEMI_AXES_MM, FOVEA_MM
 from scenes.walls.vessels import vessel_shades
 
@@ -70,7 +71,7 @@ def fundus(
         Linear reflectance in (0, 1), pixels x pixels x 3 (R, G, B), with the pole in the centre.
 
     Raises:
-        ValueError: the palette is unknown, or a size is out of range.
+        InputError: the palette is unknown, or a size is out of range.
     """
     _check(seed, extent_mm, pixels, palette)
     vessel_seed, mottling_seed = np.random.SeedSequence(seed).spawn(2)
@@ -105,18 +106,18 @@ def fundus(
 
 def _check(seed: int, extent_mm: float, pixels: int, palette: str) -> None:
     if seed < 0:
-        raise ValueError(f"fundus(seed=...) must not be negative; got {seed}.")
+        raise InputError(f"fundus(seed=...) must not be negative; got {seed}.")
     if palette not in ("printed paper", "retina"):
-        raise ValueError(
+        raise InputError(
             f'fundus(palette=...) must be "printed paper" or "retina"; got {palette!r}.'
         )
     if not 0 < extent_mm <= 70:
-        raise ValueError(
+        raise InputError(
             f"fundus(extent_mm=...) must lie in (0, 70] mm, so that the map ends on the eye, 36 mm "
             f"from the pole; got extent_mm={extent_mm:g} mm."
         )
     if pixels < 1:
-        raise ValueError(f"fundus(pixels=...) must be at least 1; got {pixels}.")
+        raise InputError(f"fundus(pixels=...) must be at least 1; got {pixels}.")
 
 
 def _gaussian(x: NDArray[np.float32], y: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:

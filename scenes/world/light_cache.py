@@ -15,6 +15,7 @@ import numpy as np
 
 import optics
 from estimator.files import damage_reported
+from optics import InputError
 
 
 class LensLight(NamedTuple):
@@ -71,7 +72,7 @@ def _cache_folder() -> Path:
 
 def _kept(path: Path, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """Arrays from a file; if it is missing or damaged, they are computed and written to it."""
-    with suppress(ValueError), damage_reported(f"{path}", "It is written anew."):
+    with suppress(InputError), damage_reported(f"{path}", "It is written anew."):
         with path.open("rb") as file:
             return dict(np.load(file))
     values = compute()

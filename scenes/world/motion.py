@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import optics
 from estimator.files import read_poses
+from optics import InputError
 from scenes.description import Hand, Recorded, Scan, Scene, SceneError, Withdrawal
 from scenes.world.geometry import Geometry
 
@@ -210,7 +211,7 @@ def _recording(motion: Recorded) -> tuple[NDArray[np.float64], NDArray[np.float6
     """Times since the first pose, s, and rows of tip (mm) and axis."""
     try:
         found = list(read_poses(Path(motion.file)))
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(f"motion.file: {error}") from error
     stamps = np.array([pose.time_s for pose in found])
     if len(found) < 2 or np.any(np.diff(stamps) <= 0):

@@ -10,6 +10,7 @@ from typing import Literal
 
 from benchmarks.sets.read import SetStack, set_files, stacks_of
 from estimator.files import written_whole
+from optics import InputError
 
 Format = Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
 
@@ -33,12 +34,12 @@ def export(
         progress: called after each image with the total number of images.
 
     Raises:
-        ValueError: `folder` is not a set or stack, a stack is damaged or empty, `out` exists, or
+        InputError: `folder` is not a set or stack, a stack is damaged or empty, `out` exists, or
             the format's library is not installed.
     """
     folder, out = Path(folder), Path(out)
     if out.exists():
-        raise ValueError(
+        raise InputError(
             f"{out} already exists. Choose another name; existing files are never overwritten."
         )
     stacks = stacks_of(folder)
@@ -57,7 +58,7 @@ def _checked(entry: SetStack) -> int:
     stack = entry.open()
     stack.verify()
     if not stack.labels:
-        raise ValueError(f"the stack {entry.folder} has no frames. Render it again.")
+        raise InputError(f"the stack {entry.folder} has no frames. Render it again.")
     return len(stack.labels)
 
 
@@ -88,6 +89,6 @@ def _writer(to: Format) -> Callable[[Sequence[SetStack], Path, Callable[[], None
     except ModuleNotFoundError as error:
         if error.name not in _EXTRA:
             raise
-        raise ValueError(
+        raise InputError(
             f"the format {to} needs the package {error.name}: pip install 'eyespot[export]'."
         ) from error

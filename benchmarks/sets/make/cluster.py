@@ -11,6 +11,8 @@ from typing import Any
 import dask
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
+from optics import InputError
+
 
 class OneCore(WorkerPlugin):
     """Binds each worker to its own core, if the operating system supports that.
@@ -78,7 +80,7 @@ def running_scheduler(address: str, *, patience: str = "20s") -> Iterator[Client
         patience: time to wait for an answer, such as "20s".
 
     Raises:
-        ValueError: no scheduler answers at that address.
+        InputError: no scheduler answers at that address.
     """
     where: dict[str, Any] = {"address": address}
     if "://" not in address and os.path.isfile(address):
@@ -86,7 +88,7 @@ def running_scheduler(address: str, *, patience: str = "20s") -> Iterator[Client
     try:
         client = Client(**where, timeout=patience)
     except (OSError, ValueError) as error:
-        raise ValueError(
+        raise InputError(
             f"no Dask scheduler answers at {address} ({error}). Start one with `dask scheduler`, "
             "or omit --scheduler to use workers on this machine."
         ) from error

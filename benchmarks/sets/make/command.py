@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from optics import InputError
 from scenes.description import Changes
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def make(
 
     settings, part = load_spec(spec, changes or ()), _shard(shard)
     if scheduler is not None and workers is not None:
-        raise ValueError(
+        raise InputError(
             "--workers starts processes on this machine, but --scheduler has its own workers. Give "
             "only one of them."
         )
@@ -72,7 +73,7 @@ def make(
         _print(estimate(part.of(plan(settings))), workers=count)
         return
     if out is None:
-        raise ValueError("--out DIR is missing: the folder for the set.")
+        raise InputError("--out DIR is missing: the folder for the set.")
     hired = (
         cluster.running_scheduler(scheduler)
         if scheduler is not None
@@ -111,7 +112,7 @@ def _shard(text: str | None) -> Shard:
         shard = Shard(int(match[1]), int(match[2]))
         if 1 <= shard.part <= shard.parts:
             return shard
-    raise ValueError(f"--shard must be I/N, with I from 1 to N; got {text!r}.")
+    raise InputError(f"--shard must be I/N, with I from 1 to N; got {text!r}.")
 
 
 def _print(found: Estimate, *, workers: int) -> None:

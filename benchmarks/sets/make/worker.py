@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import scenes
+from optics import InputError
 
 _PACKAGES = ("eyespot", "mitsuba", "drjit", "jax", "numpy", "opencv-python-headless", "scipy")
 
@@ -30,10 +31,10 @@ def render_planned(scene: Mapping[str, Any], folder: str, wanted: Mapping[str, s
         wanted: versions that the set was started with.
 
     Raises:
-        ValueError: this worker has other versions.
+        InputError: this worker has other versions.
     """
     if versions() != wanted:
-        raise ValueError(
+        raise InputError(
             f"a worker has other versions than the set: {versions()} instead of {dict(wanted)}. "
             "Use the same environment for all workers."
         )

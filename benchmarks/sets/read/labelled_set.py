@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from estimator import Stack, read_stack
+from optics import InputError
 
 SCHEMA = 1
 
 
-class SetError(ValueError):
+class SetError(InputError):
     """A folder is not a labelled set, or it is incomplete; the text says what is wrong."""
 
 

@@ -25,6 +25,7 @@ from benchmarks.sets.score.table import tables
 from estimator import SpotRecord, write_spots
 from estimator.files import fingerprint, written_whole
 from estimator.run import progress
+from optics import InputError
 
 _SCHEMA = 1
 
@@ -48,7 +49,7 @@ def run(
             measured spots; None: only print the tables.
 
     Raises:
-        ValueError: the input is invalid.
+        InputError: the input is invalid.
     """
     folder = Path(folder)
     modes: tuple[Mode, ...] = ("literal", "subpixel")
@@ -82,11 +83,11 @@ def _estimator(spots: Path) -> str:
 
 def _check(names: Sequence[str], out: Path | None) -> None:
     if not names:
-        raise ValueError("nothing to score. Give spots files, or --mode to measure the images.")
+        raise InputError("nothing to score. Give spots files, or --mode to measure the images.")
     if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise ValueError(f"two estimators have the name {twice[0]}. Rename one of the spots files.")
+        raise InputError(f"two estimators have the name {twice[0]}. Rename one of the spots files.")
     if out is not None and out.exists():
-        raise ValueError(
+        raise InputError(
             f"{out} already exists. Choose another name; existing files are never overwritten."
         )
 

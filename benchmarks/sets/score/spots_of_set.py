@@ -18,6 +18,7 @@ from estimator import (
     read_spots,
     track_source,
 )
+from optics import InputError
 
 Mode = Literal["literal", "subpixel"]
 
@@ -42,7 +43,7 @@ def read_set_spots(
         The records by image name.
 
     Raises:
-        ValueError: the file is missing, names are not in the set, or an image has two lines.
+        InputError: the file is missing, names are not in the set, or an image has two lines.
     """
     path = Path(path)
     if path.is_dir():
@@ -50,7 +51,7 @@ def read_set_spots(
     elif path.is_file():
         records = read_spots(path)
     else:
-        raise ValueError(f"{path}: no such spots file or folder. Check the path.")
+        raise InputError(f"{path}: no such spots file or folder. Check the path.")
     return _by_image(records, path, images)
 
 
@@ -92,14 +93,14 @@ def _track(
     source = open_source(entry.folder, exposure=exposure)
     tracking = track_source(source, reader, progress=lambda record: progress())
     if tracking.fault:
-        raise ValueError(tracking.fault)
+        raise InputError(tracking.fault)
     return tracking.records
 
 
 def _files(folder: Path) -> list[Path]:
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SPOTS)
     if not files:
-        raise ValueError(f"{folder} contains no spots files (.csv or .parquet). Check the path.")
+        raise InputError(f"{folder} contains no spots files (.csv or .parquet). Check the path.")
     return files
 
 
@@ -109,7 +110,7 @@ def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRe
     name = file.relative_to(folder).with_suffix("").as_posix()
     entry = by_name.get(name) or by_name.get(name.rpartition(".")[0])
     if entry is None:
-        raise ValueError(
+        raise InputError(
             f"{file}: the set has no stack {name}. Name the file SPLIT/STACK.csv or "
             f"SPLIT/STACK.EXPOSURE.csv; the first stack is {qualified_name(stacks[0])}."
         )
@@ -126,17 +127,17 @@ def _by_image(
     unknown = []
     for record in records:
         if record.file_name in found:
-            raise ValueError(f"{path}: {record.file_name} has two lines. Remove one of them.")
+            raise InputError(f"{path}: {record.file_name} has two lines. Remove one of them.")
         if record.file_name not in images:
             unknown.append(record.file_name)
         found[record.file_name] = record
     if unknown:
         listed = ", ".join(repr(name) for name in unknown[:_NAMED])
         more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
-        raise ValueError(
+        raise InputError(
             f"{path}: the set does not contain {listed}{more}. Image names are relative to the "
             f"set, such as {min(images)}."
         )
     if not found:
-        raise ValueError(f"{path} is empty.")
+        raise InputError(f"{path} is empty.")
     return found

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag
 
+from optics import InputError
+
 
 class _Distribution(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -16,7 +18,7 @@ class _Distribution(BaseModel):
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
     low, high = interval
     if not -math.inf < low < high < math.inf:
-        raise ValueError(
+        raise InputError(
             f"an interval must be [low, high], finite, with low < high; got [{low:g}, {high:g}]. "
             "For a single value write key = value."
         )
@@ -25,7 +27,7 @@ def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
 
 def _positive(interval: tuple[float, float]) -> tuple[float, float]:
     if interval[0] <= 0:
-        raise ValueError(
+        raise InputError(
             f"a log-uniform interval must lie above 0; got [{interval[0]:g}, {interval[1]:g}]. "
             "Raise its lower end, or use uniform."
         )
@@ -34,7 +36,7 @@ def _positive(interval: tuple[float, float]) -> tuple[float, float]:
 
 def _finite(values: tuple[Any, ...]) -> tuple[Any, ...]:
     if any(isinstance(value, float) and not math.isfinite(value) for value in values):
-        raise ValueError(
+        raise InputError(
             "a choice must have finite values, because it becomes a label in JSON. Use a large "
             "number instead of inf."
         )

@@ -12,6 +12,7 @@ from scipy.stats import qmc
 
 from benchmarks.sets.spec.distributions import Distribution
 from benchmarks.sets.spec.spec import SEED_KEYS, SetSpec
+from optics import InputError
 from scenes import Scene, SceneError, changed
 
 _MOST_STACKS = 2**20
@@ -66,7 +67,7 @@ def plan(spec: SetSpec) -> list[PlannedStack]:
     groups = list(_groups(spec))
     block = 2 ** math.ceil(math.log2(max(1, *(group.stacks for group in groups))))
     if block * len(groups) > _MOST_STACKS:
-        raise ValueError(
+        raise InputError(
             f"a set can have at most {_MOST_STACKS:,} stacks; this one has {len(groups)} groups of "
             f"up to {block}. Lower the numbers of stacks."
         )

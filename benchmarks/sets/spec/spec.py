@@ -30,6 +30,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from benchmarks.sets.spec.distributions import KINDS, Change, Distribution, by_dotted_name
+from optics import InputError
 from scenes import parsed_change
 from scenes.description import problem_sentence
 
@@ -39,7 +40,7 @@ SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 _NAMED = resources.files("benchmarks.sets.spec") / "named"
 
 
-class SpecError(ValueError):
+class SpecError(InputError):
     """A spec is missing, invalid or impossible; the text says what to change."""
 
 
@@ -93,19 +94,19 @@ class SetSpec(_Table):
         conditions = self.adverse.conditions if self.adverse else {}
         for where, changes in {"scene": self.scene, "vary": self.vary, **conditions}.items():
             if taken := [key for key in SEED_KEYS if key in changes]:
-                raise ValueError(
+                raise InputError(
                     f"{where}.{taken[0]}: every stack gets its own seed from the set's `seed`. "
                     "Remove this key."
                 )
         if fixed := [
             key for key, value in self.vary.items() if not isinstance(value, Distribution)
         ]:
-            raise ValueError(
+            raise InputError(
                 f"vary.{fixed[0]} must be a distribution, one of {', '.join(KINDS)}; got "
                 f"{self.vary[fixed[0]]!r}. Move a value that is common to all stacks to [scene]."
             )
         if not (any(self.splits.model_dump().values()) or (self.adverse and self.adverse.stacks)):
-            raise ValueError("a set needs stacks. Set the numbers in [splits] or [adverse].")
+            raise InputError("a set needs stacks. Set the numbers in [splits] or [adverse].")
         return self
 
 

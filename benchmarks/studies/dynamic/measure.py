@@ -47,7 +47,7 @@ def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
         spots_file: file to write, with the spots that k and b come from.
 
     Raises:
-        ValueError: too few spots at rest.
+        InputError: too few spots at rest.
     """
     microscope = read_microscope(rest.folder / "microscope.json")
     if way is not LITERAL:
@@ -79,7 +79,7 @@ def small_plane_line(
         microscope: has delta and r.
 
     Raises:
-        ValueError: fewer than 3 spots, or all of one size.
+        InputError: fewer than 3 spots, or all of one size.
     """
     scale, r = microscope.scale_mm_px, microscope.eye_radius_mm
     seen = semi_minor_px * np.cos(phi)

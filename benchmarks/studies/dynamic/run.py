@@ -34,7 +34,7 @@ def run(request: Request) -> DynamicFindings:
 
     Raises:
         SceneError: the wall is no eyeball, or the spot moves out of view.
-        ValueError: the folder has other files.
+        InputError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
     study = Study("dynamic", request, defaults=_DEFAULTS, check=check)

@@ -39,7 +39,7 @@ def run(request: Request) -> EccentricityFindings:
 
     Raises:
         SceneError: the wall is no eyeball, or too small.
-        ValueError: the folder has other files.
+        InputError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
     study = Study("eccentricity", request, defaults=("source.kind=cone",), check=check)

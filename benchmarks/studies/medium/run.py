@@ -36,7 +36,7 @@ def run(request: Request) -> MediumFindings:
 
     Raises:
         SceneError: the scene's source is not a lens.
-        ValueError: the folder has other files.
+        InputError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
     study = Study("medium", request, check=check)

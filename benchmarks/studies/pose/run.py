@@ -28,7 +28,7 @@ def run(request: Request) -> PoseFindings:
 
     Raises:
         SceneError: the scene is no eyeball lit by a cone, or too small a one.
-        ValueError: the folder has other files.
+        InputError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
     study = Study("pose", request, defaults=("source.kind=cone",), check=check)

@@ -34,7 +34,7 @@ def run(request: Request) -> StaticFindings:
 
     Raises:
         SceneError: the scene is not a withdrawal from contact.
-        ValueError: the folder has other files.
+        InputError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
     study = Study("static", request, defaults=_DEFAULTS, check=check)

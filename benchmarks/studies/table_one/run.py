@@ -32,7 +32,7 @@ def run(request: Request) -> TableOneFindings:
 
     Raises:
         SceneError: the scene is not a withdrawal of a lens from a plane.
-        ValueError: the folder has other files.
+        InputError: the folder has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
     study = Study("table-one", request, defaults=("phantom.kind=plane",), check=check)

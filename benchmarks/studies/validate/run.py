@@ -40,7 +40,7 @@ def run(*, out: Path, quick: bool, seed: int, source: str) -> ValidateFindings:
         source: "lens", "cone" or "both".
 
     Raises:
-        ValueError: `out` has other files.
+        InputError: `out` has other files.
         RendererUnavailable: Mitsuba cannot run here.
     """
     request = Request(out=out, quick=quick, seed=seed, options={"source": source})
