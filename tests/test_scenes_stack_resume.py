@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 
 from estimator import Stack, StackError, StackWriter, read_stack
+from estimator.files import BeingWrittenError
+from optics import InputError
 from scenes import Scene, SceneError, check_scene, expose_again, render_stack, scene_toml
 
 
@@ -117,7 +119,9 @@ def test_a_label_line_that_was_being_written_counts_as_missing(whole, tmp_path, 
         render_stack(scene(), out, progress=Stop(6))
     lines = tmp_path / ".stack.partial" / "metadata.jsonl"
     lines.write_bytes(lines.read_bytes()[:-cut])
-    (tmp_path / ".stack.partial" / "frames" / ".000003.partial.png").write_bytes(b"half")
+    left = tmp_path / ".stack.partial" / "frames" / ".000003.png.unfinished"
+    left.mkdir()
+    (left / "000003.png").write_bytes(b"half")
     (tmp_path / ".stack.partial" / "frames" / "000003.png").write_bytes(b"half")
     kept = [line for line in lines.read_text().splitlines(keepends=True) if "000003" not in line]
     lines.write_text("".join(kept))
@@ -150,7 +154,7 @@ def test_frames_of_another_wall_image_are_not_used(tmp_path):
 def test_two_processes_do_not_write_one_stack(tmp_path):
     with StackWriter(tmp_path / "stack") as writer:
         writer.describe(stack={}, microscope={})
-        with pytest.raises(StackError, match="stack is being written by another process"):
+        with pytest.raises(BeingWrittenError, match="stack is being written by another process"):
             StackWriter(tmp_path / "stack").__enter__()
 
 
@@ -209,7 +213,7 @@ def test_a_truncated_frame_and_a_changed_byte_are_named(copy):
 
 
 def test_an_existing_stack_is_not_written_over(whole):
-    with pytest.raises(StackError, match="exists already"):
+    with pytest.raises(InputError, match="already exists"):
         render_stack(scene(), whole.folder)
 
 

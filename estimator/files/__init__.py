@@ -4,6 +4,8 @@ calibration       Calibration file: JSON with a model's fitted parameters, their
                   their origin
 json_files        Reads JSON that anyone may have written, and checks it against a pydantic
                   model
+manifest          Manifest of a folder: size and SHA-256 of every file in it, and what differs
+                  from that
 microscope        Microscope files: the stack's microscope.json, or a camera calibration of OpenCV
 model_parameters  Parameters of the models, with their units and ranges
 opencv            Camera calibrations as OpenCV and ROS write them

@@ -2,6 +2,12 @@ from .calibration import Calibration as Calibration
 from .calibration import CalibrationError as CalibrationError
 from .calibration import read_calibration as read_calibration
 from .calibration import write_calibration as write_calibration
+from .manifest import MANIFEST as MANIFEST
+from .manifest import Fingerprint as Fingerprint
+from .manifest import differences as differences
+from .manifest import fingerprint as fingerprint
+from .manifest import read_manifest as read_manifest
+from .manifest import write_manifest as write_manifest
 from .microscope import MicroscopeFile as MicroscopeFile
 from .microscope import MicroscopeFileError as MicroscopeFileError
 from .microscope import read_microscope as read_microscope
@@ -29,8 +35,13 @@ from .spots import write_spots as write_spots
 from .stack import FrameLabels as FrameLabels
 from .stack import Stack as Stack
 from .stack import StackError as StackError
-from .stack import fingerprint as fingerprint
 from .stack import read_stack as read_stack
 from .stack_writer import StackWriter as StackWriter
+from .whole_files import BeingWrittenError as BeingWrittenError
 from .whole_files import damage_reported as damage_reported
+from .whole_files import is_unfinished as is_unfinished
+from .whole_files import lock as lock
+from .whole_files import refuse_existing as refuse_existing
+from .whole_files import require_space as require_space
+from .whole_files import sweep as sweep
 from .whole_files import written_whole as written_whole

@@ -14,7 +14,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,10 +22,11 @@ from typing import Annotated, Any, get_type_hints
 
 import cv2
 import numpy as np
-from pydantic import ConfigDict, Field, create_model
+from pydantic import ConfigDict, create_model
 from pydantic import Strict as StrictType
 
-from estimator.files.json_files import Strict, object_in, read_text, validated
+from estimator.files.json_files import Strict, object_in, validated
+from estimator.files.manifest import MANIFEST, Fingerprint, differences, read_manifest
 from optics import InputError
 
 SCHEMA = 1
@@ -136,28 +136,21 @@ class Stack:
         return (self.image(labels) for labels in self.exposed(exposure))
 
     def verify(self) -> None:
-        """Compare every file with the manifest.
+        """Compare the folder with its manifest.
 
         Raises:
-            StackError: naming the first file that is missing or differs.
+            StackError: naming the first file that is missing, changed or unexpected.
         """
-        for name, expected in self._manifest().files.items():
-            path = self.folder / name
-            if not path.is_file():
-                raise StackError(f"{path} is missing, though manifest.json lists it.")
-            if fingerprint(path) != expected.model_dump():
-                raise StackError(f"{path} differs from its checksum in manifest.json.")
+        for difference in differences(self.folder, self._manifest()):
+            raise StackError(f"{self.folder / difference}.")
 
-    def _manifest(self) -> _Manifest:
-        path = self.folder / "manifest.json"
+    def _manifest(self) -> dict[str, Fingerprint]:
         try:
-            return validated(
-                _Manifest, object_in(read_text(path)), remedy="Render the stack again."
-            )
+            return read_manifest(self.folder, remedy="Render the stack again.")
         except FileNotFoundError as error:
-            raise StackError(f"{path} is missing.") from error
+            raise StackError(f"{self.folder / MANIFEST} is missing.") from error
         except InputError as error:
-            raise StackError(f"{path}: {error}") from error
+            raise StackError(f"{error}") from error
 
 
 class _AnyRow(Strict):
@@ -169,16 +162,6 @@ _COLUMNS: dict[str, Any] = {
 }
 _Row = create_model("_Row", __base__=_AnyRow, **_COLUMNS)
 """A line of metadata.jsonl: the fields of `FrameLabels`."""
-
-
-class _Fingerprint(Strict):
-    bytes: int
-    sha256: str
-
-
-class _Manifest(Strict):
-    schema_: Annotated[int, Field(alias="schema")]
-    files: dict[str, _Fingerprint]
 
 
 def read_stack(folder: Path) -> Stack:
@@ -246,9 +229,3 @@ def _read_image(path: Path) -> np.ndarray:
     if image is None:
         raise StackError(f"{path} is {'truncated' if cut else 'missing or no readable image'}.")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image
-
-
-def fingerprint(path: Path) -> dict[str, Any]:
-    """What manifest.json says of a file."""
-    data = path.read_bytes()
-    return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
