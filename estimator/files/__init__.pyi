@@ -39,9 +39,11 @@ from .stack import read_stack as read_stack
 from .stack_writer import StackWriter as StackWriter
 from .whole_files import BeingWrittenError as BeingWrittenError
 from .whole_files import damage_reported as damage_reported
+from .whole_files import errors_named as errors_named
 from .whole_files import is_unfinished as is_unfinished
 from .whole_files import lock as lock
 from .whole_files import refuse_existing as refuse_existing
+from .whole_files import refuse_foreign as refuse_foreign
 from .whole_files import require_space as require_space
 from .whole_files import sweep as sweep
 from .whole_files import written_whole as written_whole

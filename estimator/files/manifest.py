@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from estimator.files.json_files import Strict, object_in, read_text, validated
+from estimator.files.json_files import Strict, object_in, validated
 from estimator.files.whole_files import written_whole
 from optics import InputError
 
@@ -69,7 +69,9 @@ def read_manifest(folder: Path, *, remedy: str) -> dict[str, Fingerprint]:
     """
     path = folder / MANIFEST
     try:
-        found = validated(_Manifest, object_in(read_text(path)), remedy=remedy)
+        # Of any size: the manifest of a set of 10,000 stacks has 100 MB.
+        text = path.read_bytes().decode(errors="replace")
+        found = validated(_Manifest, object_in(text), remedy=remedy)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return {name: known.model_dump() for name, known in found.files.items()}

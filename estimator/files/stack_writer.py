@@ -80,6 +80,11 @@ class StackWriter:
             raise
         return self
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether another run writes the stack, or was stopped while it did."""
+        return self._partial.is_dir()
+
     def describe(
         self,
         *,

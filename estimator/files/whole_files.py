@@ -51,7 +51,7 @@ def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
         OSError: it cannot be written; the error has the finished file's name.
     """
     path = Path(path)
-    check = _refuse_foreign if replace else refuse_existing
+    check = refuse_foreign if replace else refuse_existing
     check(path)
     place = path.with_name(f".{path.name}{_UNFINISHED}")
     handle = lock(place, of=path)
@@ -71,6 +71,12 @@ def refuse_existing(path: Path) -> None:
     """Raise an InputError if there is a file, folder or link of this name."""
     if os.path.lexists(path):
         raise _taken(path)
+
+
+def refuse_foreign(path: Path) -> None:
+    """Raise an InputError if there is a link or folder, which cannot be a file that we wrote."""
+    if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
+        raise InputError(f"{path} is a link or no file, and is not replaced. Move it away.")
 
 
 def require_space(path: Path, needed_bytes: float) -> None:
@@ -234,12 +240,6 @@ def _taken(path: Path) -> InputError:
     return InputError(
         f"{path} already exists. Choose another name; existing files are never replaced."
     )
-
-
-def _refuse_foreign(path: Path) -> None:
-    """Only a file can be one that eyespot wrote; what a link leads to is not ours."""
-    if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
-        raise InputError(f"{path} is a link or no file, and is not replaced. Move it away.")
 
 
 def _is_at(handle: int, folder: Path) -> bool:

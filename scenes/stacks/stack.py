@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator.files import Stack, StackWriter, fingerprint, read_stack
+from estimator.files import Stack, StackWriter, fingerprint, read_stack, require_space
 from scenes.description import Scene
 from scenes.rendering import LinearFrame, Renderer
 from scenes.stacks.photography import Photography, file_name
+from scenes.stacks.size import least_image_bytes
 from scenes.world import World, kinematics, spot_labels
 
 # Frames that may wait for noise and encoding. More would only use memory.
@@ -44,7 +45,9 @@ def render_stack(
 
     Raises:
         SceneError: the scene is impossible.
-        StackError: `out` exists, or another process is writing it.
+        InputError: `out` exists, or its disk has too little space.
+        BeingWrittenError: another process is writing `out`.
+        OSError: the disk is full or cannot be written; finished frames are kept.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
     with StackWriter(Path(out)) as writer:
@@ -66,6 +69,13 @@ def render_stack(
             microscope=microscope_file(world, photography.paper_exposure_s),
             kinematics=kinematics(scene, world.motion),
         )
+        names = (
+            file_name(world, frame, order)
+            for frame in range(world.times.size)
+            for order in range(len(scene.exposures.kinds))
+        )
+        missing = sum(not writer.has(name) for name in names)
+        require_space(writer.folder, missing * least_image_bytes(scene))
         _render_frames(renderer, photography, writer, progress)
     return read_stack(out)
 
