@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -24,6 +25,7 @@ from benchmarks.sets.make.manifest import verify_set
 from benchmarks.sets.read.labelled_set import SetError, read_set
 from benchmarks.sets.spec.planning import plan
 from benchmarks.sets.spec.spec import SetSpec, load_spec
+from estimator import StackError
 
 SPEC = """\
 name = "tiny"
@@ -185,10 +187,46 @@ def test_verify_names_every_file_that_is_missing_changed_or_does_not_belong(copy
     assert len(told) == 3
     for line in (
         "notes.txt is not in manifest.json",
-        "train/0000/frames/000003.png differs from its checksum",
-        "test/0000/masks/000001.png is missing",
+        "train/0000/frames/000003.png differs from its checksum in manifest.json",
+        "test/0000/masks/000001.png is missing, though manifest.json lists it",
     ):
         assert f"{copy}: {line}" in told
+
+
+def test_verify_names_whatever_is_no_file_of_the_set(copy):
+    frame = copy / "train" / "0000" / "frames" / "000003.png"
+    shutil.copy(frame, copy.parent / "same.png")
+    frame.unlink()
+    frame.symlink_to(copy.parent / "same.png")
+    (copy / "train" / "0002" / "frames").mkdir(parents=True)
+    (copy / "test" / "dangling").symlink_to(copy / "nothing")
+    (copy / "foreign").symlink_to(copy.parent)
+    os.mkfifo(copy / "train" / "pipe")
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(os.path.relpath(copy / "socket"))  # absolute, the name may be too long
+    listener.close()
+    with pytest.raises(SetError) as caught:
+        verify_set(copy)
+    assert str(caught.value).splitlines() == [
+        f"{copy}: {problem}, which eyespot does not write"
+        for problem in (
+            "foreign is a link",
+            "socket is a device, socket or pipe",
+            "test/dangling is a link",
+            "train/0000/frames/000003.png is a link",
+            "train/0002/frames is an empty folder",
+            "train/pipe is a device, socket or pipe",
+        )
+    ]
+    with pytest.raises(StackError, match=r"000003\.png is a link"):
+        read_set(copy).stacks[0].open().verify()
+
+
+def test_a_damaged_manifest_is_named(copy):
+    for content in ("[]", "{", "5", '{"schema": 1, "files": {"a": 5}}', "\udcff"):
+        (copy / "manifest.json").write_bytes(content.encode(errors="surrogateescape"))
+        with pytest.raises(SetError, match=r"manifest\.json: "):
+            verify_set(copy)
 
 
 def test_scenes_that_cannot_be_are_named_and_the_others_are_rendered(spec_file, tmp_path):

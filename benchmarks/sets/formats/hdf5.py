@@ -13,7 +13,10 @@ and the attributes `stack.toml` (the scene) and `microscope.json` (the camera), 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 
@@ -31,12 +34,24 @@ _TEXT = {"file_name", "mask_file_name", "exposure", "medium"}
 
 def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -> None:
     """Write the file, with one image at a time in memory."""
-    with h5py.File(out, "w") as file:
+    with _errors_of_disk(out), h5py.File(out, "w") as file:
         file.attrs["schema"] = _SCHEMA
         for path in set_files(stacks):
             file.create_dataset(path.name, data=path.read_text(encoding="utf-8"))
         for entry in stacks:
             _write_stack(file.create_group(qualified_name(entry)), entry.open(), progress)
+
+
+@contextmanager
+def _errors_of_disk(out: Path) -> Iterator[None]:
+    """HDF5 names the operating system's error in its text only, and closes with a RuntimeError."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        number = re.search(r"errno = (\d+)", str(error))
+        if number is None:
+            raise
+        raise OSError(int(number[1]), os.strerror(int(number[1])), str(out)) from error
 
 
 def _write_stack(group: h5py.Group, stack: Stack, progress: Callable[[], None]) -> None:
