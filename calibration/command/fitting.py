@@ -76,25 +76,27 @@ def run(
     """
     sources = [Path(source) for source in sources]
     report = _report_beside(out)
-    given = read_priors(priors)
-    choices = Choices(
-        free=None if free is None else tuple(free),
-        priors=given,
-        loss="huber" if robust else "squares",
-        exposure=exposure,
-        lens=lens or "",
-    )
-    if model == AUTO and lens:
-        model = "lens"
-    others = [source for source in sources if not is_stack(source)]
-    if model != AUTO:
-        _check(model, choices, sources=len(sources), others=len(others))
-    rotation = read_rotation(eye_from_robot)
-    books = log_books(others, microscope, poses, phantoms, medium, fibre_diameter_mm, rotation)
     # Entered before the fit, so that a name that is taken or a full disk does not cost its result.
     with written_whole(out) as calibration:
         with written_whole(report) as page:
             require_space(out, _MOST_BYTES)
+            given = read_priors(priors)
+            choices = Choices(
+                free=None if free is None else tuple(free),
+                priors=given,
+                loss="huber" if robust else "squares",
+                exposure=exposure,
+                lens=lens or "",
+            )
+            if model == AUTO and lens:
+                model = "lens"
+            others = [source for source in sources if not is_stack(source)]
+            if model != AUTO:
+                _check(model, choices, sources=len(sources), others=len(others))
+            rotation = read_rotation(eye_from_robot)
+            books = log_books(
+                others, microscope, poses, phantoms, medium, fibre_diameter_mm, rotation
+            )
             recordings = [
                 _read(source, books.get(source), exposure=exposure, touch=given.get("touch"))
                 for source in sources

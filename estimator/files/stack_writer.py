@@ -23,9 +23,11 @@ import tomli_w
 from estimator.files.manifest import write_manifest
 from estimator.files.stack import SCHEMA, FrameLabels, linear_name
 from estimator.files.whole_files import (
+    STOPPED,
     empty,
     errors_named,
     give_name,
+    hidden_beside,
     lock,
     refuse_existing,
     sweep,
@@ -57,7 +59,7 @@ class StackWriter:
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
-        self._partial = self.folder.with_name(f".{self.folder.name}.partial")
+        self._partial = hidden_beside(self.folder, STOPPED)
         self._lines: dict[str, str] = {}
         self._described = False
         self._one_at_a_time = threading.Lock()

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from optics import InputError
 
-_UNFINISHED = ".unfinished"
-_STOPPED = ".partial"  # a stopped stack, which `StackWriter` continues
+UNFINISHED = ".unfinished"
+STOPPED = ".partial"  # a stopped stack, which `StackWriter` continues
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _TAKEN = {errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR, errno.EISDIR}
@@ -52,8 +52,7 @@ def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     check = refuse_foreign if replace else refuse_existing
-    check(path)
-    place = path.with_name(f".{path.name}{_UNFINISHED}")
+    place = hidden_beside(path, UNFINISHED)
     handle = lock(place, of=path)
     try:
         check(path)
@@ -65,6 +64,21 @@ def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
     finally:
         shutil.rmtree(place, ignore_errors=True)
         os.close(handle)
+
+
+def hidden_beside(path: Path, ending: str) -> Path:
+    """Where a file or folder is written, and recognised by `is_unfinished`.
+
+    Args:
+        path: of the finished file or folder.
+        ending: `UNFINISHED` or `STOPPED`.
+
+    Raises:
+        InputError: the path has no name, as "." and "..", and so exists.
+    """
+    if path.name in ("", ".."):
+        raise _taken(path)
+    return path.with_name(f".{path.name}{ending}")
 
 
 def refuse_existing(path: Path) -> None:
@@ -101,12 +115,12 @@ def is_unfinished(name: str) -> bool:
     Args:
         name: without folders.
     """
-    return name.startswith(".") and name.endswith((_UNFINISHED, _STOPPED))
+    return name.startswith(".") and name.endswith((UNFINISHED, STOPPED))
 
 
 def sweep(folder: Path) -> None:
     """Remove what killed writers have left in a folder of eyespot's; stopped stacks are kept."""
-    for left in folder.glob(f".*{_UNFINISHED}"):
+    for left in folder.glob(f".*{UNFINISHED}"):
         with suppress(InputError):  # it is being written, or is not ours
             handle = lock(left, of=left)
             shutil.rmtree(left, ignore_errors=True)

@@ -10,13 +10,9 @@ _BYTES_PER_SAMPLE = 0.2
 _BYTES_PER_LINEAR_SAMPLE = 4.0  # float32, not compressed
 
 
-def least_image_bytes(scene: Scene) -> float:
-    """Least size of one image with its mask, and with its radiance if that is kept."""
-    samples = 3 * scene.microscope.width_px * scene.microscope.height_px
-    linear = _BYTES_PER_LINEAR_SAMPLE if scene.exposures.keep_linear else 0.0
-    return samples * (_BYTES_PER_SAMPLE + linear)
-
-
 def least_bytes(scene: Scene) -> float:
     """Least size of a scene's stack on disk."""
-    return frame_count(scene) * len(scene.exposures.kinds) * least_image_bytes(scene)
+    images = frame_count(scene) * len(scene.exposures.kinds)
+    samples = 3 * scene.microscope.width_px * scene.microscope.height_px
+    linear = _BYTES_PER_LINEAR_SAMPLE if scene.exposures.keep_linear else 0.0
+    return images * samples * (_BYTES_PER_SAMPLE + linear)

@@ -15,7 +15,7 @@ from estimator.files import Stack, StackWriter, fingerprint, read_stack, require
 from scenes.description import Scene
 from scenes.rendering import LinearFrame, Renderer
 from scenes.stacks.photography import Photography, file_name
-from scenes.stacks.size import least_image_bytes
+from scenes.stacks.size import least_bytes
 from scenes.world import World, kinematics, spot_labels
 
 # Frames that may wait for noise and encoding. More would only use memory.
@@ -50,7 +50,10 @@ def render_stack(
         OSError: the disk is full or cannot be written; finished frames are kept.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
-    with StackWriter(Path(out)) as writer:
+    writer = StackWriter(Path(out))
+    if not writer.has_begun:
+        require_space(writer.folder, least_bytes(scene))
+    with writer:
         renderer = Renderer(scene, variant=variant)
         world = renderer.world
         photography = Photography(world)
@@ -69,13 +72,6 @@ def render_stack(
             microscope=microscope_file(world, photography.paper_exposure_s),
             kinematics=kinematics(scene, world.motion),
         )
-        names = (
-            file_name(world, frame, order)
-            for frame in range(world.times.size)
-            for order in range(len(scene.exposures.kinds))
-        )
-        missing = sum(not writer.has(name) for name in names)
-        require_space(writer.folder, missing * least_image_bytes(scene))
         _render_frames(renderer, photography, writer, progress)
     return read_stack(out)
 
