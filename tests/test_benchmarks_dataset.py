@@ -302,6 +302,55 @@ def test_two_processes_make_the_same_set_though_one_is_killed_again_and_again(
     assert digests(out) == digests(whole)
 
 
+def test_a_stack_that_another_run_writes_is_waited_for_and_rendered_if_that_run_stops(
+    spec, whole, tmp_path
+):
+    out = tmp_path / "set"
+    busy = out / "train" / ".0000.partial"
+    busy.mkdir(parents=True)
+    code = (
+        "import sys, pathlib, estimator.files; folder = pathlib.Path(sys.argv[1]); "
+        "estimator.files.lock(folder, of=folder); print('here', flush=True); sys.stdin.read()"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", code, str(busy)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    assert other.stdout
+    assert other.stdout.readline() == b"here\n"
+    shutil.copy(whole / "set.json", out)
+    done: list[int] = []
+
+    def stop_the_other(stacks: int, total: int) -> None:
+        done.append(stacks)
+        if stacks == total - 1:
+            assert not (out / "train" / "0000").exists()
+            other.communicate()
+
+    make_set(spec, out, workers=here(), progress=stop_the_other)
+    assert done == [0, 1, 2, 3, 4, 5]
+    verify_set(out)
+    assert digests(out) == digests(whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shards", [[], ["1/2", "2/2"]])
+def test_two_runs_at_the_same_time_both_end_well_and_the_set_is_complete(
+    spec_file, whole, tmp_path, shards
+):
+    out = tmp_path / "set"
+    runs = [
+        subprocess.Popen(
+            command(spec_file, "--out", out, "--workers", 1, *(["--shard", shard] if shard else []))
+        )
+        for shard in shards or ["", ""]
+    ]
+    assert [run.wait() for run in runs] == [0, 0]
+    assert verify_set(out) == verify_set(whole)
+    assert digests(out) == digests(whole)
+
+
 @pytest.mark.slow
 def test_a_killed_run_goes_on_with_the_frames_that_it_had(spec_file, whole, tmp_path):
     out = tmp_path / "set"
