@@ -206,8 +206,8 @@ SPEC = SetSpec.model_validate(
 )
 TASKS = {
     "stack": Task(write_stack, check_stack, few=5),
-    "set": Task(write_set, check_set, few=20),
-    "run": Task(write_run, check_run, few=25),
+    "set": Task(write_set, check_set, few=40),
+    "run": Task(write_run, check_run, few=40),
     "scene": Task(write_scene, check_scene),
     "coco": Task(partial(write_export, to="coco"), prepare=write_stack, few=5),
     "hdf5": Task(partial(write_export, to="hdf5"), prepare=write_stack),

@@ -184,7 +184,7 @@ def test_a_folder_that_does_not_exist_is_named_before_the_work(writer: str, tmp_
         WRITERS[writer](tmp_path / "no such stack", tmp_path / "nowhere" / "out")
 
 
-@pytest.mark.parametrize("writer", ["render", "export", "fit"])
+@pytest.mark.parametrize("writer", ["render", "export", "score", "fit"])
 def test_a_disk_that_is_too_small_is_refused_before_the_work(
     writer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,7 +192,7 @@ def test_a_disk_that_is_too_small_is_refused_before_the_work(
     # A stub: a disk of that size needs the right to mount one.
     small = os.statvfs_result((4096, 4096, 0, 0, 0, 0, 0, 0, 0, 255))
     monkeypatch.setattr(os, "statvfs", lambda path: small)
-    with pytest.raises(InputError, match=r"out needs about [\d,.]+ MB, but its disk has 0\.0 MB"):
+    with pytest.raises(InputError, match=r"out needs at least [\d,.]+ MB, but .* has 0\.0 MB"):
         WRITERS[writer](stack, tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["stack"]
 

@@ -20,7 +20,15 @@ import pytest
 from estimator import Stack, StackError, StackWriter, read_stack
 from estimator.files import BeingWrittenError
 from optics import InputError
-from scenes import Scene, SceneError, check_scene, expose_again, render_stack, scene_toml
+from scenes import (
+    Scene,
+    SceneError,
+    check_scene,
+    expose_again,
+    least_bytes,
+    render_stack,
+    scene_toml,
+)
 
 
 def scene(**parts: Any) -> Scene:
@@ -248,6 +256,12 @@ def test_a_linear_frame_is_the_light_behind_its_image(whole):
         # Noise of 3 DN at most in some thousand samples, of mean 0.
         assert abs(difference.mean()) < 0.1
         assert np.abs(difference).max() < 6 * 3.5
+
+
+def test_no_stack_is_smaller_than_the_space_that_is_asked_for(whole):
+    size = sum(path.stat().st_size for path in whole.folder.rglob("*") if path.is_file())
+    # Its radiance alone is 10 frames x 2 exposures x 96 x 72 pixels x 3 channels x 4 bytes.
+    assert 20 * 96 * 72 * 3 * 4 < least_bytes(scene()) < size
 
 
 def test_only_the_camera_can_change_without_rendering(whole, tmp_path):

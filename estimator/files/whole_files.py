@@ -22,7 +22,9 @@ STOPPED = ".partial"  # a stopped stack, which `StackWriter` continues
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _TAKEN = {errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR, errno.EISDIR}
-_NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}  # file systems such as exFAT
+# File systems such as exFAT have no hard links, and some on networks no locks.
+_NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
+_NO_LOCKS = {errno.ENOTSUP, errno.ENOSYS, errno.ENOLCK, errno.EBADF, errno.EINVAL}
 
 
 class BeingWrittenError(InputError):
@@ -104,7 +106,7 @@ def require_space(path: Path, needed_bytes: float) -> None:
     free = shutil.disk_usage(folder).free
     if free < needed_bytes:
         raise InputError(
-            f"{path} needs about {_megabytes(needed_bytes)}, but its disk has "
+            f"{path} needs at least {_megabytes(needed_bytes)}, but its disk has "
             f"{_megabytes(free)} left. Free some space, or choose another disk."
         )
 
@@ -158,14 +160,15 @@ def lock(folder: Path, *, of: Path) -> int:
             raise OSError(error.errno, error.strerror, f"{of}") from error
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if _is_at(handle, folder):
-                return handle
-        except BlockingIOError as error:
-            os.close(handle)
-            raise BeingWrittenError(
-                f"{of} is being written by another process. Wait for it to end, or choose another "
-                "name."
-            ) from error
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                os.close(handle)
+                raise BeingWrittenError(
+                    f"{of} is being written by another process. Wait for it to end, or choose "
+                    "another name."
+                ) from error
+        if _is_at(handle, folder):
+            return handle
         os.close(handle)  # the folder that was locked has another name now, or none
 
 

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import math
+
 from scenes.description import Scene
 from scenes.world import frame_count
 
-# A noisy 8-bit image takes 0.4 to 0.5 bytes a sample as PNG, one without noise far less.
-_BYTES_PER_SAMPLE = 0.2
-_BYTES_PER_LINEAR_SAMPLE = 4.0  # float32, not compressed
+_LINEAR_BYTES = 4  # float32, not compressed
 
 
 def least_bytes(scene: Scene) -> float:
-    """Least size of a scene's stack on disk."""
-    images = frame_count(scene) * len(scene.exposures.kinds)
-    samples = 3 * scene.microscope.width_px * scene.microscope.height_px
-    linear = _BYTES_PER_LINEAR_SAMPLE if scene.exposures.keep_linear else 0.0
-    return images * samples * (_BYTES_PER_SAMPLE + linear)
+    r"""Least size of a scene's stack on disk: that of the noise in its images.
+
+    No lossless format makes Gaussian noise of $\sigma$ DN smaller than its entropy of
+    $\log_2(\sigma \sqrt{2 \pi e})$ bits a sample (Shannon 1948). Half of it is counted, because
+    dark and saturated pixels clip half of their noise or all of it.
+    """
+    camera, microscope = scene.camera, scene.microscope
+    size = {"height": microscope.height_px, "width": microscope.width_px}
+    sigma_dn = 0.0 if camera.jpeg_quality else camera.read_noise_e * camera.system_gain
+    bits = max(math.log2(sigma_dn * math.sqrt(2 * math.pi * math.e)), 0.0) if sigma_dn else 0.0
+    image = math.prod(camera.sensor_shape(**size)) * bits / 8 / 2
+    linear = 3 * math.prod(size.values()) * _LINEAR_BYTES if scene.exposures.keep_linear else 0
+    return frame_count(scene) * len(scene.exposures.kinds) * (image + linear)

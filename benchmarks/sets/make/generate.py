@@ -11,6 +11,7 @@ import errno
 import fcntl
 import json
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -115,6 +116,8 @@ def _render(
                 problems.append(f"{stack.split}/{stack.name}: {error or type(error).__name__}")
             done += 1
             report(len(missing) - done)
+        if busy and len(left) > len(busy):
+            print(f"Waiting for {len(busy)} stacks that other runs render.", file=sys.stderr)
         left = busy
         if busy:
             time.sleep(_BETWEEN_TRIES_S)

@@ -23,11 +23,12 @@ from benchmarks.sets.score.outcomes import Against, Outcome
 from benchmarks.sets.score.spots_of_set import Mode, read_set_spots, track_set
 from benchmarks.sets.score.table import tables
 from estimator import SpotRecord, write_spots
-from estimator.files import fingerprint, written_whole
+from estimator.files import fingerprint, require_space, written_whole
 from estimator.run import progress
 from optics import InputError
 
 _SCHEMA = 1
+_LEAST_BYTES = 2**18  # of the figures
 
 
 def run(
@@ -61,6 +62,7 @@ def run(
         return
     with written_whole(out) as whole:
         whole.mkdir()
+        require_space(out, _LEAST_BYTES)
         result, measured = _scored(folder, spots_files, modes, against)
         _write(result, whole, folder)
         for name, records in measured.items():
