@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,6 +19,11 @@ from estimator import (
     TrackState,
     measure,
 )
+from estimator.detector import spot_shape
+from estimator.detector.levels import Levels
+from estimator.image import Camera
+from scenes.drawn import Drawing, any_truth, light_of
+from tests.drawn_frames_at_random import random_frame
 
 _MODES = (
     SubpixelSettings(),
@@ -133,3 +141,111 @@ def test_views_and_negative_values_are_measured() -> None:
     _typed_or_refused(frame.transpose(1, 0, 2))
     _typed_or_refused(rng.normal(0, 1, (120, 160)))
     _typed_or_refused(rng.normal(0, 1e10, (120, 160)).astype(np.float32))
+
+
+_LENIENT = SubpixelSettings(min_semi_minor_px=3, min_contrast=0.05)
+_WIDE_OPEN = SubpixelSettings(
+    response=Response(curve="srgb"),
+    min_semi_minor_px=3,
+    min_contrast=0.3,
+    min_coverage=0.1,
+    max_axis_ratio=20,
+)
+_ALL_BRIGHT = LiteralSettings(threshold=60, order="threshold_first", min_component_px=0)
+
+
+def _settings_for(
+    rng: np.random.Generator, frame: np.ndarray
+) -> list[SubpixelSettings | LiteralSettings]:
+    """A few settings; one of the cameras distorts beyond what its coefficients can undo."""
+    height, width = frame.shape[:2]
+    focal = width * rng.uniform(0.5, 3)
+    matrix = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    wildness = rng.choice([0.1, 3.0])
+    camera = Camera(matrix=matrix, distortion=rng.normal(0, wildness, 5) * [1, 1, 0.1, 0.1, 1])
+    every = (
+        SubpixelSettings(),
+        _LENIENT,
+        _WIDE_OPEN,
+        replace(_LENIENT, camera=camera),
+        replace(_LENIENT, reference=np.roll(frame, 40, 0), response=Response(curve="gamma")),
+        LiteralSettings(),
+        _ALL_BRIGHT,
+    )
+    return [every[k] for k in rng.choice(len(every), 2, replace=False)]
+
+
+def _sound(spot: Spot, mode: SubpixelSettings | LiteralSettings) -> None:
+    """Assert that a spot's numbers are those of an ellipse, and its errors those of a measurement.
+
+    Warnings are errors here, so a root of a negative number, a division by zero and an overflow
+    are seen too.
+    """
+    assert 0 < spot.semi_minor_px <= spot.semi_major_px < 1e5
+    assert np.isfinite([spot.x_px, spot.y_px, spot.angle_rad]).all()
+    assert 0 <= spot.saturated <= 1
+    if isinstance(mode, SubpixelSettings):
+        assert (np.diag(spot.covariance) >= 0).all()
+        assert np.isfinite(spot.covariance).all()
+        assert 0 < spot.edge_width_px < np.inf
+        assert 0 <= spot.coverage <= 1 + 1e-9  # a sum of 192 parts of one
+        assert 0 <= spot.inlier_fraction <= 1
+
+
+def _measured_without_a_fault(seeds: Iterable[int]) -> None:
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        frame = random_frame(rng)
+        later = np.roll(frame, rng.integers(-8, 9, 2), (0, 1))
+        for mode in _settings_for(rng, frame):
+            _, state = measure(frame, TrackState(), mode)
+            spot, _ = measure(later, state, mode)
+            if isinstance(spot, Spot):
+                _sound(spot, mode)
+                camera = mode.camera if isinstance(mode, SubpixelSettings) else None
+                spot_shape(later, spot, response=mode.response, camera=camera)
+
+
+def test_no_drawn_frame_breaks_the_detector() -> None:
+    _measured_without_a_fault(range(300))
+
+
+@pytest.mark.slow
+def test_none_of_20000_drawn_frames_breaks_the_detector() -> None:
+    _measured_without_a_fault(range(300, 20_000))
+
+
+def test_what_is_darker_than_its_surroundings_has_no_half_level() -> None:
+    """Its edge width would be negative; roots and logarithms of it are taken later."""
+    levels = Levels(100.0, (1.0, 0.0, 0.0), 0.0, 20.0, 1.5, 0.3, 1.0)
+    assert levels.before(101.0, 2.0) is None
+    brighter = levels.before(99.0, 2.0)
+    assert brighter is not None
+    assert brighter.amplitude > 0
+
+
+@pytest.mark.parametrize("exponent", [-3, -6, -9])
+def test_a_spot_does_not_depend_on_the_unit_of_light(exponent: int) -> None:
+    rng = np.random.default_rng(0)
+    drawing = Drawing(truth=any_truth(rng, 60.0))
+    light = (light_of(drawing) + rng.normal(0, 3, (480, 640, 3))) / 255
+    first, dimmer = (
+        measure(np.float32(unit) * light.astype(np.float32), TrackState(), SubpixelSettings())[0]
+        for unit in (1.0, 10.0**exponent)
+    )
+    assert isinstance(first, Spot)
+    assert isinstance(dimmer, Spot)
+    # Rounding of float32 light, 6e-8 of it, over the slope of the edge: far below 1e-4 px.
+    assert dimmer.semi_minor_px == pytest.approx(first.semi_minor_px, abs=1e-4)
+    assert dimmer.sigma_semi_minor_px == pytest.approx(first.sigma_semi_minor_px, rel=1e-3)
+
+
+def test_light_too_dim_for_its_squares_is_dark() -> None:
+    frame = np.zeros((100, 100))
+    frame[30:70, 30:70] = 1e-20
+    assert measure(frame, TrackState(), _LENIENT)[0] == NoSpot(Reason.NONE_FOUND)
+
+
+def test_a_place_that_is_none_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"at_px=.*finite.*nan"):
+        TrackState(at_px=(np.nan, 0.0))

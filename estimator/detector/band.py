@@ -133,7 +133,7 @@ class Band:
         noise = float(weight @ rough)
         total = weight @ squares
         pure = triangle[-1]
-        filtered = pure * np.minimum(noise / np.maximum(total, 1e-12), 1)
+        filtered = pure * np.divide(noise, total, out=np.ones(len(total)), where=total > noise)
         filtered[-1] = pure[-1]
         return parts @ (filtered / (filtered @ pure)), rough
 
@@ -170,11 +170,13 @@ class Band:
             if not falling < 0:
                 return None
             root -= (c0 + root * (c1 + root * (c2 + root * c3))) / falling
+        if not abs(root) <= 1:  # the cubic holds only where it was fitted
+            return None
         return middle + root * span
 
     def width(self, levels: Levels) -> float:
         """Edge width of the mean profile, units of the radius (see `Spot.edge_width_px`)."""
-        steepest = max(-float(self.slope.min()), 1e-12)
+        steepest = max(-float(self.slope.min()), 1e-12 * levels.amplitude)
         return levels.amplitude / (math.sqrt(2 * math.pi) * steepest)
 
     def refined(

@@ -33,9 +33,12 @@ class Coarse:
 
     @classmethod
     def of_signal(cls, signal: np.ndarray, *, stride: int, x0: int, y0: int) -> Coarse:
-        """Scale a float signal to 8 bits by its own maximum."""
+        """Scale a float signal to 8 bits by its own maximum.
+
+        A signal below `Search.DARKEST` is zero.
+        """
         unit = float(signal.max()) / 255
-        if not unit > 0:
+        if not 255 * unit > Search.DARKEST:
             return cls(np.zeros(signal.shape, np.uint8), 1.0, stride, x0, y0)
         _, positive = cv2.threshold(signal, 0, 0, cv2.THRESH_TOZERO)
         levels = cv2.convertScaleAbs(positive, alpha=1 / unit)

@@ -98,7 +98,10 @@ def _refined(
     for _ in range(Refine.REPEATS - 1):
         if isinstance(refined, NoSpot) or _settled(refined, inliers, levels):
             break
-        inliers, levels = refined.inliers, _with_background_in_view(refined, coarse)
+        now = _with_background_in_view(refined, coarse)
+        if now is None:
+            return NoSpot(Reason.NONE_FOUND)
+        inliers, levels = refined.inliers, now
         refined = _refined_once(patch, refined.ellipse, inliers, levels)
     return refined if isinstance(refined, NoSpot) else _finished(refined)
 
@@ -121,8 +124,11 @@ def _settled(refined: Refined, inliers: np.ndarray, before: Levels) -> bool:
     return settled and bool(same_rays) and same_kind and after.sees_background
 
 
-def _with_background_in_view(refined: Refined, coarse: Coarse) -> Levels:
-    """The levels, with a new background if the edge is wider than assumed for the present one."""
+def _with_background_in_view(refined: Refined, coarse: Coarse) -> Levels | None:
+    """The levels, with a new background if the edge is wider than assumed for the present one.
+
+    None if that background is as bright as the peak: the dip at the edge is the wall's texture.
+    """
     levels = refined.levels
     if levels.sees_background:
         return levels

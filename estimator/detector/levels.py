@@ -65,8 +65,14 @@ class Levels:
         """A bell's light that may remain where the background was taken, over its amplitude."""
         return _tail(self.width, self.background_radius)
 
-    def before(self, background: float, radius: float) -> Levels:
-        """The levels with a background taken there, less half of a bell's light that may remain."""
+    def before(self, background: float, radius: float) -> Levels | None:
+        """The levels with a background taken there, less half of a bell's light that may remain.
+
+        None if the background is as bright as the peak, as in `levels_of`: there is no half level,
+        and edge widths, whose logarithms and roots are taken, would not be positive.
+        """
+        if not self.peak > background:
+            return None
         background = _without_tail(background, self.peak, self.width, radius)
         return replace(self, background=background, background_radius=radius)
 
@@ -100,14 +106,15 @@ def levels_of(
         candidate: the levels with which the spot was found.
 
     Returns:
-        The levels; None if the profiles do not fall, or if they are the halo of something brighter.
+        The levels, with a peak above the background and a positive width; None if the profiles do
+        not fall, or if they are the halo of something brighter.
     """
     mean = profiles.sum(axis=0) / len(profiles)
     steepest = float((mean[:-2] - mean[2:])[_NEAR_EDGE].max()) / (2 * RADIUS_STEP)
     height = candidate.peak - candidate.background
     width = height / (math.sqrt(2 * math.pi) * steepest) if steepest > 0 else math.inf
-    if width > HalfLevel.WIDEST:
-        return None
+    if not 0 < width <= HalfLevel.WIDEST:
+        return None  # in another channel, what was bright may be dark
     background, radius = background_of(coarse, ellipse, width) or (candidate.background, 1.0)
     dark = (candidate.peak + candidate.background) / 2
     glaring = 2 * candidate.peak

@@ -126,9 +126,10 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         if np.abs(step[:5]).max() < Motion.SETTLED:
             break
     covariance = _covariance(gram, pull)
-    length = math.hypot(*moving.path)
-    heading = moving.path / length
-    if length < Motion.SURE * math.sqrt(heading @ covariance[5:7, 5:7] @ heading):
+    path = moving.path
+    # Variance of the path's length, times its square.
+    doubt = path @ covariance[5:7, 5:7] @ path
+    if (path @ path) ** 2 <= Motion.SURE**2 * doubt:
         return fit
     return replace(
         fit,

@@ -15,6 +15,7 @@ from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tuning import Verdict
 from estimator.detector.verdict import Sighting, continues, is_part_of, one_of, sighting_in
 from estimator.image import NoSpot, Reason, Spot, Window, checked_frame
+from optics import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +32,14 @@ class TrackState:
     at_px: tuple[float, float] | None = None
     spot: Spot | None = None
     sighting: Sighting | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a place that is none."""
+        if self.at_px is not None and not all(map(math.isfinite, self.at_px)):
+            raise InputError(
+                f"TrackState(at_px=...) must be finite, x and y in px; got {self.at_px}."
+                " Give None to search the whole frame."
+            )
 
 
 def measure(

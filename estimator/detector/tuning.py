@@ -56,6 +56,10 @@ class Search:
     """1/255 of the window's maximum | least difference of peak and background that is not noise |
     set by hand
     """
+    DARKEST = 1e-12
+    """any unit | signal that counts as none | derived: squares of the signal, and of 1e-6 of it,
+    are float32 numbers, as they are of the brightest signal, 1e12
+    """
     SMALLEST_PIECE = 0.1
     """- | area of a part of a divided spot, over its largest part's | set by hand"""
     SMALLEST_AREA = 0.7

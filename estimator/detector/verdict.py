@@ -129,6 +129,8 @@ def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
     ellipse = fit.ellipse
     if settings.camera is not None:
         edges = contour_points(ellipse, fit.offsets)[fit.inliers]
+        if not settings.camera.can_undistort(edges):
+            return NoSpot(Reason.NONE_FOUND)
         ellipse = refitted(ellipse, settings.camera.undistorted(edges))
         semi_major, semi_minor, angle = ellipse.axes()
     covariance = covariance_of_axes(ellipse, fit.step_covariance)

@@ -9,6 +9,8 @@ import numpy as np
 
 from optics import InputError
 
+_UNDONE_PX = 1.0  # OpenCV's few iterations end within this where there is an inverse
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Camera:
@@ -44,10 +46,23 @@ class Camera:
             points.reshape(-1, 1, 2), self.matrix, self.distortion, P=self.matrix
         )[:, 0]
 
+    def can_undistort(self, points: np.ndarray) -> bool:
+        """Whether the distortion has an inverse at points, (n, 2), px.
+
+        A polynomial that was fitted to a part of the image turns back outside of it: several points
+        of the ideal image are seen at one place, and OpenCV's iteration finds any or none of them.
+        """
+        back = self.all_distorted(self.undistorted(points))
+        return bool(np.abs(back - points).max() < _UNDONE_PX)
+
+    def all_distorted(self, points: np.ndarray) -> np.ndarray:
+        """Points of the ideal image in this camera's image, (n, 2), px."""
+        rays = np.linalg.solve(self.matrix, np.column_stack([points, np.ones(len(points))]).T)
+        zero = np.zeros(3)
+        seen, _ = cv2.projectPoints(rays.T, zero, zero, self.matrix, self.distortion)
+        return seen[:, 0]
+
     def distorted(self, x: float, y: float) -> tuple[float, float]:
         """A point of the ideal image in this camera's image, px."""
-        ray = np.linalg.solve(self.matrix, np.array([x, y, 1.0]))
-        zero = np.zeros(3)
-        seen, _ = cv2.projectPoints(ray, zero, zero, self.matrix, self.distortion)
-        u, v = seen.ravel().tolist()
+        u, v = self.all_distorted(np.array([[x, y]]))[0].tolist()
         return u, v

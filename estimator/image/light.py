@@ -17,6 +17,8 @@ GREY = -1
 GREY_WEIGHTS = (0.299, 0.587, 0.114)
 """Weights of red, green and blue, as in cv2's RGB2GRAY."""
 
+_SRGB_EXPONENT = 2.4
+_BRIGHTEST = 1e6  # light over full scale; the squares of brighter light are no float32 numbers
 _REFERENCE_BLUR_PX = 3.0  # removes noise from the reference frame, and keeps the wall's texture
 _DARKEST_REFERENCE = 0.2  # of its median; darker pixels are a shaft, not the wall
 
@@ -62,10 +64,12 @@ class Response:
         return self._inverted(fraction) * np.float32(full_scale)
 
     def _inverted(self, fraction: np.ndarray) -> np.ndarray:
-        fraction = np.maximum(fraction, np.float32(0))
+        # Floats may exceed full scale, but not grow without limit.
+        exponent = self.gamma if self.curve == "gamma" else _SRGB_EXPONENT
+        fraction = np.clip(fraction, np.float32(0), np.float32(_BRIGHTEST ** (1 / exponent)))
         if self.curve == "gamma":
             return fraction ** np.float32(self.gamma)
-        above = ((fraction + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
+        above = ((fraction + np.float32(0.055)) / np.float32(1.055)) ** np.float32(_SRGB_EXPONENT)
         return np.where(fraction <= 0.04045, fraction / np.float32(12.92), above)
 
 

@@ -146,8 +146,7 @@ def _draw_ellipse(picture: np.ndarray, spot: Spot, camera: Camera | None) -> Non
     points = np.stack([spot.x_px + along * c - across * s, spot.y_px + along * s + across * c], 1)
     centre = np.array([[spot.x_px, spot.y_px]])
     if camera is not None:
-        points = np.array([camera.distorted(x, y) for x, y in points.tolist()])
-        centre = np.array([camera.distorted(spot.x_px, spot.y_px)])
+        points, centre = camera.all_distorted(points), camera.all_distorted(centre)
     fixed = np.rint(points * 2**_SHIFT).astype(np.int32)
     cv2.polylines(picture, [fixed], True, _GREEN, 1, cv2.LINE_AA, _SHIFT)
     x, y = np.rint(centre[0]).astype(int).tolist()
