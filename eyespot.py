@@ -148,7 +148,7 @@ def main() -> None:
     try:
         message = _foreign_package()
         if message is None:
-            sys.exit(app())
+            _run()
     except KeyboardInterrupt:
         sys.exit(130)
     except Exception as error:
@@ -157,6 +157,31 @@ def main() -> None:
             raise
     print(f"eyespot: {message}", file=sys.stderr)
     sys.exit(2)
+
+
+def _run() -> None:
+    """Run the command; frames that met a bug are failures at its end."""
+    _bugs()  # those of another caller in this process
+    code: Any = None
+    try:
+        code = app()
+    except SystemExit as ended:
+        code = ended.code
+    finally:
+        if number := _bugs():
+            code = 1
+            print(
+                f"eyespot: {number} frames met a bug in eyespot; their reason is internal_error."
+                " Report it to the developers, with the traceback above.",
+                file=sys.stderr,
+            )
+    sys.exit(code)
+
+
+def _bugs() -> int:
+    """Number of frames that met a bug since the last call."""
+    bugs = sys.modules.get("estimator.run.internal_errors")  # never loaded: none
+    return bugs.taken() if bugs else 0
 
 
 def _message_of(error: Exception) -> str | None:

@@ -33,7 +33,7 @@ from estimator.files.calibration import Calibration, read_calibration, write_cal
 from estimator.files.microscope import read_microscope
 from estimator.files.stack import read_stack
 from estimator.rig import node as rig_node
-from estimator.rig.rig import Parameters, Rig
+from estimator.rig.rig import Doubt, Parameters, Rig
 from estimator.sources import write_bag
 from estimator.sources.opening import Frame, open_source
 
@@ -97,7 +97,7 @@ def calibrated(folder: Path, model: str) -> Path:
 
 
 def test_a_disc_in_an_image_message_is_read_where_it_was_drawn() -> None:
-    reading = Rig(Parameters()).measured(image_message(disc(150.25, 110.5, 40.0)), 1.0)
+    reading = Rig(Parameters()).output(image_message(disc(150.25, 110.5, 40.0)), 1.0)
     # Clean sub-pixel edges: the estimator's own tests hold 0.02 px; 8-bit rounding adds no more.
     assert reading.centre == pytest.approx((150.25, 110.5, 1.0), abs=0.05)
     assert reading.axes[:2] == pytest.approx((40.0, 40.0), abs=0.05)
@@ -106,7 +106,7 @@ def test_a_disc_in_an_image_message_is_read_where_it_was_drawn() -> None:
 
 
 def test_a_dark_image_is_no_spot_and_says_why() -> None:
-    reading = Rig(Parameters()).measured(image_message(DARK), 1.0)
+    reading = Rig(Parameters()).output(image_message(DARK), 1.0)
     np.testing.assert_equal(reading.centre, (math.nan, math.nan, 0.0))
     np.testing.assert_equal(reading.axes, (math.nan,) * 3)
     assert reading.doubt == "none_found"
@@ -116,7 +116,7 @@ def test_a_dark_image_is_no_spot_and_says_why() -> None:
 def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline() -> None:
     rig = Rig(Parameters())
     images = [disc(80, 120, 40), disc(240, 120, 40), disc(240, 120, 40)]
-    doubts = [rig.measured(image_message(image), float(n)).doubt for n, image in enumerate(images)]
+    doubts = [rig.output(image_message(image), float(n)).doubt for n, image in enumerate(images)]
     assert doubts == ["", "ambiguous", ""]
 
 
@@ -124,7 +124,7 @@ def test_the_distance_is_in_metres(tmp_path: Path) -> None:
     microscope = tmp_path / "microscope.json"
     microscope.write_text(MICROSCOPE)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
-    reading = Rig(parameters).measured(image_message(disc(159.5, 119.5, 30.0)), 1.0)
+    reading = Rig(parameters).output(image_message(disc(159.5, 119.5, 30.0)), 1.0)
     # d = delta k e1' + b; an error of 0.05 px is one of 13 um.
     truth_mm = 0.0134 * 20 * 30.0 - 5.117
     assert reading.distance_m == pytest.approx(truth_mm / 1e3, abs=13e-6)
@@ -136,17 +136,17 @@ def test_a_tip_behind_the_wall_is_doubted(tmp_path: Path) -> None:
     microscope.write_text(MICROSCOPE)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
     # At contact the spot has -b/(delta k) = 19.1 px.
-    reading = Rig(parameters).measured(image_message(disc(159.5, 119.5, 17.0)), 1.0)
+    reading = Rig(parameters).output(image_message(disc(159.5, 119.5, 17.0)), 1.0)
     assert reading.doubt == "out_of_range"
     assert reading.distance_m < 0
 
 
 def test_the_pose_of_an_image_is_the_last_that_came_before_it() -> None:
     rig, image = Rig(Parameters()), image_message(disc(150, 110, 40))
-    assert math.isnan(pose_age_s(rig.measured(image, 5.0).details))
+    assert math.isnan(pose_age_s(rig.output(image, 5.0).details))
     for received_s in (4.97, 4.98, 5.01):
         rig.take_pose(pose_message(), received_s)
-    assert pose_age_s(rig.measured(image, 5.0).details) == pytest.approx(0.02, abs=1e-9)
+    assert pose_age_s(rig.output(image, 5.0).details) == pytest.approx(0.02, abs=1e-9)
 
 
 def test_a_pose_that_is_none_is_refused() -> None:
@@ -186,11 +186,43 @@ def test_parameters_that_make_no_sense_are_named(given: dict[str, Any], told: st
 def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path: Path) -> None:
     microscope = tmp_path / "microscope.json"
     microscope.write_text(MICROSCOPE)
-    rig = Rig(Parameters(microscope=microscope))
-    with pytest.raises(ValueError, match=r"240x320 px.*320x240 px"):
-        rig.measured(image_message(DARK.T.copy()), 1.0)
-    with pytest.raises(ValueError, match=r"start .*outside.*320x240 px"):
-        Rig(Parameters(start=(320.0, 10.0))).measured(image_message(DARK), 1.0)
+    turned = Rig(Parameters(microscope=microscope)).output(image_message(DARK.T.copy()), 1.0)
+    assert "240x320 px" in turned.doubt
+    outside = Rig(Parameters(start=(320.0, 10.0))).output(image_message(DARK), 1.0)
+    assert "start (320, 10) px lies outside" in outside.doubt
+    unknown = image_message(DARK)
+    unknown.encoding = "jpeg"
+    third = Rig(Parameters()).output(unknown, 1.0)
+    assert "encoding" in third.doubt
+    for output in (turned, outside, third):
+        assert output.level is Doubt.FAILED
+        np.testing.assert_equal(output.centre, (math.nan, math.nan, 0.0))
+
+
+def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig, image = Rig(Parameters()), image_message(disc(150.25, 110.5, 40.0))
+
+    def with_a_bug(*_: object) -> None:  # stands in for a bug, of which we know none
+        raise ZeroDivisionError("here")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("estimator.run.reader.measure", with_a_bug)
+        failed = rig.output(image, 1.0)
+    assert (failed.doubt, failed.level) == ("internal_error", Doubt.FAILED)
+    assert "ZeroDivisionError: here" in caplog.text
+    assert rig.output(image, 1.1).level is Doubt.NONE
+
+
+def test_images_between_two_measured_ones_are_counted_as_skipped() -> None:
+    rig, counts = Rig(Parameters()), []
+    for number in (7, 8, 11, 11, 2, 4):  # the publisher begins again at 2
+        image = image_message(DARK)
+        image.header.seq = number
+        details = rig.output(image, 1.0).details
+        counts.append((int(details["images"]), int(details["skipped_images"])))
+    assert counts == [(1, 0), (2, 0), (3, 2), (4, 2), (5, 2), (6, 3)]
 
 
 def test_without_ros_the_node_says_what_to_install(

@@ -479,7 +479,7 @@ def test_nothing_is_written_over(run, tmp_path, frames, option):
     there.write_text("precious")
     options = {"--out": tmp_path / "spots.csv"} | {option: there}
     outcome = run(frames, *(part for pair in options.items() for part in pair))
-    assert_bad_input(outcome, f"{there} exists already")
+    assert_bad_input(outcome, f"{there} already exists")
     assert there.read_text() == "precious"
 
 

@@ -132,6 +132,8 @@ def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
         if not settings.camera.can_undistort(edges):
             return NoSpot(Reason.NONE_FOUND)
         ellipse = refitted(ellipse, settings.camera.undistorted(edges))
+        if math.dist(settings.camera.distorted(*ellipse.centre), fit.ellipse.centre) > semi_major:
+            return NoSpot(Reason.NONE_FOUND)  # its edge can be undistorted, but not its inside
         semi_major, semi_minor, angle = ellipse.axes()
     covariance = covariance_of_axes(ellipse, fit.step_covariance)
     vague = covariance[3, 3] > (Verdict.VAGUEST * semi_minor) ** 2

@@ -14,6 +14,8 @@ poses             Poses of the robot: where the instrument's tip was, and in whi
                   pointed
 ros_bags          ROS 1 and ROS 2 bags, opened without ROS: their topics and messages
 spots             The spots file: CSV or Parquet, one line per frame with the spot and its distance
+spots_stream      Writes a spots file record by record, so that nothing measured is lost however a
+                  run ends
 stack             Stack folder: frames, masks, one line of labels per frame, the scene as run,
                   checksums
 stack_writer      Writes a stack folder frame by frame, so that a stopped run can continue

@@ -32,6 +32,7 @@ from .spots import SpotRecord as SpotRecord
 from .spots import pyarrow as pyarrow
 from .spots import read_spots as read_spots
 from .spots import write_spots as write_spots
+from .spots_stream import spots_stream as spots_stream
 from .stack import FrameLabels as FrameLabels
 from .stack import Stack as Stack
 from .stack import StackError as StackError

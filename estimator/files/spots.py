@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import csv
 import importlib
+import io
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,7 @@ COLUMNS = (
     *_COVARIANCES,
     "schema_version",
 )
-_KINDS: dict[str, Callable[[str], Any]] = {
+_KINDS: dict[str, type] = {
     **dict.fromkeys(("frame", "schema_version"), int),
     **dict.fromkeys(("file_name", "mode", "status", "reason"), str),
 }
@@ -101,7 +102,7 @@ def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
     Raises:
         InputError: Parquet without pyarrow installed.
     """
-    write = _write_parquet if _is_parquet(path) else _write_csv
+    write = _write_parquet if is_parquet(path) else _write_csv
     with written_whole(Path(path), replace=True) as partial:
         write(partial, records)
 
@@ -113,7 +114,7 @@ def read_spots(path: str | Path) -> list[SpotRecord]:
         InputError: not a spots file, of another schema version, or with a wrong value; the message
             names the file and the line.
     """
-    rows = _parquet_rows(Path(path)) if _is_parquet(path) else _csv_rows(Path(path))
+    rows = _parquet_rows(Path(path)) if is_parquet(path) else _csv_rows(Path(path))
     return [_record(row, where) for row, where in rows]
 
 
@@ -132,16 +133,43 @@ def pyarrow() -> Any:
     return importlib.import_module("pyarrow")
 
 
-def _is_parquet(path: str | Path) -> bool:
+def is_parquet(path: str | Path) -> bool:
+    """Whether a spots file of this name is Parquet, and not CSV."""
     return Path(path).suffix.lower() == ".parquet"
 
 
+def csv_line(record: SpotRecord | None) -> str:
+    """The line of a record in a CSV file; without a record, the line of the column names."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(_line(record) if record else COLUMNS)
+    return text.getvalue()
+
+
+def parquet_of_csv(lines: Path, path: Path) -> None:
+    """Write the Parquet file with the lines of a CSV file, a part at a time.
+
+    Args:
+        lines: spots file, CSV.
+        path: of the Parquet file.
+    """
+    pa, csv_reader = pyarrow(), importlib.import_module("pyarrow.csv")
+    kinds = {int: pa.int64(), str: pa.string(), float: pa.float64()}
+    schema = pa.schema([(name, kinds[_KINDS.get(name, float)]) for name in COLUMNS])
+    # Only numbers may be missing, and only as empty cells: NA may be the name of a file.
+    convert = csv_reader.ConvertOptions(column_types=schema, null_values=[""])
+    parse = csv_reader.ParseOptions(newlines_in_values=True)
+    with (
+        csv_reader.open_csv(lines, convert_options=convert, parse_options=parse) as parts,
+        pa.parquet.ParquetWriter(path, schema) as file,
+    ):
+        for part in parts:
+            file.write_batch(part)
+
+
 def _write_csv(path: Path, records: Iterable[SpotRecord]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for record in records:
-            writer.writerow(_line(record))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(csv_line(None))
+        file.writelines(map(csv_line, records))
 
 
 def _csv_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
@@ -156,14 +184,9 @@ def _csv_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
 
 
 def _write_parquet(path: Path, records: Iterable[SpotRecord]) -> None:
-    pa = pyarrow()
-    kinds = {int: pa.int64(), str: pa.string(), _value: pa.float64()}
-    lines = [_line(record) for record in records]
-    columns = {}
-    for index, name in enumerate(COLUMNS):
-        value = _KINDS.get(name, _value)
-        columns[name] = pa.array([value(line[index]) for line in lines], kinds[value])
-    pa.parquet.write_table(pa.table(columns), path)
+    lines = path.with_name("lines.csv")
+    _write_csv(lines, records)
+    parquet_of_csv(lines, path)
 
 
 def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
@@ -205,10 +228,6 @@ def _line(record: SpotRecord) -> list[str]:
 
 def _cell(value: float) -> str:
     return "" if math.isnan(value) else repr(float(value))
-
-
-def _value(cell: str) -> float | None:
-    return float(cell) if cell else None
 
 
 def _record(row: dict[str, str], where: str) -> SpotRecord:

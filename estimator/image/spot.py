@@ -14,7 +14,10 @@ PARAMETERS = ("x", "y", "semi_major", "semi_minor", "angle")
 
 
 class Reason(Enum):
-    """Why a frame has no spot: the closed list of the spots file."""
+    """Why a frame has no spot: the closed list of the spots file.
+
+    `INTERNAL_ERROR` is a bug of the measurement that the frame met; all others are findings.
+    """
 
     NONE_FOUND = "none_found"
     CLIPPED = "clipped"
@@ -23,6 +26,7 @@ class Reason(Enum):
     SATURATED = "saturated"
     OCCLUDED = "occluded"
     AMBIGUOUS = "ambiguous"
+    INTERNAL_ERROR = "internal_error"
 
 
 @final

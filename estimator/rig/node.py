@@ -12,7 +12,7 @@ import math
 import sys
 from typing import Any
 
-from estimator.rig.rig import POSES_KEPT, Parameters, Rig
+from estimator.rig.rig import POSES_KEPT, Doubt, Parameters, Rig
 from optics import InputError
 
 _DEBIAN_PACKAGES = "/usr/lib/python3/dist-packages"  # rospy, outside of environments
@@ -47,12 +47,13 @@ def connect(rig: Rig, parameters: Parameters) -> None:
     ranges = rospy.Publisher(parameters.range_topic, sensor.Range, queue_size=10)
     statuses = rospy.Publisher(parameters.status_topic, diagnostic.DiagnosticArray, queue_size=10)
 
+    levels = diagnostic.DiagnosticStatus
+    level_of = {Doubt.NONE: levels.OK, Doubt.DOUBTFUL: levels.WARN, Doubt.FAILED: levels.ERROR}
+
     def on_image(image: Any) -> None:
-        try:
-            reading = rig.measured(image, image.header.stamp.to_sec())
-        except ValueError as error:
-            rospy.logerr_throttle(1.0, f"{error}")
-            return
+        reading = rig.output(image, image.header.stamp.to_sec())
+        if reading.level is Doubt.FAILED:
+            rospy.logerr_throttle(1.0, reading.doubt)
         header = Header(stamp=image.header.stamp, frame_id=image.header.frame_id)
         spots.publish(header, geometry.Point(*reading.centre))
         axes.publish(header, geometry.Vector3(*reading.axes))
@@ -64,9 +65,8 @@ def connect(rig: Rig, parameters: Parameters) -> None:
             max_range=math.inf,
             range=reading.distance_m,
         )
-        levels = diagnostic.DiagnosticStatus
         status = diagnostic.DiagnosticStatus(
-            level=levels.WARN if reading.doubt else levels.OK,
+            level=level_of[reading.level],
             name="eyespot",
             message=reading.doubt or "ok",
             values=[diagnostic.KeyValue(*item) for item in reading.details.items()],
@@ -76,7 +76,7 @@ def connect(rig: Rig, parameters: Parameters) -> None:
     def on_pose(pose: Any) -> None:
         try:
             rig.take_pose(pose, rospy.get_time())
-        except ValueError as error:
+        except InputError as error:
             rospy.logerr_throttle(1.0, f"{error}")
 
     rospy.Subscriber(parameters.pose_topic, geometry.Transform, on_pose, queue_size=POSES_KEPT)

@@ -6,12 +6,14 @@ Nothing here needs ROS: a message is any object with its fields. `node` connects
 from __future__ import annotations
 
 import math
+from enum import Enum
 from typing import Any, NamedTuple
 
 from estimator.files import POSE_TOPIC, Pose, PoseTrack
-from estimator.image import Spot
-from estimator.run import Options, Reading
+from estimator.image import NoSpot, Reason, Spot
+from estimator.run import Options, Reading, internal_errors
 from estimator.sources import IMAGE_TOPIC, frame_of_message
+from optics import InputError
 
 POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node sooner
 
@@ -36,6 +38,14 @@ class Parameters(Options):
     status_topic: str = "~status"
 
 
+class Doubt(Enum):
+    """What an output is worth."""
+
+    NONE = "none"
+    DOUBTFUL = "doubtful"
+    FAILED = "failed"
+
+
 class Output(NamedTuple):
     """A reading in the form of the messages.
 
@@ -43,14 +53,17 @@ class Output(NamedTuple):
         centre: x and y, px, and 1; NaN, NaN, 0 where there is no spot.
         axes: semi-major and semi-minor axis, px, and the former's angle, rad; NaN without a spot.
         distance_m: from the tip to the wall along the beam; NaN where there is none.
-        doubt: see `Reading.doubt`.
-        details: the rest, named and written as in the spots file.
+        doubt: see `Reading.doubt`; of an image that cannot be measured the reason.
+        level: FAILED if the image could not be measured, or met a bug.
+        details: the rest, named and written as in the spots file, and the number of images that
+            were measured and that were skipped.
     """
 
     centre: tuple[float, float, float]
     axes: tuple[float, float, float]
     distance_m: float
     doubt: str
+    level: Doubt
     details: dict[str, str]
 
 
@@ -68,6 +81,9 @@ class Rig:
     def __init__(self, parameters: Parameters) -> None:
         self._reader = parameters.reader()
         self._poses: tuple[Pose, ...] = ()
+        self._number: int | None = None  # the publisher's, of the last image
+        self._measured = 0
+        self._skipped = 0
 
     def take_pose(self, message: Any, received_s: float) -> None:
         """Remember a pose.
@@ -88,21 +104,36 @@ class Rig:
         # Poses arrive in another thread. A tuple is replaced as a whole, never half changed.
         self._poses = (*self._poses[1 - POSES_KEPT :], pose)
 
-    def measured(self, message: Any, time_s: float) -> Output:
-        """Measure an image.
+    def output(self, message: Any, time_s: float) -> Output:
+        """Measure an image; one that cannot be measured gives an output that says why.
 
         Args:
             message: `sensor_msgs/Image`.
             time_s: of its header, s.
-
-        Raises:
-            InputError: it cannot be decoded, or as `Reader.read`.
         """
-        image = frame_of_message(message)
-        return _output(self._reader.read(image, time_s=time_s, poses=PoseTrack(self._poses)))
+        self._count(message.header.seq)
+        name = f"image {message.header.seq}"
+        reading, fault = Reading(NoSpot(Reason.INTERNAL_ERROR), None, math.nan), ""
+        try:
+            image = frame_of_message(message)
+            poses = PoseTrack(self._poses)
+            reading = self._reader.read(image, time_s=time_s, poses=poses, name=name)
+        except InputError as error:
+            fault = f"{error}"
+        except Exception as error:
+            internal_errors.note(error, name)
+        counts = {"images": str(self._measured), "skipped_images": str(self._skipped)}
+        return _output(reading, fault, counts)
+
+    def _count(self, number: int) -> None:
+        """Count an image, and those between it and the last one, by the publisher's numbers."""
+        if self._number is not None and number > self._number:
+            self._skipped += number - self._number - 1
+        self._number = number
+        self._measured += 1
 
 
-def _output(reading: Reading) -> Output:
+def _output(reading: Reading, fault: str, counts: dict[str, str]) -> Output:
     spot, distance = reading.result, reading.range
     centre, axes = (math.nan, math.nan, 0.0), (math.nan, math.nan, math.nan)
     details = {"pose_age_s": reading.pose_age_s}
@@ -114,10 +145,15 @@ def _output(reading: Reading) -> Output:
     if distance is not None:
         details["sigma_distance_mm"] = distance.sigma_mm
         details |= {f"other_distance_{n}_mm": d for n, d in enumerate(distance.others_mm, 1)}
+    doubt = fault or reading.doubt
+    level = Doubt.DOUBTFUL if doubt else Doubt.NONE
+    if fault or spot == NoSpot(Reason.INTERNAL_ERROR):
+        level = Doubt.FAILED
     return Output(
         centre=centre,
         axes=axes,
         distance_m=reading.distance_mm / 1e3,
-        doubt=reading.doubt,
-        details={name: repr(float(value)) for name, value in details.items()},
+        doubt=doubt,
+        level=level,
+        details={name: repr(float(value)) for name, value in details.items()} | counts,
     )

@@ -1,12 +1,17 @@
 """Reads a source to its end: `eyespot track`.
 
-command       The command `eyespot track`: opens a source, tracks it, writes the results and reports
-offline       Reads a source from its first frame to its last and returns the records of the spots
-options       The options of a measurement, defined once for `eyespot track` and for the rig's node
-overlay       Draws the measured spots over the frames: a video, or a folder of PNGs
-progress_bar  Progress of a long command: a bar on a terminal, else a plain line now and then
-reader        From a frame to a reading: the spot, its distance, the age of the robot's pose
-summary       Summary of a run of `eyespot track`: counts by reason, as a table or as JSON
+command          The command `eyespot track`: opens a source, tracks it, writes the results and
+                 reports
+internal_errors  Bugs that are met in single frames: logged and counted, so that a long run reaches
+                 its end
+offline          Reads a source from its first frame to its last: the spots, and how many of each
+                 kind
+options          The options of a measurement, defined once for `eyespot track` and for the rig's
+                 node
+overlay          Draws the measured spots over the frames: a video, or a folder of PNGs
+progress_bar     Progress of a long command: a bar on a terminal, else a plain line now and then
+reader           From a frame to a reading: the spot, its distance, the age of the robot's pose
+summary          Summary of a run of `eyespot track`: counts by reason, as a table or as JSON
 """
 
 import lazy_loader

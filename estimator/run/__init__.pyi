@@ -1,3 +1,4 @@
+from . import internal_errors as internal_errors
 from .offline import Ended as Ended
 from .offline import Tracking as Tracking
 from .offline import track_source as track_source

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -20,11 +21,14 @@ from estimator.run.progress_bar import progress
 from optics import InputError
 
 if TYPE_CHECKING:
-    from estimator.files import SpotRecord
+    from estimator.files import PoseTrack, SpotRecord
     from estimator.run.offline import Tracking
     from estimator.run.overlay import Draw
     from estimator.run.reader import Reader
     from estimator.sources import Source
+
+_LEAST_LINE_BYTES = 60
+"""Of a spots file's line for a frame without a spot; one with a spot is seven times as long."""
 
 
 @with_options
@@ -80,12 +84,12 @@ def track(
 ) -> None:
     """Measure the spot in every frame and write a spots file.
 
-    Ctrl-C ends the run and keeps the frames measured so far. Use it to stop a camera.
+    Ctrl-C ends the run and keeps the frames measured so far. Use it to stop a camera. A killed run
+    leaves them in NAME.partial.csv.
     """
     from rich.console import Console
 
-    from estimator.files import read_poses, write_spots
-    from estimator.run.offline import track_source
+    from estimator.files import read_poses, require_space, spots_stream
     from estimator.run.summary import summary_of, table_of
     from estimator.sources import open_source
 
@@ -103,51 +107,69 @@ def track(
     options["microscope"] = options["microscope"] or frames.microscope_file
     chosen = Options.of(options)
     track_of_poses = read_poses(poses, topic=pose_topic) if poses else None
-    # Compiling the model `exact`, or tracing the lens of the model `lens`, takes time.
-    with Console(stderr=True).status("Preparing"):
-        reader = chosen.reader()
-    began = time.perf_counter()
-    spots = 0
-    with (
-        _overlay(overlay, frames, reader) as draw,
-        progress("Tracking", total=frames.length) as advance,
-    ):
-
-        def measured(record: SpotRecord) -> None:
-            nonlocal spots
-            spots += bool(record.result)
-            advance(note=f"{spots} spots")
-
-        tracking = track_source(frames, reader, poses=track_of_poses, draw=draw, progress=measured)
-    write_spots(out, tracking.records)
+    require_space(out, _LEAST_LINE_BYTES * (frames.length or 0))
+    with spots_stream(out) as write:
+        # Compiling the model `exact`, or tracing the lens of the model `lens`, takes time.
+        with Console(stderr=True).status("Preparing"):
+            reader = chosen.reader()
+        began = time.perf_counter()
+        tracking, drawn = _tracked(frames, reader, track_of_poses, overlay, write)
     summary = summary_of(tracking, frames, chosen.mode, time.perf_counter() - began) | {
         "out": str(out),
-        "overlay": str(overlay) if overlay else None,
+        "overlay": str(drawn) if drawn else None,
     }
     if as_json:
         print(json.dumps(summary))
     else:
         Console().print(table_of(summary))
-        print(f"Wrote {out}" + (f" and {overlay}." if overlay else "."))
-    _report_early_end(tracking, out)
+        print(f"Wrote {out}" + (f" and {drawn}." if drawn else "."))
+    _report_early_end(tracking, frames, out, drawn)
+
+
+def _tracked(
+    frames: Source,
+    reader: Reader,
+    poses: PoseTrack | None,
+    overlay: Path | None,
+    write: Callable[[SpotRecord], None],
+) -> tuple[Tracking, Path | None]:
+    """What was measured, and the overlay; None without one or if it could not be finished."""
+    from estimator.run.offline import track_source
+
+    tracking, spots = None, 0
+    try:
+        with (
+            _overlay(overlay, frames, reader) as draw,
+            progress("Tracking", total=frames.length) as advance,
+        ):
+
+            def measured(record: SpotRecord) -> None:
+                nonlocal spots
+                spots += bool(record.result)
+                advance(note=f"{spots} spots")
+
+            tracking = track_source(
+                frames, reader, poses=poses, draw=draw, write=write, progress=measured
+            )
+    except (InputError, OSError) as error:
+        if tracking is None:
+            raise
+        tracking.break_off(error)
+        return tracking, None
+    return tracking, overlay
 
 
 def _check_results(out: Path, overlay: Path | None) -> None:
     """Find out before the run what would fail after it."""
-    from estimator.files import pyarrow
+    from estimator.files import refuse_existing
     from estimator.run.overlay import check_overlay_path
 
     if out.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{out}: a spots file is named .csv or .parquet; got {out.suffix!r}.")
-    if out.suffix.lower() == ".parquet":
-        pyarrow()
     if overlay is not None:
         check_overlay_path(overlay)
     for path in filter(None, (out, overlay)):
-        if path.exists():
-            raise InputError(
-                f"{path} exists already. Choose another name; nothing is written over."
-            )
+        refuse_existing(path)
         if not path.parent.is_dir():
             raise InputError(
                 f"{path.parent} is not a folder. Make it, or write {path.name} elsewhere."
@@ -171,12 +193,23 @@ def _overlay(
     )
 
 
-def _report_early_end(tracking: Tracking, out: Path) -> None:
+def _report_early_end(tracking: Tracking, source: Source, out: Path, overlay: Path | None) -> None:
     from estimator.run.offline import Ended
 
-    kept = f"{out} holds the {len(tracking.records)} frames"
+    kept = f"{out} holds the {tracking.frames} frames"
     if tracking.ended is Ended.INTERRUPTED:
         print(f"Stopped. {kept} measured so far.", file=sys.stderr)
         raise KeyboardInterrupt
     if tracking.ended is Ended.BROKEN:
         raise InputError(f"{tracking.fault} {kept} before that.")
+    if tracking.ended is Ended.DISK_FULL:
+        remedy = "Free some space, or choose another disk."
+        if source.length and source.length > tracking.frames:
+            left = source.length - tracking.frames
+            size = _size(out) + (_size(overlay) if overlay else 0)
+            remedy += f" The other {left} need about {size * left / tracking.frames / 1e6:.1f} MB."
+        raise InputError(f"{tracking.fault} {kept} before that. {remedy}")
+
+
+def _size(path: Path) -> int:
+    return sum(file.stat().st_size for file in [path, *path.rglob("*")] if file.is_file())

@@ -1,15 +1,19 @@
-"""Reads a source from its first frame to its last and returns the records of the spots."""
+"""Reads a source from its first frame to its last: the spots, and how many of each kind."""
 
 from __future__ import annotations
 
+import errno
 import math
+from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
+from statistics import median
 from typing import TYPE_CHECKING
 
 from estimator.files import PoseTrack, SpotRecord
+from estimator.image import Reason
 from estimator.run.reader import Reader, Reading
 from estimator.sources import Frame, Source
 from optics import InputError
@@ -18,39 +22,73 @@ if TYPE_CHECKING:
     from estimator.run.overlay import Draw
 
 
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
 class Ended(Enum):
     """How a run came to its end."""
 
     COMPLETE = "complete"
     INTERRUPTED = "interrupted"
     BROKEN = "broken"
+    DISK_FULL = "disk_full"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class Tracking:
-    """What a run measured.
+    """What a run has measured. Except for `records` it does not grow with the number of frames.
 
     Attributes:
-        records: one a frame, in order.
+        records: one a frame, in order; empty if they are written elsewhere.
+        frames: number of frames.
+        distances: number of frames with a distance.
+        no_spot: number of frames without a spot, by reason.
         doubtful: number of doubtful distances by `RangeFlag`.
+        pose_ages_s: ages of the robot's poses, where there are poses (8 bytes a frame).
         ended: how it came to its end.
-        fault: what broke it; empty unless `ended` is BROKEN.
+        fault: what broke it; empty unless `ended` is BROKEN or DISK_FULL.
     """
 
-    records: list[SpotRecord]
-    doubtful: Counter[str]
-    ended: Ended
+    records: list[SpotRecord] = field(default_factory=list)
+    frames: int = 0
+    distances: int = 0
+    no_spot: Counter[str] = field(default_factory=Counter)
+    doubtful: Counter[str] = field(default_factory=Counter)
+    pose_ages_s: array[float] = field(default_factory=lambda: array("d"))
+    ended: Ended = Ended.COMPLETE
     fault: str = ""
 
     @property
     def spots(self) -> int:
         """Number of frames with a spot."""
-        return sum(bool(record.result) for record in self.records)
+        return self.frames - self.no_spot.total()
 
     @property
-    def no_spot(self) -> Counter[str]:
-        """Number of frames without a spot, by reason."""
-        return Counter(record.reason for record in self.records if not record.result)
+    def bugs(self) -> int:
+        """Number of frames that met a bug."""
+        return self.no_spot[Reason.INTERNAL_ERROR.value]
+
+    @property
+    def median_pose_age_s(self) -> float | None:
+        """Median age of the robot's poses; None without poses."""
+        return median(self.pose_ages_s) if self.pose_ages_s else None
+
+    def break_off(self, error: InputError | OSError) -> None:
+        """Note what broke the run."""
+        full = isinstance(error, OSError) and error.errno in _FULL
+        self.ended, self.fault = Ended.DISK_FULL if full else Ended.BROKEN, f"{error}"
+        if isinstance(error, OSError) and error.filename:
+            self.fault = f"{error.filename}: {error.strerror}."
+
+    def _count(self, record: SpotRecord, doubt: str) -> None:
+        self.frames += 1
+        self.distances += not math.isnan(record.distance_mm)
+        if not record.result:
+            self.no_spot[record.reason] += 1
+        elif doubt:
+            self.doubtful[doubt] += 1
+        if not math.isnan(record.pose_age_s):
+            self.pose_ages_s.append(record.pose_age_s)
 
 
 def track_source(
@@ -59,47 +97,50 @@ def track_source(
     *,
     poses: PoseTrack | None = None,
     draw: Draw | None = None,
+    write: Callable[[SpotRecord], None] | None = None,
     progress: Callable[[SpotRecord], None] = lambda record: None,
 ) -> Tracking:
     """Measure a source's frames until it ends, breaks or is stopped with Ctrl-C.
 
-    The records of the frames measured so far are returned even if the source breaks off.
+    What was measured so far is returned even if the source breaks off. A frame that meets a bug is
+    a frame without a spot, see `Reader.read`.
 
     Args:
         source: of the frames.
         reader: new; it has not read a frame.
         poses: on the source's clock.
         draw: gets every frame with its record, see `overlay.overlay_writer`.
-        progress: gets every record.
+        write: gets every record, see `files.spots_stream`; None keeps them in `Tracking.records`,
+            0.5 KB a frame.
+        progress: gets every record once it is written.
 
     Raises:
         InputError: the first frame cannot be measured: it is unreadable, has no time although
             there are poses, or as `Reader.read`.
+        OSError: its results cannot be written.
         KeyboardInterrupt: stopped before the first frame was measured.
     """
-    records: list[SpotRecord] = []
-    doubtful: Counter[str] = Counter()
-    ended, fault = Ended.COMPLETE, ""
+    tracking = Tracking()
+    write = write or tracking.records.append
     try:
         for frame, reading in _readings(source, reader, poses):
             record = _record(frame, reading, reader.mode)
             if draw is not None:
                 draw(frame, record)
-            records.append(record)
-            if reading.result and reading.doubt:
-                doubtful[reading.doubt] += 1
+            write(record)
+            tracking._count(record, reading.doubt)
             progress(record)
     except KeyboardInterrupt:
-        if not records:
+        if not tracking.frames:
             raise
-        ended = Ended.COMPLETE if source.live else Ended.INTERRUPTED
+        tracking.ended = Ended.COMPLETE if source.live else Ended.INTERRUPTED
     except (InputError, OSError) as error:
-        if not records:
+        if not tracking.frames:
             raise
-        ended, fault = Ended.BROKEN, str(error)
-    if not records:
+        tracking.break_off(error)
+    if not tracking.frames:
         raise InputError(f"{source.name} holds no frames. Check that it is the right one.")
-    return Tracking(records=records, doubtful=doubtful, ended=ended, fault=fault)
+    return tracking
 
 
 def _readings(
@@ -120,6 +161,7 @@ def _readings(
                 time_s=frame.time_s,
                 exposure_s=frame.exposure_s,
                 poses=poses or PoseTrack(()),
+                name=where,
             )
         except InputError as error:
             raise InputError(f"{where}: {error}") from error

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from estimator.files import SpotRecord, written_whole
+from estimator.files import SpotRecord, errors_named, written_whole
 from estimator.image import Camera, NoSpot, Response, Spot
 from estimator.sources import Frame
 from optics import InputError
@@ -19,6 +22,7 @@ RIG_RATE_HZ = 10.0
 """Frame rate of the rig's camera, and of an overlay video if the source's rate is unknown."""
 
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
+_VIDEO_RESERVE_BYTES = 2**23  # more than what OpenCV and FFmpeg buffer of a compressed video
 _POINTS = 180  # of an ellipse: 2 px apart at a radius of 60 px
 _SHIFT = 4  # cv2 takes fractions of a pixel as integers of 1/16 px
 _GREEN, _RED, _BLACK = (60, 255, 60), (255, 70, 70), (0, 0, 0)
@@ -57,7 +61,7 @@ def annotated(
 def overlay_writer(
     path: Path, *, rate_hz: float, response: Response, camera: Camera | None = None
 ) -> Iterator[Draw]:
-    """Make an overlay; it gets its name when the block ends.
+    """Make an overlay; it gets its name when the block ends, whole or not at all.
 
     Args:
         path: a video (`.mp4`, `.avi`), or a folder of PNGs where the name has no suffix.
@@ -66,24 +70,26 @@ def overlay_writer(
         camera: as for `annotated`.
 
     Yields:
-        A function that adds a frame and its record; raises ValueError where the frame's size is
-        not the video's, and OSError where nothing can be written.
+        A function that adds a frame and its record; raises InputError where the frame's size is
+        not the video's, and OSError where nothing can be written. The frames before it are kept.
 
     Raises:
-        InputError: another suffix.
+        InputError: another suffix, or something of this name exists.
+        OSError: the video lacks frames when the block ends.
     """
     check_overlay_path(path)
     kind = _video if path.suffix else _folder
     with written_whole(path) as partial, kind(partial, rate_hz) as write:
 
         def draw(frame: Frame, record: SpotRecord) -> None:
-            write(annotated(frame, record, response=response, camera=camera))
+            with errors_named(partial, path):
+                write(annotated(frame, record, response=response, camera=camera))
 
         yield draw
 
 
 def check_overlay_path(path: Path) -> None:
-    """Raise a ValueError unless a path names a folder or a supported kind of video."""
+    """Raise an InputError unless a path names a folder or a supported kind of video."""
     if path.suffix.lower() not in (*_CODECS, ""):
         raise InputError(
             f"{path}: an overlay is a video ({', '.join(_CODECS)}) or a folder, whose name has no"
@@ -95,9 +101,10 @@ def check_overlay_path(path: Path) -> None:
 def _video(path: Path, rate_hz: float) -> Iterator[Callable[[np.ndarray], None]]:
     writer = cv2.VideoWriter()
     size: tuple[int, int] | None = None
+    written = 0
 
     def write(picture: np.ndarray) -> None:
-        nonlocal size
+        nonlocal size, written
         this = picture.shape[1], picture.shape[0]
         if size is None:
             size = this
@@ -109,12 +116,34 @@ def _video(path: Path, rate_hz: float) -> Iterator[Callable[[np.ndarray], None]]
                 f"a video's frames must have one size; got {this} px after {size} px. Choose a"
                 " folder for the overlay."
             )
+        # OpenCV does not say when it cannot write. What it has buffered still fits, and the index.
+        if shutil.disk_usage(path.parent).free < _VIDEO_RESERVE_BYTES + 100 * written:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), f"{path}")
         writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        written += 1
 
     try:
         yield write
     finally:
         writer.release()
+    stored = _frames_in(path) if written else 0
+    if stored != written:
+        why = f"only {stored} of {written} frames could be written; the disk may be full"
+        raise OSError(errno.ENOSPC, why, f"{path}")
+
+
+def _frames_in(video: Path) -> int:
+    """Number of frames that a video holds, counted without decoding them (30 us a frame).
+
+    The number in its header is no evidence: an AVI has it even if its frames are missing.
+    """
+    capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
+    capture.set(cv2.CAP_PROP_FORMAT, -1)
+    number = 0
+    while capture.grab():
+        number += 1
+    capture.release()
+    return number
 
 
 @contextmanager
@@ -125,8 +154,12 @@ def _folder(path: Path, rate_hz: float) -> Iterator[Callable[[np.ndarray], None]
     def write(picture: np.ndarray) -> None:
         nonlocal written
         name = path / f"{written:06d}.png"
-        if not cv2.imwrite(str(name), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
-            raise OSError(f"{name} could not be written. Check space and permissions.")
+        _, content = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        try:
+            name.write_bytes(content.tobytes())
+        except OSError as error:
+            name.unlink(missing_ok=True)  # the part that fitted
+            raise OSError(error.errno, error.strerror, f"{name}") from error
         written += 1
 
     yield write

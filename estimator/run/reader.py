@@ -13,7 +13,8 @@ import numpy as np
 from estimator.detector import LiteralSettings, SubpixelSettings, TrackState, measure
 from estimator.distance import Range, RangeFlag, Ranger
 from estimator.files import PoseTrack, Quaternion, turned
-from estimator.image import NoSpot, Spot
+from estimator.image import NoSpot, Reason, Spot
+from estimator.run import internal_errors
 from optics import InputError
 
 _NO_POSES = PoseTrack(())
@@ -100,14 +101,19 @@ class Reader:
         time_s: float = math.nan,
         exposure_s: float = math.nan,
         poses: PoseTrack = _NO_POSES,
+        name: str = "a frame",
     ) -> Reading:
         """Measure the next frame.
+
+        A frame that meets a bug is a frame without a spot (`Reason.INTERNAL_ERROR`); the traceback
+        is logged, and the next spot may be any near the last place.
 
         Args:
             image: as `measure` takes it.
             time_s: of the frame, on the poses' clock.
             exposure_s: of the frame; NaN if unknown.
             poses: of the robot.
+            name: of the frame, for the log.
 
         Raises:
             InputError: the image is not an image or not of the microscope's size, or the start lies
@@ -117,8 +123,25 @@ class Reader:
         if self._shape not in (None, image.shape):
             self.forget()
         self._shape = image.shape
-        result, self._state = measure(image, self._state, self.settings)
+        try:
+            reading = self._reading(image, time_s, exposure_s, poses)
+        except InputError:
+            raise
+        except Exception as error:
+            internal_errors.note(error, name)
+            self._state = TrackState(at_px=self._state.at_px)
+            reading = Reading(NoSpot(Reason.INTERNAL_ERROR), None, math.nan)
         self._start = None
+        return reading
+
+    def _reading(
+        self,
+        image: np.ndarray,
+        time_s: float,
+        exposure_s: float,
+        poses: PoseTrack,
+    ) -> Reading:
+        result, self._state = measure(image, self._state, self.settings)
         pose, age_s = poses.at(time_s) or (None, math.nan)
         if self._ranger is None or isinstance(result, NoSpot):
             return Reading(result, None, age_s)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from statistics import median
 from typing import Any
 
 from rich.table import Table
@@ -14,18 +12,16 @@ from estimator.sources import Source
 
 def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) -> dict[str, Any]:
     """What `eyespot track --json` prints, except the names of the files written."""
-    records = tracking.records
-    ages = [record.pose_age_s for record in records if not math.isnan(record.pose_age_s)]
     return {
         "source": source.name,
         "mode": mode,
         "unrelated": source.unrelated,
-        "frames": len(records),
+        "frames": tracking.frames,
         "spots": tracking.spots,
         "no_spot": dict(tracking.no_spot.most_common()),
-        "distances": sum(not math.isnan(record.distance_mm) for record in records),
+        "distances": tracking.distances,
         "doubtful_distances": tracking.doubtful,
-        "median_pose_age_s": median(ages) if ages else None,
+        "median_pose_age_s": tracking.median_pose_age_s,
         "seconds": round(seconds, 3),
         "ended": tracking.ended.value,
         "fault": tracking.fault,

@@ -1,0 +1,274 @@
+"""`eyespot track` when a run is long: what is kept when it is killed, full or meets a bug."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import eyespot
+from estimator import (
+    NoSpot,
+    Reader,
+    Reason,
+    SpotRecord,
+    SubpixelSettings,
+    read_spots,
+    track_source,
+    write_spots,
+)
+from estimator.files import spots_stream
+from estimator.run import reader as reader_module
+from estimator.sources.source import Frame, Source
+from scenes.drawn import Drawing, Truth, frame_of
+
+SHAPE = (160, 200)
+EYESPOT = Path(sys.executable).with_name("eyespot")
+
+
+@pytest.fixture(scope="module")
+def images() -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    places = [Truth(x=70 + 6 * k, y=80, semi_major=33, semi_minor=30) for k in range(8)]
+    return [frame_of(Drawing(truth=place), rng, SHAPE) for place in places]
+
+
+@pytest.fixture
+def frames(tmp_path: Path, images: list[np.ndarray]) -> Path:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for k, image in enumerate(images):
+        assert cv2.imwrite(str(folder / f"{k}.png"), image[:, :, ::-1])
+    return folder
+
+
+def lines_of(path: Path) -> list[tuple[Any, ...]]:
+    return [(r.frame, r.status, getattr(r.result, "x_px", None)) for r in read_spots(path)]
+
+
+@pytest.fixture
+def whole(tmp_path: Path, frames: Path) -> list[tuple[Any, ...]]:
+    """The lines of a run that nothing disturbs."""
+    assert with_room(frames, "--out", tmp_path / "whole.csv").returncode == 0
+    return lines_of(tmp_path / "whole.csv")
+
+
+def with_room(
+    frames: Path, *options: str | Path, largest_file: int = 2**30
+) -> subprocess.CompletedProcess[str]:
+    """Run `eyespot track`, for which no file may grow beyond a size: then writing fails."""
+    code = f"""
+import resource, sys
+import eyespot
+resource.setrlimit(resource.RLIMIT_FSIZE, ({largest_file},) * 2)
+sys.argv = {["eyespot", "track", *map(str, (frames, *options))]!r}
+eyespot.main()
+"""
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_a_frame_that_meets_a_bug_fails_alone_and_the_run_ends_with_1(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path,
+    frames: Path,
+    whole: list[tuple[Any, ...]],
+) -> None:
+    measure, number = reader_module.measure, 0
+
+    def with_a_bug(*arguments: Any) -> Any:  # stands in for a bug, of which we know none
+        nonlocal number
+        number += 1
+        if number in (4, 6):
+            return math.sqrt(-1)
+        return measure(*arguments)
+
+    out = tmp_path / "spots.csv"
+    monkeypatch.setattr(reader_module, "measure", with_a_bug)
+    monkeypatch.setattr(sys, "argv", ["eyespot", "track", f"{frames}", "--out", f"{out}", "--json"])
+    with pytest.raises(SystemExit) as ended:
+        eyespot.main()
+    said = capsys.readouterr()
+    assert ended.value.code == 1
+    assert "2 frames met a bug in eyespot" in said.err
+    assert json.loads(said.out)["no_spot"] == {"internal_error": 2}
+    assert json.loads(said.out)["ended"] == "complete"
+    lines = lines_of(out)
+    assert lines[:3] == whole[:3]
+    # The next spot is found from another first ellipse: less than the error of a spot, 0.01 px.
+    assert [lines[k][2] for k in (4, 6, 7)] == pytest.approx(
+        [whole[k][2] for k in (4, 6, 7)], abs=0.01
+    )
+    assert read_spots(out)[3].result == NoSpot(Reason.INTERNAL_ERROR)
+    # One traceback for both, with the frame and the line of code that failed.
+    assert caplog.text.count("ValueError: math domain error") == 1
+    assert "frame 3 met a bug" in caplog.text
+    assert "return math.sqrt(-1)" in caplog.text
+
+
+def test_a_command_after_one_that_met_a_bug_is_not_to_blame(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, frames: Path, images: list[np.ndarray]
+) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(reader_module, "measure", lambda *_: 1 / 0)  # stands in for a bug
+        assert Reader(SubpixelSettings()).read(images[0]).doubt == "internal_error"
+    out = f"{tmp_path / 'spots.csv'}"
+    monkeypatch.setattr(sys, "argv", ["eyespot", "track", f"{frames}", "--out", out])
+    with pytest.raises(SystemExit) as ended:
+        eyespot.main()
+    assert not ended.value.code
+
+
+@pytest.mark.parametrize("name", ["spots.csv", "spots.parquet"])
+def test_a_killed_run_leaves_whole_lines_and_the_next_says_where(
+    tmp_path: Path, frames: Path, whole: list[tuple[Any, ...]], name: str
+) -> None:
+    # The sixth frame is a pipe: once somebody reads it, five frames are measured for certain.
+    pipe, out, partial = frames / "5.png", tmp_path / name, tmp_path / "spots.partial.csv"
+    content = pipe.read_bytes()
+    pipe.unlink()
+    os.mkfifo(pipe)
+    child = subprocess.Popen([EYESPOT, "track", frames, "--out", out])
+    with pipe.open("wb"):
+        child.kill()
+        child.wait()
+    assert lines_of(partial) == whole[:5]
+    pipe.unlink()
+    pipe.write_bytes(content)
+    before = partial.read_bytes()
+    refused = with_room(frames, "--out", out)
+    assert refused.returncode == 2
+    assert f"{partial} exists" in refused.stderr
+    assert "remove it" in refused.stderr
+    assert partial.read_bytes() == before
+    partial.unlink()
+    assert with_room(frames, "--out", out).returncode == 0
+    assert lines_of(out) == whole
+
+
+def test_a_place_that_cannot_be_written_is_noticed_before_the_first_frame(
+    tmp_path: Path, frames: Path
+) -> None:
+    (frames / "0.png").write_bytes(b"damaged")  # would be reported first if it were read first
+    out = tmp_path / "spots.csv"
+    done = with_room(frames, "--out", out, largest_file=0)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"eyespot: {out}: File too large")
+    assert list(tmp_path.iterdir()) == [frames]
+
+
+@pytest.mark.parametrize("largest_file", [2500, 2501, 2700])
+def test_a_disk_that_fills_up_keeps_what_was_measured_and_says_what_is_needed(
+    tmp_path: Path, frames: Path, whole: list[tuple[Any, ...]], largest_file: int
+) -> None:
+    out = tmp_path / "spots.csv"
+    done = with_room(frames, "--out", out, "--json", largest_file=largest_file)
+    lines = lines_of(out)
+    assert 0 < len(lines) < 8
+    assert lines == whole[: len(lines)]
+    assert done.returncode == 2
+    assert json.loads(done.stdout)["ended"] == "disk_full"
+    assert f"{out} holds the {len(lines)} frames before that. Free some space" in done.stderr
+    assert f"The other {8 - len(lines)} need about 0.0 MB" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["frames", "spots.csv", "whole.csv"]
+
+
+def test_parquet_that_does_not_fit_leaves_its_lines_and_says_where(
+    tmp_path: Path, frames: Path, whole: list[tuple[Any, ...]]
+) -> None:
+    csv_size = (tmp_path / "whole.csv").stat().st_size
+    done = with_room(frames, "--out", tmp_path / "spots.parquet", largest_file=csv_size + 100)
+    assert done.returncode == 2
+    assert f"What was measured is in {tmp_path / 'spots.partial.csv'}" in done.stderr
+    assert lines_of(tmp_path / "spots.partial.csv") == whole
+    assert not (tmp_path / "spots.parquet").exists()
+
+
+@pytest.mark.parametrize("name", ["overlay.mp4", "overlay.avi"])
+def test_a_video_that_loses_frames_is_an_error_and_the_spots_stay(
+    tmp_path: Path, frames: Path, whole: list[tuple[Any, ...]], name: str
+) -> None:
+    out, overlay = tmp_path / "spots.csv", tmp_path / name
+    options = ("--out", out, "--overlay", overlay, "--json")
+    done = with_room(frames, *options, largest_file=5_000)  # the spots have 4.6 KB, a video 5.5 KB
+    assert done.returncode == 2
+    assert re.search(rf"{overlay}: only [0-7] of 8 frames could be written", done.stderr)
+    assert f"{out} holds the 8 frames" in done.stderr
+    assert json.loads(done.stdout)["overlay"] is None
+    assert lines_of(out) == whole
+    assert not overlay.exists()
+
+
+def test_pictures_that_do_not_fit_are_named_and_none_is_left_in_part(
+    tmp_path: Path, frames: Path
+) -> None:
+    overlay = tmp_path / "overlay"
+    options = ("--out", tmp_path / "spots.csv", "--overlay", overlay)
+    done = with_room(frames, *options, largest_file=20_000)
+    assert done.returncode == 2
+    assert f"{overlay / '000000.png'}: File too large" in done.stderr
+    assert list(tmp_path.iterdir()) == [frames]
+
+
+def dark_frames(number: int) -> Source:
+    def read() -> Iterator[Frame]:
+        for index in range(number):
+            yield Frame(index=index, file_name="", time_s=math.nan, image=np.zeros((9, 9), "u1"))
+
+    return Source(name="darkness", read=read, length=number)
+
+
+def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path: Path) -> None:
+    sizes = []
+
+    def note(record: SpotRecord) -> None:
+        if record.frame in (500, 2999):
+            sizes.append(tracemalloc.get_traced_memory()[0])
+
+    tracemalloc.start()
+    try:
+        with spots_stream(tmp_path / "spots.csv") as write:
+            tracking = track_source(
+                dark_frames(3000), Reader(SubpixelSettings()), write=write, progress=note
+            )
+    finally:
+        tracemalloc.stop()
+    assert tracking.frames == 3000
+    assert tracking.records == []
+    # A record has 0.5 KB: 2,500 of them would be more than a megabyte.
+    assert sizes[1] - sizes[0] < 20_000
+
+
+def test_names_that_look_like_missing_values_come_back_from_parquet(tmp_path: Path) -> None:
+    names = ["NA", "null", "", "a,b", 'q"', "n\nl", "nan.png"]
+    records = [
+        SpotRecord(
+            frame=k,
+            file_name=name,
+            time_s=math.nan,
+            mode="subpixel",
+            result=NoSpot(Reason.CLIPPED),
+        )
+        for k, name in enumerate(names)
+    ]
+    write_spots(tmp_path / "whole.parquet", records)
+    with spots_stream(tmp_path / "stream.parquet") as write:
+        for record in records:
+            write(record)
+    for path in (tmp_path / "whole.parquet", tmp_path / "stream.parquet"):
+        assert [record.file_name for record in read_spots(path)] == names
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["stream.parquet", "whole.parquet"]
