@@ -215,6 +215,12 @@ def test_none_of_20000_drawn_frames_breaks_the_detector() -> None:
     _measured_without_a_fault(range(300, 20_000))
 
 
+@pytest.mark.parametrize("seed", [3111, 5513])
+def test_a_speck_below_the_pixel_grid_is_no_contour_turned_inside_out(seed: int) -> None:
+    """Its half level was found beyond its centre: a negative radius, then a root of it."""
+    _measured_without_a_fault([seed])
+
+
 def test_what_is_darker_than_its_surroundings_has_no_half_level() -> None:
     """Its edge width would be negative; roots and logarithms of it are taken later."""
     levels = Levels(100.0, (1.0, 0.0, 0.0), 0.0, 20.0, 1.5, 0.3, 1.0)

@@ -10,7 +10,9 @@ fit_speed          Time of a thousand of the paper's fits: one batch, SciPy, Num
 frame_pose         Accuracy of tip and axis from all pixels of single rendered frames
 geometry_speed     Time of a million exact spots, and of single inverses
 image_fit          Accuracy of the fit to all pixels of rendered stacks
-output             Tables and sentences on the terminal, and processor times
+load               Long measurements: `eyespot track` of many frames, and a `Reader` that keeps a
+                   camera's pace
+output             Tables and sentences on the terminal, processor times, and memory
 photon_fit         Accuracy of a lens fitted through its own glass, with Mitsuba behind JAX
 render_efficiency  Noise and time of a rendered spot, compared with common ways to render it
 render_speed       Time of a labelled frame, from the scene to files on disk

@@ -18,6 +18,7 @@ MAKE_BENCH = (
     "frame_pose",
     "study_speed",
     "dataset_speed",
+    "load",
 )
 """What `make bench` runs. Each module has a function `run(*, full: bool)` that prints tables."""
 
@@ -38,7 +39,7 @@ def main(
         bool,
         typer.Option(
             "--full",
-            help="Use more or larger frames in render_speed, estimator.accuracy and image_fit.",
+            help="Use more or larger frames in render_speed, estimator.accuracy, image_fit, load.",
         ),
     ] = False,
 ) -> None:

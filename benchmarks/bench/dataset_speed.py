@@ -19,7 +19,7 @@ from typing import NamedTuple
 from distributed import Client
 from rich.table import Table
 
-from benchmarks.bench.output import show, table
+from benchmarks.bench.output import memory_mb, show, table
 from benchmarks.sets.make import local_workers, make_set
 from benchmarks.sets.spec import SetSpec, load_spec, plan
 from scenes import Scene, frame_count, load_mitsuba, render_stack
@@ -106,7 +106,7 @@ def _rendered(first: Sequence[Scene], scenes: Sequence[Scene], folder: Path) -> 
     memory = []
     for number, scene in enumerate(scenes):
         render_stack(scene, folder / f"{number}")
-        memory.append([_memory_mb()])
+        memory.append([memory_mb()])
     wall, used = time.perf_counter() - warm, time.process_time() - processor
     frames = sum(frame_count(scene) for scene in scenes)
     return Made("one process", frames, warm - begin, wall, used, memory)
@@ -128,7 +128,7 @@ def _with_workers(spec: SetSpec, count: int, folder: Path) -> Made:
 
         def stack_done(done: int, total: int) -> None:
             moments.append(time.perf_counter())
-            memory.append(list(client.run(_memory_mb).values()))
+            memory.append(list(client.run(memory_mb).values()))
 
         measured = _measured(spec)
         make_set(measured, folder / "set", workers=nullcontext(client), progress=stack_done)
@@ -140,11 +140,6 @@ def _with_workers(spec: SetSpec, count: int, folder: Path) -> Made:
 
 def _processor_s(client: Client) -> float:
     return sum(client.run(time.process_time).values())
-
-
-def _memory_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def _table(made: Sequence[Made]) -> Table:

@@ -1,9 +1,11 @@
-"""Tables and sentences on the terminal, and processor times."""
+"""Tables and sentences on the terminal, processor times, and memory."""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console, RenderableType
@@ -39,3 +41,9 @@ def processor_seconds(step: Callable[[], object], *, repeats: int = 10) -> float
         step()
         seconds.append(time.process_time() - began)
     return float(np.median(seconds))
+
+
+def memory_mb(process: int | None = None) -> float:
+    """Resident memory of a process (default: this one), MB."""
+    pages = int(Path(f"/proc/{process or 'self'}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -70,7 +70,14 @@ class Band:
     def along(
         cls, patch: Patch, ellipse: Ellipse, inliers: np.ndarray, reach: float
     ) -> Band | None:
-        """The band that reaches so far (radii) on either side; None if too few rays lie in it."""
+        """The band that reaches so far on either side; None if too few rays lie in it.
+
+        Args:
+            patch: signal round the ellipse.
+            ellipse: in the band's middle.
+            inliers: rays that make the mean profile.
+            reach: radii, below 1.
+        """
         side = int(reach * ellipse.axes()[1] / Refine.SAMPLING_PX)
         side = min(max(side, Refine.FEWEST_SAMPLES), Refine.MOST_SAMPLES)
         from_edge = np.arange(-side, side + 1) * (reach / side)
@@ -170,9 +177,10 @@ class Band:
             if not falling < 0:
                 return None
             root -= (c0 + root * (c1 + root * (c2 + root * c3))) / falling
-        if not abs(root) <= 1:  # the cubic holds only where it was fitted
-            return None
-        return middle + root * span
+        edge = middle + root * span
+        # Newton's steps may leave the band. Beyond the centre a radius would be negative, and with
+        # it every length in units of it.
+        return edge if abs(edge) <= float(from_edge[-1]) else None
 
     def width(self, levels: Levels) -> float:
         """Edge width of the mean profile, units of the radius (see `Spot.edge_width_px`)."""

@@ -51,7 +51,7 @@ def hidden_edge(
     )
     if not (peak < Saturated.BRIGHTEST * patch.ceiling and 0 <= variance < Saturated.VAGUEST**2):
         return None
-    if abs(fitted[1]) > min(reach, 1):  # not on the profile
+    if abs(fitted[1]) > reach:  # not on the profile
         return None
     return replace(levels, peak=peak, width=math.exp(fitted[2])), float(fitted[1]), variance
 

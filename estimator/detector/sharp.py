@@ -42,6 +42,8 @@ def refine_sharp(
         The refined ellipse, or why there is none.
     """
     reach = max(Sharp.REACH * levels.width, Sharp.REACH_PX / ellipse.axes()[1])
+    if reach >= 1:  # the pixel grid hides the whole ellipse
+        return NoSpot(Reason.TOO_SMALL)
     band = Band.along(patch, ellipse, inliers, reach)
     if band is None:
         return NoSpot(Reason.NONE_FOUND)
