@@ -8,6 +8,7 @@ same frames measured offline. `tools/try-rig-node` runs it from nothing.
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import signal
@@ -25,6 +26,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from benchmarks.bench.output import memory_mb
 from estimator import LiteralSettings, Spot, SubpixelSettings, track
 from estimator.distance.range import RangeFlag
 from estimator.distance.ranger import Ranger
@@ -496,3 +498,42 @@ def nanoseconds(stamp: Any) -> int:
 
 def pose_age_s(details: dict[str, str]) -> float:
     return float(details["pose_age_s"])
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("ros")
+def test_a_camera_twice_as_fast_as_the_node_gets_the_newest_images_measured(
+    tmp_path: Path,
+) -> None:
+    """The delay stays, the memory stays, and what was skipped is counted."""
+    seconds, answers, memory = 60.0, tmp_path / "answers.json", []
+    with RosSession(tmp_path) as session:
+        session.wait_until(lambda: session.ask(session.uri, "getPid") is not None, "roscore")
+        node = session.start(sys.executable, "-m", "estimator.rig.node")
+        camera = session.start(
+            sys.executable, HOME / "tests" / "ros_camera.py", answers, f"{seconds}"
+        )
+
+        def ended() -> bool:
+            memory.append(memory_mb(node.pid))
+            return camera.poll() is not None
+
+        session.wait_until(ended, "camera")
+    written = json.loads(answers.read_text())
+    numbers, delays, measured, skipped = np.array(written["answers"]).T
+    third = len(delays) // 3
+    print(
+        f"published {written['published']} in {seconds:.0f} s, the node alone reads "
+        f"{written['reads_hz']:.0f} Hz; measured {len(delays)}, skipped "
+        f"{skipped[-1] - skipped[0]:.0f}; delay {1e3 * np.median(delays):.1f} ms (median), {1e3 * delays.max():.1f} ms (most);"
+        f" memory {memory[len(memory) // 3]:.1f} MB, {memory[len(memory) // 2]:.1f} MB, "
+        f"{memory[-2]:.1f} MB"
+    )
+    # It was too fast, so images were skipped; and the counts say how many.
+    assert len(delays) < 0.8 * written["published"]
+    assert (measured + skipped == numbers + 1).all()
+    assert (np.diff(numbers) > 0).all()
+    # A queue of old images would delay each answer more than the one before.
+    assert np.median(delays[-third:]) < 2 * np.median(delays[:third]) + 0.02
+    assert delays.max() < 2.0  # of a loaded machine
+    assert memory[-2] < memory[len(memory) // 3] + 5
