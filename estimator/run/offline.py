@@ -111,7 +111,7 @@ def track_source(
         poses: on the source's clock.
         draw: gets every frame with its record, see `overlay.overlay_writer`.
         write: gets every record, see `files.spots_stream`; None keeps them in `Tracking.records`,
-            0.5 KB a frame.
+            1 KB a frame.
         progress: gets every record once it is written.
 
     Raises:
