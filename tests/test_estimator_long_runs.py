@@ -253,7 +253,7 @@ def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path: Path)
         tracemalloc.stop()
     assert tracking.frames == 3000
     assert tracking.records == []
-    # A record without a spot has 0.4 KB: 2,500 of them would be a megabyte.
+    # A record without a spot has 0.26 KB: 2,500 of them would be 650 KB.
     assert sizes[1] - sizes[0] < 20_000
 
 
