@@ -1,19 +1,13 @@
-"""The command `eyespot`: finds the command that was called, and turns errors into exit codes.
+"""The command `eyespot`: finds the command that was called.
 
 Every command is a function beside the code that it calls; `COMMANDS` says where. JAX and Mitsuba
-take seconds to load, so a command's module is imported only when that command runs.
-
-Exit codes:
-    0    done
-    1    `eyespot doctor` found something missing; any other command: a bug, with its traceback
-    2    bad input, or a part of this machine that is missing; one message on stderr says which
-    130  stopped with Ctrl-C
+take seconds to load, so a command's module is imported only when that command runs. How a command
+ends is decided in `estimator.run.exit_codes`.
 """
 
 from __future__ import annotations
 
 import ast
-import errno
 import importlib
 import importlib.metadata
 import importlib.util
@@ -56,16 +50,6 @@ GROUPS = {
     "study": "Run a study; each writes a report, CSV files and figures.",
 }
 """The first words of commands that have two."""
-
-REMEDIES = {
-    errno.EACCES: "Choose a place that you may write to.",
-    errno.EEXIST: "Choose another name; existing files are never overwritten.",
-    errno.ENOENT: "Check the path.",
-    errno.ENOSPC: "Free some space, or choose another disk.",
-    errno.ENOTDIR: "A part of this path is a file; choose a folder.",
-    errno.EROFS: "Choose a place that can be written to.",
-}
-"""What to do about an error of the operating system."""
 
 
 class LazyGroup(typer.core.TyperGroup):
@@ -133,11 +117,7 @@ def version() -> None:
 
 
 def main() -> None:
-    """Run the command line; the one place that decides what an error looks like.
-
-    Our functions raise InputError for what the user can correct, the operating system OSError;
-    their messages are printed. Any other exception is a bug and keeps its traceback.
-    """
+    """Run the command line."""
     # Compilation is half of a short run; the next run takes it from this cache.
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(caches / "eyespot" / "jax"))
@@ -145,65 +125,12 @@ def main() -> None:
     # OpenCV and FFmpeg would print their own account of an error that we report once.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    try:
-        message = _foreign_package()
-        if message is None:
-            _run()
-    except KeyboardInterrupt:
-        sys.exit(130)
-    except Exception as error:
-        message = _message_of(error)
-        if message is None or os.environ.get("EYESPOT_TRACEBACK"):
-            raise
-    print(f"eyespot: {message}", file=sys.stderr)
-    sys.exit(2)
+    if message := _foreign_package():
+        print(f"eyespot: {message}", file=sys.stderr)
+        sys.exit(2)
+    from estimator.run import run_command
 
-
-def _run() -> None:
-    """Run the command; frames that met a bug are failures at its end."""
-    _bugs()  # those of another caller in this process
-    code: Any = None
-    try:
-        code = app()
-    except SystemExit as ended:
-        code = ended.code
-    finally:
-        if number := _bugs():
-            code = 1
-            print(
-                f"eyespot: {number} frames met a bug in eyespot; their reason is internal_error."
-                " Report it to the developers, with the traceback above.",
-                file=sys.stderr,
-            )
-    sys.exit(code)
-
-
-def _bugs() -> int:
-    """Number of frames that met a bug since the last call."""
-    bugs = sys.modules.get("estimator.run.internal_errors")  # never loaded: none
-    return bugs.taken() if bugs else 0
-
-
-def _message_of(error: Exception) -> str | None:
-    """The message of an expected error; None for a bug."""
-    # A class whose module was never loaded cannot have been raised.
-    pydantic, variant, optics = map(
-        sys.modules.get, ("pydantic", "scenes.machine.variant", "optics.input_error")
-    )
-    if pydantic and isinstance(error, pydantic.ValidationError):
-        return "\n".join(
-            f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}; got {problem['input']!r}"
-            for problem in error.errors()
-        )
-    if variant and isinstance(error, variant.RendererUnavailable):
-        return str(error)
-    if isinstance(error, ModuleNotFoundError) and error.name not in PACKAGES:
-        return f"the Python package {error.name} is not installed. Run `make setup` again."
-    if isinstance(error, OSError) and error.filename:
-        return f"{error.filename}: {error.strerror}. {REMEDIES.get(error.errno or 0, '')}".rstrip()
-    if isinstance(error, OSError) or (optics and isinstance(error, optics.InputError)):
-        return str(error)
-    return None
+    run_command(app)
 
 
 def _foreign_package() -> str | None:

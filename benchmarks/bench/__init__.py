@@ -16,6 +16,7 @@ output             Tables and sentences on the terminal, processor times, and me
 photon_fit         Accuracy of a lens fitted through its own glass, with Mitsuba behind JAX
 render_efficiency  Noise and time of a rendered spot, compared with common ways to render it
 render_speed       Time of a labelled frame, from the scene to files on disk
+set_size           How the cost of a set grows, with its stacks and with its workers
 study_speed        Time of a million geometries in the study of eccentricity
 """
 

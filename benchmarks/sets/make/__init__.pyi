@@ -1,2 +1,5 @@
 from .cluster import local_workers as local_workers
+from .generate import Shard as Shard
 from .generate import make_set as make_set
+from .manifest import verify_set as verify_set
+from .worker import versions as versions

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import Any
 
 import dask
@@ -51,24 +54,45 @@ def local_workers(count: int, *, first_core: int = 0) -> Iterator[Client]:
         count: number of workers.
         first_core: index of the first worker's core among those that this process may use.
     """
-    with (
-        # By default Dask makes malloc return freed memory at once, which is slow for images.
-        dask.config.set({"distributed.nanny.pre-spawn-environ": {}}),
-        LocalCluster(
-            n_workers=0,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=":0",  # any free port; another cluster may use 8787
-            # By default each worker gets an equal share of the memory. On machines with many cores
-            # that is too little for Mitsuba, and Dask would stop the workers.
-            memory_limit=0,
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        client.register_plugin(OneCore(first_core))
-        cluster.scale(count)
-        yield client
+    # By default Dask makes malloc return freed memory at once, which is slow for images.
+    with dask.config.set({"distributed.nanny.pre-spawn-environ": {}}):
+        with _threads_that_ignore_ctrl_c():
+            cluster = LocalCluster(
+                n_workers=0,
+                threads_per_worker=1,
+                processes=True,
+                # It has no password. Any free port: another cluster may use 8787.
+                dashboard_address="127.0.0.1:0",
+                # By default each worker gets an equal share of the memory. On machines with many
+                # cores that is too little for Mitsuba, and Dask would stop the workers.
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+            )
+        with cluster, Client(cluster) as client:
+            client.register_plugin(OneCore(first_core))
+            cluster.scale(count)
+            try:
+                yield client
+            except KeyboardInterrupt:
+                # A worker would finish its stack first. The next run continues a stopped stack.
+                for worker in multiprocessing.active_children():
+                    worker.kill()
+                raise
+
+
+@contextmanager
+def _threads_that_ignore_ctrl_c() -> Iterator[None]:
+    """Threads started here, and the processes that they start, never get Ctrl-C.
+
+    A terminal sends it to all processes of a command. This one stops the workers, which would
+    report their end as an error.
+    """
+    resource_tracker.ensure_running()  # its start would unblock the signal again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

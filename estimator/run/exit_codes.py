@@ -1,0 +1,95 @@
+"""How a command ends: its message on an error, and its exit code.
+
+Exit codes:
+    0    done
+    1    `eyespot doctor` found something missing; any other command: a bug, with its traceback
+    2    bad input, or a part of this machine that is missing; one message on stderr says which
+    130  stopped with Ctrl-C
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Callable
+
+from estimator.run import internal_errors
+from estimator.run.interrupt import STOPPED, ctrl_c_was_pressed, end_now, ending_on_ctrl_c
+from optics import InputError
+
+_REMEDIES = {
+    errno.EACCES: "Choose a place that you may write to.",
+    errno.EDQUOT: "Free some of your quota, or choose another disk.",
+    errno.EEXIST: "Choose another name; existing files are never overwritten.",
+    errno.EFBIG: "Raise the limit on a file's size, or write fewer frames.",
+    errno.ENOENT: "Check the path.",
+    errno.ENOSPC: "Free some space, or choose another disk.",
+    errno.ENOTDIR: "A part of this path is a file; choose a folder.",
+    errno.EROFS: "Choose a place that can be written to.",
+}
+"""What to do about an error of the operating system."""
+
+_OURS = ("optics", "scenes", "estimator", "calibration", "benchmarks")
+
+
+def run_command(app: Callable[[], object]) -> None:
+    """Run the command line and end the process. Only here it is decided what an error looks like.
+
+    Our functions raise InputError for what the user can correct, the operating system OSError;
+    their messages are printed. Any other exception is a bug and keeps its traceback. A long run
+    goes on after a bug in one frame, and fails at its end.
+
+    Args:
+        app: raises SystemExit with the exit code of the command.
+    """
+    internal_errors.taken()  # those of another caller in this process
+    try:
+        with ending_on_ctrl_c():
+            app()
+    except SystemExit as end:
+        if end.code and ctrl_c_was_pressed():
+            end_now()
+        sys.exit(1 if _reported_bugs() else end.code)
+    except KeyboardInterrupt:
+        if ctrl_c_was_pressed():
+            end_now()
+        sys.exit(STOPPED)
+    except Exception as error:
+        if ctrl_c_was_pressed():
+            end_now()
+        bugs = _reported_bugs()
+        message = _message_of(error)
+        if message is None or os.environ.get("EYESPOT_TRACEBACK"):
+            raise
+        print(f"eyespot: {message}", file=sys.stderr)
+        sys.exit(1 if bugs else 2)
+
+
+def _reported_bugs() -> bool:
+    number = internal_errors.taken()
+    if number:
+        print(
+            f"eyespot: {number} frames met a bug in eyespot; their reason is internal_error."
+            " Report it to the developers, with the traceback above.",
+            file=sys.stderr,
+        )
+    return number > 0
+
+
+def _message_of(error: Exception) -> str | None:
+    """The message of an expected error; None for a bug."""
+    # A class whose module was never loaded cannot have been raised.
+    pydantic, variant = map(sys.modules.get, ("pydantic", "scenes.machine.variant"))
+    if pydantic and isinstance(error, pydantic.ValidationError):
+        return "\n".join(
+            f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}; got {problem['input']!r}"
+            for problem in error.errors()
+        )
+    if variant and isinstance(error, variant.RendererUnavailable):
+        return str(error)
+    if isinstance(error, ModuleNotFoundError) and error.name not in _OURS:
+        return f"the Python package {error.name} is not installed. Run `make setup` again."
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}. {_REMEDIES.get(error.errno or 0, '')}".rstrip()
+    return str(error) if isinstance(error, InputError | OSError) else None

@@ -1,0 +1,142 @@
+"""Ctrl-C ends every command with exit code 130, whatever the command is doing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+EYESPOT = Path(sys.executable).with_name("eyespot")
+
+PATIENCE_S = 20.0
+"""Far longer than a command may take to end, far shorter than it would take to finish."""
+
+
+def stopped(*words, after_s, cwd=None):
+    """Ctrl-C as a terminal sends it, to all processes of a command; its code, errors, orphans."""
+    command = subprocess.Popen(
+        list(map(str, words)),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=cwd,
+        start_new_session=True,
+    )
+    try:
+        if isinstance(after_s, str):
+            assert command.stdout is not None
+            assert after_s in command.stdout.readline()
+            time.sleep(0.3)  # until it is inside of what it announced
+        else:
+            with pytest.raises(subprocess.TimeoutExpired):
+                command.wait(after_s)
+        os.killpg(command.pid, signal.SIGINT)
+        _, err = command.communicate(timeout=PATIENCE_S)
+        return command.returncode, err, left_of(command.pid)
+    finally:
+        if left_of(command.pid, patience_s=0):
+            os.killpg(command.pid, signal.SIGKILL)
+
+
+def left_of(group, patience_s=10.0):
+    """Whether processes of a group are still there after a while."""
+    end = time.monotonic() + patience_s
+    while True:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return False
+        if time.monotonic() > end:
+            return True
+        time.sleep(0.05)
+
+
+DROPPED = """
+import gc, sys, time
+from estimator.run import ending_on_ctrl_c, end_now
+
+def collected(phase, info):
+    time.sleep(0.01)  # so that nearly every Ctrl-C comes in here, where Python drops it
+
+try:
+    with ending_on_ctrl_c():
+        gc.callbacks.append(collected)
+        print("ready", flush=True)
+        while True:
+            gc.collect(0)
+except KeyboardInterrupt:
+    end_now()
+"""
+
+NATIVE = """
+import hashlib
+from estimator.run import ending_on_ctrl_c
+
+with ending_on_ctrl_c():
+    print("ready", flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2 * 10**9)  # ten minutes in one call
+"""
+
+
+@pytest.mark.parametrize("code", [DROPPED, NATIVE], ids=["dropped in a callback", "native code"])
+def test_neither_a_callback_nor_native_code_swallows_ctrl_c(code):
+    assert stopped(sys.executable, "-c", code, after_s="ready") == (130, "", False)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recording")
+    even = ["--set", "source.kind=cone", "--set", "phantom.wall=uniform"]
+    even += ["--set", "motion.frames=12"]
+    subprocess.run([EYESPOT, "scene", "init", "scene.toml"], cwd=folder, check=True)
+    subprocess.run(
+        [EYESPOT, "render", "scene.toml", "--out", "stack", *even], cwd=folder, check=True
+    )
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("after_s", [1.5, 3.0, 5.0, 8.0, 12.0])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fit", "stack", "--out", "OUT.json"),
+        ("study", "medium", "--quick", "--out", "OUT"),
+        ("validate", "--quick", "--out", "OUT"),
+        ("dataset", "static-v1", "--workers", "2", "--out", "OUT"),
+        ("render", "scene.toml", "--out", "OUT", "--set", "motion.frames=2000"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_every_command_can_be_stopped_at_any_time(recording, tmp_path, words, after_s):
+    out = tmp_path / "out"
+    words = [word.replace("OUT", str(out)) for word in words]
+    code, err, left = stopped(EYESPOT, *words, after_s=after_s, cwd=recording)
+    assert code == 130
+    assert "Traceback" not in err
+    assert "Exception ignored" not in err
+    assert not left
+    assert not out.with_suffix(".json").exists()
+
+
+def test_workers_are_reached_from_this_machine_only():
+    """A cluster's dashboard and ports have no password."""
+    import psutil
+
+    from benchmarks.sets.make.cluster import local_workers
+
+    with local_workers(1) as client:
+        client.wait_for_workers(1)
+        here = psutil.Process()
+        listening = {
+            connection.laddr.ip
+            for process in (here, *here.children(recursive=True))
+            for connection in process.net_connections("inet")
+            if connection.status == psutil.CONN_LISTEN
+        }
+    assert listening == {"127.0.0.1"}
