@@ -35,6 +35,7 @@ from .run import Reader as Reader
 from .run import Reading as Reading
 from .run import Tracking as Tracking
 from .run import track_source as track_source
+from .run import track_whole_source as track_whole_source
 from .sources import Frame as Frame
 from .sources import Source as Source
 from .sources import open_source as open_source

@@ -28,6 +28,7 @@ from estimator import (
     read_spots,
     track,
     track_source,
+    track_whole_source,
     write_spots,
 )
 from estimator.files import spots_stream
@@ -276,3 +277,12 @@ def test_names_that_look_like_missing_values_come_back_from_parquet(tmp_path: Pa
     for path in (tmp_path / "whole.parquet", tmp_path / "stream.parquet"):
         assert [record.file_name for record in read_spots(path)] == names
     assert sorted(path.name for path in tmp_path.iterdir()) == ["stream.parquet", "whole.parquet"]
+
+
+def test_ctrl_c_stops_a_fit_and_a_score_that_need_every_frame(images: list[np.ndarray]) -> None:
+    def read() -> Iterator[Frame]:
+        yield Frame(index=0, file_name="", time_s=0.0, image=images[0])
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        track_whole_source(Source(name="frames", read=read), Reader(SubpixelSettings()))

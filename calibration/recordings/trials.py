@@ -21,7 +21,7 @@ from jaxtyping import Float
 import optics
 from calibration.recordings.withdrawals import withdrawal
 from calibration.spots import ConeTrial, Prior, phantom_wall
-from estimator import Spot, read_spots, read_stack, track_source
+from estimator import Spot, read_spots, read_stack, track_whole_source
 from estimator.files import MicroscopeFile, Quaternion, SpotRecord, read_microscope, turned
 from estimator.run import Options
 from estimator.sources import open_source
@@ -146,7 +146,7 @@ def read_recording(
     else:
         opened = open_source(source, exposure=exposure)
         reader = Options(microscope=log_book.microscope).reader()
-        records = track_source(opened, reader, progress=lambda record: progress()).records
+        records = track_whole_source(opened, reader, progress=lambda record: progress())
     if not is_stack(source):
         prints = [*_files(source), *_files(log_book.poses)]
     if touch is None and not log_book.begins_at_touch:

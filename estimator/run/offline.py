@@ -143,6 +143,28 @@ def track_source(
     return tracking
 
 
+def track_whole_source(
+    source: Source, reader: Reader, *, progress: Callable[[SpotRecord], None] = lambda record: None
+) -> list[SpotRecord]:
+    """The records of all frames of a source, for those who need it whole.
+
+    Args:
+        source: of the frames.
+        reader: as for `track_source`.
+        progress: as for `track_source`.
+
+    Raises:
+        InputError: a frame cannot be measured, or the source breaks off.
+        KeyboardInterrupt: Ctrl-C.
+    """
+    tracking = track_source(source, reader, progress=progress)
+    if tracking.ended is Ended.INTERRUPTED:
+        raise KeyboardInterrupt
+    if tracking.ended is not Ended.COMPLETE:
+        raise InputError(tracking.fault)
+    return tracking.records
+
+
 def _readings(
     source: Source, reader: Reader, poses: PoseTrack | None
 ) -> Iterator[tuple[Frame, Reading]]:

@@ -16,7 +16,7 @@ from estimator import (
     open_source,
     read_microscope,
     read_spots,
-    track_source,
+    track_whole_source,
 )
 from optics import InputError
 
@@ -91,10 +91,7 @@ def _track(
     else:
         reader = Reader(SubpixelSettings(response=response))
     source = open_source(entry.folder, exposure=exposure)
-    tracking = track_source(source, reader, progress=lambda record: progress())
-    if tracking.fault:
-        raise InputError(tracking.fault)
-    return tracking.records
+    return track_whole_source(source, reader, progress=lambda record: progress())
 
 
 def _files(folder: Path) -> list[Path]:
