@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from estimator.files.whole_files import damage_reported
-from optics import InputError
+from optics import InputError, check_regular, in_file
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -38,6 +38,9 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     # Old ROS 2 bags contain no message definitions; those of the messages used here have never
     # changed.
     types = get_typestore(Stores.ROS2_HUMBLE)
+    if not path.is_dir():
+        with in_file(path):
+            check_regular(path)
     with damage_reported(f"{path}", _REMEDY):
         reader = AnyReader([path], default_typestore=types)
         reader.open()
