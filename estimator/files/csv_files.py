@@ -10,9 +10,9 @@ from pathlib import Path
 from optics import InputError, check_regular, in_file, shortened
 
 MOST_BYTES = 2**28
-"""Largest CSV file, 256 MiB: the robot's poses at 200 Hz for three hours."""
-MOST_ROWS = 2**21
-"""Most rows; each takes about 1 kB of memory."""
+"""Largest CSV file, 256 MiB."""
+MOST_ROWS = 2**20
+"""Most rows, each of which takes up to 1 kB of memory: the robot's poses for 87 minutes."""
 
 
 def csv_rows(

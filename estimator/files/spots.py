@@ -171,16 +171,19 @@ def _write_parquet(path: Path, records: Iterable[SpotRecord]) -> None:
 
 def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
     pa = pyarrow()
+    again = "Write it with write_spots."
     with in_file(path):
         check_regular(path)
-        with path.open("rb") as opened, damage_reported("table", "Write it with write_spots."):
+    with path.open("rb") as opened:
+        with damage_reported(f"{path}", again):
             file = pa.parquet.ParquetFile(opened)
             names, count = file.schema_arrow.names, file.metadata.num_rows
-        _check_columns(names)
-        if count > MOST_ROWS:
-            raise InputError(f"{count:,} rows; at most {MOST_ROWS:,} are read. Split the file.")
-    with path.open("rb") as opened, damage_reported(f"{path}", "Write it with write_spots."):
-        rows = pa.parquet.read_table(opened, columns=list(COLUMNS)).to_pylist()
+        with in_file(path):
+            _check_columns(names)
+            if count > MOST_ROWS:
+                raise InputError(f"{count:,} rows; at most {MOST_ROWS:,} are read. Split the file.")
+        with damage_reported(f"{path}", again):
+            rows = file.read(columns=list(COLUMNS)).to_pylist()
     for index, row in enumerate(rows):
         cells = {name: "" if value is None else str(value) for name, value in row.items()}
         yield cells, f"{path}, row {index}"

@@ -36,6 +36,7 @@ HISTORY = {1: "the format of eyespot 0.1"}
 """What changed with each version of the format that is read, in any of its files."""
 
 _MOST_LABEL_BYTES = 2**28  # of metadata.jsonl: 250,000 images
+_LARGEST = 1e12  # of any label; times in s since 1970 have ten digits
 _AGAIN = "Render the stack again."
 _Kind = TypeVar("_Kind")
 
@@ -261,7 +262,16 @@ def _parse(folder: Path, number: int, line: str) -> FrameLabels:
         row = FrameLabels(**vars(validated(_Row, object_in(line), remedy=_AGAIN)))
         for name in (row.file_name, row.mask_file_name):
             inside(folder, name)
+        _check_numbers(row)
     return row
+
+
+def _check_numbers(row: FrameLabels) -> None:
+    """Refuse numbers with which nothing can be computed; what is unknown is NaN or infinite."""
+    for name, value in vars(row).items():
+        known = isinstance(value, float) and (name == "time_s" or math.isfinite(value))
+        if known and not abs(value) <= _LARGEST:
+            raise InputError(f"{name} must be a number within {_LARGEST:g}; got {value}. {_AGAIN}")
 
 
 def _match(folder: Path, labels: tuple[FrameLabels, ...]) -> None:
