@@ -4,7 +4,6 @@ Frame of the lens: the tip S, the cap's vertex, is the origin; +s runs along the
 fibre. The cap is s = -sagitta(rho), the core's face is the disc s = -glue_length.
 """
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -199,8 +198,8 @@ def _check(lens: GlueLens) -> None:
         (
             core_radius <= aperture_radius <= _LARGEST_MM,
             "aperture_radius",
-            f"must be at least the core's radius and at most {_LARGEST_MM:g} mm; got aperture_radius={aperture_radius:g} mm, "
-            f"core_radius={core_radius:g} mm. Raise aperture_radius or lower core_radius",
+            f"must be at least the core's radius and at most {_LARGEST_MM:g} mm; got "
+            f"aperture_radius={aperture_radius:g} mm, core_radius={core_radius:g} mm. Raise aperture_radius or lower core_radius",
         ),
         (
             0.0 <= sag <= aperture_radius,
@@ -229,7 +228,8 @@ def _check(lens: GlueLens) -> None:
         (
             lens.launch_radius is None or 0.0 < lens.launch_radius <= _LARGEST_MM,
             "launch_radius",
-            f"must lie in (0, {_LARGEST_MM:g}] mm; got {lens.launch_radius} mm. Leave it out for a uniform core",
+            f"must lie in (0, {_LARGEST_MM:g}] mm; got {lens.launch_radius} mm. Leave it out for a "
+            "uniform core",
         ),
         (
             lens.launch_aperture is None or 0.0 < lens.launch_aperture <= 4.0,

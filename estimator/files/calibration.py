@@ -171,9 +171,7 @@ class _CalibrationFile(Strict):
 
 
 def _calibration(content: dict[str, Any]) -> Calibration:
-    check_schema(
-        content.get("schema"), HISTORY, remedy="Fit again, or restore the file."
-    )
+    check_schema(content.get("schema"), HISTORY, remedy="Fit again, or restore the file.")
     file = validated(_CalibrationFile, content, remedy="Restore the file, or fit again.")
     for name, entry in file.parameters.items():
         unit = quantity(name).unit
@@ -210,7 +208,9 @@ def _calibration(content: dict[str, Any]) -> Calibration:
 
 def _matrix(rows: list[list[float]]) -> np.ndarray:
     if len({len(row) for row in rows}) > 1:
-        raise CalibrationError(f"covariance matrix must have rows of equal length; got {shortened(rows)}.")
+        raise CalibrationError(
+            f"covariance matrix must have rows of equal length; got {shortened(rows)}."
+        )
     return np.array(rows, float)
 
 
@@ -222,7 +222,8 @@ def _check_covariance(matrix: np.ndarray, count: int) -> None:
         )
     if not (np.abs(matrix) <= _LARGEST).all():
         raise CalibrationError(
-            f"covariance must be finite, at most {_LARGEST:g}. Leave out parameters that the data do not determine."
+            f"covariance must be finite, at most {_LARGEST:g}. Leave out parameters that the "
+            "data do not determine."
         )
     deviation = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale = np.outer(deviation, deviation)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from optics import InputError, shortened
 
-FOLDER_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$"
+FOLDER_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,79}$"
 """Pattern of a name that becomes a folder: no separator, and no dot in front."""
 
-_LONGEST = 255  # characters; ours have 40
+_LONGEST = 100  # characters; a name in a tar file may not have more
 
 
 def inside(folder: Path, name: str) -> Path:

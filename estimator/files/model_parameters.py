@@ -100,7 +100,9 @@ def quantity(name: str) -> Quantity:
         CalibrationError: there is no such parameter.
     """
     if name not in QUANTITIES:
-        raise CalibrationError(f"parameters.{shortened(name)[1:-1]} is unknown; known are {', '.join(QUANTITIES)}.")
+        raise CalibrationError(
+            f"parameters.{shortened(name)[1:-1]} is unknown; known are {', '.join(QUANTITIES)}."
+        )
     return QUANTITIES[name]
 
 

@@ -71,7 +71,7 @@ def _pose_of_message(message: Any, received_s: float) -> Pose:
 
 
 def _from_csv(path: Path) -> Iterator[Pose]:
-    direction = _AXIS
+    direction: tuple[str, ...] = _AXIS
 
     def check(names: Collection[str]) -> None:
         nonlocal direction

@@ -15,7 +15,6 @@ from estimator.sources.images import rgb_of_opencv
 from estimator.sources.source import AGAIN, Frame, Source
 from optics import InputError, in_file, shortened
 
-
 _MOST_DIGITS = 4  # of a camera's number; video4linux counts to 63
 _MOST_FRAMES = 2**31
 _SIDES = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)

@@ -38,7 +38,9 @@ class Withdrawal(_Settings):
         description="First distance along the beam; 'contact': the tip's rim touches the wall.",
     )
     travel_mm: Positive = Field(6.0, description="Distance that the tip withdraws.")
-    frames: int = Field(61, ge=1, le=MOST_FRAMES, description="Number of frames, evenly spaced over the travel.")
+    frames: int = Field(
+        61, ge=1, le=MOST_FRAMES, description="Number of frames, evenly spaced over the travel."
+    )
     speed_mm_s: Positive = Field(0.1, description="Speed of the tip.")
 
 
@@ -77,11 +79,15 @@ class Hand(_NamedMotion):
 
     kind: Literal["hand"] = "hand"
     distance_mm: Positive = Field(3.0, description="Mean distance along the beam.")
-    duration_s: float = Field(6.0, ge=_LEAST, le=_LONGEST_HAND_S, description="Duration of the trial.")
+    duration_s: float = Field(
+        6.0, ge=_LEAST, le=_LONGEST_HAND_S, description="Duration of the trial."
+    )
     top_speed_mm_s: Positive = Field(
         5.0, description="Highest speed of the tip; the slow motion is scaled to reach it."
     )
-    tremor_rms_mm: float = Field(0.18, ge=0, le=_MOST_MM, description="Tremor before the robot damps it.")
+    tremor_rms_mm: float = Field(
+        0.18, ge=0, le=_MOST_MM, description="Tremor before the robot damps it."
+    )
     damping: float = Field(
         0.95,
         ge=0,
@@ -136,14 +142,25 @@ class Clocks(_Settings):
     """Clocks of the camera and of the robot. Times are those of the camera's clock."""
 
     camera_hz: float = Field(
-        10.0, ge=_LEAST, le=MOST_HZ, description="Frame rate; a withdrawal sets its own number of frames."
+        10.0,
+        ge=_LEAST,
+        le=MOST_HZ,
+        description="Frame rate; a withdrawal sets its own number of frames.",
     )
     camera_jitter_s: float = Field(
-        0.0, ge=0, le=_MOST_S, description="Standard deviation of the times at which frames are taken."
+        0.0,
+        ge=0,
+        le=_MOST_S,
+        description="Standard deviation of the times at which frames are taken.",
     )
-    kinematics_hz: float = Field(200.0, ge=_LEAST, le=MOST_HZ, description="Poses per second from the robot.")
+    kinematics_hz: float = Field(
+        200.0, ge=_LEAST, le=MOST_HZ, description="Poses per second from the robot."
+    )
     kinematics_offset_s: float = Field(
-        0.0, ge=-_MOST_S, le=_MOST_S, description="Time by which the robot's clock is ahead of the camera's."
+        0.0,
+        ge=-_MOST_S,
+        le=_MOST_S,
+        description="Time by which the robot's clock is ahead of the camera's.",
     )
     kinematics_jitter_s: float = Field(
         0.0, ge=0, le=_MOST_S, description="Standard deviation of the time stamps of poses."

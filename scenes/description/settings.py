@@ -36,7 +36,10 @@ class Phantom(_Settings):
 
     kind: Literal["eyeball", "plane"] = "eyeball"
     radius_mm: float = Field(
-        11.5, ge=0.1, le=1000, description="r, radius of the eyeball. The plane passes through its pole."
+        11.5,
+        ge=0.1,
+        le=1000,
+        description="r, radius of the eyeball. The plane passes through its pole.",
     )
     tilt_deg: float = Field(
         0.0, ge=0, lt=60, description="Tilt of the plane phantom about the pole."
@@ -59,7 +62,10 @@ class Phantom(_Settings):
         "towards +Y.",
     )
     wall_image_mm: float = Field(
-        24.0, ge=1e-3, le=1e4, description="Width of the image, measured along the wall through the pole."
+        24.0,
+        ge=1e-3,
+        le=1e4,
+        description="Width of the image, measured along the wall through the pole.",
     )
     texture_seed: Seed = Field(1, description="Random seed of the fundus drawn on the wall.")
     coat: Literal["none", "wet", "glossy"] = Field(
@@ -85,12 +91,18 @@ class SourceSettings(_Settings):
     photons_per_pixel: int = Field(
         256, ge=1, le=2**24, description="Photons traced per pixel and frame with kind 'photons'."
     )
-    lens: FileName = Field("paper-candidate", description="Name of a preset, or path of a lens file.")
-    cone_k: float = Field(20.0, ge=0.1, le=1000, description="k = 1/tan(half-angle) of the ideal cone.")
+    lens: FileName = Field(
+        "paper-candidate", description="Name of a preset, or path of a lens file."
+    )
+    cone_k: float = Field(
+        20.0, ge=0.1, le=1000, description="k = 1/tan(half-angle) of the ideal cone."
+    )
     cone_apex_offset_mm: Place = Field(
         -5.117, description="b, from the tip to the apex of the ideal cone along the beam."
     )
-    power_mw: float = Field(1.0, ge=1e-9, le=1e9, description="Optical power that leaves the fibre's core.")
+    power_mw: float = Field(
+        1.0, ge=1e-9, le=1e9, description="Optical power that leaves the fibre's core."
+    )
     medium: Literal["air", "water", "vitreous"] = Field(
         "air", description="Medium between the fibre and the wall."
     )
@@ -99,9 +111,7 @@ class SourceSettings(_Settings):
 class SpotSettings(_Settings):
     """Where the beam's axis meets the wall, and from which direction."""
 
-    eccentricity_mm: Length = Field(
-        0.0, description="c, distance of the spot from the eye's axis."
-    )
+    eccentricity_mm: Length = Field(0.0, description="c, distance of the spot from the eye's axis.")
     azimuth_deg: Angle = Field(0.0, description="Direction of the spot from the axis; 0: +X.")
     incidence_deg: float = Field(
         30.0, ge=0, lt=80, description="Angle between the beam and the wall's normal."
@@ -145,9 +155,13 @@ class MicroscopeSettings(_Settings):
     """The microscope: a pinhole camera whose window is centred on the position of [spot]."""
 
     pinhole_height_mm: Annotated[float, AllowInfNan()] = Field(
-        11.5, gt=-1e4, description="z_F, height of the pinhole above the eye's centre; inf: telecentric."
+        11.5,
+        gt=-1e4,
+        description="z_F, height of the pinhole above the eye's centre; inf: telecentric.",
     )
-    scale_mm_px: float = Field(0.0067, ge=1e-6, le=10, description="Size of a pixel on the wall at the pole.")
+    scale_mm_px: float = Field(
+        0.0067, ge=1e-6, le=10, description="Size of a pixel on the wall at the pole."
+    )
     width_px: int = Field(640, ge=16, le=8192, description="Width of the images.")
     height_px: int = Field(480, ge=16, le=8192, description="Height of the images.")
     window_offset_px: tuple[Pixels, Pixels] = Field(

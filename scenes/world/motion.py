@@ -153,8 +153,8 @@ def _pose_count(scene: Scene, last_s: float) -> int:
     count = math.ceil((last_s + 2 * _MARGIN_S) * rate_hz) + 1
     if count > _MOST_POSES:
         raise SceneError(
-            f"the robot reports {count:,} poses; at most {_MOST_POSES:,} are possible: {last_s:g} s "
-            f"at clocks.kinematics_hz = {rate_hz:g}. Raise the speed or lower kinematics_hz."
+            f"the robot reports {count:,} poses; at most {_MOST_POSES:,} are possible: {last_s:g} "
+            f"s at clocks.kinematics_hz = {rate_hz:g}. Raise the speed or lower kinematics_hz."
         )
     return count
 

@@ -77,7 +77,7 @@ class LabelledSet:
 class _StackRow(Strict):
     split: Literal["train", "validation", "test", "adverse"]
     name: Annotated[str, Field(pattern=FOLDER_NAME)]
-    condition: str | None
+    condition: Annotated[str, Field(pattern=FOLDER_NAME)] | None
     parameters: dict[str, Any]
 
 

@@ -10,7 +10,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field
 
 from optics import InputError
 
-
 _LARGEST = 1e12
 """Of either end of an interval, so that widths and quotients of the two are finite."""
 
@@ -23,8 +22,8 @@ def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
     low, high = interval
     if not -_LARGEST <= low < high <= _LARGEST:
         raise InputError(
-            f"an interval must be [low, high], within {_LARGEST:g}, with low < high; got [{low:g}, {high:g}]. "
-            "For a single value write key = value."
+            f"an interval must be [low, high], within {_LARGEST:g}, with low < high; got "
+            f"[{low:g}, {high:g}]. For a single value write key = value."
         )
     return interval
 
@@ -75,7 +74,9 @@ class LogUniform(_Distribution):
 class Choice(_Distribution):
     """One of several values, all equally likely."""
 
-    choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(min_length=2, max_length=4096)
+    choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(
+        min_length=2, max_length=4096
+    )
 
     def value(self, quantile: float) -> Any:
         """The value at this quantile of the list."""

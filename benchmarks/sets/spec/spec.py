@@ -49,6 +49,7 @@ def _dotted(table: Any) -> Any:
 
 
 _Count = Annotated[int, Field(ge=0, le=4096)]
+_Condition = Annotated[str, Field(pattern=FOLDER_NAME, max_length=60)]
 _Changes = Annotated[dict[str, Change], BeforeValidator(_dotted)]
 
 
@@ -68,8 +69,10 @@ class Adverse(_Table):
     """The split with difficult conditions."""
 
     stacks: _Count = Field(description="Number of stacks per condition.")
-    conditions: dict[Annotated[str, Field(pattern=FOLDER_NAME)], _Changes] = Field(
-        min_length=1, max_length=4096, description="Changes by name; the name begins folders' names."
+    conditions: dict[_Condition, _Changes] = Field(
+        min_length=1,
+        max_length=4096,
+        description="Changes by name; the name begins folders' names.",
     )
 
 
@@ -105,7 +108,8 @@ class SetSpec(_Table):
         ]:
             raise InputError(
                 f"vary.{fixed[0]} must be a distribution, one of {', '.join(KINDS)}; got "
-                f"{shortened(self.vary[fixed[0]])}. Move a value that is common to all stacks to [scene]."
+                f"{shortened(self.vary[fixed[0]])}. Move a value that is common to all stacks to "
+                "[scene]."
             )
         if not (any(self.splits.model_dump().values()) or (self.adverse and self.adverse.stacks)):
             raise InputError("a set needs stacks. Set the numbers in [splits] or [adverse].")
