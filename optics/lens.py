@@ -199,7 +199,8 @@ def _check(lens: GlueLens) -> None:
             core_radius <= aperture_radius <= _LARGEST_MM,
             "aperture_radius",
             f"must be at least the core's radius and at most {_LARGEST_MM:g} mm; got "
-            f"aperture_radius={aperture_radius:g} mm, core_radius={core_radius:g} mm. Raise aperture_radius or lower core_radius",
+            f"aperture_radius={aperture_radius:g} mm, core_radius={core_radius:g} mm. "
+            "Raise aperture_radius or lower core_radius",
         ),
         (
             0.0 <= sag <= aperture_radius,
