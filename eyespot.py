@@ -175,7 +175,8 @@ def _message_of(error: Exception) -> str | None:
     if isinstance(error, ModuleNotFoundError) and error.name not in PACKAGES:
         return f"the Python package {error.name} is not installed. Run `make setup` again."
     if isinstance(error, OSError) and error.filename:
-        return f"{error.filename}: {error.strerror}. {REMEDIES.get(error.errno or 0, '')}".rstrip()
+        remedy = REMEDIES.get(error.errno or 0, "")
+        return f"{str(error.filename)[:300]}: {error.strerror}. {remedy}".rstrip()
     if isinstance(error, OSError) or (optics and isinstance(error, optics.InputError)):
         return str(error)
     return None

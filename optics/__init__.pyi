@@ -32,6 +32,7 @@ from .input_error import at_most_three as at_most_three
 from .input_error import shortened as shortened
 from .input_files import MOST_BYTES as MOST_BYTES
 from .input_files import check_regular as check_regular
+from .input_files import check_schema as check_schema
 from .input_files import check_values as check_values
 from .input_files import in_file as in_file
 from .input_files import read_data as read_data

@@ -5,6 +5,7 @@ The errors say what is wrong with the content; `in_file` adds the file's name.
 
 from __future__ import annotations
 
+import importlib.metadata
 import stat
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -18,6 +19,7 @@ MOST_BYTES = 2**26
 """Largest text file unless its reader says otherwise, 64 MiB: a manifest of 200,000 images."""
 
 _MOST_TOML_BYTES = 2**20  # our largest, a set's spec, has a few kB
+_MOST_DOTS = 100  # of a line
 _DEEPEST = 16  # levels of lists and tables; our formats have eight at most
 _LARGEST = 2**63  # TOML's whole numbers, those of NumPy and of HDF5 have 64 bits
 
@@ -102,6 +104,9 @@ def toml_in(text: str) -> dict[str, Any]:
     Raises:
         InputError: not TOML, or as `check_values`.
     """
+    # Python's parser takes the square of a key's parts: a minute for 50,000 of them.
+    if any(line.count(".") > _MOST_DOTS for line in text.split("\n")):
+        raise InputError(f"not a TOML file: a line has more than {_MOST_DOTS} dots. Break it up.")
     try:
         content = tomllib.loads(text)
     except RecursionError as fault:
@@ -110,6 +115,29 @@ def toml_in(text: str) -> dict[str, Any]:
         raise InputError(f"not a TOML file: {_said(fault)}.") from fault
     check_values(content)
     return content
+
+
+def check_schema(found: object, history: Mapping[int, str], *, remedy: str) -> None:
+    """Check the version of a format, for every format alike.
+
+    Args:
+        found: the file's version; None if it has none.
+        history: what changed with each version that can be read, the oldest first.
+        remedy: sentence about a file whose version never existed.
+
+    Raises:
+        InputError: the version is missing, unknown, or newer than this software.
+    """
+    if found is None:
+        raise InputError(f"`schema` is missing. {remedy}")
+    known = type(found) is int and found in history
+    if known:
+        return
+    readable = " and ".join(map(str, history))
+    here = f"this eyespot ({importlib.metadata.version('eyespot')}) reads {readable}"
+    newer = type(found) is int and found > max(history)
+    way_out = "Install a newer eyespot." if newer else remedy
+    raise InputError(f"schema is {shortened(found)}; {here}. {way_out}")
 
 
 def check_values(content: object) -> None:

@@ -14,10 +14,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from optics.input_error import InputError, shortened
-from optics.input_files import in_file, read_toml
+from optics.input_files import check_schema, in_file, read_toml
 
 _PRESETS = Path(__file__).parent / "lenses"
-_SCHEMA = 1
+_HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read."""
+
 _LARGEST_MM = 10.0  # of any length of a lens; a fibre has 0.1 to 1 mm
 
 
@@ -272,11 +274,8 @@ def load_lens(name_or_path: str | Path) -> GlueLens:
 
 
 def _lens_in(content: dict[str, Any]) -> GlueLens:
-    if content.get("schema") != _SCHEMA:
-        raise InputError(
-            f"schema must be {_SCHEMA}; got {shortened(content.get('schema'))}. Compare the file "
-            "with the presets in optics/lenses."
-        )
+    again = "Compare the file with the presets in optics/lenses."
+    check_schema(content.get("schema"), _HISTORY, remedy=again)
     values = content.get("lens", {})
     known = [*GlueLens.__annotations__]
     required = known[:-2]

@@ -250,7 +250,7 @@ _FOREIGN = (
     b'{"a":' * 100_000,
     b"schema = 1\n" + b"a." * 50_000 + b"a = 1\n",
     b"a = " + b"[" * 100_000,
-    b"%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 1000000\n   cols: 1000000\n   dt: d\n   data: []\n",
+    b"%YAML:1.0\n---\nK: !!opencv-matrix\n rows: 1000000\n cols: 1000000\n dt: d\n data: []\n",
     b"%YAML:1.0\n---\n" + b"- " * 20_000,
     b"<?xml version='1.0'?><opencv_storage>" + b"<a>" * 20_000,
     b"\x89PNG\r\n\x1a\n",

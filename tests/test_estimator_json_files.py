@@ -7,8 +7,8 @@ from typing import Annotated
 import pytest
 from pydantic import Field
 
-from estimator.files.json_files import Strict, check_schema, object_in, validated
-from optics import read_text
+from estimator.files.json_files import Strict, object_in, validated
+from optics import check_schema, read_text
 
 
 class Eye(Strict):

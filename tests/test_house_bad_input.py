@@ -23,7 +23,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return samples(tmp_path_factory.mktemp("bad input") / "samples")
 
 
-def fault_of(read: Callable[[], object], *names: str) -> str | None:
+def fault_of(read: Callable[[], object], *names: str, most_lines: int = 3) -> str | None:
     """What is wrong with the answer to bad input; None if it is as it should be."""
     began, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
@@ -32,7 +32,7 @@ def fault_of(read: Callable[[], object], *names: str) -> str | None:
         message = eyespot._message_of(error)
         if message is None:
             return f"a traceback: {type(error).__name__}: {error!s:.300}"
-        if len(message.splitlines()) > 3:
+        if len(message.splitlines()) > most_lines:
             return f"{len(message.splitlines())} lines: {message:.500}"
         if len(message) > 2000:
             return f"{len(message)} characters: {message:.500}"
@@ -50,7 +50,10 @@ def fault_of_file(folder: Path, name: str, seed: int) -> str | None:
     path = folder / target.file
     with spoilt(path, rng, target.form):
         # A stack or set is blamed as a whole where the fault is not in one of its files.
-        return fault_of(lambda: target.read(folder), path.name, path.parent.name, "motion.file")
+        places = path.name, path.parent.name, "motion.file", "train/0000", "adverse/"
+        # What is missing or changed in a set is listed, up to twenty files.
+        most = 21 if name == "set's manifest" else 3
+        return fault_of(lambda: target.read(folder), *places, most_lines=most)
 
 
 def fault_of_value(name: str, seed: int) -> str | None:

@@ -77,7 +77,7 @@ def test_an_unknown_lens_is_answered_with_the_presets():
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("schema = 2\n[lens]\n", "schema must be 1; got 2"),
+        ("schema = 2\n[lens]\n", "schema is 2; .* Install a newer eyespot"),
         ("schema = 1\n[lens]\nsag = 0.1\nradius = 1.0\n", "wrong: radius, missing: core_radius"),
         ("schema = 1\n[lens]\nsag = true\n", "wrong: sag"),
         ("schema = [", "wrong.toml.*not a TOML file"),

@@ -8,7 +8,6 @@ from .image_files import read_image as read_image
 from .inside import FOLDER_NAME as FOLDER_NAME
 from .inside import inside as inside
 from .json_files import Strict as Strict
-from .json_files import check_schema as check_schema
 from .json_files import object_in as object_in
 from .json_files import validated as validated
 from .microscope import MicroscopeFile as MicroscopeFile

@@ -26,10 +26,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AllowInfNan, ConfigDict, Field
 
-from estimator.files.json_files import Strict, check_schema, object_in, validated
+from estimator.files.json_files import Strict, object_in, validated
 from estimator.files.model_parameters import CalibrationError, check_parameters, quantity
 from estimator.files.whole_files import written_whole
-from optics import in_file, read_text, shortened
+from optics import check_schema, in_file, read_text, shortened
 
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}

@@ -6,9 +6,7 @@ the file's name.
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
-from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -42,29 +40,6 @@ def object_in(text: str) -> dict[str, Any]:
         raise InputError(f"not a JSON object, but {shortened(content)}.")
     check_values(content)
     return content
-
-
-def check_schema(found: object, history: Mapping[int, str], *, remedy: str) -> None:
-    """Check the version of a format, for every format alike.
-
-    Args:
-        found: the file's version; None if it has none.
-        history: what changed with each version that can be read, the oldest first.
-        remedy: sentence about a file whose version never existed.
-
-    Raises:
-        InputError: the version is missing, unknown, or newer than this software.
-    """
-    if found is None:
-        raise InputError(f"`schema` is missing. {remedy}")
-    known = type(found) is int and found in history
-    if known:
-        return
-    readable = " and ".join(map(str, history))
-    here = f"this eyespot ({importlib.metadata.version('eyespot')}) reads {readable}"
-    newer = type(found) is int and found > max(history)
-    way_out = "Install a newer eyespot." if newer else remedy
-    raise InputError(f"schema is {shortened(found)}; {here}. {way_out}")
 
 
 def validated(model: type[_Model], content: object, *, remedy: str) -> _Model:

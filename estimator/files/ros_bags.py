@@ -41,13 +41,22 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     if not path.is_dir():
         with in_file(path):
             check_regular(path)
-    with damage_reported(f"{path}", _REMEDY):
+    with _damage_reported(f"{path}"):
         reader = AnyReader([path], default_typestore=types)
         reader.open()
     try:
         yield reader
     finally:
         reader.close()
+
+
+@contextmanager
+def _damage_reported(where: str) -> Iterator[None]:
+    with damage_reported(where, _REMEDY):
+        try:
+            yield
+        except MemoryError as error:  # sizes that damage announces are asked for at once
+            raise InputError("it announces more data than fit into memory") from error
 
 
 def topic_in(
@@ -85,7 +94,7 @@ def messages_of(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[flo
     """
     messages = reader.messages([c for c in reader.connections if c.topic == topic])
     for index in itertools.count():
-        with damage_reported(f"{path}, {topic}, message {index}", _REMEDY):
+        with _damage_reported(f"{path}, {topic}, message {index}"):
             item = next(messages, None)
             if item is None:
                 return

@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 
 from estimator.files.csv_files import MOST_ROWS, csv_rows, number_in
-from estimator.files.json_files import check_schema
 from estimator.files.whole_files import damage_reported, written_whole
 from estimator.image import PARAMETERS, NoSpot, Reason, Spot
-from optics import InputError, check_regular, in_file, shortened
+from optics import InputError, check_regular, check_schema, in_file, shortened
 
 SCHEMA_VERSION = 1
 HISTORY = {1: "the format of eyespot 0.1"}

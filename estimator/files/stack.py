@@ -28,8 +28,8 @@ from pydantic import Strict as StrictType
 
 from estimator.files.image_files import read_image
 from estimator.files.inside import inside
-from estimator.files.json_files import Strict, check_schema, object_in, validated
-from optics import InputError, in_file, read_text, read_toml, shortened
+from estimator.files.json_files import Strict, object_in, validated
+from optics import InputError, check_schema, in_file, read_text, read_toml, shortened
 
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}

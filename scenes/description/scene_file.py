@@ -10,9 +10,12 @@ from typing import Any, get_args
 import tomli_w
 from pydantic import BaseModel, ValidationError
 
-from optics import InputError, at_most_three, in_file, read_toml, shortened, toml_in
+from optics import InputError, at_most_three, check_schema, in_file, read_toml, shortened, toml_in
 from scenes.description.motion_settings import MOTIONS, UNNAMED
 from scenes.description.settings import Scene, SceneError
+
+HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
+"""What changed with each version of the format that is read."""
 
 _LONGEST_KEY = 100  # characters; ours have 40 at most
 
@@ -100,7 +103,9 @@ def scene_template(*, schema_file: str | None = None) -> str:
 def _read(path: Path) -> dict[str, Any]:
     try:
         with in_file(path, SceneError):
-            return read_toml(path)
+            content = read_toml(path)
+            check_schema(content.get("schema", 1), HISTORY, remedy="Write 1.")
+            return content
     except OSError as error:
         raise SceneError(
             f"{path}: cannot be read ({error.strerror}). `eyespot scene init {path}` writes one."

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from benchmarks.sets.read import SCHEMA, LabelledSet, SetError, read_set
-from estimator.files import fingerprint, written_whole
+from pydantic import Field
+
+from benchmarks.sets.read import HISTORY, SCHEMA, LabelledSet, SetError, read_set
+from estimator.files import Strict, fingerprint, object_in, validated, written_whole
+from optics import check_schema, in_file, read_text
 
 MANIFEST = "manifest.json"
+_MOST_BYTES = 2**29  # of the manifest: 4 million files
 _NAMED = 20  # problems listed in a message; an incomplete copy has thousands
+
+
+class _Manifest(Strict):
+    schema_: Annotated[int, Field(alias="schema")]
+    files: dict[str, dict[str, Any]]
 
 
 def write_manifest(labelled: LabelledSet) -> None:
@@ -42,14 +51,15 @@ def verify_set(folder: Path) -> int:
     if missing := [f"{stack.split}/{stack.name}" for stack in labelled.missing]:
         raise SetError(_listed(folder, [f"stack {name} is missing" for name in missing]))
     try:
-        files = json.loads((labelled.folder / MANIFEST).read_text())["files"]
+        with in_file(labelled.folder / MANIFEST, SetError):
+            content = object_in(read_text(labelled.folder / MANIFEST, most_bytes=_MOST_BYTES))
+            check_schema(content.get("schema"), HISTORY, remedy="Make the set again.")
+            files = validated(_Manifest, content, remedy="Make the set again.").files
     except FileNotFoundError as error:
         raise SetError(
             f"{folder} is incomplete: {MANIFEST} is missing. Run `eyespot dataset` with its spec "
             "and this folder again."
         ) from error
-    except (json.JSONDecodeError, KeyError) as error:
-        raise SetError(f"{labelled.folder / MANIFEST} is damaged: {error}.") from error
     found = {path.relative_to(labelled.folder).as_posix() for path in _files(labelled.folder)}
     unlisted = sorted(found - files.keys() - {MANIFEST})
     problems = [f"{name} is not in {MANIFEST}" for name in unlisted]

@@ -30,9 +30,12 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from benchmarks.sets.spec.distributions import KINDS, Change, Distribution, by_dotted_name
 from estimator.files import FOLDER_NAME
-from optics import InputError, at_most_three, in_file, read_toml, shortened
+from optics import InputError, at_most_three, check_schema, in_file, read_toml, shortened
 from scenes import parsed_change
 from scenes.description import problem_sentence
+
+HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
+"""What changed with each version of the format that is read."""
 
 SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 """Scene keys that have a different value in every stack."""
@@ -137,6 +140,7 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
     try:
         with in_file(where, SpecError):
             content = read_toml(Path(str(path)))
+            check_schema(content.get("schema", 1), HISTORY, remedy="Write 1.")
         if isinstance(scene_file := content.get("scene"), str):
             content["scene"] = _scene_keys(Path(source).parent / scene_file)
     except OSError as error:
