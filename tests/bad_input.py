@@ -86,7 +86,7 @@ def mutated(data: bytes, form: str, rng: Rng) -> bytes:
     for _ in range(rng.integers(1, 4)):
         try:
             data = _MUTATIONS[form](data, rng)
-        except (ValueError, IndexError, TypeError, RecursionError, AttributeError):
+        except (ValueError, IndexError, TypeError, RecursionError, AttributeError, csv.Error):
             return _of_bytes(data, rng)  # an earlier mutation made it no such file
     return data
 

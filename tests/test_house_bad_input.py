@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import resource
+import shutil
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +16,7 @@ import pytest
 import eyespot
 from tests.bad_input import TARGETS, VALUES, given_value, samples, spoilt
 
+EYESPOT = Path(sys.executable).with_name("eyespot")
 _LONGEST_S = 2.0
 _MOST_KB = 2**20
 
@@ -99,4 +103,69 @@ def test_a_mutated_input_is_answered_with_one_message(folder: Path, kind: str, c
 @pytest.mark.parametrize(("kind", "count"), cases(10_000).items())
 def test_ten_thousand_mutated_inputs(folder: Path, kind: str, count: int) -> None:
     found = faults(folder, kind, range(1000, 1000 + count))
+    assert not found, "\n".join(found)
+
+
+COMMANDS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(
+        ("frame", "labels", "stack", "stack's microscope"),
+        ("track", "small-v1/train/0000", "--out", "out.csv"),
+    ),
+    **{
+        kind: ("track", TARGETS[kind].file, "--out", "out.csv")
+        for kind in ("png", "jpg", "tif", "video", "ros 1")
+    },
+    "ros 2": ("track", "ros2", "--out", "out.csv"),
+    "poses": ("track", "image.png", "--out", "out.csv", "--poses", "poses.csv"),
+    "microscope": ("track", "image.png", "--out", "out.csv", "--microscope", "microscope.json"),
+    "opencv yaml": (
+        *("track", "image.png", "--out", "out.csv", "--microscope", "camera.yml"),
+        *("--pinhole-height-mm", "200", "--eye-radius-mm", "11.5"),
+    ),
+    "scene": ("scene", "check", "scene.toml"),
+    "set": ("dataset", "verify", "small-v1"),
+    "set's manifest": ("dataset", "verify", "small-v1"),
+    "manifest": ("export", "small-v1/train/0000", "--to", "webdataset", "--out", "out"),
+    "mask": ("export", "small-v1/train/0000", "--to", "webdataset", "--out", "out"),
+}
+"""A command for a kind of file, from the folder of the samples."""
+
+
+def outcome(folder: Path, command: tuple[str, ...]) -> tuple[int, str, float]:
+    """Exit code, stderr and processor time of a command."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    child = subprocess.run(
+        [EYESPOT, *command], cwd=folder, capture_output=True, text=True, check=False, timeout=120
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    # Decoders of images, which are written in C, also print a word of their own.
+    own = [line for line in child.stderr.splitlines() if not line.startswith(("libpng", "["))]
+    return child.returncode, "\n".join(own), spent
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", COMMANDS)
+def test_a_command_ends_with_2_and_leaves_nothing(folder: Path, kind: str) -> None:
+    def removed_results() -> list[str]:
+        shutil.rmtree(folder / "out", ignore_errors=True)
+        (folder / "out.csv").unlink(missing_ok=True)
+        return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
+
+    there, target, found = removed_results(), TARGETS[kind], []
+    usual_s = outcome(folder, COMMANDS[kind])[2]
+    removed_results()
+    for seed in range(-(-500 // len(COMMANDS))):
+        rng = np.random.default_rng([seed, 7])
+        with spoilt(folder / target.file, rng, target.form):
+            code, words, spent_s = outcome(folder, COMMANDS[kind])
+        if code != 0:
+            lines = 21 if target.file == "small-v1/manifest.json" else 3
+            one = words.startswith("eyespot: ") and len(words.splitlines()) <= lines
+            if code != 2 or not one or "Traceback" in words:
+                found.append(f"seed {seed}: {code}: {words:.600}")
+        if spent_s > usual_s + _LONGEST_S:
+            found.append(f"seed {seed}: {spent_s:.1f} s; usually {usual_s:.1f} s")
+        if (left := removed_results()) != there:
+            found.append(f"seed {seed} left {sorted(set(left) ^ set(there))}")
     assert not found, "\n".join(found)
