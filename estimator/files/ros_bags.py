@@ -38,9 +38,9 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     # Old ROS 2 bags contain no message definitions; those of the messages used here have never
     # changed.
     types = get_typestore(Stores.ROS2_HUMBLE)
-    if not path.is_dir():
-        with in_file(path):
-            check_regular(path)
+    for file in path.iterdir() if path.is_dir() else (path,):
+        with in_file(file):
+            check_regular(file)
     with _damage_reported(f"{path}"):
         reader = AnyReader([path], default_typestore=types)
         reader.open()
