@@ -176,7 +176,8 @@ def _message_of(error: Exception) -> str | None:
         return f"the Python package {error.name} is not installed. Run `make setup` again."
     if isinstance(error, OSError) and error.filename:
         remedy = REMEDIES.get(error.errno or 0, "")
-        return f"{str(error.filename)[:300]}: {error.strerror}. {remedy}".rstrip()
+        name = repr(str(error.filename))[1:-1][:300]  # a name may have line breaks
+        return f"{name}: {error.strerror}. {remedy}".rstrip()
     if isinstance(error, OSError) or (optics and isinstance(error, optics.InputError)):
         return str(error)
     return None

@@ -103,11 +103,14 @@ def test_a_camera_of_an_impossible_number_is_refused(number, tmp_path, monkeypat
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path, suffix):
     path = tmp_path / f"file.{suffix}"
     os.mkfifo(path)
-    read = {"csv": read_poses, "json": read_calibration}.get(
-        suffix, lambda path: [*open_source(path)]
-    )
     with pytest.raises(InputError, match="pipe"):
-        read(path)
+        match suffix:
+            case "csv":
+                read_poses(path)
+            case "json":
+                read_calibration(path)
+            case _:
+                open_source(path).read().__next__()
 
 
 def test_a_device_without_an_end_is_refused(tmp_path):

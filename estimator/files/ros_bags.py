@@ -17,6 +17,7 @@ from optics import InputError, check_regular, in_file
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
+_MOST_YAML_BYTES = 2**17  # of metadata.yaml; a bag of fifty topics has 40 kB
 _REMEDY = "Repair a truncated bag with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`."
 
 
@@ -40,7 +41,9 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     types = get_typestore(Stores.ROS2_HUMBLE)
     for file in path.iterdir() if path.is_dir() else (path,):
         with in_file(file):
-            check_regular(file)
+            size = check_regular(file)
+            if file.suffix == ".yaml" and size > _MOST_YAML_BYTES:
+                raise InputError(f"larger than {_MOST_YAML_BYTES:,} bytes. {_REMEDY}")
     with _damage_reported(f"{path}"):
         reader = AnyReader([path], default_typestore=types)
         reader.open()
