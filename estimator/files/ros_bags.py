@@ -17,7 +17,7 @@ from optics import InputError, check_regular, in_file
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-_MOST_YAML_BYTES = 2**17  # of metadata.yaml; a bag of fifty topics has 40 kB
+_MOST_YAML_BYTES = 2**16  # of metadata.yaml; a bag of fifty topics has 40 kB
 _REMEDY = "Repair a truncated bag with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`."
 
 
