@@ -12,6 +12,7 @@ from .rendering import LinearFrame as LinearFrame
 from .rendering import Renderer as Renderer
 from .stacks import check_scene as check_scene
 from .stacks import expose_again as expose_again
+from .stacks import least_bytes as least_bytes
 from .stacks import render_stack as render_stack
 from .stacks import write_preview as write_preview
 from .world import World as World

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -185,10 +186,44 @@ def test_verify_names_every_file_that_is_missing_changed_or_does_not_belong(copy
     assert len(told) == 3
     for line in (
         "notes.txt is not in manifest.json",
-        "train/0000/frames/000003.png differs from its checksum",
-        "test/0000/masks/000001.png is missing",
+        "train/0000/frames/000003.png differs from its checksum in manifest.json",
+        "test/0000/masks/000001.png is missing, though manifest.json lists it",
     ):
         assert f"{copy}: {line}" in told
+
+
+def test_verify_names_whatever_is_no_file_of_the_set(copy):
+    frame = copy / "train" / "0000" / "frames" / "000003.png"
+    shutil.copy(frame, copy.parent / "same.png")
+    frame.unlink()
+    frame.symlink_to(copy.parent / "same.png")
+    (copy / "train" / "0002" / "frames").mkdir(parents=True)
+    (copy / "test" / "dangling").symlink_to(copy / "nothing")
+    (copy / "foreign").symlink_to(copy.parent)
+    os.mkfifo(copy / "train" / "pipe")
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(os.path.relpath(copy / "socket"))  # absolute, the name may be too long
+    listener.close()
+    with pytest.raises(SetError) as caught:
+        verify_set(copy)
+    assert str(caught.value).splitlines() == [
+        f"{copy}: {problem}, which eyespot does not write"
+        for problem in (
+            "foreign is a link",
+            "socket is a device, socket or pipe",
+            "test/dangling is a link",
+            "train/0000/frames/000003.png is a link",
+            "train/0002/frames is an empty folder",
+            "train/pipe is a device, socket or pipe",
+        )
+    ]
+
+
+def test_a_damaged_manifest_is_named(copy):
+    for content in ("[]", "{", "5", '{"schema": 1, "files": {"a": 5}}', "\udcff"):
+        (copy / "manifest.json").write_bytes(content.encode(errors="surrogateescape"))
+        with pytest.raises(SetError, match=r"manifest\.json: "):
+            verify_set(copy)
 
 
 def test_scenes_that_cannot_be_are_named_and_the_others_are_rendered(spec_file, tmp_path):
@@ -261,6 +296,55 @@ def test_two_processes_make_the_same_set_though_one_is_killed_again_and_again(
         make_set(spec, out, workers=these(), progress=kill_one)
     assert len(killed) == 3
     verify_set(out)
+    assert digests(out) == digests(whole)
+
+
+def test_a_stack_that_another_run_writes_is_waited_for_and_rendered_if_that_run_stops(
+    spec, whole, tmp_path
+):
+    out = tmp_path / "set"
+    busy = out / "train" / ".0000.partial"
+    busy.mkdir(parents=True)
+    code = (
+        "import sys, pathlib, estimator.files; folder = pathlib.Path(sys.argv[1]); "
+        "estimator.files.lock(folder, of=folder); print('here', flush=True); sys.stdin.read()"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", code, str(busy)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    assert other.stdout
+    assert other.stdout.readline() == b"here\n"
+    shutil.copy(whole / "set.json", out)
+    done: list[int] = []
+
+    def stop_the_other(stacks: int, total: int) -> None:
+        done.append(stacks)
+        if stacks == total - 1:
+            assert not (out / "train" / "0000").exists()
+            other.communicate()
+
+    make_set(spec, out, workers=here(), progress=stop_the_other)
+    assert done == [0, 1, 2, 3, 4, 5]
+    verify_set(out)
+    assert digests(out) == digests(whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shards", [[], ["1/2", "2/2"]])
+def test_two_runs_at_the_same_time_both_end_well_and_the_set_is_complete(
+    spec_file, whole, tmp_path, shards
+):
+    out = tmp_path / "set"
+    runs = [
+        subprocess.Popen(
+            command(spec_file, "--out", out, "--workers", 1, *(["--shard", shard] if shard else []))
+        )
+        for shard in shards or ["", ""]
+    ]
+    assert [run.wait() for run in runs] == [0, 0]
+    assert verify_set(out) == verify_set(whole)
     assert digests(out) == digests(whole)
 
 

@@ -372,7 +372,7 @@ def test_damage_inside_a_bag_ends_it_at_that_frame(tmp_path):
 def test_a_bag_is_not_written_over_and_takes_no_zero_time(tmp_path):
     path = write_ours(tmp_path / "rig.bag")
     before = path.read_bytes()
-    with pytest.raises(ValueError, match="exists already"):
+    with pytest.raises(ValueError, match="already exists"):
         write_bag(path, frames=[], poses=[])
     assert path.read_bytes() == before
     at_zero = Frame(index=0, file_name="", time_s=0.0, image=RGB)

@@ -121,7 +121,7 @@ def test_a_new_scene_file_is_fine_and_is_not_written_over(run, tmp_path):
     assert run("scene", "init", scene).code == 0
     assert run("scene", "check", scene).code == 0
     before = scene.read_bytes()
-    assert_bad_input(run("scene", "init", scene), str(scene), "File exists")
+    assert_bad_input(run("scene", "init", scene), str(scene), "already exists")
     assert scene.read_bytes() == before
 
 

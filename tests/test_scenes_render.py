@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from estimator import Spot, StackError, SubpixelSettings, TrackState, measure, read_stack
+from estimator import Spot, SubpixelSettings, TrackState, measure, read_stack
+from optics import InputError
 from scenes import (
     Renderer,
     Scene,
@@ -165,7 +166,7 @@ def test_a_stack_holds_every_exposure_of_every_frame_and_its_checksums(tmp_path)
     image, mask = stack.image(metered), stack.mask(metered) > 0
     # 80 % of 255 at the peak; noise of 3 DN on top of it at the 99.9th percentile.
     assert 195 < np.percentile(image[mask], 95) < 215
-    with pytest.raises(StackError, match="exists"):
+    with pytest.raises(InputError, match="exists"):
         render_stack(settings, tmp_path / "stack")
 
 

@@ -18,7 +18,17 @@ import numpy as np
 import pytest
 
 from estimator import Stack, StackError, StackWriter, read_stack
-from scenes import Scene, SceneError, check_scene, expose_again, render_stack, scene_toml
+from estimator.files import BeingWrittenError
+from optics import InputError
+from scenes import (
+    Scene,
+    SceneError,
+    check_scene,
+    expose_again,
+    least_bytes,
+    render_stack,
+    scene_toml,
+)
 
 
 def scene(**parts: Any) -> Scene:
@@ -117,7 +127,9 @@ def test_a_label_line_that_was_being_written_counts_as_missing(whole, tmp_path, 
         render_stack(scene(), out, progress=Stop(6))
     lines = tmp_path / ".stack.partial" / "metadata.jsonl"
     lines.write_bytes(lines.read_bytes()[:-cut])
-    (tmp_path / ".stack.partial" / "frames" / ".000003.partial.png").write_bytes(b"half")
+    left = tmp_path / ".stack.partial" / "frames" / ".000003.png.unfinished"
+    left.mkdir()
+    (left / "000003.png").write_bytes(b"half")
     (tmp_path / ".stack.partial" / "frames" / "000003.png").write_bytes(b"half")
     kept = [line for line in lines.read_text().splitlines(keepends=True) if "000003" not in line]
     lines.write_text("".join(kept))
@@ -150,7 +162,7 @@ def test_frames_of_another_wall_image_are_not_used(tmp_path):
 def test_two_processes_do_not_write_one_stack(tmp_path):
     with StackWriter(tmp_path / "stack") as writer:
         writer.describe(stack={}, microscope={})
-        with pytest.raises(StackError, match="stack is being written by another process"):
+        with pytest.raises(BeingWrittenError, match="stack is being written by another process"):
             StackWriter(tmp_path / "stack").__enter__()
 
 
@@ -209,7 +221,7 @@ def test_a_truncated_frame_and_a_changed_byte_are_named(copy):
 
 
 def test_an_existing_stack_is_not_written_over(whole):
-    with pytest.raises(StackError, match="exists already"):
+    with pytest.raises(InputError, match="already exists"):
         render_stack(scene(), whole.folder)
 
 
@@ -244,6 +256,12 @@ def test_a_linear_frame_is_the_light_behind_its_image(whole):
         # Noise of 3 DN at most in some thousand samples, of mean 0.
         assert abs(difference.mean()) < 0.1
         assert np.abs(difference).max() < 6 * 3.5
+
+
+def test_no_stack_is_smaller_than_the_space_that_is_asked_for(whole):
+    size = sum(path.stat().st_size for path in whole.folder.rglob("*") if path.is_file())
+    # Its radiance alone is 10 frames x 2 exposures x 96 x 72 pixels x 3 channels x 4 bytes.
+    assert 20 * 96 * 72 * 3 * 4 < least_bytes(scene()) < size
 
 
 def test_only_the_camera_can_change_without_rendering(whole, tmp_path):

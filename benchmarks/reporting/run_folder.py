@@ -15,6 +15,7 @@ from typing import Any
 
 import scenes
 from estimator import Stack, read_stack
+from estimator.files import errors_named, lock, refuse_foreign, sweep, written_whole
 from optics import InputError
 from scenes import Scene
 
@@ -32,7 +33,7 @@ _PACKAGES = (
 )
 
 
-def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
+def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
     """Use an empty folder, or one of an earlier run with the same settings, and write run.json.
 
     Args:
@@ -40,9 +41,25 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
         settings: settings of the run.
         command: command of the run, for the message.
 
+    Returns:
+        A file descriptor; until `os.close`, or the end of this process, no other run may use the
+        folder.
+
     Raises:
+        BeingWrittenError: another process uses the folder.
         InputError: the folder has a run with other settings, or other files.
     """
+    out.mkdir(parents=True, exist_ok=True)
+    handle = lock(out.resolve(), of=out)
+    try:
+        _claim(out, settings, command=command)
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
+
+
+def _claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
     file = out / "run.json"
     if file.is_file():
         found = json.loads(file.read_text())
@@ -51,11 +68,14 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
                 f"{out} has a run with other settings: {_difference(found, settings)}. "
                 "Choose another --out, or remove the folder."
             )
-        return
-    if out.is_dir() and any(out.iterdir()):
-        raise InputError(f"{out} has files that are not from `{command}`. Choose another --out.")
-    out.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(settings) + "\n")
+    sweep(out)
+    if not file.exists():
+        if any(out.iterdir()):
+            raise InputError(
+                f"{out} has files that are not from `{command}`. Choose another --out."
+            )
+        with written_whole(file) as partial:
+            partial.write_text(json.dumps(settings) + "\n")
 
 
 def finished_stack(
@@ -86,18 +106,27 @@ def finished_stack(
 
 @contextmanager
 def published(out: Path) -> Iterator[Path]:
-    """A folder whose files move into `out` if the block ends without an error."""
-    folder = out / ".report.partial"
+    """A folder whose files move into `out` if the block ends without an error.
+
+    Args:
+        out: a folder that this run has claimed; the files of its earlier report are replaced.
+
+    Raises:
+        InputError: a link, or no file, has the name of a file of the report.
+    """
+    folder = out / ".report.unfinished"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     try:
-        yield folder
-        for path in sorted(folder.rglob("*")):
-            target = out / path.relative_to(folder)
-            if path.is_dir():
-                target.mkdir(exist_ok=True)
-            else:
-                os.replace(path, target)
+        with errors_named(folder, out):
+            yield folder
+            for path in sorted(folder.rglob("*")):
+                target = out / path.relative_to(folder)
+                if path.is_dir() and not target.is_symlink():
+                    target.mkdir(exist_ok=True)
+                else:
+                    refuse_foreign(target)
+                    os.replace(path, target)
     finally:
         shutil.rmtree(folder)
 

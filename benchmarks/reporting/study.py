@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shlex
 import time
+import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -20,7 +22,8 @@ from benchmarks.reporting.figures import STYLE, save_figure
 from benchmarks.reporting.page import page
 from benchmarks.reporting.report import Data, Report
 from benchmarks.reporting.tables import write_csv
-from estimator import Stack
+from estimator import Stack, StackWriter
+from estimator.files import require_space
 from estimator.run import progress
 from scenes import Scene
 
@@ -70,7 +73,7 @@ class Study:
         seconds: wall time of this run by step.
 
     Raises:
-        InputError: the scene is not valid, or the folder has other files.
+        InputError: the scene is not valid, the folder has other files, or another process uses it.
         RendererUnavailable: Mitsuba cannot run here.
     """
 
@@ -100,7 +103,8 @@ class Study:
             "quick": request.quick,
             **request.options,
         }
-        run_folder.claim(self.folder, settings, command=shlex.join(self._words))
+        claimed = run_folder.claim(self.folder, settings, command=shlex.join(self._words))
+        weakref.finalize(self, os.close, claimed)
 
     @property
     def command(self) -> str:
@@ -134,6 +138,9 @@ class Study:
         folder = self.folder / "stacks"
         folder.mkdir(exist_ok=True)
         total = sum(scenes.frame_count(scene) for scene in trials.values())
+        new = [name for name in trials if not StackWriter(folder / name).has_begun]
+        new = [name for name in new if not (folder / name).exists()]
+        require_space(self.folder, sum(scenes.least_bytes(trials[name]) for name in new))
         with (
             ThreadPoolExecutor(max_workers=1) as beside,
             progress("Rendering", total=total) as advance,

@@ -22,8 +22,8 @@ def fit(
         typer.Option(
             "--out",
             metavar="FILE",
-            help="Calibration file (JSON) to write; must not exist. The report is written beside "
-            "it, as .html.",
+            help="Calibration file (JSON) to write. The report is written beside it, as .html. "
+            "Neither may exist.",
         ),
     ],
     model: Annotated[

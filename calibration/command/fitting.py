@@ -7,9 +7,12 @@ import importlib.metadata
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from rich.console import Console
+from rich.table import Table
 
 import optics
 from calibration.command import report as fit_report
@@ -21,11 +24,12 @@ from calibration.command.result_table import result_table
 from calibration.pixels import NUISANCES
 from calibration.recordings import LogBook, Recording, is_stack, read_recording
 from calibration.spots import Prior
-from estimator.files import Calibration, write_calibration, written_whole
+from estimator.files import Calibration, require_space, write_calibration, written_whole
 from estimator.run import progress
 from optics import InputError
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
+_MOST_BYTES = 2**23  # of a report with its figures
 
 
 def run(
@@ -65,52 +69,119 @@ def run(
         eye_from_robot: "QX,QY,QZ,QW", rotation from the poses' frame to the eye frame.
 
     Raises:
-        InputError: wrong input, or a fit that is not good. In the second case only the report is
-            written. A fit whose only fault is too large standard deviations raises nothing.
+        InputError: wrong input, an existing file or report, or a fit that is not good. In the last
+            case only the report is written. A fit whose only fault is too large standard
+            deviations raises nothing.
+        OSError: a file cannot be written.
     """
     sources = [Path(source) for source in sources]
     report = _report_beside(out)
-    given = read_priors(priors)
-    choices = Choices(
-        free=None if free is None else tuple(free),
-        priors=given,
-        loss="huber" if robust else "squares",
-        exposure=exposure,
-        lens=lens or "",
-    )
-    if model == AUTO and lens:
-        model = "lens"
-    others = [source for source in sources if not is_stack(source)]
-    if model != AUTO:
-        _check(model, choices, sources=len(sources), others=len(others))
-    rotation = read_rotation(eye_from_robot)
-    books = log_books(others, microscope, poses, phantoms, medium, fibre_diameter_mm, rotation)
-    recordings = [
-        _read(source, books.get(source), exposure=exposure, touch=given.get("touch"))
-        for source in sources
-    ]
-    _check_alike(recordings)
-    if model == AUTO:
-        model, reason = chosen_model(recordings)
-        print(f"Model {model}: {reason}.", file=sys.stderr, flush=True)
-        _check(model, choices, sources=len(sources), others=len(others))
-    fitted = MODELS[model].fit(recordings, choices)
-    found = doubts(
-        converged=fitted.converged,
-        bounds=fitted.bounds,
-        undetermined=fitted.undetermined,
-        chi_squared_per_degree=fitted.chi_squared_per_degree,
-        residuals=fitted.residuals,
-    )
-    _write(fitted, recordings, found, model=model, out=out, report=report)
+    # Entered before the fit, so that a name that is taken or a full disk does not cost its result.
+    with written_whole(out) as calibration:
+        with written_whole(report) as page:
+            require_space(out, _MOST_BYTES)
+            given = read_priors(priors)
+            choices = Choices(
+                free=None if free is None else tuple(free),
+                priors=given,
+                loss="huber" if robust else "squares",
+                exposure=exposure,
+                lens=lens or "",
+            )
+            if model == AUTO and lens:
+                model = "lens"
+            others = [source for source in sources if not is_stack(source)]
+            if model != AUTO:
+                _check(model, choices, sources=len(sources), others=len(others))
+            rotation = read_rotation(eye_from_robot)
+            books = log_books(
+                others, microscope, poses, phantoms, medium, fibre_diameter_mm, rotation
+            )
+            recordings = [
+                _read(source, books.get(source), exposure=exposure, touch=given.get("touch"))
+                for source in sources
+            ]
+            _check_alike(recordings)
+            if model == AUTO:
+                model, reason = chosen_model(recordings)
+                print(f"Model {model}: {reason}.", file=sys.stderr, flush=True)
+                _check(model, choices, sources=len(sources), others=len(others))
+            result = _Result(MODELS[model].fit(recordings, choices), recordings, model)
+            Console().print(result.table())
+            page.write_text(result.page(), encoding="utf-8")
+        if not all(doubt.harmless for doubt in result.doubts):
+            raise InputError(refusal(result.doubts, model=model, report=report))
+        write_calibration(calibration, result.calibration())
+    reasons = "; ".join(doubt.reason for doubt in result.doubts)
+    verdict = f"Not called a good fit: {reasons}" if result.doubts else "A good fit"
+    print(f"{verdict}. Wrote {out} and {report}.")
+
+
+@dataclass(frozen=True)
+class _Result:
+    """A fit, and what it was made from."""
+
+    fitted: Fitted
+    recordings: Sequence[Recording]
+    model: str
+
+    @cached_property
+    def doubts(self) -> Sequence[Doubt]:
+        """Why the fit is not good."""
+        return doubts(
+            converged=self.fitted.converged,
+            bounds=self.fitted.bounds,
+            undetermined=self.fitted.undetermined,
+            chi_squared_per_degree=self.fitted.chi_squared_per_degree,
+            residuals=self.fitted.residuals,
+        )
+
+    def table(self) -> Table:
+        """What the terminal shows."""
+        frames = sum(recording.frames for recording in self.recordings)
+        goodness = self.fitted.chi_squared_per_degree
+        title = f"{self.fitted.used} of {frames} frames, recordings: {len(self.recordings)}"
+        title += "" if goodness is None else f"; χ²/n {goodness:.2f}"
+        return result_table(self.fitted, title=title)
+
+    def page(self) -> str:
+        """The report."""
+        return fit_report.render(
+            self.fitted,
+            model=self.model,
+            recordings=self.recordings,
+            doubts=self.doubts,
+            software=_software(),
+            fingerprint=self._fingerprint,
+        )
+
+    def calibration(self) -> Calibration:
+        """Content of the calibration file."""
+        fitted, medium = self.fitted, self.recordings[0].medium
+        names = ", ".join(recording.name for recording in self.recordings)
+        return Calibration(
+            model=fitted.calibration_model,
+            values=fitted.values,
+            covariance=fitted.covariance,
+            medium=medium,
+            medium_index=optics.MEDIA[medium],
+            fitted_on=f"{fitted.used} {fitted.unit} of {names}",
+            data_sha256=self._fingerprint,
+            software=_software(),
+        )
+
+    @property
+    def _fingerprint(self) -> str:
+        checksums = json.dumps([recording.sha256 for recording in self.recordings])
+        return hashlib.sha256(checksums.encode()).hexdigest()
+
+
+def _software() -> str:
+    return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES)
 
 
 def _report_beside(out: Path) -> Path:
-    """The report's file. Wrong output paths fail here, before the fit."""
-    if out.exists():
-        raise InputError(f"{out} already exists and is not overwritten. Choose another name.")
-    if not out.parent.is_dir():
-        raise InputError(f"{out.parent} is no folder. Create it, or write {out.name} elsewhere.")
+    """The report's file."""
     report = out.with_suffix(".html")
     if report == out:
         raise InputError(f"{out}: the report uses the ending .html. End the calibration in .json.")
@@ -179,50 +250,3 @@ def _check_alike(recordings: Sequence[Recording]) -> None:
                 f"the planes of {planes[0].name} and {plane.name} are tilted differently. Fit each "
                 "by itself."
             )
-
-
-def _write(
-    fitted: Fitted,
-    recordings: Sequence[Recording],
-    found: Sequence[Doubt],
-    *,
-    model: str,
-    out: Path,
-    report: Path,
-) -> None:
-    fingerprint = hashlib.sha256(json.dumps([r.sha256 for r in recordings]).encode()).hexdigest()
-    software = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES)
-    with written_whole(report) as partial:
-        page = fit_report.render(
-            fitted,
-            model=model,
-            recordings=recordings,
-            doubts=found,
-            software=software,
-            fingerprint=fingerprint,
-        )
-        partial.write_text(page, encoding="utf-8")
-    frames = sum(recording.frames for recording in recordings)
-    goodness = fitted.chi_squared_per_degree
-    title = f"{fitted.used} of {frames} frames, recordings: {len(recordings)}"
-    title += "" if goodness is None else f"; χ²/n {goodness:.2f}"
-    Console().print(result_table(fitted, title=title))
-    if not all(doubt.harmless for doubt in found):
-        raise InputError(refusal(found, model=model, report=report))
-    medium = recordings[0].medium
-    write_calibration(
-        out,
-        Calibration(
-            model=fitted.calibration_model,
-            values=fitted.values,
-            covariance=fitted.covariance,
-            medium=medium,
-            medium_index=optics.MEDIA[medium],
-            fitted_on=f"{fitted.used} {fitted.unit} of {', '.join(r.name for r in recordings)}",
-            data_sha256=fingerprint,
-            software=software,
-        ),
-    )
-    reasons = "; ".join(doubt.reason for doubt in found)
-    verdict = f"Not called a good fit: {reasons}" if found else "A good fit"
-    print(f"{verdict}. Wrote {out} and {report}.")

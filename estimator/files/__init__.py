@@ -7,6 +7,8 @@ image_files       Decodes image files that anyone may have written, with a limit
 inside            Names of files that come from a file: they must stay within its folder
 json_files        Reads JSON that anyone may have written, and checks it against a pydantic
                   model
+manifest          Manifest of a folder: size and SHA-256 of every file in it, and what differs
+                  from that
 microscope        Microscope files: the stack's microscope.json, or a camera calibration of OpenCV
 model_parameters  Parameters of the models, with their units and ranges
 opencv            Camera calibrations as OpenCV and ROS write them

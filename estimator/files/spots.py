@@ -110,7 +110,7 @@ def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
         InputError: Parquet without pyarrow installed.
     """
     write = _write_parquet if _is_parquet(path) else _write_csv
-    with written_whole(Path(path)) as partial:
+    with written_whole(Path(path), replace=True) as partial:
         write(partial, records)
 
 

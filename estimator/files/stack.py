@@ -14,7 +14,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,6 +28,7 @@ from pydantic import Strict as StrictType
 from estimator.files.image_files import read_image
 from estimator.files.inside import inside
 from estimator.files.json_files import Strict, object_in, validated
+from estimator.files.manifest import MANIFEST, Fingerprint, differences, read_manifest
 from optics import InputError, check_schema, in_file, read_text, read_toml, shortened
 
 SCHEMA = 1
@@ -189,27 +189,21 @@ class Stack:
         return (self.image(labels) for labels in self.exposed(exposure))
 
     def verify(self) -> None:
-        """Compare every file with the manifest.
+        """Compare the folder with its manifest.
 
         Raises:
-            StackError: naming the first file that is missing or differs.
+            StackError: naming the first file that is missing, changed or unexpected.
         """
-        for name, expected in self._manifest().files.items():
-            path = self.path_of(name)
-            if not path.is_file():
-                raise StackError(f"{path} is missing, though manifest.json lists it.")
-            if fingerprint(path) != expected.model_dump():
-                raise StackError(f"{path} differs from its checksum in manifest.json.")
+        for difference in differences(self.folder, self._manifest()):
+            raise StackError(f"{self.folder / difference}.")
 
-    def _manifest(self) -> _Manifest:
-        path = self.folder / "manifest.json"
-        with in_file(path, StackError):
-            try:
-                content = object_in(read_text(path))
-            except FileNotFoundError as error:
-                raise InputError("is missing.") from error
-            check_schema(content.get("schema"), HISTORY, remedy=_AGAIN)
-            return validated(_Manifest, content, remedy=_AGAIN)
+    def _manifest(self) -> dict[str, Fingerprint]:
+        try:
+            return read_manifest(self.folder, remedy="Render the stack again.")
+        except FileNotFoundError as error:
+            raise StackError(f"{self.folder / MANIFEST} is missing.") from error
+        except InputError as error:
+            raise StackError(f"{error}") from error
 
 
 class _AnyRow(Strict):
@@ -221,16 +215,6 @@ _COLUMNS: dict[str, Any] = {
 }
 _Row = create_model("_Row", __base__=_AnyRow, **_COLUMNS)
 """A line of metadata.jsonl: the fields of `FrameLabels`."""
-
-
-class _Fingerprint(Strict):
-    bytes: int
-    sha256: str
-
-
-class _Manifest(Strict):
-    schema_: Annotated[int, Field(alias="schema")]
-    files: dict[str, _Fingerprint]
 
 
 def read_stack(folder: Path) -> Stack:
@@ -295,9 +279,3 @@ def _match(folder: Path, labels: tuple[FrameLabels, ...]) -> None:
 def linear_name(labels: FrameLabels) -> str:
     """Name of the kept radiance behind an image."""
     return f"linear/{Path(labels.file_name).stem}.tiff"
-
-
-def fingerprint(path: Path) -> dict[str, Any]:
-    """What manifest.json says of a file."""
-    data = path.read_bytes()
-    return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}

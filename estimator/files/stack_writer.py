@@ -6,12 +6,12 @@ that describes the same stack uses what a stopped run has left in the other fold
 
 from __future__ import annotations
 
-import fcntl
 import io
 import json
 import os
 import shutil
 import threading
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
@@ -20,8 +20,20 @@ import cv2
 import numpy as np
 import tomli_w
 
-from estimator.files.stack import SCHEMA, FrameLabels, StackError, fingerprint, linear_name
-from estimator.files.whole_files import written_whole
+from estimator.files.manifest import write_manifest
+from estimator.files.stack import SCHEMA, FrameLabels, linear_name
+from estimator.files.whole_files import (
+    STOPPED,
+    empty,
+    errors_named,
+    give_name,
+    hidden_beside,
+    lock,
+    refuse_existing,
+    sweep,
+    written_whole,
+)
+from optics import InputError
 
 # Camera noise has no repeated strings: entropy coding alone makes smaller files than zlib's default
 # strategy, in half of the time. A mask consists of repeated strings.
@@ -30,6 +42,8 @@ _PNG += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
 _MASK = [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
 _MASK += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 _TIFF = [cv2.IMWRITE_TIFF_COMPRESSION, 1]  # none: noise-free floats hardly compress
+_LABELS = "metadata.jsonl"
+_IMAGES = ("frames", "masks", "linear")
 _KINEMATICS = "time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z"
 
 
@@ -45,24 +59,33 @@ class StackWriter:
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
-        self._partial = self.folder.with_name(f".{self.folder.name}.partial")
+        self._partial = hidden_beside(self.folder, STOPPED)
         self._lines: dict[str, str] = {}
+        self._described = False
         self._one_at_a_time = threading.Lock()
 
     def __enter__(self) -> Self:
-        if self.folder.exists():
-            raise StackError(f"{self.folder} exists already. Choose another folder or remove it.")
-        self._partial.mkdir(parents=True, exist_ok=True)
-        self._open_folder = os.open(self._partial, os.O_RDONLY)
+        """Lock the folder.
+
+        Raises:
+            InputError: the stack exists.
+            BeingWrittenError: another process is writing it.
+            OSError: the folder cannot be written.
+        """
+        refuse_existing(self.folder)
+        self.folder.parent.mkdir(parents=True, exist_ok=True)
+        self._lock = lock(self._partial, of=self.folder)
         try:
-            fcntl.flock(self._open_folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            os.close(self._open_folder)
-            raise StackError(
-                f"{self.folder} is being written by another process. Wait for it to end, or choose "
-                "another folder."
-            ) from error
+            refuse_existing(self.folder)  # another process may just have finished it
+        except InputError:
+            os.close(self._lock)
+            raise
         return self
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether another run writes the stack, or was stopped while it did."""
+        return self._partial.is_dir()
 
     def describe(
         self,
@@ -84,15 +107,16 @@ class StackWriter:
         }
         if kinematics is not None:
             texts["kinematics.csv"] = _kinematics_csv(kinematics)
-        if not all(_holds(self._partial / name, text) for name, text in texts.items()):
-            _empty(self._partial)
-            for folder in ("frames", "masks"):
-                (self._partial / folder).mkdir()
-            for name, text in texts.items():
-                (self._partial / name).write_text(text)
-        self._lines = self._lines_left()
-        (self._partial / "manifest.json").unlink(missing_ok=True)
-        _write_text(self._partial / "metadata.jsonl", "".join(self._lines.values()))
+        with errors_named(self._partial, self.folder):
+            if not all(_holds(self._partial / name, text) for name, text in texts.items()):
+                empty(self._partial)
+                for name, text in texts.items():
+                    _write_text(self._partial / name, text)
+            for folder in (self._partial, *(self._partial / name for name in _IMAGES)):
+                sweep(folder)
+            self._lines = self._lines_left()
+            self._described = True
+            _write_text(self._partial / _LABELS, "".join(self._lines.values()))
 
     def has(self, file_name: str) -> bool:
         """Whether a stopped run has written an image, its mask and its labels."""
@@ -115,40 +139,51 @@ class StackWriter:
             mask: 0 or 255.
             linear: radiance behind the image, to be kept with it.
         """
-        if mask is not None:
-            _write_image(self._partial / labels.mask_file_name, mask, _MASK)
-        if linear is not None:
-            (self._partial / "linear").mkdir(exist_ok=True)
-            light = linear.astype(np.float32)
-            _write_image(self._partial / linear_name(labels), light, _TIFF)
-        _write_image(self._partial / labels.file_name, image, _PNG)
-        line = json.dumps(asdict(labels)) + "\n"
-        # Last, because a line means that the files it names are complete.
-        with self._one_at_a_time, (self._partial / "metadata.jsonl").open("a") as file:
-            file.write(line)
-            self._lines[labels.file_name] = line
+        with errors_named(self._partial, self.folder):
+            if mask is not None:
+                _write_image(self._partial / labels.mask_file_name, mask, _MASK)
+            if linear is not None:
+                light = linear.astype(np.float32)
+                _write_image(self._partial / linear_name(labels), light, _TIFF)
+            _write_image(self._partial / labels.file_name, image, _PNG)
+            # Last, because a line means that the files it names are complete.
+            self._add_line(labels)
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
         try:
             if kind is None:
-                self._finish()
-            elif not self._lines:
+                with errors_named(self._partial, self.folder):
+                    self._finish()
+            elif self._described and not self._lines:
                 shutil.rmtree(self._partial)
+            else:  # frames of a stopped run, or nothing at all
+                with suppress(OSError):
+                    self._partial.rmdir()
         finally:
-            os.close(self._open_folder)
+            os.close(self._lock)
+
+    def _add_line(self, labels: FrameLabels) -> None:
+        line = json.dumps(asdict(labels)) + "\n"
+        path = self._partial / _LABELS
+        with self._one_at_a_time:
+            before = path.stat().st_size
+            try:
+                with path.open("a", encoding="utf-8") as file:
+                    file.write(line)
+            except OSError:
+                os.truncate(path, before)  # the next line would end a half one
+                raise
+            self._lines[labels.file_name] = line
 
     def _finish(self) -> None:
         lines = [self._lines[name] for name in sorted(self._lines)]
-        _write_text(self._partial / "metadata.jsonl", "".join(lines))
-        files = sorted(path for path in self._partial.rglob("*") if path.is_file())
-        manifest = {str(path.relative_to(self._partial)): fingerprint(path) for path in files}
-        content = json.dumps({"schema": SCHEMA, "files": manifest}, indent=1) + "\n"
-        _write_text(self._partial / "manifest.json", content)
-        self._partial.rename(self.folder)
+        _write_text(self._partial / _LABELS, "".join(lines))
+        write_manifest(self._partial, schema=SCHEMA)
+        give_name(self._partial, self.folder)
 
     def _lines_left(self) -> dict[str, str]:
         """Label lines of the images that a stopped run has finished, by the image's name."""
-        path = self._partial / "metadata.jsonl"
+        path = self._partial / _LABELS
         lines = path.read_text().splitlines(keepends=True) if path.exists() else []
         # A line that was not finished has no end.
         whole = [line for line in lines if line.endswith("\n")]
@@ -165,20 +200,17 @@ def _kinematics_csv(rows: np.ndarray) -> str:
 
 def _write_image(path: Path, image: np.ndarray, options: list[int]) -> None:
     ordered = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
-    with written_whole(path) as partial:
-        if not cv2.imwrite(str(partial), ordered, options):
-            raise OSError(f"{path} could not be written. Check space and permissions.")
+    # OpenCV does not say why it cannot write a file.
+    _, encoded = cv2.imencode(path.suffix, ordered, options)
+    path.parent.mkdir(exist_ok=True)
+    with written_whole(path, replace=True) as partial:
+        partial.write_bytes(encoded.tobytes())
 
 
 def _write_text(path: Path, text: str) -> None:
-    with written_whole(path) as partial:
-        partial.write_text(text)
+    with written_whole(path, replace=True) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def _holds(path: Path, text: str) -> bool:
     return path.is_file() and path.read_bytes() == text.encode()
-
-
-def _empty(folder: Path) -> None:
-    for path in folder.iterdir():
-        shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import heapq
-import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
 
-from estimator.files import POSE_MESSAGES, POSE_TOPIC, Pose
+from estimator.files import POSE_MESSAGES, POSE_TOPIC, Pose, written_whole
 from estimator.image import checked_frame
 from estimator.sources.bag_images import IMAGE_MESSAGES, IMAGE_TOPIC
 from estimator.sources.ros_images import encoding_of
@@ -55,30 +53,20 @@ def write_bag(
             offset to frames and poses alike), or an image is of floats.
     """
     path = Path(path)
-    if path.exists():
-        raise InputError(f"{path} exists already. Choose another name or remove it.")
     version = _ros(ros)
-    # ROS 2 names the file inside a bag after the bag, so the bag keeps its name and is written into
-    # another folder first.
-    with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as elsewhere:
-        whole = Path(elsewhere) / path.name
-        with version.open(whole) as writer:
-            types = version.types
-            image_connection = writer.add_connection(
-                image_topic, IMAGE_MESSAGES[0], typestore=types
-            )
-            pose_connection = writer.add_connection(pose_topic, POSE_MESSAGES[0], typestore=types)
-            in_time = cast(
-                Iterator[Frame | Pose], heapq.merge(frames, poses, key=attrgetter("time_s"))
-            )
-            for item in in_time:
-                time_ns = _nanoseconds(item.time_s)
-                if isinstance(item, Pose):
-                    connection, message = pose_connection, _transform(item, types)
-                else:
-                    connection, message = image_connection, _image_message(item, time_ns, types)
-                writer.write(connection, time_ns, version.bytes_of(message, connection.msgtype))
-        os.replace(whole, path)
+    # ROS 2 names the file inside a bag after the bag; here both have the bag's own name already.
+    with written_whole(path) as whole, version.open(whole) as writer:
+        types = version.types
+        image_connection = writer.add_connection(image_topic, IMAGE_MESSAGES[0], typestore=types)
+        pose_connection = writer.add_connection(pose_topic, POSE_MESSAGES[0], typestore=types)
+        in_time = cast(Iterator[Frame | Pose], heapq.merge(frames, poses, key=attrgetter("time_s")))
+        for item in in_time:
+            time_ns = _nanoseconds(item.time_s)
+            if isinstance(item, Pose):
+                connection, message = pose_connection, _transform(item, types)
+            else:
+                connection, message = image_connection, _image_message(item, time_ns, types)
+            writer.write(connection, time_ns, version.bytes_of(message, connection.msgtype))
 
 
 class _Ros(NamedTuple):

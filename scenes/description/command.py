@@ -35,11 +35,12 @@ def init(
     ),
 ) -> None:
     """Write a scene file with every key, its unit and its default."""
+    from estimator.files import written_whole
     from scenes.description.scene_file import scene_template
 
     schema_file = f"./{SCHEMA_FILE}" if path.with_name(SCHEMA_FILE).exists() else None
-    with path.open("x", encoding="utf-8") as file:
-        file.write(scene_template(schema_file=schema_file))
+    with written_whole(path) as partial:
+        partial.write_text(scene_template(schema_file=schema_file), encoding="utf-8")
     typer.echo(f"Wrote {path}. Edit it, then: eyespot scene check {path}")
 
 

@@ -5,6 +5,7 @@ check        Checks whether a scene can be rendered
 command      The commands `eyespot render` and `eyespot scene check`
 photography  Chooses the exposure times of a stack, and writes its images and labels
 preview      One small frame of a scene, for a quick look
+size         Least size of a stack on disk, to see before rendering that a disk is too full
 stack        Renders a scene into a labelled stack
 """
 

@@ -1,4 +1,5 @@
 from .again import expose_again as expose_again
 from .check import check_scene as check_scene
 from .preview import write_preview as write_preview
+from .size import least_bytes as least_bytes
 from .stack import render_stack as render_stack

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from estimator.files import written_whole
 from scenes.camera import Camera
 from scenes.description import Scene
 from scenes.rendering import Images
@@ -16,12 +17,11 @@ _SHRINK = 4
 
 
 def write_preview(scene: Scene, path: Path, *, variant: str = "llvm_ad_rgb") -> None:
-    """Render `preview` into a PNG file, replacing an existing one."""
-    image = preview(scene, variant=variant)
-    _, encoded = cv2.imencode(".png", image[..., ::-1])
-    partial = path.with_name(f"{path.name}.part")
-    partial.write_bytes(encoded.tobytes())
-    partial.replace(path)
+    """Render `preview` into a PNG file, which must not exist."""
+    with written_whole(path) as partial:
+        image = preview(scene, variant=variant)
+        _, encoded = cv2.imencode(".png", image[..., ::-1])
+        partial.write_bytes(encoded.tobytes())
 
 
 def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:

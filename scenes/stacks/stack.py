@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator.files import Stack, StackWriter, fingerprint, read_stack
+from estimator.files import Stack, StackWriter, fingerprint, read_stack, require_space
 from scenes.description import Scene
 from scenes.rendering import LinearFrame, Renderer
 from scenes.stacks.photography import Photography, file_name
+from scenes.stacks.size import least_bytes
 from scenes.world import World, kinematics, spot_labels
 
 # Frames that may wait for noise and encoding. More would only use memory.
@@ -44,10 +45,15 @@ def render_stack(
 
     Raises:
         SceneError: the scene is impossible.
-        StackError: `out` exists, or another process is writing it.
+        InputError: `out` exists, or its disk has too little space.
+        BeingWrittenError: another process is writing `out`.
+        OSError: the disk is full or cannot be written; finished frames are kept.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
-    with StackWriter(Path(out)) as writer:
+    writer = StackWriter(Path(out))
+    if not writer.has_begun:
+        require_space(writer.folder, least_bytes(scene))
+    with writer:
         renderer = Renderer(scene, variant=variant)
         world = renderer.world
         photography = Photography(world)

@@ -8,13 +8,12 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import optics
-from estimator.files import damage_reported
+from estimator.files import damage_reported, sweep, written_whole
 from optics import InputError
 
 
@@ -76,11 +75,10 @@ def _kept(path: Path, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         with path.open("rb") as file:
             return dict(np.load(file))
     values = compute()
-    # A cache that cannot be written costs time, not results.
-    with suppress(OSError):
+    # A cache that cannot be written costs time, not results; another process may be writing it.
+    with suppress(OSError, InputError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(dir=path.parent) as folder:
-            whole = Path(folder) / path.name
-            np.savez(whole, **values)
-            whole.replace(path)
+        sweep(path.parent)
+        with written_whole(path, replace=True) as partial:
+            np.savez(partial, **values)
     return values

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from benchmarks.sets.read import SetStack, set_files, stacks_of
-from estimator.files import written_whole
+from estimator.files import require_space, written_whole
 from optics import InputError
 
 Format = Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
@@ -34,23 +34,28 @@ def export(
         progress: called after each image with the total number of images.
 
     Raises:
-        InputError: `folder` is not a set or stack, a stack is damaged or empty, `out` exists, or
-            the format's library is not installed.
+        InputError: `folder` is not a set or stack, a stack is damaged or empty, `out` exists, its
+            disk has too little space, or the format's library is not installed.
+        BeingWrittenError: another process is writing `out`.
+        OSError: `out` cannot be written.
     """
     folder, out = Path(folder), Path(out)
-    if out.exists():
-        raise InputError(
-            f"{out} already exists. Choose another name; existing files are never overwritten."
-        )
-    stacks = stacks_of(folder)
-    write = _writer(to)
-    images = sum(_checked(entry) for entry in stacks)
     with written_whole(out) as whole:
+        stacks = stacks_of(folder)
+        write = _writer(to)
+        require_space(out, _least_bytes(stacks))
+        images = sum(_checked(entry) for entry in stacks)
         if to != "hdf5":
             whole.mkdir()
         write(stacks, whole, partial(progress, images))
         for path in set_files(stacks) if to != "hdf5" else ():
             shutil.copyfile(path, whole / path.name)
+
+
+def _least_bytes(stacks: Sequence[SetStack]) -> int:
+    """Least size of the export: that of the images, which no format compresses more."""
+    images = (path for entry in stacks for path in (entry.folder / "frames").glob("*.png"))
+    return sum(path.stat().st_size for path in images)
 
 
 def _checked(entry: SetStack) -> int:

@@ -13,15 +13,20 @@ and the attributes `stack.toml` (the scene) and `microscope.json` (the camera), 
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
 
 from benchmarks.sets.read import SetStack, qualified_name, set_files
 from estimator import FrameLabels, Stack
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 _SCHEMA = 1
 _UNITS = {"_mm_s": "mm/s", "_mm": "mm", "_px": "px", "_rad": "rad", "_s": "s"}
@@ -31,12 +36,52 @@ _TEXT = {"file_name", "mask_file_name", "exposure", "medium"}
 
 def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -> None:
     """Write the file, with one image at a time in memory."""
-    with h5py.File(out, "w") as file:
-        file.attrs["schema"] = _SCHEMA
-        for path in set_files(stacks):
-            file.create_dataset(path.name, data=path.read_text(encoding="utf-8"))
-        for entry in stacks:
-            _write_stack(file.create_group(qualified_name(entry)), entry.open(), progress)
+
+    def image_done() -> None:
+        disk.check()
+        progress()
+
+    with _Disk(out, "w+") as disk:
+        try:
+            with h5py.File(disk, "w") as file:
+                file.attrs["schema"] = _SCHEMA
+                for path in set_files(stacks):
+                    file.create_dataset(path.name, data=path.read_text(encoding="utf-8"))
+                for entry in stacks:
+                    group = file.create_group(qualified_name(entry))
+                    _write_stack(group, entry.open(), image_done)
+        finally:
+            disk.check()
+
+
+class _Disk(io.FileIO):
+    """A file whose errors HDF5 does not see, because its library crashes after an error."""
+
+    error: OSError | None = None
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        """Write all bytes."""
+        left = memoryview(data).cast("B")
+        size = len(left)
+        try:
+            while left:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self.error = self.error or error
+        return size
+
+    def truncate(self, size: int | None = None, /) -> int:
+        """Set the size."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
+
+    def check(self) -> None:
+        """Raise the first error."""
+        if self.error:
+            raise self.error
 
 
 def _write_stack(group: h5py.Group, stack: Stack, progress: Callable[[], None]) -> None:

@@ -96,5 +96,5 @@ def _template(name: str) -> jinja2.Template:
 
 
 def _write(path: Path, text: str) -> None:
-    with written_whole(path) as partial:
+    with written_whole(path, replace=True) as partial:
         partial.write_text(text, encoding="utf-8")

@@ -7,9 +7,12 @@ be continued with the same spec and folder; also an unfinished stack is continue
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
+import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -17,11 +20,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import scenes
 from benchmarks.sets.make import card
-from benchmarks.sets.make.manifest import MANIFEST, write_manifest
+from benchmarks.sets.make.manifest import write_set_manifest
 from benchmarks.sets.make.worker import render_planned, versions
 from benchmarks.sets.read import SCHEMA, LabelledSet, SetError, SetStack, read_set
 from benchmarks.sets.spec import PlannedStack, SetSpec, plan
-from estimator.files import written_whole
+from estimator.files import (
+    MANIFEST,
+    BeingWrittenError,
+    StackWriter,
+    require_space,
+    sweep,
+    written_whole,
+)
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -39,6 +49,9 @@ class Shard(NamedTuple):
 
 
 WHOLE = Shard(1, 1)
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+_BETWEEN_TRIES_S = 1.0
 
 
 def make_set(
@@ -64,6 +77,8 @@ def make_set(
     Raises:
         SetError: `out` contains something else, or some scenes cannot be rendered (the others have
             been rendered).
+        InputError: the disk has too little space.
+        OSError: the disk is full or cannot be written; what is done is kept.
         SceneError: a scene key is unknown or a drawn value impossible; nothing is rendered.
     """
     out = Path(out).absolute()
@@ -73,6 +88,8 @@ def make_set(
     missing = [stack for stack in share if not _folder(out, stack).is_dir()]
     progress(len(share) - len(missing), len(share))
     if missing:
+        new = [stack for stack in missing if not StackWriter(_folder(out, stack)).has_begun]
+        require_space(out, sum(scenes.least_bytes(stack.scene) for stack in new))
         with workers as client:
             _render(missing, out, client, lambda left: progress(len(share) - left, len(share)))
     labelled = read_set(out)
@@ -84,6 +101,36 @@ def make_set(
 def _render(
     missing: Sequence[PlannedStack], out: Path, client: Client, report: Callable[[int], None]
 ) -> None:
+    """Render stacks; those that another run renders are waited for, and rendered if it stops."""
+    problems: list[str] = []
+    left, done = list(missing), 0
+    while left:
+        busy = []
+        for stack, error in _tried(left, out, client):
+            if isinstance(error, BeingWrittenError):
+                busy.append(stack)
+                continue
+            if error is not None:
+                if isinstance(error, scenes.RendererUnavailable) or _is_of_disk(error):
+                    raise error
+                problems.append(f"{stack.split}/{stack.name}: {error or type(error).__name__}")
+            done += 1
+            report(len(missing) - done)
+        if busy and len(left) > len(busy):
+            print(f"Waiting for {len(busy)} stacks that other runs render.", file=sys.stderr)
+        left = busy
+        if busy:
+            time.sleep(_BETWEEN_TRIES_S)
+    if problems:
+        raise SetError(
+            "\n".join([*problems, f"{len(missing) - len(problems)} other stacks are done."])
+        )
+
+
+def _tried(
+    stacks: Sequence[PlannedStack], out: Path, client: Client
+) -> Iterator[tuple[PlannedStack, BaseException | None]]:
+    """Each stack when a worker has tried to render it, and the error if there was one."""
     from distributed import as_completed
 
     rendering = {
@@ -94,21 +141,15 @@ def _render(
             versions(),
             pure=False,
         ): stack
-        for stack in missing
+        for stack in stacks
     }
-    problems = []
-    for done, future in enumerate(as_completed(rendering), 1):
-        error = future.exception()
-        if isinstance(error, scenes.RendererUnavailable):
-            raise error
-        if error is not None:
-            stack = rendering[future]
-            problems.append(f"{stack.split}/{stack.name}: {error or type(error).__name__}")
-        report(len(missing) - done)
-    if problems:
-        raise SetError(
-            "\n".join([*problems, f"{len(missing) - len(problems)} other stacks are done."])
-        )
+    for future in as_completed(rendering):
+        yield rendering[future], future.exception()
+
+
+def _is_of_disk(error: BaseException) -> bool:
+    """Whether no other stack can be written either."""
+    return isinstance(error, OSError) and error.errno in _FULL
 
 
 def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
@@ -138,11 +179,12 @@ def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
         if file.is_file():
             if file.read_text() != text:
                 raise SetError(_difference(out, json.loads(file.read_text()), json.loads(text)))
-        elif any(out.iterdir()):
+            return
+        sweep(out)
+        if any(out.iterdir()):
             raise SetError(f"{out} contains other files than a labelled set. Choose another --out.")
-        else:
-            with written_whole(file) as partial:
-                partial.write_text(text)
+        with written_whole(file) as partial:
+            partial.write_text(text)
 
 
 def _difference(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> str:
@@ -157,9 +199,11 @@ def _difference(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> str
 def _finish(labelled: LabelledSet) -> None:
     """Write the data card and the manifest, once."""
     with _alone_in(labelled.folder):
+        for folder in (labelled.folder, *(labelled.folder / name for name in labelled.splits)):
+            sweep(folder)
         if not (labelled.folder / MANIFEST).is_file():
             card.write_card(labelled)
-            write_manifest(labelled)
+            write_set_manifest(labelled)
 
 
 @contextmanager

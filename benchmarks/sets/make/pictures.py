@@ -15,6 +15,7 @@ from matplotlib.patches import Ellipse
 
 from benchmarks.reporting import BLUE, GREEN, ORANGE, STYLE, VERMILION
 from benchmarks.sets.read import Row
+from estimator.files import written_whole
 
 _COLOURS = {"train": BLUE, "validation": GREEN, "test": ORANGE, "adverse": VERMILION}
 _BINS, _COLUMNS = 24, 4
@@ -60,7 +61,8 @@ def histograms(rows: Sequence[Row], path: Path) -> None:
         panels[0].set_ylabel("fraction of the split's images")
         handles, names = panels[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=len(names))
-        figure.savefig(path)
+        with written_whole(path, replace=True) as partial:
+            figure.savefig(partial)
 
 
 def samples(rows: Sequence[Row], path: Path) -> None:
@@ -84,7 +86,8 @@ def samples(rows: Sequence[Row], path: Path) -> None:
                 _place(axes, picture, row, corner=step * [column, line])
         axes.imshow(picture, interpolation="none")
         axes.set_axis_off()
-        figure.savefig(path)
+        with written_whole(path, replace=True) as partial:
+            figure.savefig(partial)
 
 
 def _place(axes: Axes, picture: np.ndarray, row: Row, *, corner: np.ndarray) -> None:

@@ -31,13 +31,20 @@ def render_planned(scene: Mapping[str, Any], folder: str, wanted: Mapping[str, s
         wanted: versions that the set was started with.
 
     Raises:
-        InputError: this worker has other versions.
+        InputError: this worker has other versions, or the scene is impossible.
+        BeingWrittenError: another run is rendering it.
     """
     if versions() != wanted:
         raise InputError(
             f"a worker has other versions than the set: {versions()} instead of {dict(wanted)}. "
             "Use the same environment for all workers."
         )
+    out = Path(folder)
     with _one_at_a_time:
-        if not Path(folder).is_dir():
-            scenes.render_stack(scenes.Scene.model_validate(scene), Path(folder))
+        if out.is_dir():
+            return
+        try:
+            scenes.render_stack(scenes.Scene.model_validate(scene), out)
+        except InputError:
+            if not out.is_dir():  # else another run has just finished it
+                raise

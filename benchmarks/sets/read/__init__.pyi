@@ -1,6 +1,5 @@
 from .image_rows import Row as Row
 from .image_rows import rows as rows
-from .labelled_set import HISTORY as HISTORY
 from .labelled_set import SCHEMA as SCHEMA
 from .labelled_set import LabelledSet as LabelledSet
 from .labelled_set import SetError as SetError

@@ -23,11 +23,12 @@ from benchmarks.sets.score.outcomes import Against, Outcome
 from benchmarks.sets.score.spots_of_set import Mode, read_set_spots, track_set
 from benchmarks.sets.score.table import tables
 from estimator import SpotRecord, write_spots
-from estimator.files import fingerprint, written_whole
+from estimator.files import fingerprint, require_space, written_whole
 from estimator.run import progress
 from optics import InputError
 
 _SCHEMA = 1
+_LEAST_BYTES = 2**18  # of the figures
 
 
 def run(
@@ -49,13 +50,31 @@ def run(
             measured spots; None: only print the tables.
 
     Raises:
-        InputError: the input is invalid.
+        InputError: the input is invalid, or `out` exists.
+        OSError: `out` cannot be written.
     """
     folder = Path(folder)
     modes: tuple[Mode, ...] = ("literal", "subpixel")
     modes = modes if mode == "both" else (mode,) if mode else ()
+    _check([*map(_estimator, spots_files), *modes])
+    if out is None:
+        _scored(folder, spots_files, modes, against)
+        return
+    with written_whole(out) as whole:
+        whole.mkdir()
+        require_space(out, _LEAST_BYTES)
+        result, measured = _scored(folder, spots_files, modes, against)
+        _write(result, whole, folder)
+        for name, records in measured.items():
+            write_spots(whole / f"{name}.csv", records)
+    print(f"Wrote {out}.")
+
+
+def _scored(
+    folder: Path, spots_files: Sequence[Path], modes: Sequence[Mode], against: Against
+) -> tuple[Score, dict[str, list[SpotRecord]]]:
+    """Measure, score and print; returns also the spots that were measured, by mode."""
     files = {_estimator(path): path for path in spots_files}
-    _check([*map(_estimator, spots_files), *modes], out)
     stacks = stacks_of(folder)
     images = circumstances_of(stacks)
     spots = {name: read_set_spots(path, stacks, images) for name, path in files.items()}
@@ -67,13 +86,7 @@ def run(
     result = score(images, spots, against=against)
     for table in tables(result):
         Console().print(table)
-    if out is not None:
-        with written_whole(out) as whole:
-            whole.mkdir()
-            _write(result, whole, folder)
-            for name, records in measured.items():
-                write_spots(whole / f"{name}.csv", records)
-        print(f"Wrote {out}.")
+    return result, measured
 
 
 def _estimator(spots: Path) -> str:
@@ -81,15 +94,11 @@ def _estimator(spots: Path) -> str:
     return spots.stem if spots.suffix else spots.resolve().name
 
 
-def _check(names: Sequence[str], out: Path | None) -> None:
+def _check(names: Sequence[str]) -> None:
     if not names:
         raise InputError("nothing to score. Give spots files, or --mode to measure the images.")
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise InputError(f"two estimators have the name {twice[0]}. Rename one of the spots files.")
-    if out is not None and out.exists():
-        raise InputError(
-            f"{out} already exists. Choose another name; existing files are never overwritten."
-        )
 
 
 def _write(result: Score, out: Path, folder: Path) -> None:

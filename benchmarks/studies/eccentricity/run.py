@@ -28,6 +28,7 @@ from benchmarks.studies.eccentricity.findings import (
 )
 from benchmarks.studies.eccentricity.report import report
 from benchmarks.studies.eccentricity.space import Space
+from estimator.files import written_whole
 from scenes import Scene
 
 
@@ -94,8 +95,10 @@ def fill_space(
     """
     cone = geometry_of(scene)
     filled = Space()
-    partial = csv_file.with_suffix(".partial")
-    with partial.open("w", encoding="utf-8") as file:
+    with (
+        written_whole(csv_file, replace=True) as partial,
+        partial.open("w", encoding="utf-8") as file,
+    ):
         file.write(",".join(ModelError._fields) + "\n")
         file.writelines(space.csv_line(row) for row in before)
         for block in space.blocks(
@@ -106,7 +109,6 @@ def fill_space(
         ):
             filled.add(block)
             file.write(space.csv_text(block, medium=scene.source.medium))
-    partial.replace(csv_file)
     return filled
 
 

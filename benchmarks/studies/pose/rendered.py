@@ -38,6 +38,7 @@ from estimator import (
     write_spots,
 )
 from estimator import measure as measured
+from estimator.files import written_whole
 from scenes import Scene
 from scenes.world import World, true_calibration
 
@@ -148,7 +149,10 @@ def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None
         for tool in tools
         for pose in np.hstack([*map(np.asarray, _tips_and_axes(tool, place.pose))]).tolist()
     ]
-    with file.open("w", newline="", encoding="utf-8") as output:
+    with (
+        written_whole(file, replace=True) as partial,
+        partial.open("w", newline="", encoding="utf-8") as output,
+    ):
         writer = csv.writer(output)
         writer.writerow("time_s x_mm y_mm z_mm axis_x axis_y axis_z".split())
         for i, pose in enumerate(lit):

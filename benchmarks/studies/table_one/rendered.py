@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -26,6 +25,7 @@ from benchmarks.studies.table_one.findings import ConfirmedLens, LensChoice, Ren
 from benchmarks.studies.table_one.isophotes import Family
 from benchmarks.studies.table_one.scan import NEAR_CONTACT_MM, misses
 from calibration import fit_lines
+from estimator.files import written_whole
 from scenes import Scene
 
 LIGHTS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2)
@@ -84,9 +84,8 @@ def _lens_file(folder: Path, family: Family) -> Path:
     folder = folder.absolute()  # the stacks name the file; a run may resume elsewhere
     folder.mkdir(exist_ok=True)
     path = folder / f"{family.name}.toml"
-    partial = path.with_suffix(".partial")
-    partial.write_text(tomli_w.dumps({"schema": 1, "lens": family.lens}))
-    os.replace(partial, path)
+    with written_whole(path, replace=True) as partial:
+        partial.write_text(tomli_w.dumps({"schema": 1, "lens": family.lens}))
     return path
 
 

@@ -1,0 +1,224 @@
+"""Whatever stops a writer, the next one finishes; two writers of one thing do not mix."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.reporting import Request, Study
+from benchmarks.sets.formats.export import export
+from benchmarks.sets.score.scoring import run as score
+from calibration.command.fitting import run as fit
+from estimator import StackError, StackWriter, read_stack
+from estimator.files import BeingWrittenError, written_whole
+from optics import InputError
+from scenes import load_scene, render_stack, write_preview
+from tests.drawn_sets import MICROSCOPE, labels_of
+
+HOME = Path(__file__).resolve().parents[1]
+
+
+def stopped_often(*arguments: str) -> dict[str, tuple[int, int]]:
+    """How often each task was killed, and met a full disk; see killed_writers."""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-m", "tests.killed_writers", *arguments],
+        cwd=HOME,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    found = re.findall(r"(\w+): killed (\d+) times, full (\d+) times", done.stdout)
+    return {name: (int(killed), int(full)) for name, killed, full in found}
+
+
+def test_a_stopped_writer_leaves_what_the_same_command_finishes() -> None:
+    found = stopped_often("--quick")
+    assert list(found) == ["stack", "set", "run", "scene", "coco", "hdf5", "rosbag2"]
+    # A file takes seven steps: a folder, its first write, its end, its name, and three to clean up.
+    assert found["stack"][0] > 11 * 6 // 5
+    assert found["scene"][0] >= 6
+    assert all(killed > 1 and full > 0 for killed, full in found.values())
+
+
+@pytest.mark.slow
+def test_a_writer_that_is_stopped_at_any_step_leaves_what_the_same_command_finishes() -> None:
+    found = stopped_often()
+    assert found["stack"][0] > 11 * 6
+    assert found["set"][0] > 30 * 6
+
+
+def begun_stack(folder: Path) -> Path:
+    """What a stopped render of a stack leaves; returns a frame of it."""
+    with pytest.raises(KeyboardInterrupt), StackWriter(folder) as writer:
+        writer.describe(stack={}, microscope=MICROSCOPE)
+        writer.add(np.zeros((6, 8, 3), np.uint8), labels_of(0), np.zeros((6, 8), np.uint8))
+        raise KeyboardInterrupt
+    return folder.with_name(f".{folder.name}.partial") / "frames" / "000000.png"
+
+
+def test_a_stopped_stack_outlives_a_run_that_fails_before_it_renders(tmp_path: Path) -> None:
+    frame = begun_stack(tmp_path / "stack")
+    with pytest.raises(ZeroDivisionError), StackWriter(tmp_path / "stack"):
+        raise ZeroDivisionError
+    assert frame.is_file()
+
+
+def test_a_run_that_fails_before_it_renders_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), StackWriter(tmp_path / "stack"):
+        raise ZeroDivisionError
+    assert not list(tmp_path.iterdir())
+
+
+def tiny_stack(folder: Path) -> Path:
+    with StackWriter(folder) as writer:
+        writer.describe(stack={}, microscope=MICROSCOPE)
+        writer.add(np.zeros((6, 8, 3), np.uint8), labels_of(0), np.zeros((6, 8), np.uint8))
+    return folder
+
+
+def write_study(out: Path) -> None:
+    Study("static", Request(out=out, quick=True))
+
+
+WRITERS: dict[str, Callable[[Path, Path], object]] = {
+    "render": lambda stack, out: render_stack(load_scene(None), out),
+    "preview": lambda stack, out: write_preview(load_scene(None), out),
+    "export": lambda stack, out: export(stack, to="coco", out=out),
+    "score": lambda stack, out: score(stack, [], mode="literal", out=out),
+    "fit": lambda stack, out: fit([stack], model="cone", out=out),
+    "study": lambda stack, out: write_study(out),
+}
+
+
+@contextmanager
+def another_process_writes(out: Path, writer: str) -> Iterator[subprocess.Popen[str]]:
+    """A process that has entered a writer of a path and stays there."""
+    code = {
+        "render": "estimator.files.StackWriter(out).__enter__()",
+        "study": "out.mkdir(); estimator.files.lock(out, of=out)",
+    }.get(writer, "w = estimator.files.written_whole(out); w.__enter__()")
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            f"import sys, pathlib, estimator.files; out = pathlib.Path(sys.argv[1]); {code}; "
+            "print('here', flush=True); sys.stdin.read()",
+            str(out),
+        ],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout
+    assert process.stdout.readline() == "here\n"
+    try:
+        yield process
+    finally:
+        process.communicate("")
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_the_second_run_of_two_is_refused_at_once(writer: str, tmp_path: Path) -> None:
+    stack, out = tiny_stack(tmp_path / "stack"), tmp_path / "out"
+    with another_process_writes(out, writer) as first:
+        with pytest.raises(BeingWrittenError, match="out is being written by another process"):
+            WRITERS[writer](stack, out)
+        first.send_signal(signal.SIGKILL)
+        first.wait()
+    # What is locked is so while the process lives, and no longer.
+    with pytest.raises(InputError, match="already exists"), written_whole(stack):
+        pass
+    StackWriter(out).__enter__() if writer == "render" else None
+
+
+@pytest.mark.parametrize("writer", [name for name in WRITERS if name != "study"])
+@pytest.mark.parametrize("kind", ["file", "folder", "link"])
+def test_no_command_writes_over_what_is_there(kind: str, writer: str, tmp_path: Path) -> None:
+    stack, out, mine = tiny_stack(tmp_path / "stack"), tmp_path / "out", tmp_path / "mine"
+    mine.write_text("mine")
+    match kind:
+        case "file":
+            out.write_text("mine")
+        case "folder":
+            out.mkdir()
+        case "link":
+            out.symlink_to(mine)
+    before = out.lstat()
+    with pytest.raises(InputError, match="out already exists"):
+        WRITERS[writer](stack, out)
+    assert out.lstat().st_ino == before.st_ino
+    assert mine.read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "out", "stack"]
+
+
+def test_a_fit_refuses_before_it_starts_if_its_report_exists(tmp_path: Path) -> None:
+    (tmp_path / "c.html").write_text("mine")
+    with pytest.raises(InputError, match=r"c\.html already exists"):
+        fit([tmp_path / "no such recording"], model="plane", out=tmp_path / "c.json")
+    assert (tmp_path / "c.html").read_text() == "mine"
+
+
+@pytest.mark.parametrize("writer", ["export", "score", "fit"])
+def test_no_command_removes_a_stopped_stack_of_the_same_name(writer: str, tmp_path: Path) -> None:
+    frame = begun_stack(tmp_path / "out")
+    broken = tiny_stack(tmp_path / "stack")
+    (broken / "metadata.jsonl").unlink()
+    with pytest.raises((StackError, InputError)):  # the work fails once it has started
+        WRITERS[writer](broken, tmp_path / "out")
+    assert frame.is_file()
+
+
+@pytest.mark.parametrize("writer", ["export", "score", "preview", "fit"])
+def test_a_folder_that_does_not_exist_is_named_before_the_work(writer: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="nowhere is no folder"):
+        WRITERS[writer](tmp_path / "no such stack", tmp_path / "nowhere" / "out")
+
+
+@pytest.mark.parametrize("writer", ["render", "export", "score", "fit"])
+def test_a_disk_that_is_too_small_is_refused_before_the_work(
+    writer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stack = tiny_stack(tmp_path / "stack")
+    # A stub: a disk of that size needs the right to mount one.
+    small = os.statvfs_result((4096, 4096, 0, 0, 0, 0, 0, 0, 0, 255))
+    monkeypatch.setattr(os, "statvfs", lambda path: small)
+    with pytest.raises(InputError, match=r"out needs at least [\d,.]+ MB, but .* has 0\.0 MB"):
+        WRITERS[writer](stack, tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["stack"]
+
+
+def test_a_stack_is_verified_with_everything_in_its_folder(tmp_path: Path) -> None:
+    stack = read_stack(tiny_stack(tmp_path / "stack"))
+    stack.verify()
+    frame = stack.folder / "frames" / "000000.png"
+    frame.rename(tmp_path / "same.png")
+    frame.symlink_to(tmp_path / "same.png")
+    with pytest.raises(StackError, match=r"frames/000000\.png is a link"):
+        stack.verify()
+    frame.unlink()
+    (tmp_path / "same.png").rename(frame)
+    stack.verify()
+    for make, said in (
+        (lambda path: path.symlink_to("nothing"), "a link"),
+        (os.mkfifo, "a device, socket or pipe"),
+        (os.mkdir, "an empty folder"),
+    ):
+        make(stack.folder / "extra")
+        with pytest.raises(StackError, match=f"extra is {said}"):
+            stack.verify()
+        os.rmdir(stack.folder / "extra") if said == "an empty folder" else os.unlink(
+            stack.folder / "extra"
+        )
+    (stack.folder / "extra").touch()
+    with pytest.raises(StackError, match=r"extra is not in manifest\.json"):
+        stack.verify()
