@@ -12,7 +12,8 @@ ellipse_pose       Tip and axis of the beam from a measured ellipse
 emission           Rays from the core's face through the cap, and the power they carry
 half_maximum       The contour where direct irradiance on the wall is half of its peak
 indirect           Light that a Lambertian eyeball scatters back onto its own wall
-input_error        The error that says a value from outside is wrong
+input_error        The error that says a value from outside is wrong, and values in its text
+input_files        Reads text and TOML that anyone may have written
 irradiance         Vector irradiance of a glue lens at a wall point, by quadrature
 irradiance_edges   Edges of the part of a cap that is lit when seen from a wall point
 irradiance_lookup  Vector irradiance of a lens in a medium, as a table

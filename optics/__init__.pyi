@@ -28,6 +28,17 @@ from .half_maximum import half_maximum_contour as half_maximum_contour
 from .half_maximum import wall_irradiance as wall_irradiance
 from .indirect import indirect_irradiance as indirect_irradiance
 from .input_error import InputError as InputError
+from .input_error import at_most_three as at_most_three
+from .input_error import shortened as shortened
+from .input_files import MOST_BYTES as MOST_BYTES
+from .input_files import check_regular as check_regular
+from .input_files import check_schema as check_schema
+from .input_files import check_values as check_values
+from .input_files import in_file as in_file
+from .input_files import read_data as read_data
+from .input_files import read_text as read_text
+from .input_files import read_toml as read_toml
+from .input_files import toml_in as toml_in
 from .irradiance import vector_irradiance as vector_irradiance
 from .irradiance_lookup import IrradianceTable as IrradianceTable
 from .irradiance_lookup import LensField as LensField

@@ -4,9 +4,8 @@ Frame of the lens: the tip S, the cap's vertex, is the origin; +s runs along the
 fibre. The cap is s = -sagitta(rho), the core's face is the disc s = -glue_length.
 """
 
-import math
-import tomllib
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,10 +13,14 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from optics.input_error import InputError
+from optics.input_error import InputError, shortened
+from optics.input_files import check_schema, in_file, read_toml
 
 _PRESETS = Path(__file__).parent / "lenses"
-_SCHEMA = 1
+_HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read."""
+
+_LARGEST_MM = 10.0  # of any length of a lens; a fibre has 0.1 to 1 mm
 
 
 class GlueLens(eqx.Module):
@@ -189,15 +192,17 @@ def _check(lens: GlueLens) -> None:
     )
     rules = (
         (
-            core_radius > 0.0,
+            0.0 < core_radius <= _LARGEST_MM,
             "core_radius",
-            f"must be positive; got {core_radius:g} mm. Give the radius of the fibre's core",
+            f"must lie in (0, {_LARGEST_MM:g}] mm; got {core_radius:g} mm. Give the radius of the "
+            "fibre's core",
         ),
         (
-            aperture_radius >= core_radius,
+            core_radius <= aperture_radius <= _LARGEST_MM,
             "aperture_radius",
-            f"must be at least the core's radius; got aperture_radius={aperture_radius:g} mm, "
-            f"core_radius={core_radius:g} mm. Raise aperture_radius or lower core_radius",
+            f"must be at least the core's radius and at most {_LARGEST_MM:g} mm; got "
+            f"aperture_radius={aperture_radius:g} mm, core_radius={core_radius:g} mm. "
+            "Raise aperture_radius or lower core_radius",
         ),
         (
             0.0 <= sag <= aperture_radius,
@@ -206,9 +211,10 @@ def _check(lens: GlueLens) -> None:
             f"aperture_radius={aperture_radius:g} mm. Lower sag or raise aperture_radius",
         ),
         (
-            glue_length >= sag and math.isfinite(glue_length),
+            sag <= glue_length <= _LARGEST_MM,
             "glue_length",
-            f"must be at least the sag (the core's face is below the cap's rim); got "
+            f"must be at least the sag (the core's face is below the cap's rim) and at most "
+            f"{_LARGEST_MM:g} mm; got "
             f"glue_length={glue_length:g} mm, sag={sag:g} mm. Raise glue_length or lower sag",
         ),
         (
@@ -223,14 +229,15 @@ def _check(lens: GlueLens) -> None:
             f"glue_index={glue_index:g}. Lower numerical_aperture",
         ),
         (
-            lens.launch_radius is None or lens.launch_radius > 0.0,
+            lens.launch_radius is None or 0.0 < lens.launch_radius <= _LARGEST_MM,
             "launch_radius",
-            f"must be positive; got {lens.launch_radius} mm. Leave it out for a uniform core",
+            f"must lie in (0, {_LARGEST_MM:g}] mm; got {lens.launch_radius} mm. Leave it out for a "
+            "uniform core",
         ),
         (
-            lens.launch_aperture is None or lens.launch_aperture > 0.0,
+            lens.launch_aperture is None or 0.0 < lens.launch_aperture <= 4.0,
             "launch_aperture",
-            f"must be positive; got {lens.launch_aperture}. Leave it out for a uniform cone",
+            f"must lie in (0, 4]; got {lens.launch_aperture}. Leave it out for a uniform cone",
         ),
     )
     for holds, name, rule in rules:
@@ -255,30 +262,34 @@ def load_lens(name_or_path: str | Path) -> GlueLens:
     path = Path(name_or_path)
     if path.suffix != ".toml":
         path = _PRESETS / f"{name_or_path}.toml"
-    if not path.is_file():
-        raise InputError(
-            f"load_lens({str(name_or_path)!r}): no such lens. Presets: {', '.join(lens_names())}; "
-            "or give the path of a .toml file."
-        )
-    with path.open("rb") as file:
+    with in_file(f"lens {shortened(str(name_or_path))}"):
         try:
-            content = tomllib.load(file)
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(f"load_lens: {path.name} is not TOML: {error}.") from error
-    if content.get("schema") != _SCHEMA:
-        raise InputError(
-            f"load_lens: {path.name} must have schema = {_SCHEMA}; got {content.get('schema')!r}. "
-            "Compare it with the presets in optics/lenses."
-        )
+            content = read_toml(path)
+        except FileNotFoundError as error:
+            raise InputError(
+                f"no such lens. Presets: {', '.join(lens_names())}; or give the path of a .toml "
+                "file."
+            ) from error
+        return _lens_in(content)
+
+
+def _lens_in(content: dict[str, Any]) -> GlueLens:
+    again = "Compare the file with the presets in optics/lenses."
+    check_schema(content.get("schema"), _HISTORY, remedy=again)
     values = content.get("lens", {})
     known = [*GlueLens.__annotations__]
     required = known[:-2]
+    if not isinstance(values, dict):
+        raise InputError(f"[lens] must be a table; got {shortened(values)}.")
     wrong = [key for key in values if key not in known or type(values[key]) not in (int, float)]
     missing = [key for key in required if key not in values]
     if wrong or missing:
         raise InputError(
-            f"load_lens: [lens] in {path.name} must contain the numbers {', '.join(required)}; "
-            f"{', '.join(known[-2:])} are optional; wrong: {', '.join(wrong) or 'none'}, missing: "
-            f"{', '.join(missing) or 'none'}."
+            f"[lens] must contain the numbers {', '.join(required)}; {', '.join(known[-2:])} are "
+            f"optional; wrong: {_listed(wrong)}, missing: {_listed(missing)}."
         )
     return glue_lens(**values)
+
+
+def _listed(names: list[str]) -> str:
+    return shortened(", ".join(names))[1:-1] or "none"

@@ -68,7 +68,7 @@ def values(spec: SetSpec, split: str, key: str) -> list[Any]:
         ('["retina", "uniform"]', "[1.0, inf]", "finite values"),
         ("source.kind", "phantom.texture_seed", "its own seed from the set's"),
         ("train = 8", "train = -8", "splits.train: .*greater than or equal to 0; got -8"),
-        ("[splits]", "[splits", "not TOML"),
+        ("[splits]", "[splits", "not a TOML file"),
     ],
 )
 def test_a_broken_spec_is_answered_with_what_to_change(load, old, new, message):

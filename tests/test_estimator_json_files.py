@@ -7,8 +7,8 @@ from typing import Annotated
 import pytest
 from pydantic import Field
 
-from estimator.files import json_files
-from estimator.files.json_files import Strict, check_schema, object_in, read_text, validated
+from estimator.files.json_files import Strict, object_in, validated
+from optics import check_schema, read_text
 
 
 class Eye(Strict):
@@ -24,7 +24,10 @@ class Eye(Strict):
         ("{", "not JSON .*line 1"),
         ("[1]", r"not a JSON object, but \[1\]"),
         ('{"a": ' * 20 + "1" + "}" * 20, "nested more than 16 levels"),
-        ("[" * 100_000, "nested more than 16 levels"),
+        ("[" * 100_000, "nested too deeply"),
+        ('{"a": ' + "9" * 4000 + "}", "at most 64 bits; got 9999"),
+        (r'{"a": "\ud800"}', "must be Unicode"),
+        (r'{"a\u0000": 1}', "without NUL"),
         (f'{{"a": {"9" * 5000}}}', "not JSON"),
     ],
 )
@@ -33,12 +36,11 @@ def test_what_is_no_object_is_refused(text, message):
         object_in(text)
 
 
-def test_a_file_that_is_too_large_or_no_text_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(json_files, "MOST_BYTES", 10)
+def test_a_file_that_is_too_large_or_no_text_is_refused(tmp_path):
     path = tmp_path / "eye.json"
     path.write_bytes(b"x" * 11)
     with pytest.raises(ValueError, match="larger than 10 bytes"):
-        read_text(path)
+        read_text(path, most_bytes=10)
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(ValueError, match="not a text file"):
         read_text(path)
@@ -70,8 +72,15 @@ def test_whole_numbers_are_numbers():
 
 
 @pytest.mark.parametrize(
-    ("content", "message"), [({}, "`schema` is missing"), ({"schema": "1"}, "schema is '1'; .* 1")]
+    ("found", "message"),
+    [
+        (None, "`schema` is missing. Write it again"),
+        ("1", "schema is '1'; this eyespot .* reads 1. Write it again"),
+        (True, "schema is True; .* Write it again"),
+        (0, "schema is 0; .* Write it again"),
+        (2, r"schema is 2; this eyespot \(\d+\.\d+\.\d+\) reads 1. Install a newer eyespot."),
+    ],
 )
-def test_another_version_of_a_format_is_refused(content, message):
+def test_another_version_of_a_format_is_refused(found, message):
     with pytest.raises(ValueError, match=message):
-        check_schema(content, 1, remedy="Write it again.")
+        check_schema(found, {1: "the first"}, remedy="Write it again.")

@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
@@ -141,19 +142,22 @@ def test_a_command_after_one_that_met_a_bug_is_not_to_blame(
 def test_a_killed_run_leaves_whole_lines_and_the_next_says_where(
     tmp_path: Path, frames: Path, whole: list[tuple[Any, ...]], name: str
 ) -> None:
-    # The sixth frame is a pipe: once somebody reads it, five frames are measured for certain.
-    pipe, out, partial = frames / "5.png", tmp_path / name, tmp_path / "spots.partial.csv"
-    content = pipe.read_bytes()
-    pipe.unlink()
-    os.mkfifo(pipe)
+    out, partial = tmp_path / name, tmp_path / "spots.partial.csv"
+    more = [frames / f"{index}.png" for index in range(8, 4000)]  # some twenty seconds
+    for index, path in enumerate(more):
+        os.link(frames / f"{index % 8}.png", path)
     child = subprocess.Popen([EYESPOT, "track", frames, "--out", out])
-    with pipe.open("wb"):
-        child.kill()
-        child.wait()
-    assert lines_of(partial) == whole[:5]
-    pipe.unlink()
-    pipe.write_bytes(content)
+    latest = time.monotonic() + 60
+    while not (partial.exists() and len(partial.read_bytes().splitlines()) > 8):
+        assert child.poll() is None and time.monotonic() < latest
+        time.sleep(0.01)
+    child.kill()
+    child.wait()
+    for path in more:
+        path.unlink()
     before = partial.read_bytes()
+    assert before.endswith(b"\n")
+    assert lines_of(partial)[:8] == whole
     refused = with_room(frames, "--out", out)
     assert refused.returncode == 2
     assert f"{partial} exists" in refused.stderr

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -514,22 +515,28 @@ def test_a_real_process_prints_one_line_for_a_broken_video(tmp_path):
 
 
 def test_ctrl_c_keeps_whole_lines_of_the_frames_measured_so_far(tmp_path, frames, images):
-    # The sixth frame is a pipe: once somebody reads it, five frames are measured for certain.
-    pipe, out = frames / "5.png", tmp_path / "spots.csv"
-    pipe.unlink()
-    os.mkfifo(pipe)
+    out, count = tmp_path / "spots.csv", len(images)
+    for index in range(count, 4000):  # some twenty seconds, if nobody stops it
+        os.link(frames / f"{index % count}.png", frames / f"{index}.png")
     child = subprocess.Popen(
         [EYESPOT, "track", frames, "--out", out, "--overlay", tmp_path / "overlay.mp4"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    with pipe.open("wb"):
-        child.send_signal(signal.SIGINT)
-        _, words = child.communicate(timeout=60)
+    latest = time.monotonic() + 60
+    partial = tmp_path / "spots.partial.csv"
+    while not (partial.exists() and len(partial.read_bytes().splitlines()) > 5):
+        assert child.poll() is None and time.monotonic() < latest
+        time.sleep(0.01)
+    child.send_signal(signal.SIGINT)
+    _, words = child.communicate(timeout=60)
+    records = read_spots(out)
     assert child.returncode == 130
-    assert words == f"Stopped. {out} holds the 5 frames measured so far.\n"
-    assert_same(read_spots(out), list(track(images[:5], SubpixelSettings())))
+    assert 0 < len(records) < 4000
+    assert words == f"Stopped. {out} holds the {len(records)} frames measured so far.\n"
+    seen = [images[index % count] for index in range(len(records))]
+    assert_same(records, list(track(seen, SubpixelSettings())))
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "frames",
         "overlay.mp4",

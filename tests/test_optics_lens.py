@@ -48,7 +48,7 @@ def transmittance(sine, n1, n2):
         ({"glue_length": 0.1}, "glue_length=0.1 mm, sag=0.12 mm. Raise glue_length"),
         ({"aperture_radius": 0.2}, "at least the core's radius"),
         ({"numerical_aperture": 1.5}, r"must lie in \(0, glue_index\)"),
-        ({"core_radius": 0.0}, "core_radius=...\\) must be positive"),
+        ({"core_radius": 0.0}, "core_radius=...\\) must lie in"),
         ({"glue_index": 15.0}, "glue_index"),
         ({"launch_radius": 0.0}, "Leave it out for a uniform core"),
     ],
@@ -77,10 +77,10 @@ def test_an_unknown_lens_is_answered_with_the_presets():
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("schema = 2\n[lens]\n", "must have schema = 1; got 2"),
+        ("schema = 2\n[lens]\n", "schema is 2; .* Install a newer eyespot"),
         ("schema = 1\n[lens]\nsag = 0.1\nradius = 1.0\n", "wrong: radius, missing: core_radius"),
         ("schema = 1\n[lens]\nsag = true\n", "wrong: sag"),
-        ("schema = [", "is not TOML"),
+        ("schema = [", "wrong.toml.*not a TOML file"),
     ],
 )
 def test_a_wrong_lens_file_is_refused_with_its_fault(tmp_path, text, reason):

@@ -163,7 +163,7 @@ def test_an_impossible_phantom_is_refused(phantom, message):
 
 def test_a_missing_image_and_a_tool_outside_the_eye_are_named(tmp_path):
     missing = {"wall": "image", "wall_image": str(tmp_path / "none.png")}
-    with pytest.raises(SceneError, match=r"none\.png' is missing"):
+    with pytest.raises(SceneError, match=r"none\.png' cannot be read"):
         Renderer(scene(phantom=missing))
     with pytest.raises(ValueError, match="inside the eye"):
         scene(second_tool={"visible": True, "tip_mm": (0.0, 0.0, -12.0)})

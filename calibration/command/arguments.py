@@ -11,9 +11,11 @@ import optics
 from calibration.recordings import LogBook
 from calibration.spots import Prior
 from estimator.files import Quaternion, unit_quaternion
-from optics import InputError
+from optics import InputError, shortened
 
 _T = TypeVar("_T")
+
+_LARGEST = 1e12  # of a prior, in any unit; its square is finite
 
 
 def read_priors(given: Iterable[str]) -> dict[str, Prior]:
@@ -29,10 +31,11 @@ def read_priors(given: Iterable[str]) -> dict[str, Prior]:
             mean, sigma = map(float, numbers.split(","))
         except ValueError:
             mean = sigma = math.nan
-        if not (math.isfinite(mean) and 0 < sigma < math.inf):
+        if not (abs(mean) <= _LARGEST and 1 / _LARGEST <= sigma <= _LARGEST):
             raise InputError(
-                f"--prior must be NAME=MEAN,SIGMA with a positive sigma, such as "
-                f"eye_radius=11.5,0.2; got {text!r}."
+                f"--prior must be NAME=MEAN,SIGMA with a positive sigma, both of at most "
+                f"{_LARGEST:g}, such as "
+                f"eye_radius=11.5,0.2; got {shortened(text)}."
             )
         found[name] = Prior(mean, sigma)
     return found
@@ -51,7 +54,7 @@ def read_rotation(text: str | None) -> Quaternion:
         return unit_quaternion((x, y, z, w))
     except ValueError:
         raise InputError(
-            f"--eye-from-robot must be a unit quaternion QX,QY,QZ,QW; got {text!r}."
+            f"--eye-from-robot must be a unit quaternion QX,QY,QZ,QW; got {shortened(text)}."
         ) from None
 
 
@@ -85,7 +88,9 @@ def log_books(
             "--poses unless the source is a bag. Add them."
         )
     if medium not in optics.MEDIA:
-        raise InputError(f"--medium must be one of {', '.join(optics.MEDIA)}; got {medium!r}.")
+        raise InputError(
+            f"--medium must be one of {', '.join(optics.MEDIA)}; got {shortened(medium)}."
+        )
     kinds = _one_each("--phantom", phantoms, sources)
     # A bag of images also contains the poses, unless a file is given.
     tracks = _one_each("--poses", poses, sources) if poses else list(sources)

@@ -128,7 +128,7 @@ def _residuals(fitted: Fitted) -> Figure:
         for axes in row[:3]:
             axes.axhline(0.0, color="#999999", lw=0.8)
         row[0].set_ylabel("residual / σ")
-        row[0].set_title(name)
+        row[0].set_title(_plain(name))
     for axes, label in zip(
         grid[-1],
         (
@@ -195,8 +195,13 @@ def _marks(axes: Axes, x: Any, y: Any, number: int, label: str) -> None:
         _MARKERS[number % len(_MARKERS)],
         color=_COLOURS[number % len(_COLOURS)],
         ms=3.5,
-        label=label,
+        label=_plain(label),
     )
+
+
+def _plain(name: str) -> str:
+    """A name as Matplotlib draws it; between two dollar signs it would read mathematics."""
+    return name.replace("$", r"\$")
 
 
 def _svg(figure: Figure) -> str:

@@ -20,7 +20,7 @@ from estimator import Stack
 from estimator.files import MicroscopeFile, read_microscope
 from estimator.image import Response
 from estimator.sources import open_source
-from optics import InputError
+from optics import InputError, shortened
 
 _CHANNELS = 3
 # 20 gauge, the thickest shaft in use. With a thinner shaft a few visible pixels are left out.
@@ -199,13 +199,18 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
         InputError: no exposure chosen, a camera that the noise model does not support, or robot
             poses that are no withdrawal or do not cover all frames.
     """
-    scene = stack.description["scene"]
     microscope = read_microscope(stack.folder / "microscope.json")
-    noise = CameraNoise.of(scene["camera"], microscope.response)
+    noise = CameraNoise.of(_camera_of(stack), microscope.response)
     frames = list(open_source(stack.folder, exposure=exposure))
     times = np.array([frame.time_s for frame in frames])
     readings, axis = withdrawal(times, stack.folder / "kinematics.csv", source=stack.folder)
-    tool = scene["instrument"]
+
+    def number(key: str) -> float:
+        return stack.described(f"scene.{key}", float)
+
+    medium = stack.described("scene.source.medium", str)
+    if medium not in optics.MEDIA:
+        raise InputError(f"{stack.folder}: unknown medium {shortened(medium)}. Render it again.")
     return Footage(
         light=np.stack([noise.light(frame.image) for frame in frames]).astype(np.float32),
         clear=np.stack([_clear(frame.image, noise.full_scale) for frame in frames]),
@@ -214,13 +219,23 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
         axis=axis,
         noise=noise,
         microscope=microscope,
-        instrument=Instrument(tool["fibre_diameter_mm"] / 2, tool["fibre_length_mm"]),
-        in_view=tool["visible"],
+        instrument=Instrument(
+            number("instrument.fibre_diameter_mm") / 2, number("instrument.fibre_length_mm")
+        ),
+        in_view=stack.described("scene.instrument.visible", bool),
         # Each of n rows of n samples has an error that is uniform over 1/n.
-        edge_variance=1 / (12 * scene["microscope"]["samples"] ** 1.5),
-        kind=scene["phantom"]["kind"],
-        medium_index=optics.MEDIA[scene["source"]["medium"]],
+        edge_variance=1 / (12 * stack.described("scene.microscope.samples", int) ** 1.5),
+        kind=stack.described("scene.phantom.kind", str),
+        medium_index=optics.MEDIA[medium],
     )
+
+
+def _camera_of(stack: Stack) -> dict[str, Any]:
+    """The table [camera] of a stack's scene, with every key that `CameraNoise.of` reads."""
+    numbers = ("prnu", "dsnu_e", "full_well_e", "read_noise_e", "dark_signal_e", "black_level_dn")
+    kinds: dict[str, type] = {"bayer": str, "jpeg_quality": int, "bit_depth": int}
+    kinds |= dict.fromkeys(numbers, float)
+    return {key: stack.described(f"scene.camera.{key}", kind) for key, kind in kinds.items()}
 
 
 def _clear(image: np.ndarray, full_scale: int) -> Bool[np.ndarray, "h w"]:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,11 +21,11 @@ from jaxtyping import Float
 import optics
 from calibration.recordings.withdrawals import withdrawal
 from calibration.spots import ConeTrial, Prior, phantom_wall
-from estimator import Spot, read_spots, read_stack, track_whole_source
+from estimator import Spot, Stack, read_spots, read_stack, track_whole_source
 from estimator.files import MicroscopeFile, Quaternion, SpotRecord, read_microscope, turned
 from estimator.run import Options
 from estimator.sources import open_source
-from optics import InputError
+from optics import InputError, shortened
 
 _FEWEST_SPOTS = 3
 _TOUCH_SIGMA_MM = 0.02
@@ -159,18 +159,37 @@ def read_recording(
 
 
 def _of_stack(folder: Path) -> LogBook:
-    scene: dict[str, Any] = read_stack(folder).description["scene"]
-    phantom, motion = scene["phantom"], scene["motion"]
-    tilt, towards = (math.radians(phantom[f"tilt_{part}deg"]) for part in ("", "azimuth_"))
+    stack = read_stack(folder)
+
+    def number(key: str) -> float:
+        return stack.described(f"scene.{key}", float)
+
+    tilt, towards = (math.radians(number(f"phantom.tilt_{part}deg")) for part in ("", "azimuth_"))
+    from_touch = stack.described("scene.motion.kind", str) == "withdrawal"
     return LogBook(
-        kind=phantom["kind"],
+        kind=_one_of(stack, "scene.phantom.kind", ("eyeball", "plane")),
         tilt=(math.tan(tilt) * math.cos(towards), math.tan(tilt) * math.sin(towards)),
-        medium=scene["source"]["medium"],
-        fibre_diameter_mm=scene["instrument"]["fibre_diameter_mm"],
+        medium=_one_of(stack, "scene.source.medium", tuple(optics.MEDIA)),
+        fibre_diameter_mm=number("instrument.fibre_diameter_mm"),
         microscope=folder / "microscope.json",
         poses=folder / "kinematics.csv",
-        begins_at_touch=motion["kind"] == "withdrawal" and motion["start_mm"] == "contact",
+        begins_at_touch=from_touch and _start_of(stack) == "contact",
     )
+
+
+def _start_of(stack: Stack) -> object:
+    motion: dict[str, object] = stack.described("scene.motion", dict)
+    return motion.get("start_mm")
+
+
+def _one_of(stack: Stack, key: str, known: tuple[str, ...]) -> str:
+    found = stack.described(key, str)
+    if found not in known:
+        raise InputError(
+            f"{stack.folder / 'stack.toml'}: {key} must be one of {', '.join(known)}; got "
+            f"{shortened(found)}. Render the stack again."
+        )
+    return found
 
 
 def _joined(

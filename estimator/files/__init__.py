@@ -2,6 +2,9 @@
 
 calibration       Calibration file: JSON with a model's fitted parameters, their covariance and
                   their origin
+csv_files         Reads CSV files that anyone may have written, row by row
+image_files       Decodes image files that anyone may have written, with a limit of pixels
+inside            Names of files that come from a file: they must stay within its folder
 json_files        Reads JSON that anyone may have written, and checks it against a pydantic
                   model
 manifest          Manifest of a folder: size and SHA-256 of every file in it, and what differs

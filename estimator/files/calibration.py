@@ -26,12 +26,16 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AllowInfNan, ConfigDict, Field
 
-from estimator.files.json_files import Strict, check_schema, object_in, read_text, validated
+from estimator.files.json_files import Strict, object_in, validated
 from estimator.files.model_parameters import CalibrationError, check_parameters, quantity
 from estimator.files.whole_files import written_whole
-from optics import InputError
+from optics import check_schema, in_file, read_text, shortened
 
 SCHEMA = 1
+HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read."""
+
+_LARGEST = 1e24  # of a covariance, in the square of a parameter's unit
 
 _SAME = 1e-6  # relative; sigma and covariance are one number written twice
 
@@ -80,7 +84,7 @@ class Calibration:
         if not re.fullmatch("[0-9a-f]{64}", self.data_sha256):
             raise CalibrationError(
                 "fitted_on sha256 must be 64 hexadecimal digits, lower case; got "
-                f"{self.data_sha256!r}. Fit again to get a true one."
+                f"{shortened(self.data_sha256)}. Fit again to get a true one."
             )
 
     def sigma(self, name: str) -> float:
@@ -127,14 +131,10 @@ def read_calibration(path: str | Path) -> Calibration:
         OSError: the file cannot be read.
     """
     path = Path(path)
-    try:
-        content = object_in(read_text(path))
-    except InputError as error:
-        raise CalibrationError(f"{path}: not a calibration file: {error}") from error
-    try:
+    with in_file(path, CalibrationError):
+        with in_file("not a calibration file"):
+            content = object_in(read_text(path))
         return _calibration(content)
-    except InputError as error:
-        raise CalibrationError(f"{path}: {error}") from error
 
 
 class _Medium(Strict):
@@ -171,22 +171,20 @@ class _CalibrationFile(Strict):
 
 
 def _calibration(content: dict[str, Any]) -> Calibration:
-    check_schema(
-        content, SCHEMA, remedy="Fit again with this version, or use the one that wrote the file."
-    )
+    check_schema(content.get("schema"), HISTORY, remedy="Fit again, or restore the file.")
     file = validated(_CalibrationFile, content, remedy="Restore the file, or fit again.")
     for name, entry in file.parameters.items():
         unit = quantity(name).unit
         if entry.unit != unit:
             raise CalibrationError(
-                f"parameters.{name} must be in {unit!r}; got unit {entry.unit!r}. "
+                f"parameters.{name} must be in {unit!r}; got unit {shortened(entry.unit)}. "
                 "Convert value, sigma and covariance."
             )
     names = list(file.parameters)
     if file.covariance.order != names:
         raise CalibrationError(
             f"covariance order must list the parameters in their order, {names}; got "
-            f"{file.covariance.order!r}. Sort rows and columns of the matrix likewise."
+            f"{shortened(file.covariance.order)}. Sort rows and columns of the matrix likewise."
         )
     calibration = Calibration(
         model=file.model,
@@ -210,7 +208,9 @@ def _calibration(content: dict[str, Any]) -> Calibration:
 
 def _matrix(rows: list[list[float]]) -> np.ndarray:
     if len({len(row) for row in rows}) > 1:
-        raise CalibrationError(f"covariance matrix must have rows of equal length; got {rows!r}.")
+        raise CalibrationError(
+            f"covariance matrix must have rows of equal length; got {shortened(rows)}."
+        )
     return np.array(rows, float)
 
 
@@ -220,9 +220,10 @@ def _check_covariance(matrix: np.ndarray, count: int) -> None:
             f"covariance must be {count}x{count}, a row and a column a parameter; got shape "
             f"{matrix.shape}."
         )
-    if not np.isfinite(matrix).all():
+    if not (np.abs(matrix) <= _LARGEST).all():
         raise CalibrationError(
-            "covariance must be finite. Leave out parameters that the data do not determine."
+            f"covariance must be finite, at most {_LARGEST:g}. Leave out parameters that the "
+            "data do not determine."
         )
     deviation = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale = np.outer(deviation, deviation)

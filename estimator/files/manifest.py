@@ -13,9 +13,13 @@ from pydantic import Field
 
 from estimator.files.json_files import Strict, object_in, validated
 from estimator.files.whole_files import written_whole
-from optics import InputError
+from optics import check_schema, in_file, read_text
 
 MANIFEST = "manifest.json"
+HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read."""
+
+_MOST_BYTES = 2**29  # the manifest of a set of 10,000 stacks has 100 MB
 
 Fingerprint = dict[str, Any]
 """Size and checksum of a file."""
@@ -68,12 +72,10 @@ def read_manifest(folder: Path, *, remedy: str) -> dict[str, Fingerprint]:
         FileNotFoundError: there is none.
     """
     path = folder / MANIFEST
-    try:
-        # Of any size: the manifest of a set of 10,000 stacks has 100 MB.
-        text = path.read_bytes().decode(errors="replace")
-        found = validated(_Manifest, object_in(text), remedy=remedy)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    with in_file(path):
+        content = object_in(read_text(path, most_bytes=_MOST_BYTES))
+        check_schema(content.get("schema"), HISTORY, remedy=remedy)
+        found = validated(_Manifest, content, remedy=remedy)
     return {name: known.model_dump() for name, known in found.files.items()}
 
 

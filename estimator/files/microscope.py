@@ -12,23 +12,39 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import ConfigDict, PlainValidator
+from pydantic import ConfigDict, Field, PlainValidator
 
-from estimator.files.json_files import Strict, check_schema, object_in, read_text, validated
+from estimator.files.json_files import Strict, object_in, validated
 from estimator.files.opencv import opencv_camera
 from estimator.image import Camera, Response
-from optics import InputError
+from optics import InputError, check_schema, in_file, read_text
 
 if TYPE_CHECKING:
     import optics
 
 SCHEMA = 1
+HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read."""
+
+_MOST_PX = 2**20  # sides of a frame, and the place of its principal point
+_LARGEST_MM = 1e6
+_LARGEST = 1e12  # of other numbers
+_MOST_BYTES = 2**20
+_STEEPEST = 100  # exponent of a gamma curve
 _SAME = 1e-6  # relative; numbers that a file contains twice agree to JSON's digits
 _SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
 
 
 class MicroscopeFileError(InputError):
     """A file describes no microscope that this version can use; the text says why."""
+
+
+_MOST = {
+    "width_px": _MOST_PX,
+    "height_px": _MOST_PX,
+    "scale_mm_px": _LARGEST_MM,
+    "eye_radius_mm": _LARGEST_MM,
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,19 +77,22 @@ class MicroscopeFile:
 
     def __post_init__(self) -> None:
         """Reject what no microscope can have."""
-        for name in ("width_px", "height_px", "scale_mm_px", "eye_radius_mm"):
+        for name, most in _MOST.items():
             value = getattr(self, name)
-            if not 0 < value < math.inf:
-                raise MicroscopeFileError(f"{name} must be positive and finite; got {value}.")
+            if not 0 < value <= most:
+                raise MicroscopeFileError(
+                    f"{name} must be positive and at most {most:g}; got {value}."
+                )
         if not self.pinhole_height_mm > -self.eye_radius_mm:
             raise MicroscopeFileError(
                 "pinhole_height_mm must lie above the retinal pole at -eye_radius_mm; got "
                 f"{self.pinhole_height_mm} mm with eye_radius_mm = {self.eye_radius_mm}. It counts "
                 "from the eyeball's centre, up."
             )
-        if not np.isfinite(self.principal_point_px).all():
+        if not (np.abs(self.principal_point_px) <= _MOST_PX).all():
             raise MicroscopeFileError(
-                f"principal_point_px must be finite; got {self.principal_point_px}."
+                f"principal_point_px must lie within {_MOST_PX} px of the frame; got "
+                f"{self.principal_point_px}."
             )
 
     @property
@@ -119,8 +138,8 @@ def read_microscope(
     """
     path = Path(path)
     given = {"pinhole_height_mm": pinhole_height_mm, "eye_radius_mm": eye_radius_mm}
-    try:
-        text = read_text(path)
+    with in_file(path, MicroscopeFileError):
+        text = read_text(path, most_bytes=_MOST_BYTES)
         content = _json_in(text)
         if "schema" not in content:
             return _from_opencv(text, given)
@@ -130,8 +149,6 @@ def read_microscope(
                 f"{twice[0]} is in the file already. Leave it out of the call, or edit the file."
             )
         return _ours(content)
-    except InputError as error:
-        raise MicroscopeFileError(f"{path}: {error}") from error
 
 
 def _json_in(text: str) -> dict[str, Any]:
@@ -147,12 +164,12 @@ def _numbers(*shape: int) -> PlainValidator:
     def array(value: object) -> np.ndarray:
         try:
             found = np.asarray(value, float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             found = np.asarray(math.nan)
         fits = found.shape == shape if shape else found.ndim == 1
-        if not (fits and np.isfinite(found).all()):
+        if not (fits and (np.abs(found) <= _LARGEST).all()):
             wanted = "x".join(map(str, shape)) or "a list"
-            raise InputError(f"must be finite numbers ({wanted})")
+            raise InputError(f"must be finite numbers ({wanted}), at most {_LARGEST:g}")
         return found
 
     return PlainValidator(array)
@@ -162,24 +179,28 @@ def _curve(value: object) -> Response:
     """The scene file's names: linear, srgb, or g for the curve x^(1/g)."""
     if value == "linear" or value == "srgb":
         return Response(curve=value)
-    if isinstance(value, int | float) and not isinstance(value, bool):
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= _STEEPEST:
         return Response(curve="gamma", gamma=float(value))
-    raise InputError("must be linear, srgb or the exponent of a gamma curve")
+    raise InputError("must be linear, srgb or the exponent of a gamma curve, at most 100")
+
+
+_Pixels = Annotated[float, Field(ge=1, le=_MOST_PX)]
+_Millimetres = Annotated[float, Field(ge=-_LARGEST_MM, le=_LARGEST_MM)]
 
 
 class _PinholeFile(Strict):
     model_config = ConfigDict(extra="ignore", arbitrary_types_allowed=True)
 
-    width_px: float
-    height_px: float
+    width_px: _Pixels
+    height_px: _Pixels
     camera_matrix: Annotated[np.ndarray, _numbers(3, 3)]
     distortion: Annotated[np.ndarray, _numbers()]
     scale_mm_px: float
     principal_point_px: Annotated[np.ndarray, _numbers(2)]
-    pinhole_height_mm: float | None = None
-    eye_radius_mm: float
+    pinhole_height_mm: _Millimetres | None = None
+    eye_radius_mm: _Millimetres
     response: Annotated[Response, PlainValidator(_curve)]
-    paper_exposure_s: float | None = None
+    paper_exposure_s: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
 
 
 class _TelecentricFile(_PinholeFile):
@@ -187,8 +208,7 @@ class _TelecentricFile(_PinholeFile):
 
 
 def _ours(content: dict[str, Any]) -> MicroscopeFile:
-    again = "Render the stack again with this version, or read it with the one that wrote it."
-    check_schema(content, SCHEMA, remedy=again)
+    check_schema(content["schema"], HISTORY, remedy="Restore the file, or render again.")
     telecentric = content.get("pinhole_height_mm") is None
     file = validated(
         _TelecentricFile if telecentric else _PinholeFile,

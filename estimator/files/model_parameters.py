@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from optics import InputError
+from optics import InputError, shortened
 
 CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact")
 """Models of a sharp cone: each can use a calibration that was fitted with another of them."""
@@ -15,6 +15,10 @@ MODELS = (*CONE_MODELS, "lens")
 
 class CalibrationError(InputError):
     """A calibration that cannot be used; the text names file, key, value and remedy."""
+
+
+_LARGE, _BRIGHTEST = 1e6, 1e12
+"""End of a range that has none by nature; squares and products of such values stay finite."""
 
 
 class Quantity(NamedTuple):
@@ -27,22 +31,22 @@ class Quantity(NamedTuple):
 
 
 QUANTITIES = {
-    "k": Quantity("1", 0, math.inf),
+    "k": Quantity("1", 0, _LARGE),
     "half_angle": Quantity("rad", 0, math.pi / 2),
-    "b": Quantity("mm", -math.inf, math.inf),
-    "scale": Quantity("mm/px", 0, math.inf),
-    "eye_radius": Quantity("mm", 0, math.inf),
-    "inverse_working_distance": Quantity("1/mm", 0, math.inf, low_included=True),
-    "eccentricity": Quantity("mm", 0, math.inf, low_included=True),
-    "core_radius": Quantity("mm", 0, math.inf),
-    "glue_length": Quantity("mm", 0, math.inf, low_included=True),
-    "aperture_radius": Quantity("mm", 0, math.inf),
-    "sag": Quantity("mm", 0, math.inf, low_included=True),
+    "b": Quantity("mm", -_LARGE, _LARGE),
+    "scale": Quantity("mm/px", 0, _LARGE),
+    "eye_radius": Quantity("mm", 0, _LARGE),
+    "inverse_working_distance": Quantity("1/mm", 0, _LARGE, low_included=True),
+    "eccentricity": Quantity("mm", 0, _LARGE, low_included=True),
+    "core_radius": Quantity("mm", 0, _LARGE),
+    "glue_length": Quantity("mm", 0, _LARGE, low_included=True),
+    "aperture_radius": Quantity("mm", 0, _LARGE),
+    "sag": Quantity("mm", 0, _LARGE, low_included=True),
     "glue_index": Quantity("1", 1, 4, low_included=True),
     "numerical_aperture": Quantity("1", 0, 4),
-    "launch_radius": Quantity("mm", 0, math.inf),
-    "launch_aperture": Quantity("1", 0, math.inf),
-    "brightness": Quantity("mm2/s", 0, math.inf),
+    "launch_radius": Quantity("mm", 0, _LARGE),
+    "launch_aperture": Quantity("1", 0, _LARGE),
+    "brightness": Quantity("mm2/s", 0, _BRIGHTEST),
 }
 """Unit and range of every parameter that a file may hold.
 
@@ -66,7 +70,7 @@ def check_parameters(model: str, values: Mapping[str, float]) -> None:
             value out of range.
     """
     if model not in MODELS:
-        raise CalibrationError(f"model must be one of {', '.join(MODELS)}; got {model!r}.")
+        raise CalibrationError(f"model must be one of {', '.join(MODELS)}; got {shortened(model)}.")
     names = set(values)
     for name in names:
         quantity(name)
@@ -96,14 +100,16 @@ def quantity(name: str) -> Quantity:
         CalibrationError: there is no such parameter.
     """
     if name not in QUANTITIES:
-        raise CalibrationError(f"parameters.{name} is unknown; known are {', '.join(QUANTITIES)}.")
+        raise CalibrationError(
+            f"parameters.{shortened(name)[1:-1]} is unknown; known are {', '.join(QUANTITIES)}."
+        )
     return QUANTITIES[name]
 
 
 def _check_value(name: str, value: float) -> None:
     unit, low, high, low_included = QUANTITIES[name]
     above = value >= low if low_included else value > low
-    # An infinite end is not a value itself; NaN fails every comparison.
+    # NaN fails every comparison.
     if not (above and value < high):
         raise CalibrationError(
             f"parameters.{name} must lie in {'[' if low_included else '('}{low:.6g}, {high:.6g}) "

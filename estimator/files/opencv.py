@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from estimator.image import Camera
-from optics import InputError
+from optics import InputError, shortened
 
 _NAMES = {
     "image_width": ("image_width", "image_Width", "width"),
@@ -29,6 +29,11 @@ _NAMES = {
     ),
 }
 """Keys of OpenCV's samples, ROS and common tutorials for the same quantities."""
+
+_MOST = 2**20  # rows, columns and pixels of a side
+_DEEPEST = 4  # levels of lists
+_MOST_BRACKETS = 10_000  # with all of a calibration's views
+_DEEPEST_INDENT = 200  # OpenCV indents by three or four a level
 
 
 class CameraOfFile(NamedTuple):
@@ -50,17 +55,22 @@ def opencv_camera(text: str) -> CameraOfFile:
             message names the key.
     """
     storage = _storage(text)
-    return CameraOfFile(
-        width_px=_count(storage, "image_width"),
-        height_px=_count(storage, "image_height"),
-        camera=Camera(
-            matrix=_stored(storage, "camera_matrix"),
-            distortion=_stored(storage, "distortion_coefficients"),
-        ),
-    )
+    try:
+        return CameraOfFile(
+            width_px=_count(storage, "image_width"),
+            height_px=_count(storage, "image_height"),
+            camera=Camera(
+                matrix=_stored(storage, "camera_matrix"),
+                distortion=_stored(storage, "distortion_coefficients"),
+            ),
+        )
+    except cv2.error as error:
+        said = " ".join(str(error.err or error).split())[:200]
+        raise InputError(f"OpenCV cannot read its own format: {said}. Write it again.") from error
 
 
 def _storage(text: str) -> cv2.FileStorage:
+    _check_size(text)
     # ROS writes the same YAML without the first line that cv2 requires.
     headed = (
         text if text.lstrip().startswith(("%YAML", "{", "<?xml")) else f"%YAML:1.0\n---\n{text}"
@@ -78,44 +88,81 @@ def _storage(text: str) -> cv2.FileStorage:
     return storage
 
 
+def _check_size(text: str) -> None:
+    """Refuse what OpenCV's parser, which recurses without limit, could not read."""
+    brackets = sum(map(text.count, "[{<"))
+    indented = max((len(line) - len(line.lstrip()) for line in text.splitlines()), default=0)
+    if brackets > _MOST_BRACKETS or indented > _DEEPEST_INDENT or "\0" in text:
+        raise InputError(
+            f"no camera calibration: it has more than {_MOST_BRACKETS:,} brackets, lines that are "
+            f"indented by more than {_DEEPEST_INDENT}, or NUL. Check that it is the right file."
+        )
+
+
 def _count(storage: cv2.FileStorage, name: str) -> int:
     value = _stored(storage, name)
-    if value.size != 1 or not value == np.floor(value):
-        raise InputError(f"{name} must be one whole number; got {value.tolist()}.")
-    return int(value)
+    if value.size != 1 or not 0 < value <= _MOST or not value == np.floor(value):
+        raise InputError(
+            f"{name} must be one whole number, at most {_MOST:,}; got {shortened(value.tolist())}."
+        )
+    return int(value.item())
 
 
 def _stored(storage: cv2.FileStorage, name: str) -> np.ndarray:
     """The values under one of a key's spellings: a matrix, ROS's map with `data`, or a number."""
     for spelling in _NAMES[name]:
         node = storage.getNode(spelling)
-        if node.empty():
-            continue
-        if node.isReal() or node.isInt():
-            return np.asarray(node.real())
-        # cv2 marks its own matrices with their type.
-        if node.isMap() and "dt" in node.keys():
-            return np.asarray(node.mat(), float)
-        return _plain(node, spelling)
+        if not node.empty():
+            return np.asarray(node.real()) if _is_number(node) else _plain(node, spelling, 0)
     raise InputError(
         f"{name} is missing (looked for {', '.join(_NAMES[name])}). Add it to the file."
     )
 
 
-def _plain(node: cv2.FileNode, spelling: str) -> np.ndarray:
-    """Numbers of a sequence (nested or not), or of a map of rows, cols and data."""
-    if node.isMap():
-        shape = tuple(int(node.getNode(key).real()) for key in ("rows", "cols"))
-        values = _plain(node.getNode("data"), spelling)
+def _plain(node: cv2.FileNode, spelling: str, level: int) -> np.ndarray:
+    """Numbers of a sequence (nested or not), or of a map of rows, cols and data.
+
+    OpenCV's own matrices are such maps. They are not read by OpenCV, which takes the memory that
+    rows and cols ask for before it looks at data.
+    """
+    if node.isMap() and level == 0:
+        shape = _shape(node, spelling)
+        values = _plain(node.getNode("data"), spelling, level + 1)
         if math.prod(shape) != values.size:
             raise InputError(
-                f"{spelling} has {values.size} numbers, but rows and cols say {shape}."
+                f"{spelling} has {values.size} numbers, but rows and cols say "
+                f"{' x '.join(map(str, shape))}."
             )
         return values.reshape(shape)
-    parts = [node.at(index) for index in range(node.size())] if node.isSeq() else []
-    if not parts or any(part.isString() for part in parts):
+    parts = _items(node) or ([node] if _is_number(node) else [])
+    if not parts or level > _DEEPEST:
         raise InputError(f"{spelling} must hold numbers.")
-    rows = [np.asarray(p.real()) if not p.isSeq() else _plain(p, spelling) for p in parts]
-    if len({row.shape for row in rows}) != 1:
+    if all(map(_is_number, parts)):
+        return np.array([part.real() for part in parts])
+    rows_found = [_plain(part, spelling, level + 1) for part in parts if part.isSeq()]
+    if len(rows_found) != len(parts):
+        raise InputError(f"{spelling} must hold numbers.")
+    if len({row.shape for row in rows_found}) != 1:
         raise InputError(f"{spelling} must have rows of equal length.")
-    return np.stack(rows)
+    return np.stack(rows_found)
+
+
+def _shape(node: cv2.FileNode, spelling: str) -> tuple[int, ...]:
+    """Of a map: its rows and cols, or the one to four `sizes` of OpenCV 5."""
+    sizes = node.getNode("sizes")
+    if sizes.empty():
+        parts = [node.getNode(key) for key in ("rows", "cols")]
+    else:
+        parts = _items(sizes)[:_DEEPEST] or [sizes]  # XML has a number for a list of one
+    found = [part.real() if _is_number(part) else math.nan for part in parts]
+    if not all(0 < value <= _MOST and value == math.floor(value) for value in found):
+        raise InputError(f"rows and cols of {spelling} must be whole numbers, at least 1.")
+    return tuple(map(int, found))
+
+
+def _items(node: cv2.FileNode) -> list[cv2.FileNode]:
+    return [node.at(index) for index in range(node.size())] if node.isSeq() else []
+
+
+def _is_number(node: cv2.FileNode) -> bool:
+    return not node.empty() and bool(node.isInt() or node.isReal())

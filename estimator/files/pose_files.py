@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
+from estimator.files.csv_files import csv_rows, number_in
 from estimator.files.poses import Pose, PoseTrack
 from estimator.files.ros_bags import is_bag, messages_of, opened_bag, stamp_s, topic_in
-from optics import InputError
+from optics import InputError, in_file
 
 POSE_TOPIC = "/eye_robot/FrameEE"
 """The rig's topic of poses: the instrument's tip as a `geometry_msgs/Transform` in mm, which
@@ -52,10 +52,8 @@ def _from_bag(path: Path, topic: str | None) -> Iterator[Pose]:
     with opened_bag(path) as reader:
         topic = topic_in(reader, path, topic, kinds=POSE_MESSAGES, usual=POSE_TOPIC)
         for index, (received_s, message) in enumerate(messages_of(reader, path, topic)):
-            try:
+            with in_file(f"{path}, {topic}, message {index}"):
                 yield _pose_of_message(message, received_s)
-            except InputError as error:
-                raise InputError(f"{path}, {topic}, message {index}: {error}") from error
 
 
 def _pose_of_message(message: Any, received_s: float) -> Pose:
@@ -72,41 +70,29 @@ def _pose_of_message(message: Any, received_s: float) -> Pose:
     )
 
 
-def _from_csv(path: Path) -> list[Pose]:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = csv.DictReader(file, strict=True)
-            names = rows.fieldnames or ()
-            direction = _QUATERNION if set(_QUATERNION) <= set(names) else _AXIS
-            missing = [name for name in ("time_s", *_POSITION, *direction) if name not in names]
-            if missing:
-                raise InputError(
-                    f"{path}, line 1: no poses: column {missing[0]!r} is missing. Name the columns"
-                    f" time_s, {', '.join(_POSITION)}, and {', '.join(_QUATERNION)} or"
-                    f" {', '.join(_AXIS)}."
-                )
-            return [_pose(row, direction, f"{path}, line {rows.line_num}") for row in rows]
-    except OSError as error:
-        raise InputError(f"{path} could not be read: {error.strerror}.") from error
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a CSV file of poses: {error}.") from error
+def _from_csv(path: Path) -> Iterator[Pose]:
+    direction: tuple[str, ...] = _AXIS
+
+    def check(names: Collection[str]) -> None:
+        nonlocal direction
+        direction = _QUATERNION if set(_QUATERNION) <= set(names) else _AXIS
+        missing = [name for name in ("time_s", *_POSITION, *direction) if name not in names]
+        if missing:
+            raise InputError(
+                f"no poses: column {missing[0]!r} is missing. Name the columns time_s,"
+                f" {', '.join(_POSITION)}, and {', '.join(_QUATERNION)} or {', '.join(_AXIS)}."
+            )
+
+    for row, where in csv_rows(path, check=check):
+        with in_file(where):
+            yield _pose(row, direction)
 
 
-def _pose(row: dict[str, str], direction: tuple[str, ...], where: str) -> Pose:
-    def number(name: str) -> float:
-        try:
-            return float(row[name])
-        except (TypeError, ValueError):
-            raise InputError(f"{where}: {name} must be a number; got {row[name]!r}.") from None
-
-    time_s = number("time_s")
-    x, y, z = map(number, _POSITION)
-    towards = [number(name) for name in direction]
-    try:
-        if direction is _AXIS:
-            ax, ay, az = towards
-            return Pose.along((ax, ay, az), time_s=time_s, position_mm=(x, y, z))
-        qx, qy, qz, qw = towards
-        return Pose(time_s=time_s, position_mm=(x, y, z), rotation=(qx, qy, qz, qw))
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
+def _pose(row: dict[str, str], direction: tuple[str, ...]) -> Pose:
+    time_s, x, y, z = (number_in(row[name], name) for name in ("time_s", *_POSITION))
+    towards = [number_in(row[name], name) for name in direction]
+    if direction is _AXIS:
+        ax, ay, az = towards
+        return Pose.along((ax, ay, az), time_s=time_s, position_mm=(x, y, z))
+    qx, qy, qz, qw = towards
+    return Pose(time_s=time_s, position_mm=(x, y, z), rotation=(qx, qy, qz, qw))

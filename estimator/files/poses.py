@@ -13,6 +13,8 @@ import numpy as np
 from optics import InputError
 
 _UNIT = 0.01  # tolerance of a unit length: files round
+_LATEST_S = 1e11  # clocks count from 1970; more is no time
+_FAR_MM = 1e6
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -34,10 +36,10 @@ class Pose:
 
     def __post_init__(self) -> None:
         """Refuse invalid poses, and normalise the quaternion."""
-        if not all(map(math.isfinite, (self.time_s, *self.position_mm))):
+        if not (abs(self.time_s) <= _LATEST_S and all(abs(x) <= _FAR_MM for x in self.position_mm)):
             raise InputError(
-                "Pose(time_s=..., position_mm=...) must be finite;"
-                f" got {self.time_s} s, {self.position_mm} mm."
+                "Pose(time_s=..., position_mm=...) must be finite, within"
+                f" {_LATEST_S:g} s and {_FAR_MM:g} mm; got {self.time_s} s, {self.position_mm} mm."
             )
         object.__setattr__(self, "rotation", unit_quaternion(self.rotation))
 

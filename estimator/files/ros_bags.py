@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from estimator.files.whole_files import damage_reported
-from optics import InputError
+from optics import InputError, check_regular, in_file
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
+_MOST_YAML_BYTES = 2**16  # of metadata.yaml; a bag of fifty topics has 40 kB
 _REMEDY = "Repair a truncated bag with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`."
 
 
@@ -38,13 +39,27 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     # Old ROS 2 bags contain no message definitions; those of the messages used here have never
     # changed.
     types = get_typestore(Stores.ROS2_HUMBLE)
-    with damage_reported(f"{path}", _REMEDY):
+    for file in path.iterdir() if path.is_dir() else (path,):
+        with in_file(file):
+            size = check_regular(file)
+            if file.suffix == ".yaml" and size > _MOST_YAML_BYTES:
+                raise InputError(f"larger than {_MOST_YAML_BYTES:,} bytes. {_REMEDY}")
+    with _damage_reported(f"{path}"):
         reader = AnyReader([path], default_typestore=types)
         reader.open()
     try:
         yield reader
     finally:
         reader.close()
+
+
+@contextmanager
+def _damage_reported(where: str) -> Iterator[None]:
+    with damage_reported(where, _REMEDY):
+        try:
+            yield
+        except MemoryError as error:  # sizes that damage announces are asked for at once
+            raise InputError("it announces more data than fit into memory") from error
 
 
 def topic_in(
@@ -82,7 +97,7 @@ def messages_of(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[flo
     """
     messages = reader.messages([c for c in reader.connections if c.topic == topic])
     for index in itertools.count():
-        with damage_reported(f"{path}, {topic}, message {index}", _REMEDY):
+        with _damage_reported(f"{path}, {topic}, message {index}"):
             item = next(messages, None)
             if item is None:
                 return

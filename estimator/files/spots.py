@@ -10,6 +10,7 @@ import csv
 import importlib
 import io
 import math
+import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,11 +18,17 @@ from typing import Any
 
 import numpy as np
 
+from estimator.files.csv_files import MOST_ROWS, csv_rows, number_in
 from estimator.files.whole_files import damage_reported, written_whole
 from estimator.image import PARAMETERS, NoSpot, Reason, Spot
-from optics import InputError
+from optics import InputError, check_regular, check_schema, in_file, shortened
 
 SCHEMA_VERSION = 1
+HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read."""
+
+_MOST_FRAMES = 2**31
+_LARGEST_PX = 1e6
 
 _UPPER = [(i, j) for i in range(5) for j in range(i, 5)]
 _VALUES = (
@@ -36,6 +43,7 @@ _VALUES = (
     "inlier_fraction",
     "saturated",
 )
+_PLACE = _VALUES[:4]
 _DISTANCES = ("distance_mm", "sigma_distance_mm", "pose_age_s")
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in _UPPER)
 COLUMNS = (
@@ -114,8 +122,13 @@ def read_spots(path: str | Path) -> list[SpotRecord]:
         InputError: not a spots file, of another schema version, or with a wrong value; the message
             names the file and the line.
     """
-    rows = _parquet_rows(Path(path)) if is_parquet(path) else _csv_rows(Path(path))
-    return [_record(row, where) for row, where in rows]
+    path = Path(path)
+    rows = _parquet_rows(path) if is_parquet(path) else csv_rows(path, check=_check_columns)
+    records = []
+    for row, where in rows:
+        with in_file(where):
+            records.append(_record(row))
+    return records
 
 
 def pyarrow() -> Any:
@@ -172,17 +185,6 @@ def _write_csv(path: Path, records: Iterable[SpotRecord]) -> None:
         file.writelines(map(csv_line, records))
 
 
-def _csv_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        try:
-            rows = csv.DictReader(file, strict=True)
-            _check_columns(rows.fieldnames or (), f"{path}, line 1")
-            for row in rows:
-                yield row, f"{path}, line {rows.line_num}"
-        except (csv.Error, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: not a spots file: {error}.") from error
-
-
 def _write_parquet(path: Path, records: Iterable[SpotRecord]) -> None:
     lines = path.with_name("lines.csv")
     _write_csv(lines, records)
@@ -191,19 +193,29 @@ def _write_parquet(path: Path, records: Iterable[SpotRecord]) -> None:
 
 def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
     pa = pyarrow()
-    with path.open("rb") as file, damage_reported(f"{path}", "Write it with write_spots."):
-        table = pa.parquet.read_table(file)
-    _check_columns(table.column_names, f"{path}")
-    for index, row in enumerate(table.to_pylist()):
+    again = "Write it with write_spots."
+    with in_file(path):
+        check_regular(path)
+    with path.open("rb") as opened:
+        with damage_reported(f"{path}", again):
+            file = pa.parquet.ParquetFile(opened)
+            names, count = file.schema_arrow.names, file.metadata.num_rows
+        with in_file(path):
+            _check_columns(names)
+            if count > MOST_ROWS:
+                raise InputError(f"{count:,} rows; at most {MOST_ROWS:,} are read. Split the file.")
+        with damage_reported(f"{path}", again):
+            rows = file.read(columns=list(COLUMNS)).to_pylist()
+    for index, row in enumerate(rows):
         cells = {name: "" if value is None else str(value) for name, value in row.items()}
         yield cells, f"{path}, row {index}"
 
 
-def _check_columns(names: Collection[str], where: str) -> None:
+def _check_columns(names: Collection[str]) -> None:
     missing = [name for name in COLUMNS if name not in names]
     if missing:
         raise InputError(
-            f"{where}: not a spots file: column {missing[0]!r} is missing"
+            f"not a spots file: column {missing[0]!r} is missing"
             f" ({len(missing)} of {len(COLUMNS)} are). Write it with write_spots."
         )
 
@@ -230,52 +242,62 @@ def _cell(value: float) -> str:
     return "" if math.isnan(value) else repr(float(value))
 
 
-def _record(row: dict[str, str], where: str) -> SpotRecord:
-    if None in row or None in row.values():
-        raise InputError(f"{where}: {len(COLUMNS)} cells expected, as in the header.")
-    if row["schema_version"] != str(SCHEMA_VERSION):
-        raise InputError(
-            f"{where}: schema_version is {row['schema_version']!r}; this software reads"
-            f" {SCHEMA_VERSION}. Write the file again with this version."
-        )
+def _record(row: dict[str, str]) -> SpotRecord:
+    version = row["schema_version"]
+    found = int(version) if re.fullmatch("[0-9]{1,9}", version) else version or None
+    check_schema(found, HISTORY, remedy="Write the file again.")
     values = {
-        name: _number(row, name, where) for name in ("time_s", *_VALUES, *_DISTANCES, *_COVARIANCES)
+        name: number_in(row[name], name)
+        for name in ("time_s", *_VALUES, *_DISTANCES, *_COVARIANCES)
     }
-    try:
-        frame = int(row["frame"])
-    except ValueError:
-        raise InputError(f"{where}: frame must be a whole number; got {row['frame']!r}.") from None
+    frame = number_in(row["frame"], "frame")
+    if not (0 <= frame < _MOST_FRAMES and frame == int(frame)):
+        raise InputError(
+            f"frame must be a whole number from 0 on, below {_MOST_FRAMES:,}; got "
+            f"{shortened(row['frame'])}."
+        )
     return SpotRecord(
-        frame=frame,
+        frame=int(frame),
         file_name=row["file_name"],
         time_s=values["time_s"],
         mode=row["mode"],
-        result=_result(row, values, where),
+        result=_result(row, values),
         **{name: values[name] for name in _DISTANCES},
     )
 
 
-def _number(row: dict[str, str], name: str, where: str) -> float:
-    cell = row[name]
-    try:
-        return float(cell) if cell else math.nan
-    except ValueError:
-        raise InputError(f"{where}: {name} must be a number or empty; got {cell!r}.") from None
-
-
-def _result(row: dict[str, str], values: dict[str, float], where: str) -> Spot | NoSpot:
+def _result(row: dict[str, str], values: dict[str, float]) -> Spot | NoSpot:
     if row["status"] == "no_spot":
         try:
             return NoSpot(Reason(row["reason"]))
         except ValueError:
             known = ", ".join(reason.value for reason in Reason)
             raise InputError(
-                f"{where}: reason must be one of {known}; got {row['reason']!r}."
+                f"reason must be one of {known}; got {shortened(row['reason'])}."
             ) from None
     if row["status"] != "spot":
-        raise InputError(f"{where}: status must be spot or no_spot; got {row['status']!r}.")
+        raise InputError(f"status must be spot or no_spot; got {shortened(row['status'])}.")
     covariance = np.empty((5, 5))
     for (i, j), name in zip(_UPPER, _COVARIANCES, strict=True):
         covariance[i, j] = covariance[j, i] = values[name]
+    _check_ellipse(values)
     measured = {name: values[name] for name in _VALUES if name != "sigma_semi_minor_px"}
     return Spot(covariance=covariance, **measured)
+
+
+def _check_ellipse(values: dict[str, float]) -> None:
+    """Refuse an ellipse that no image has; what a mode does not measure is NaN."""
+    for name in _PLACE:
+        low = -_LARGEST_PX if name in ("x_px", "y_px") else 0.0
+        if not low < values[name] < _LARGEST_PX:
+            raise InputError(
+                f"{name} of a spot must lie in ({low:g}, {_LARGEST_PX:g}) px; got {values[name]}."
+            )
+    if not abs(values["angle_rad"]) <= 4.0:
+        raise InputError(f"angle_rad must lie in (-pi/2, pi/2]; got {values['angle_rad']} rad.")
+    negative = [f"cov_{name}_{name}" for name in PARAMETERS if values[f"cov_{name}_{name}"] < 0]
+    if negative or any(abs(values[name]) > _LARGEST_PX**2 for name in _COVARIANCES):
+        raise InputError(
+            f"{(negative or ['a covariance'])[0]} must be a variance, from 0 to "
+            f"{_LARGEST_PX**2:g}. Write the spots again."
+        )

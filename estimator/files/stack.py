@@ -14,26 +14,37 @@
 
 from __future__ import annotations
 
-import tomllib
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import cv2
 import numpy as np
-from pydantic import ConfigDict, create_model
+from pydantic import ConfigDict, Field, create_model
 from pydantic import Strict as StrictType
 
+from estimator.files.image_files import read_image
+from estimator.files.inside import inside
 from estimator.files.json_files import Strict, object_in, validated
 from estimator.files.manifest import MANIFEST, Fingerprint, differences, read_manifest
-from optics import InputError
+from optics import InputError, check_schema, in_file, read_text, read_toml, shortened
 
 SCHEMA = 1
-_PNG_END = b"IEND\xaeB`\x82"  # the last chunk's name and checksum
+HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read, in any of its files."""
+
+_MOST_LABEL_BYTES = 2**28  # of metadata.jsonl: 250,000 images
+_LARGEST = 1e12  # of any label; times in s since 1970 have ten digits
+_AGAIN = "Render the stack again."
+_Kind = TypeVar("_Kind")
 
 Vector = Annotated[tuple[float, float, float], StrictType(False)]
 """Three numbers; JSON has a list for the tuple."""
+
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+"""A whole number that NumPy and HDF5 can have, too."""
 
 
 class StackError(InputError):
@@ -61,7 +72,7 @@ class FrameLabels:
 
     file_name: str
     mask_file_name: str
-    frame: int
+    frame: Count
     time_s: float
     exposure: str
     exposure_s: float
@@ -89,7 +100,7 @@ class FrameLabels:
     saturated_fraction: float
     speed_mm_s: float
     medium: str
-    seed: int
+    seed: Count
 
 
 @dataclass(frozen=True)
@@ -112,7 +123,7 @@ class Stack:
 
     def image(self, labels: FrameLabels) -> np.ndarray:
         """The image (RGB) that the labels describe."""
-        return _read_image(self.folder / labels.file_name)
+        return self._read(labels.file_name)
 
     def linear(self, labels: FrameLabels) -> np.ndarray:
         """Noise-free radiance (RGB, float32, mW/(mm2 sr)) behind an image.
@@ -120,16 +131,58 @@ class Stack:
         Raises:
             StackError: the stack was rendered without `keep_linear`.
         """
-        path = self.folder / linear_name(labels)
-        if not path.is_file():
+        name = linear_name(labels)
+        if not self.path_of(name).is_file():
             raise StackError(
-                f"{path} is missing. Render the stack with exposures.keep_linear = true."
+                f"{self.folder / name} is missing. Render the stack with exposures.keep_linear = "
+                "true."
             )
-        return _read_image(path)
+        return self._read(name)
 
     def mask(self, labels: FrameLabels) -> np.ndarray:
         """Mask of the visible spot, 0 or 255."""
-        return _read_image(self.folder / labels.mask_file_name)
+        return self._read(labels.mask_file_name)
+
+    def path_of(self, name: str) -> Path:
+        """Path of a file that the labels or the manifest name.
+
+        Raises:
+            StackError: the name leads out of the folder, see `inside`.
+        """
+        with in_file(self.folder, StackError):
+            return inside(self.folder, name)
+
+    def described(self, key: str, kind: type[_Kind]) -> _Kind:
+        """A value of stack.toml.
+
+        Args:
+            key: with its tables, such as "scene.phantom.kind".
+            kind: of the value; a whole number counts as a float.
+
+        Raises:
+            StackError: it is missing or of another kind.
+        """
+        found: Any = self.description
+        for part in key.split("."):
+            found = found.get(part) if isinstance(found, dict) else None
+        if kind is float and type(found) is int:
+            found = float(found)
+        if type(found) is not kind or (isinstance(found, float) and not math.isfinite(found)):
+            raise StackError(
+                f"{self.folder / 'stack.toml'}: {key} must be a finite {kind.__name__}; got "
+                f"{shortened(found)}. Render the stack again."
+            )
+        return found
+
+    def _read(self, name: str) -> np.ndarray:
+        path = self.path_of(name)
+        try:
+            image = read_image(path)
+        except FileNotFoundError as error:
+            raise StackError(f"{path} is missing. Render the stack again.") from error
+        except InputError as error:
+            raise StackError(f"{path} {error}. Render the stack again.") from error
+        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image
 
     def images(self, exposure: str) -> Iterator[np.ndarray]:
         """Images (RGB) of one kind of exposure, in order."""
@@ -173,30 +226,36 @@ def read_stack(folder: Path) -> Stack:
     """
     folder = Path(folder)
     try:
-        description = tomllib.loads((folder / "stack.toml").read_text())
-        lines = (folder / "metadata.jsonl").read_text(encoding="utf-8").splitlines()
+        with in_file(folder / "stack.toml", StackError):
+            description = read_toml(folder / "stack.toml")
+            check_schema(description.get("schema"), HISTORY, remedy=_AGAIN)
+        with in_file(folder / "metadata.jsonl", StackError):
+            text = read_text(folder / "metadata.jsonl", most_bytes=_MOST_LABEL_BYTES)
     except FileNotFoundError as error:
         raise StackError(
             f"{folder} is not a stack: {Path(error.filename).name} is missing."
         ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise StackError(f"{folder / 'stack.toml'}: not a TOML file: {error}.") from error
-    if description.get("schema") != SCHEMA:
-        raise StackError(
-            f"{folder / 'stack.toml'} has schema {description.get('schema')}; this version reads "
-            f"{SCHEMA}. Render the stack again."
-        )
+    lines = text.removesuffix("\n").split("\n") if text else []
     labels = tuple(_parse(folder, n, line) for n, line in enumerate(lines, 1))
     _match(folder, labels)
     return Stack(folder, labels, description)
 
 
 def _parse(folder: Path, number: int, line: str) -> FrameLabels:
-    try:
-        row = validated(_Row, object_in(line), remedy="Render the stack again.")
-    except InputError as error:
-        raise StackError(f"{folder / 'metadata.jsonl'}, line {number}: {error}") from error
-    return FrameLabels(**vars(row))
+    with in_file(f"{folder / 'metadata.jsonl'}, line {number}", StackError):
+        row = FrameLabels(**vars(validated(_Row, object_in(line), remedy=_AGAIN)))
+        for name in (row.file_name, row.mask_file_name):
+            inside(folder, name)
+        _check_numbers(row)
+    return row
+
+
+def _check_numbers(row: FrameLabels) -> None:
+    """Refuse numbers with which nothing can be computed; what is unknown is NaN or infinite."""
+    for name, value in vars(row).items():
+        known = isinstance(value, float) and (name == "time_s" or math.isfinite(value))
+        if known and not abs(value) <= _LARGEST:
+            raise InputError(f"{name} must be a number within {_LARGEST:g}; got {value}. {_AGAIN}")
 
 
 def _match(folder: Path, labels: tuple[FrameLabels, ...]) -> None:
@@ -220,12 +279,3 @@ def _match(folder: Path, labels: tuple[FrameLabels, ...]) -> None:
 def linear_name(labels: FrameLabels) -> str:
     """Name of the kept radiance behind an image."""
     return f"linear/{Path(labels.file_name).stem}.tiff"
-
-
-def _read_image(path: Path) -> np.ndarray:
-    # OpenCV decodes what there is of a truncated PNG, and says nothing.
-    cut = path.suffix == ".png" and path.is_file() and not path.read_bytes().endswith(_PNG_END)
-    image = None if cut else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise StackError(f"{path} is {'truncated' if cut else 'missing or no readable image'}.")
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image

@@ -59,7 +59,7 @@ def run_command(app: Callable[[], object]) -> None:
         if ctrl_c_was_pressed():
             end_now()
         bugs = _reported_bugs()
-        message = _message_of(error)
+        message = message_of(error)
         if message is None or os.environ.get("EYESPOT_TRACEBACK"):
             raise
         print(f"eyespot: {message}", file=sys.stderr)
@@ -77,7 +77,7 @@ def _reported_bugs() -> bool:
     return number > 0
 
 
-def _message_of(error: Exception) -> str | None:
+def message_of(error: Exception) -> str | None:
     """The message of an expected error; None for a bug."""
     # A class whose module was never loaded cannot have been raised.
     pydantic, variant = map(sys.modules.get, ("pydantic", "scenes.machine.variant"))
@@ -91,5 +91,7 @@ def _message_of(error: Exception) -> str | None:
     if isinstance(error, ModuleNotFoundError) and error.name not in _OURS:
         return f"the Python package {error.name} is not installed. Run `make setup` again."
     if isinstance(error, OSError) and error.filename:
-        return f"{error.filename}: {error.strerror}. {_REMEDIES.get(error.errno or 0, '')}".rstrip()
+        remedy = _REMEDIES.get(error.errno or 0, "")
+        name = repr(str(error.filename))[1:-1][:300]  # a name may have line breaks
+        return f"{name}: {error.strerror}. {remedy}".rstrip()
     return str(error) if isinstance(error, InputError | OSError) else None

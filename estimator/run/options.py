@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from estimator.files import Quaternion, unit_quaternion
-from optics import InputError
+from optics import InputError, shortened
 
 if TYPE_CHECKING:
     from estimator.detector import LiteralSettings, SubpixelSettings
@@ -133,9 +133,11 @@ class Options(BaseModel):
             name = problem["loc"][0]
             if name not in cls.model_fields:
                 known = ", ".join(cls.model_fields)
-                raise InputError(f"{name} is unknown; known are {known}.") from error
+                raise InputError(
+                    f"{shortened(name)[1:-1]} is unknown; known are {known}."
+                ) from error
             rule = problem.get("ctx", {}).get("error", problem["msg"])
-            raise InputError(f"{name}: {rule}; got {given[str(name)]!r}.") from error
+            raise InputError(f"{name}: {rule}; got {shortened(given[str(name)])}.") from error
 
     def reader(self) -> Reader:
         """Read the files and prepare the measurement; `Ranger` says how long that takes.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from estimator.files import damage_reported
+from estimator.files import check_pixels, damage_reported, read_image
 from estimator.image import checked_frame
 from estimator.sources.source import AGAIN, Frame, Source
 from optics import InputError
@@ -83,14 +83,11 @@ def _images(folder: Path, pictures: list[Path]) -> Source:
 def _picture(path: Path, index: int) -> np.ndarray:
     where = f"{path} (frame {index})"
     try:
-        data = path.read_bytes()
+        image = read_image(path)
     except OSError as error:
         raise InputError(f"{where}: cannot be read: {error.strerror}.") from error
-    cut = _cut_short(data)
-    image = None if cut or not data else cv2.imdecode(np.frombuffer(data, np.uint8), -1)
-    if image is None:
-        fault = "is empty" if not data else "is truncated" if cut else "is damaged or not an image"
-        raise InputError(f"{where} {fault}. {AGAIN}")
+    except InputError as error:
+        raise InputError(f"{where} {error}. {AGAIN}") from error
     with damage_reported(where, AGAIN):
         return rgb_of_opencv(image)
 
@@ -105,15 +102,6 @@ def rgb_of_opencv(image: np.ndarray) -> np.ndarray:
         order = cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB
         image = cv2.cvtColor(image, order)
     return checked_frame(image)
-
-
-def _cut_short(data: bytes) -> bool:
-    """Whether a PNG or JPEG lacks its end, which decoders fill with grey."""
-    if data.startswith(b"\x89PNG"):
-        return b"IEND" not in data
-    if data.startswith(b"\xff\xd8"):
-        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")  # end of image, start of scan
-    return False
 
 
 def open_tiff(path: Path) -> Source:
@@ -158,6 +146,7 @@ def _page(file: TiffFile, index: int) -> np.ndarray:
     import tifffile
 
     page = file.pages[index].aspage()
+    check_pixels(page.imagewidth, page.imagelength * page.imagedepth * page.samplesperpixel / 4)
     if page.compression not in tifffile.TIFF.DECOMPRESSORS:
         # tifffile needs a further package for LZW and JPEG. OpenCV reads every page from the first
         # on, so it is used for these only.

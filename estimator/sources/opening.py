@@ -14,7 +14,7 @@ from estimator.sources.bag_images import open_bag
 from estimator.sources.images import IMAGES, TIFF, open_folder, open_image, open_tiff
 from estimator.sources.source import Frame, Source
 from estimator.sources.videos import open_camera, open_video
-from optics import InputError
+from optics import InputError, shortened
 
 
 def open_source(
@@ -35,9 +35,11 @@ def open_source(
     path = Path(source)
     if not path.exists():
         if str(source).isdecimal():
-            opened = open_camera(int(str(source)))
+            opened = open_camera(str(source))
         else:
-            raise InputError(f"{path}: there is no such file or folder. Check the path.")
+            raise InputError(
+                f"{shortened(str(path))}: there is no such file or folder. Check the path."
+            )
     elif not os.access(path, os.R_OK):
         raise InputError(f"{path} may not be read. Change its permissions.")
     elif (path / "stack.toml").is_file():
@@ -46,6 +48,11 @@ def open_source(
         opened = open_bag(path, topic=image_topic)
     elif path.is_dir():
         opened = open_folder(path)
+    elif not path.is_file():
+        raise InputError(
+            f"{path} is a pipe, device or socket, which may never end. Give a file, a folder, or "
+            "the number of a camera."
+        )
     elif path.suffix.lower() in TIFF:
         opened = open_tiff(path)
     elif path.suffix.lower() in IMAGES:

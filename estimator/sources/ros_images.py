@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from estimator.files import decoded_image
 from estimator.image import checked_frame
 from estimator.sources.images import rgb_of_opencv
-from optics import InputError
+from optics import InputError, in_file, shortened
 
 
 class _Layout(NamedTuple):
@@ -48,7 +49,7 @@ def frame_of_message(message: Any) -> np.ndarray:
     if layout is None:
         raise InputError(
             f"the image encoding must be one of {', '.join(_LAYOUTS)};"
-            f" got {message.encoding!r}. Publish or convert it in one of these."
+            f" got {shortened(message.encoding)}. Publish or convert it in one of these."
         )
     height, width, step = message.height, message.width, message.step
     values = np.dtype(layout.dtype).newbyteorder(">" if message.is_bigendian else "<")
@@ -79,7 +80,5 @@ def encoding_of(image: np.ndarray) -> str:
 
 
 def _decompressed(data: np.ndarray, form: str) -> np.ndarray:
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if image is None:
-        raise InputError(f"a compressed image ({form!r}, {data.size} bytes) cannot be decoded.")
-    return rgb_of_opencv(image)
+    with in_file(f"a compressed image ({shortened(form)}, {data.size} bytes) cannot be decoded"):
+        return rgb_of_opencv(decoded_image(data.tobytes()))

@@ -10,9 +10,14 @@ from pathlib import Path
 
 import cv2
 
+from estimator.files import check_pixels
 from estimator.sources.images import rgb_of_opencv
 from estimator.sources.source import AGAIN, Frame, Source
-from optics import InputError
+from optics import InputError, in_file, shortened
+
+_MOST_DIGITS = 4  # of a camera's number; video4linux counts to 63
+_MOST_FRAMES = 2**31
+_SIDES = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 
 
 @contextmanager
@@ -36,7 +41,9 @@ def open_video(path: Path) -> Source:
     with _capturing(str(path), refusal) as capture:
         announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         rate_hz = capture.get(cv2.CAP_PROP_FPS)
-    length = int(announced) if announced > 0 else None
+        with in_file(path):
+            check_pixels(*(capture.get(side) for side in _SIDES))
+    length = int(announced) if 0 < announced < _MOST_FRAMES else None
     rate = rate_hz if 0 < rate_hz < math.inf else None
 
     def read() -> Iterator[Frame]:
@@ -59,12 +66,21 @@ def open_video(path: Path) -> Source:
     return Source(name=str(path), read=read, length=length, rate_hz=rate)
 
 
-def open_camera(number: int) -> Source:
+def open_camera(digits: str) -> Source:
     """A camera; the time of a frame is that of its arrival, s since 1970.
+
+    Args:
+        digits: its number.
 
     Raises:
         InputError: it cannot be opened.
     """
+    if len(digits) > _MOST_DIGITS:
+        raise InputError(
+            f"camera {shortened(digits)}: a camera's number has at most {_MOST_DIGITS} digits, and "
+            "no file has this name. Check the path or the number (ls /dev/video*)."
+        )
+    number = int(digits)
     refusal = (
         f"camera {number} cannot be opened (and no file is named {number}). Check that it is"
         " plugged in, that no other program uses it, and its number (ls /dev/video*)."

@@ -2,6 +2,7 @@ from .camera_settings import CameraSettings as CameraSettings
 from .command import Changes as Changes
 from .command import OutputFolder as OutputFolder
 from .command import SceneFile as SceneFile
+from .motion_settings import MOST_FRAMES as MOST_FRAMES
 from .motion_settings import Hand as Hand
 from .motion_settings import Recorded as Recorded
 from .motion_settings import Scan as Scan

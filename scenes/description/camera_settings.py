@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from optics import InputError
 
-_NonNegative = Annotated[float, Field(ge=0)]
-_Positive = Annotated[float, Field(gt=0)]
+_NonNegative = Annotated[float, Field(ge=0, le=1e9)]
+_Positive = Annotated[float, Field(ge=1e-3, le=1e9)]
 
 
 class CameraSettings(BaseModel):
@@ -44,7 +44,7 @@ class CameraSettings(BaseModel):
         default=4.0, description="Mean value of a dark image before the response curve, DN."
     )
     bit_depth: int = Field(default=8, ge=8, le=16, description="Bits per channel in the file.")
-    response: Literal["linear", "srgb"] | _Positive = Field(
+    response: Literal["linear", "srgb"] | Annotated[float, Field(ge=0.01, le=100)] = Field(
         default="linear",
         description='Response curve: "linear", "srgb" (IEC 61966-2-1), or a number g for x^(1/g).',
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
@@ -11,11 +10,14 @@ from typing import Any, get_args
 import tomli_w
 from pydantic import BaseModel, ValidationError
 
-from scenes.description.motion_settings import MOTIONS
+from optics import InputError, at_most_three, check_schema, in_file, read_toml, shortened, toml_in
+from scenes.description.motion_settings import MOTIONS, UNNAMED
 from scenes.description.settings import Scene, SceneError
 
-_UNNAMED = "withdrawal"
-"""The motion of a scene without `motion.kind`."""
+HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
+"""What changed with each version of the format that is read."""
+
+_LONGEST_KEY = 100  # characters; ours have 40 at most
 
 
 def load_scene(path: Path | None, changes: Sequence[str] = ()) -> Scene:
@@ -33,7 +35,8 @@ def load_scene(path: Path | None, changes: Sequence[str] = ()) -> Scene:
     content = {} if path is None else _read(Path(path))
     for change in changes:
         content = _merged(content, parsed_change(change))
-    where = " ".join([str(path or "the default scene"), *(f"--set {c}" for c in changes)])
+    changed_by = (f"--set {shortened(change)[1:-1]}" for change in changes)
+    where = " ".join([str(path or "the default scene"), *changed_by])
     return _validated(content, where)
 
 
@@ -56,11 +59,14 @@ def parsed_change(change: str) -> dict[str, Any]:
         SceneError: the change is not "key=value".
     """
     key, equals, text = (part.strip() for part in change.partition("="))
-    if not (key and equals):
-        raise SceneError(f"a change must have the form table.key=value; got {change!r}.")
+    if not (key and equals) or len(key) > _LONGEST_KEY:
+        raise SceneError(
+            f"a change must have the form table.key=value; got {shortened(change)}. Name a key of "
+            "the scene file."
+        )
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        value = toml_in(f"value = {text}")["value"]
+    except InputError:
         value = text
     return _nested(key.split("."), value)
 
@@ -96,13 +102,14 @@ def scene_template(*, schema_file: str | None = None) -> str:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text())
+        with in_file(path, SceneError):
+            content = read_toml(path)
+            check_schema(content.get("schema", 1), HISTORY, remedy="Write 1.")
+            return content
     except OSError as error:
         raise SceneError(
             f"{path}: cannot be read ({error.strerror}). `eyespot scene init {path}` writes one."
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: not a TOML file: {error}.") from error
 
 
 def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
@@ -114,7 +121,8 @@ def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
 def _merged(content: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     """The content with the changed values; a new kind of motion drops the keys of the old one."""
     merged = dict(content)
-    if change.get("kind") in MOTIONS and change["kind"] != content.get("kind", _UNNAMED):
+    kind = change.get("kind")
+    if isinstance(kind, str) and kind in MOTIONS and kind != content.get("kind", UNNAMED):
         merged.clear()
     for key, value in change.items():
         old = merged.get(key)
@@ -128,8 +136,8 @@ def _validated(content: Mapping[str, Any], where: str) -> Scene:
     try:
         return Scene.model_validate(content)
     except ValidationError as error:
-        problems = "\n".join(f"{where}: {_sentence(problem)}" for problem in error.errors())
-        raise SceneError(problems) from error
+        problems = [f"{where}: {_sentence(problem)}" for problem in error.errors()]
+        raise SceneError(at_most_three(problems)) from error
 
 
 def _table(name: str, model: type[BaseModel]) -> list[str]:
@@ -164,7 +172,7 @@ def _sentence(problem: Any) -> str:
     if problem["type"] == "union_tag_invalid":
         kinds = ", ".join(repr(kind) for kind in MOTIONS)
         where = ".".join(map(str, path))
-        return f"{where}.kind: must be one of {kinds}; got {problem['ctx']['tag']!r}"
+        return f"{where}.kind: must be one of {kinds}; got {shortened(problem['ctx']['tag'])}"
     return problem_sentence(problem, path, siblings=lambda: _siblings(problem["loc"]))
 
 
@@ -178,14 +186,15 @@ def problem_sentence(
         path: path of the key in the file.
         siblings: gives the known keys of that table, to suggest one for an unknown key.
     """
-    where = ".".join(str(part) for part in path)
+    where = shortened(".".join(str(part) for part in path))[1:-1]
     if problem["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(str(path[-1]), siblings(), n=1)
+        key = str(path[-1])[:_LONGEST_KEY]  # a comparison takes the product of the lengths
+        near = difflib.get_close_matches(key, siblings(), n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         return f"unknown key {where!r}{hint}"
     if problem["type"] == "value_error":  # our own message, which gives the value
         return ": ".join(filter(None, [where, problem["msg"].removeprefix("Value error, ")]))
-    return f"{where}: {problem['msg']}; got {problem['input']!r}"
+    return f"{where}: {problem['msg']}; got {shortened(problem['input'])}"
 
 
 def _siblings(location: tuple[int | str, ...]) -> list[str]:

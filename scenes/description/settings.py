@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, model_validator
 
 from optics import InputError
 from scenes.description.camera_settings import CameraSettings
-from scenes.description.motion_settings import Clocks, Motion, Withdrawal
+from scenes.description.motion_settings import Angle, Clocks, Motion, Positive, Seed, Withdrawal
 
 GAUGE_DIAMETER_MM = {20: 0.91, 23: 0.64, 25: 0.51}
 """Outer diameter of vitrectomy instruments by gauge, mm."""
@@ -19,8 +19,16 @@ class SceneError(InputError):
     """A scene file is missing, invalid or impossible to render; the text says what to change."""
 
 
+Length = Annotated[float, Field(ge=0, le=1e4)]
+Place = Annotated[float, Field(ge=-1e4, le=1e4)]
+"""A coordinate, or another length with a sign, mm."""
+Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Coefficient = Annotated[float, Field(ge=-1e6, le=1e6)]
+FileName = Annotated[str, Field(max_length=4096)]
+
+
 class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Phantom(_Settings):
@@ -28,16 +36,19 @@ class Phantom(_Settings):
 
     kind: Literal["eyeball", "plane"] = "eyeball"
     radius_mm: float = Field(
-        11.5, gt=0, description="r, radius of the eyeball. The plane passes through its pole."
+        11.5,
+        ge=0.1,
+        le=1000,
+        description="r, radius of the eyeball. The plane passes through its pole.",
     )
     tilt_deg: float = Field(
         0.0, ge=0, lt=60, description="Tilt of the plane phantom about the pole."
     )
-    tilt_azimuth_deg: float = Field(
+    tilt_azimuth_deg: Angle = Field(
         0.0, description="Direction in which the plane's normal leans; 0: +X, 90: +Y."
     )
-    pupil_radius_mm: float = Field(
-        0.0, ge=0, description="Radius of the opening of the eyeball; 0: closed eyeball."
+    pupil_radius_mm: Length = Field(
+        0.0, description="Radius of the opening of the eyeball; 0: closed eyeball."
     )
     wall: Literal["printed paper", "retina", "uniform", "image"] = Field(
         "printed paper", description="What the wall shows: a drawn fundus, one grey, or wall_image."
@@ -45,15 +56,18 @@ class Phantom(_Settings):
     reflectance: float = Field(
         0.5, ge=0, lt=1, description="Reflectance of the uniform wall, or of white in wall_image."
     )
-    wall_image: str = Field(
+    wall_image: FileName = Field(
         "",
         description="Image file (sRGB) for wall 'image'. Its centre lies at the pole, its top "
         "towards +Y.",
     )
     wall_image_mm: float = Field(
-        24.0, gt=0, description="Width of the image, measured along the wall through the pole."
+        24.0,
+        ge=1e-3,
+        le=1e4,
+        description="Width of the image, measured along the wall through the pole.",
     )
-    texture_seed: int = Field(1, ge=0, description="Random seed of the fundus drawn on the wall.")
+    texture_seed: Seed = Field(1, description="Random seed of the fundus drawn on the wall.")
     coat: Literal["none", "wet", "glossy"] = Field(
         "none",
         description="Coat on the matt wall: wet, a film of water; glossy, a varnish. The result is "
@@ -75,14 +89,20 @@ class SourceSettings(_Settings):
         "photons traced through the glass, noisy and slow, to check the lens.",
     )
     photons_per_pixel: int = Field(
-        256, ge=1, description="Photons traced per pixel and frame with kind 'photons'."
+        256, ge=1, le=2**24, description="Photons traced per pixel and frame with kind 'photons'."
     )
-    lens: str = Field("paper-candidate", description="Name of a preset, or path of a lens file.")
-    cone_k: float = Field(20.0, gt=0, description="k = 1/tan(half-angle) of the ideal cone.")
-    cone_apex_offset_mm: float = Field(
+    lens: FileName = Field(
+        "paper-candidate", description="Name of a preset, or path of a lens file."
+    )
+    cone_k: float = Field(
+        20.0, ge=0.1, le=1000, description="k = 1/tan(half-angle) of the ideal cone."
+    )
+    cone_apex_offset_mm: Place = Field(
         -5.117, description="b, from the tip to the apex of the ideal cone along the beam."
     )
-    power_mw: float = Field(1.0, gt=0, description="Optical power that leaves the fibre's core.")
+    power_mw: float = Field(
+        1.0, ge=1e-9, le=1e9, description="Optical power that leaves the fibre's core."
+    )
     medium: Literal["air", "water", "vitreous"] = Field(
         "air", description="Medium between the fibre and the wall."
     )
@@ -91,14 +111,12 @@ class SourceSettings(_Settings):
 class SpotSettings(_Settings):
     """Where the beam's axis meets the wall, and from which direction."""
 
-    eccentricity_mm: float = Field(
-        0.0, ge=0, description="c, distance of the spot from the eye's axis."
-    )
-    azimuth_deg: float = Field(0.0, description="Direction of the spot from the axis; 0: +X.")
+    eccentricity_mm: Length = Field(0.0, description="c, distance of the spot from the eye's axis.")
+    azimuth_deg: Angle = Field(0.0, description="Direction of the spot from the axis; 0: +X.")
     incidence_deg: float = Field(
         30.0, ge=0, lt=80, description="Angle between the beam and the wall's normal."
     )
-    incidence_azimuth_deg: float = Field(
+    incidence_azimuth_deg: Angle = Field(
         90.0, description="Direction of the beam along the wall; 0: towards larger eccentricity."
     )
 
@@ -108,9 +126,9 @@ class Instrument(_Settings):
 
     visible: bool = Field(True, description="Whether the instrument is in the images.")
     gauge: Literal[20, 23, 25] = Field(23, description="Diameter of the shaft, as a gauge number.")
-    fibre_diameter_mm: float = Field(0.5, gt=0, description="Diameter of the bare fibre.")
+    fibre_diameter_mm: float = Field(0.5, ge=1e-3, le=10, description="Diameter of the bare fibre.")
     fibre_length_mm: float = Field(
-        6.0, gt=0, description="Length of bare fibre in front of the shaft."
+        6.0, ge=1e-3, le=1e4, description="Length of bare fibre in front of the shaft."
     )
 
 
@@ -119,10 +137,10 @@ class SecondTool(_Settings):
 
     visible: bool = Field(False, description="Whether the second tool is in the eye.")
     gauge: Literal[20, 23, 25] = Field(23, description="Diameter of the tool, as a gauge number.")
-    tip_mm: tuple[float, float, float] = Field(
+    tip_mm: tuple[Place, Place, Place] = Field(
         (-1.5, 1.0, -9.0), description="Position of the tool's tip, X, Y, Z in the eye's frame."
     )
-    trocar_azimuth_deg: float = Field(
+    trocar_azimuth_deg: Angle = Field(
         135.0, description="Direction of the trocar from the eye's axis; 0: +X."
     )
     trocar_polar_deg: float = Field(
@@ -136,13 +154,17 @@ class SecondTool(_Settings):
 class MicroscopeSettings(_Settings):
     """The microscope: a pinhole camera whose window is centred on the position of [spot]."""
 
-    pinhole_height_mm: float = Field(
-        11.5, description="z_F, height of the pinhole above the eye's centre; inf: telecentric."
+    pinhole_height_mm: Annotated[float, AllowInfNan()] = Field(
+        11.5,
+        gt=-1e4,
+        description="z_F, height of the pinhole above the eye's centre; inf: telecentric.",
     )
-    scale_mm_px: float = Field(0.0067, gt=0, description="Size of a pixel on the wall at the pole.")
+    scale_mm_px: float = Field(
+        0.0067, ge=1e-6, le=10, description="Size of a pixel on the wall at the pole."
+    )
     width_px: int = Field(640, ge=16, le=8192, description="Width of the images.")
     height_px: int = Field(480, ge=16, le=8192, description="Height of the images.")
-    window_offset_px: tuple[float, float] = Field(
+    window_offset_px: tuple[Pixels, Pixels] = Field(
         (0.0, 0.0),
         description="Shift of the window in x and y. If it is not zero, the border of the image "
         "may cut the spot.",
@@ -153,7 +175,7 @@ class MicroscopeSettings(_Settings):
         "equal from all sides.",
     )
     illumination_mw_mm2: float = Field(
-        0.05, ge=0, description="Irradiance of the microscope light at the pole."
+        0.05, ge=0, le=1e9, description="Irradiance of the microscope light at the pole."
     )
     vignetting: float = Field(
         0.0,
@@ -162,7 +184,7 @@ class MicroscopeSettings(_Settings):
         description="Fraction of light lost in the corners of the image. The loss grows with the "
         "square of the distance from the image centre.",
     )
-    distortion: tuple[float, float, float, float, float] = Field(
+    distortion: tuple[_Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient] = Field(
         (0.0, 0.0, 0.0, 0.0, 0.0),
         description="Distortion coefficients k1, k2, p1, p2, k3 after Brown, as in OpenCV.",
     )
@@ -173,9 +195,9 @@ class MicroscopeSettings(_Settings):
         description="Numerical aperture towards the eye; 0: a pinhole, sharp at all heights. Above "
         "0 the wall is blurred where it is out of focus; set samples to 64 then.",
     )
-    focus_mm: float = Field(0.0, description="Height above the pole that is in focus.")
+    focus_mm: Place = Field(0.0, description="Height above the pole that is in focus.")
     samples: int = Field(
-        4, ge=1, description="Samples per pixel, on a regular grid: 1, 4, 9, 16 ..."
+        4, ge=1, le=4096, description="Samples per pixel, on a regular grid: 1, 4, 9, 16 ..."
     )
 
 
@@ -189,19 +211,20 @@ class Exposures(_Settings):
     )
     paper_level: float = Field(
         0.48,
-        gt=0,
+        ge=1e-6,
+        le=1e6,
         description="The fixed exposure gives grey level 200 at this fraction of the beam's peak "
         "irradiance at paper_distance_mm.",
     )
-    paper_distance_mm: float = Field(5.0, gt=0, description="Distance that paper_level refers to.")
+    paper_distance_mm: Positive = Field(5.0, description="Distance that paper_level refers to.")
     metered_peak: float = Field(
         0.8,
-        gt=0,
+        ge=1e-6,
         le=1,
         description="Peak of the spot in metered frames, as a fraction of full scale.",
     )
     sensitivity_mm2_sr_mj: float = Field(
-        200.0, gt=0, description="Full wells per second and per mW/(mm2 sr) of radiance."
+        200.0, ge=1e-9, le=1e9, description="Full wells per second and per mW/(mm2 sr) of radiance."
     )
     keep_linear: bool = Field(
         False,
@@ -213,7 +236,7 @@ class Scene(_Settings):
     """One trial: all settings that an image stack depends on."""
 
     schema_version: Literal[1] = Field(1, alias="schema")
-    seed: int = Field(0, ge=0, description="Random seed of the camera noise.")
+    seed: Seed = Field(0, description="Random seed of the camera noise.")
     phantom: Phantom = Phantom()
     source: SourceSettings = SourceSettings()
     spot: SpotSettings = SpotSettings()

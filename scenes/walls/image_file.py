@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.files import read_image
+from optics import InputError, shortened
 from scenes.description import SceneError
 
 
@@ -32,12 +34,7 @@ def wall_image(
     Raises:
         SceneError: the file is missing or not an image.
     """
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-    if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise SceneError(
-            f"phantom.wall_image = '{path}' is missing or not an image of 8 or 16 bits. Give a "
-            "PNG, JPEG or TIFF file; a relative path starts at the current folder."
-        )
+    image = _image(path)
     full_scale = 255 if image.dtype == np.uint8 else 65535
     coded = image[..., ::-1].astype(np.float32) / full_scale
     # IEC 61966-2-1.
@@ -52,3 +49,22 @@ def wall_image(
     columns, rows = np.meshgrid(steps + (width - 1) / 2, steps + (height - 1) / 2)
     mapped = cv2.remap(linear, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(white * mapped, np.float32)
+
+
+def _image(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    try:
+        image = read_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+        if image.dtype not in (np.uint8, np.uint16):
+            raise InputError("is not an image of 8 or 16 bits")
+    except OSError as error:
+        raise _wrong(path, f"cannot be read ({error.strerror})") from error
+    except InputError as error:
+        raise _wrong(path, str(error).rstrip(".")) from error
+    return image
+
+
+def _wrong(path: Path, fault: str) -> SceneError:
+    return SceneError(
+        f"phantom.wall_image = {shortened(str(path))} {fault}. Give a PNG, JPEG or TIFF file; a "
+        "relative path starts at the current folder."
+    )

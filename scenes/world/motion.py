@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 import optics
 from estimator.files import read_poses
-from optics import InputError
-from scenes.description import Hand, Recorded, Scan, Scene, SceneError, Withdrawal
+from optics import in_file
+from scenes.description import MOST_FRAMES, Hand, Recorded, Scan, Scene, SceneError, Withdrawal
 from scenes.world.geometry import Geometry
 
 _TREMOR_HZ = (8.0, 12.0)
@@ -23,6 +23,7 @@ _VOLUNTARY_HZ = (0.3, 1.2)
 _LINES = 64  # sinusoids per band: enough to look random, few enough to sum exactly
 _STEP_S = 1e-6  # for differences: in this time the speed of a tremor changes by 1e-4
 _FINE_S = 1e-3  # to find the top speed: a hundredth of the period of a tremor
+_MOST_POSES = 2**20  # of the robot: 90 minutes at 200 Hz; memory for more is not taken
 _MARGIN_S = 0.1  # the robot's poses begin before the first frame and end after the last
 
 
@@ -82,7 +83,9 @@ def trajectory(geometry: Geometry) -> Trajectory:
             at = _hand(geometry, motion)
         case Recorded() as motion:
             at = _recorded(motion)
-    return Trajectory(_moments(scene), at)
+    moments = _moments(scene)
+    _pose_count(scene, moments[-1])
+    return Trajectory(moments, at)
 
 
 def frame_count(scene: Scene) -> int:
@@ -108,6 +111,11 @@ def _moments(scene: Scene) -> NDArray[np.float64]:
             duration = float(_recording(motion)[0][-1])
     # Up to rounding, a frame at the end of the motion counts.
     count = math.floor(duration * scene.clocks.camera_hz + 1e-6) + 1
+    if count > MOST_FRAMES:
+        raise SceneError(
+            f"the motion has {count:,} frames; at most {MOST_FRAMES:,} are possible: "
+            f"{duration:g} s at clocks.camera_hz = {scene.clocks.camera_hz:g}. Shorten it."
+        )
     return np.arange(count) / scene.clocks.camera_hz
 
 
@@ -132,12 +140,23 @@ def kinematics(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
         n x 7: s, mm, unit vector; from 0.1 s before the first frame to 0.1 s after the last.
     """
     clocks = scene.clocks
-    count = math.ceil((motion.moments[-1] + 2 * _MARGIN_S) * clocks.kinematics_hz) + 1
+    count = _pose_count(scene, motion.moments[-1])
     times = np.arange(count) / clocks.kinematics_hz - _MARGIN_S
     jitter = np.random.default_rng([scene.clocks.seed, 2]).standard_normal(count)
     stamps = times + clocks.kinematics_offset_s + clocks.kinematics_jitter_s * jitter
     poses = motion.at(times)
     return np.column_stack([np.maximum.accumulate(stamps), poses.tip, poses.axis])
+
+
+def _pose_count(scene: Scene, last_s: float) -> int:
+    rate_hz = scene.clocks.kinematics_hz
+    count = math.ceil((last_s + 2 * _MARGIN_S) * rate_hz) + 1
+    if count > _MOST_POSES:
+        raise SceneError(
+            f"the robot reports {count:,} poses; at most {_MOST_POSES:,} are possible: {last_s:g} "
+            f"s at clocks.kinematics_hz = {rate_hz:g}. Raise the speed or lower kinematics_hz."
+        )
+    return count
 
 
 def _withdrawal(geometry: Geometry, motion: Withdrawal) -> PosesAt:
@@ -209,10 +228,8 @@ def _recorded(motion: Recorded) -> PosesAt:
 
 def _recording(motion: Recorded) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Times since the first pose, s, and rows of tip (mm) and axis."""
-    try:
+    with in_file("motion.file", SceneError):
         found = list(read_poses(Path(motion.file)))
-    except InputError as error:
-        raise SceneError(f"motion.file: {error}") from error
     stamps = np.array([pose.time_s for pose in found])
     if len(found) < 2 or np.any(np.diff(stamps) <= 0):
         raise SceneError(

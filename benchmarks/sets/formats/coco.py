@@ -69,7 +69,7 @@ def _write_list(file: TextIO, items: Iterator[dict[str, Any]]) -> None:
 def _image_entry(image: _Image, out: Path) -> dict[str, Any]:
     """Entry of an image; also copies the image."""
     name = f"{qualified_name(image.entry)}/{Path(image.labels.file_name).name}"
-    shutil.copyfile(image.stack.folder / image.labels.file_name, out / name)
+    shutil.copyfile(image.stack.path_of(image.labels.file_name), out / name)
     microscope = read_microscope(image.stack.folder / "microscope.json")
     return {
         **asdict(image.labels),

@@ -49,8 +49,8 @@ def _samples(entry: SetStack) -> Iterator[dict[str, bytes]]:
     for row in stack.labels:
         key = f"{qualified_name(entry)}/{Path(row.file_name).stem}"
         yield {
-            f"{key}.png": (stack.folder / row.file_name).read_bytes(),
-            f"{key}.mask.png": (stack.folder / row.mask_file_name).read_bytes(),
+            f"{key}.png": stack.path_of(row.file_name).read_bytes(),
+            f"{key}.mask.png": stack.path_of(row.mask_file_name).read_bytes(),
             f"{key}.json": json.dumps(asdict(row)).encode(),
         }
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from optics import InputError
+from optics import InputError, in_file, shortened
 from scenes.description import Changes
 
 if TYPE_CHECKING:
@@ -63,6 +63,8 @@ def make(
     from estimator.run import progress
 
     settings, part = load_spec(spec, changes or ()), _shard(shard)
+    with in_file(shortened(spec)[1:-1]):
+        planned = part.of(plan(settings))
     if scheduler is not None and workers is not None:
         raise InputError(
             "--workers starts processes on this machine, but --scheduler has its own workers. Give "
@@ -70,7 +72,7 @@ def make(
         )
     count = workers or cluster.cores()
     if dry_run:
-        _print(estimate(part.of(plan(settings))), workers=count)
+        _print(estimate(planned), workers=count)
         return
     if out is None:
         raise InputError("--out DIR is missing: the folder for the set.")
@@ -80,7 +82,7 @@ def make(
         else cluster.local_workers(count, first_core=(part.part - 1) * count)
     )
     finished = 0
-    with progress("Rendering stacks", total=len(part.of(plan(settings)))) as advance:
+    with progress("Rendering stacks", total=len(planned)) as advance:
 
         def show(done: int, _: int) -> None:
             nonlocal finished

@@ -125,8 +125,8 @@ def _tile(row: Row) -> np.ndarray:
     """The image in 8 bits and RGB, reduced by averaging."""
     image = row.image()
     if image.dtype != np.uint8:
-        camera = row.stack.description["scene"]["camera"]
-        image = (image >> (camera["bit_depth"] - 8)).astype(np.uint8)
+        bits = row.stack.described("scene.camera.bit_depth", int)
+        image = (image >> (bits - 8)).astype(np.uint8)
     step = _step(row)
     height, width = (step * (n // step) for n in image.shape[:2])
     blocks = image[:height, :width].reshape(height // step, step, width // step, step, -1)
@@ -135,7 +135,7 @@ def _tile(row: Row) -> np.ndarray:
 
 def _step(row: Row) -> int:
     """Reduction factor of the image."""
-    return max(1, row.stack.description["scene"]["microscope"]["width_px"] // _TILE_PX)
+    return max(1, row.stack.described("scene.microscope.width_px", int) // _TILE_PX)
 
 
 def _true_ellipse(row: Row, corner: np.ndarray) -> Ellipse:

@@ -30,7 +30,7 @@ class Row:
     @property
     def k(self) -> float:
         """1/tan of the half-angle of the source's cone (for a lens, the effective cone)."""
-        return 1 / math.tan(float(self.stack.description["cone"]["half_angle"]))
+        return 1 / math.tan(self.stack.described("cone.half_angle", float))
 
     def image(self) -> np.ndarray:
         """The image, RGB."""

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field
 
 from estimator import Stack, read_stack
-from optics import InputError
+from estimator.files import FOLDER_NAME, Strict, inside, object_in, validated
+from optics import InputError, check_schema, in_file, read_text
 
 SCHEMA = 1
+HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read, in set.json and manifest.json."""
+
+_AGAIN = "Make the set again."
 
 
 class SetError(InputError):
@@ -68,6 +74,22 @@ class LabelledSet:
         return [stack for stack in self.stacks if not stack.folder.is_dir()]
 
 
+class _StackRow(Strict):
+    split: Literal["train", "validation", "test", "adverse"]
+    name: Annotated[str, Field(pattern=FOLDER_NAME)]
+    condition: Annotated[str, Field(pattern=FOLDER_NAME)] | None
+    parameters: dict[str, Any]
+
+
+class _SetFile(Strict):
+    model_config = ConfigDict(extra="ignore")  # what describes the set as a whole
+
+    schema_: Annotated[int, Field(alias="schema")]
+    name: str
+    licence: str
+    stacks: list[_StackRow]
+
+
 def read_set(folder: Path) -> LabelledSet:
     """Open a set, complete or not (`verify_set` checks that).
 
@@ -75,23 +97,23 @@ def read_set(folder: Path) -> LabelledSet:
         SetError: the folder is not a set, or has another schema.
     """
     folder = Path(folder)
-    try:
-        content = json.loads((folder / "set.json").read_text())
-    except OSError as error:
-        raise SetError(f"{folder} is not a labelled set: set.json is missing.") from error
-    except json.JSONDecodeError as error:
-        raise SetError(f"{folder / 'set.json'}: not JSON ({error.msg}).") from error
-    if content.get("schema") != SCHEMA:
-        raise SetError(
-            f"{folder / 'set.json'} has schema {content.get('schema')}; this version reads "
-            f"{SCHEMA}. Make the set again."
+    with in_file(folder / "set.json", SetError):
+        try:
+            content = object_in(read_text(folder / "set.json"))
+        except FileNotFoundError as error:
+            raise SetError(f"{folder} is not a labelled set: set.json is missing.") from error
+        check_schema(content.get("schema"), HISTORY, remedy=_AGAIN)
+        file = validated(_SetFile, content, remedy=_AGAIN)
+        stacks = tuple(
+            SetStack(**vars(row), folder=inside(folder, f"{row.split}/{row.name}"))
+            for row in file.stacks
         )
+        if len({stack.folder for stack in stacks}) < len(stacks):
+            raise InputError(f"two stacks have the same name. {_AGAIN}")
     return LabelledSet(
         folder=folder,
-        name=content["name"],
-        licence=content["licence"],
-        stacks=tuple(
-            SetStack(**row, folder=folder / row["split"] / row["name"]) for row in content["stacks"]
-        ),
+        name=file.name,
+        licence=file.licence,
+        stacks=stacks,
         description=content,
     )

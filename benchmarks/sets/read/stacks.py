@@ -8,6 +8,7 @@ from pathlib import Path
 
 from benchmarks.sets.read.labelled_set import SetError, SetStack, read_set
 from estimator import Stack
+from estimator.files import inside
 
 _DESCRIPTION = ("stack.toml", "metadata.jsonl", "microscope.json", "kinematics.csv")
 """Files of a stack other than images; kinematics.csv may be missing."""
@@ -58,7 +59,7 @@ def image_name(stack: SetStack, file_name: str) -> str:
 def set_files(stacks: Sequence[SetStack]) -> list[Path]:
     """set.json and LICENSE of the stacks' set; nothing for a single stack."""
     folder = stacks[0].folder.parents[1]
-    files = [folder / name for name in ("set.json", "LICENSE") if stacks[0].split]
+    files = [inside(folder, name) for name in ("set.json", "LICENSE") if stacks[0].split]
     return [path for path in files if path.is_file()]
 
 
@@ -66,8 +67,9 @@ def copy_description(stack: SetStack, folder: Path) -> None:
     """Copy the files of a stack other than images into a new folder."""
     folder.mkdir(parents=True)
     for name in _DESCRIPTION:
-        if (stack.folder / name).is_file():
-            shutil.copyfile(stack.folder / name, folder / name)
+        # A link in the place of a file could lead to any file of whoever exports the stack.
+        if (path := inside(stack.folder, name)).is_file():
+            shutil.copyfile(path, folder / name)
 
 
 def exposures_of(stack: Stack) -> tuple[str, ...]:

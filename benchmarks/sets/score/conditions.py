@@ -47,7 +47,6 @@ def circumstances_of(stacks: Iterable[SetStack]) -> dict[str, Circumstances]:
     for entry in stacks:
         scale = read_microscope(entry.folder / "microscope.json").scale_mm_px
         stack = entry.open()
-        scene = stack.description["scene"]
         for labels in stack.labels:
             images[image_name(entry, labels.file_name)] = Circumstances(
                 labels=labels,
@@ -55,8 +54,8 @@ def circumstances_of(stacks: Iterable[SetStack]) -> dict[str, Circumstances]:
                 split=entry.split,
                 adverse=entry.condition or "",
                 scale_mm_px=scale,
-                source=scene["source"]["kind"],
-                wall=scene["phantom"]["wall"],
+                source=stack.described("scene.source.kind", str),
+                wall=stack.described("scene.phantom.wall", str),
             )
     return images
 

@@ -10,7 +10,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
-from benchmarks.reporting import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from benchmarks.reporting import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    in_figure,
+)
 from benchmarks.sets.score.conditions import CONDITIONS
 from benchmarks.sets.score.groups import ALL, Group, Score
 from benchmarks.sets.score.measures import z_scores
@@ -74,7 +83,7 @@ def _draw_condition(
         x = places + (index - (len(result.judged) - 1) / 2) * width
         found = [row.get(name) for row in groups.values()]
         rmse, low, high = np.array([_rmse(group) for group in found]).T
-        upper.plot(x, rmse, "o", ms=4, color=colour, label=name)
+        upper.plot(x, rmse, "o", ms=4, color=colour, label=in_figure(name))
         upper.vlines(x, low, high, color=colour, lw=1)
         lower.bar(x, [_missed_percent(group) for group in found], width, color=colour)
     upper.tick_params(labelbottom=False)

@@ -6,6 +6,7 @@ import math
 
 from rich.table import Table
 
+from benchmarks.reporting import in_terminal
 from benchmarks.sets.score.groups import Group, Score
 from benchmarks.sets.score.measures import Errors
 
@@ -24,7 +25,7 @@ def _outcomes(result: Score) -> Table:
     table = _table("Images", "estimator", "images", *visible, *hidden)
     for name, left_out in result.left_out.items():
         counts = result.total(name).counts
-        table.add_row(name, *map(str, (*counts, left_out)))
+        table.add_row(in_terminal(name), *map(str, (*counts, left_out)))
     return table
 
 
@@ -35,7 +36,7 @@ def _errors(result: Score) -> Table:
     for name in result.judged:
         for errors in result.total(name).errors:
             table.add_row(
-                name,
+                in_terminal(name),
                 errors.quantity,
                 str(errors.n),
                 _number(errors.bias, signed=True),
@@ -53,7 +54,7 @@ def _sigmas(result: Score) -> Table:
         for errors in result.total(name).errors:
             if errors.n_sigma > 1:
                 table.add_row(
-                    name,
+                    in_terminal(name),
                     errors.quantity,
                     str(errors.n_sigma),
                     _spread(errors),
@@ -66,7 +67,7 @@ def _sigmas(result: Score) -> Table:
 def _conditions(result: Score) -> Table:
     table = _table(f"RMSE of {MAIN}, and missed images", "condition", "group", left=2)
     for name in result.judged:
-        table.add_column(name, justify="right")
+        table.add_column(in_terminal(name), justify="right")
         table.add_column("missed", justify="right")
     last = ""
     for (condition, group), row in result.by_condition().items():

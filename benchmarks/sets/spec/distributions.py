@@ -10,6 +10,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field
 
 from optics import InputError
 
+_LARGEST = 1e12
+"""Of either end of an interval, so that widths and quotients of the two are finite."""
+
 
 class _Distribution(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -17,16 +20,16 @@ class _Distribution(BaseModel):
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
     low, high = interval
-    if not -math.inf < low < high < math.inf:
+    if not -_LARGEST <= low < high <= _LARGEST:
         raise InputError(
-            f"an interval must be [low, high], finite, with low < high; got [{low:g}, {high:g}]. "
-            "For a single value write key = value."
+            f"an interval must be [low, high], within {_LARGEST:g}, with low < high; got "
+            f"[{low:g}, {high:g}]. For a single value write key = value."
         )
     return interval
 
 
 def _positive(interval: tuple[float, float]) -> tuple[float, float]:
-    if interval[0] <= 0:
+    if interval[0] < 1 / _LARGEST:
         raise InputError(
             f"a log-uniform interval must lie above 0; got [{interval[0]:g}, {interval[1]:g}]. "
             "Raise its lower end, or use uniform."
@@ -71,7 +74,9 @@ class LogUniform(_Distribution):
 class Choice(_Distribution):
     """One of several values, all equally likely."""
 
-    choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(min_length=2)
+    choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(
+        min_length=2, max_length=4096
+    )
 
     def value(self, quantile: float) -> Any:
         """The value at this quantile of the list."""

@@ -21,7 +21,6 @@ exposures.kinds = ["paper"]
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -30,9 +29,13 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from benchmarks.sets.spec.distributions import KINDS, Change, Distribution, by_dotted_name
-from optics import InputError
+from estimator.files import FOLDER_NAME
+from optics import InputError, at_most_three, check_schema, in_file, read_toml, shortened
 from scenes import parsed_change
 from scenes.description import problem_sentence
+
+HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
+"""What changed with each version of the format that is read."""
 
 SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 """Scene keys that have a different value in every stack."""
@@ -49,6 +52,7 @@ def _dotted(table: Any) -> Any:
 
 
 _Count = Annotated[int, Field(ge=0, le=4096)]
+_Condition = Annotated[str, Field(pattern=FOLDER_NAME, max_length=60)]
 _Changes = Annotated[dict[str, Change], BeforeValidator(_dotted)]
 
 
@@ -68,7 +72,11 @@ class Adverse(_Table):
     """The split with difficult conditions."""
 
     stacks: _Count = Field(description="Number of stacks per condition.")
-    conditions: dict[str, _Changes] = Field(min_length=1)
+    conditions: dict[_Condition, _Changes] = Field(
+        min_length=1,
+        max_length=4096,
+        description="Changes by name; the name begins folders' names.",
+    )
 
 
 class SetSpec(_Table):
@@ -80,7 +88,7 @@ class SetSpec(_Table):
     """
 
     schema_version: Literal[1] = Field(1, alias="schema")
-    name: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]{0,99}$")
     description: str
     licence: str = Field("CC-BY-4.0", description="Licence of the images and labels (SPDX name).")
     seed: int = Field(ge=0, lt=2**40)
@@ -103,7 +111,8 @@ class SetSpec(_Table):
         ]:
             raise InputError(
                 f"vary.{fixed[0]} must be a distribution, one of {', '.join(KINDS)}; got "
-                f"{self.vary[fixed[0]]!r}. Move a value that is common to all stacks to [scene]."
+                f"{shortened(self.vary[fixed[0]])}. Move a value that is common to all stacks to "
+                "[scene]."
             )
         if not (any(self.splits.model_dump().values()) or (self.adverse and self.adverse.stacks)):
             raise InputError("a set needs stacks. Set the numbers in [splits] or [adverse].")
@@ -126,37 +135,40 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
         SpecError: the spec is missing or invalid; for an unknown key the message suggests the
             nearest known one.
     """
-    named = _NAMED / f"{source}.toml"
+    where = shortened(str(source))[1:-1]
+    path = _NAMED / f"{source}.toml" if str(source) in named_specs() else Path(source)
     try:
-        text = (named if named.is_file() else Path(source)).read_text(encoding="utf-8")
-        content = tomllib.loads(text)
+        with in_file(where, SpecError):
+            content = read_toml(Path(str(path)))
+            check_schema(content.get("schema", 1), HISTORY, remedy="Write 1.")
         if isinstance(scene_file := content.get("scene"), str):
             content["scene"] = _scene_keys(Path(source).parent / scene_file)
-        for change in changes:
-            _fix(content, _dotted(parsed_change(change)))
     except OSError as error:
         raise SpecError(
-            f"{error.filename}: cannot be read ({error.strerror}). Give the path of a spec, or one "
-            f"of {', '.join(named_specs())}."
+            f"{shortened(str(error.filename))[1:-1]}: cannot be read ({error.strerror}). Give the "
+            f"path of a spec, or one of {', '.join(named_specs())}."
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SpecError(f"{source}: not TOML: {error}.") from error
+    for change in changes:
+        _fix(content, _dotted(parsed_change(change)))
     try:
         return SetSpec.model_validate(content)
     except ValidationError as error:
-        raise SpecError("\n".join(f"{source}: {_sentence(p)}" for p in error.errors())) from error
+        problems = [f"{where}: {_sentence(problem)}" for problem in error.errors()]
+        raise SpecError(at_most_three(problems)) from error
 
 
 def _fix(content: dict[str, Any], values: dict[str, Any]) -> None:
     """Set scene keys to fixed values."""
-    content["scene"] = _dotted(content.get("scene", {})) | values
-    vary = _dotted(content.get("vary", {}))
-    content["vary"] = {key: change for key, change in vary.items() if key not in values}
+    scene, vary = (_dotted(content.get(name, {})) for name in ("scene", "vary"))
+    if isinstance(scene, dict) and isinstance(vary, dict):  # if not, the model says so
+        content["scene"] = scene | values
+        content["vary"] = {key: change for key, change in vary.items() if key not in values}
 
 
 def _scene_keys(path: Path) -> dict[str, Any]:
     """The keys of a scene file, except its schema and seeds."""
-    content = by_dotted_name(tomllib.loads(path.read_text(encoding="utf-8")))
+    with in_file(path, SpecError):
+        content = by_dotted_name(read_toml(path))
     return {key: value for key, value in content.items() if key not in ("schema", *SEED_KEYS)}
 
 

@@ -1,0 +1,114 @@
+"""Names that a file contains: none of them leads out of the file's folder."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from benchmarks.sets.formats.export import export
+from benchmarks.sets.read import SetError, read_set
+from benchmarks.sets.spec.spec import SpecError, load_spec
+from estimator.files import StackError, inside, read_stack
+from optics import InputError
+from tests.bad_input import OLD
+
+
+@pytest.fixture
+def stack(tmp_path: Path) -> Path:
+    shutil.copytree(OLD / "small-v1", tmp_path / "small-v1")
+    return tmp_path / "small-v1" / "train" / "0000"
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    path = tmp_path / "secret.png"
+    shutil.copyfile(OLD / "small-v1" / "train" / "0000" / "masks" / "000000.png", path)
+    return path
+
+
+def replaced(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../x", "a/../../x", "/etc/passwd", "", ".", "a//b", "a/", "a\\b", "a\0b", "..", "a" * 101],
+)
+def test_a_name_that_leads_elsewhere_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="within its folder"):
+        inside(tmp_path, name)
+
+
+def test_a_link_is_followed_within_the_folder_only(tmp_path: Path) -> None:
+    folder = tmp_path / "stack"
+    folder.mkdir()
+    (folder / "file").write_text("ours")
+    (tmp_path / "other").write_text("not ours")
+    (folder / "in").symlink_to("file")
+    (folder / "out").symlink_to("../other")
+    (folder / "above").symlink_to("..")
+    (folder / "round").symlink_to("round")
+    os.mkfifo(folder / "pipe")
+    assert inside(folder, "in").read_text() == "ours"
+    assert inside(folder, "new/name") == folder / "new" / "name"
+    for name, words in {
+        "out": "leads out",
+        "above/other": "leads out",
+        "round": "without an end",
+        "pipe": "pipe",
+    }.items():
+        with pytest.raises(InputError, match=words):
+            inside(folder, name)
+    # The folder itself may be reached by a link.
+    (tmp_path / "link").symlink_to(folder)
+    assert inside(tmp_path / "link", "file").read_text() == "ours"
+
+
+@pytest.mark.parametrize("name", ["../../../secret.png", "/etc/hostname"])
+def test_a_mask_outside_of_its_stack_is_refused(stack: Path, secret: Path, name: str) -> None:
+    replaced(stack / "metadata.jsonl", "masks/000000.png", name)
+    with pytest.raises(StackError, match=r"metadata\.jsonl, line 1: .*within its folder"):
+        read_stack(stack)
+
+
+@pytest.mark.parametrize("to", ["webdataset", "coco", "hdf5", "ome-tiff"])
+def test_no_export_packs_a_file_from_elsewhere(
+    stack: Path, secret: Path, tmp_path: Path, to: str
+) -> None:
+    mask = stack / "masks" / "000000.png"
+    mask.unlink()
+    mask.symlink_to(secret)  # of the same content, so that its checksum is right
+    with pytest.raises(InputError, match=r"masks/000000\.png"):
+        export(stack, to=to, out=tmp_path / "out")  # type: ignore[arg-type]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"split": "train"', '"split": "../../out"'),
+        ('"split": "train"', '"split": "other"'),
+        ('"name": "0000"', '"name": "../0000"'),
+        ('"name": "0000"', '"name": ".."'),
+        ('"condition": "dim"', '"condition": "../x"'),
+    ],
+)
+def test_a_stack_outside_of_its_set_is_refused(stack: Path, old: str, new: str) -> None:
+    folder = stack.parents[1]
+    replaced(folder / "set.json", old, new)
+    with pytest.raises(SetError, match=r"set\.json: stacks\.\d\."):
+        read_set(folder)
+
+
+@pytest.mark.parametrize("name", ["../../x", "a b", ".hidden", "", "x" * 61, "ä"])
+def test_a_condition_that_cannot_name_a_folder_is_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "spec.toml"
+    shutil.copyfile(OLD / "spec.toml", path)
+    replaced(path, "[adverse.conditions.dim]", f'[adverse.conditions."{name}"]')
+    with pytest.raises(SpecError, match=r"spec\.toml: adverse\.conditions"):
+        load_spec(path)

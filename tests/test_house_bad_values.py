@@ -1,0 +1,158 @@
+"""Inputs that once ended in a traceback, a hang or gigabytes of memory; each is a class of them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import zlib
+from pathlib import Path
+
+import pytest
+
+from estimator.files import read_calibration, read_microscope, read_poses, read_stack
+from estimator.files.image_files import MOST_PIXELS, decoded_image
+from estimator.sources import open_source
+from optics import InputError, shortened
+from scenes.description import load_scene
+from scenes.world import World, frame_count
+from tests.bad_input import OLD
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("motion=scan", "motion: .*got 'scan'"),
+        ("motion.kind=[1]", r"motion.kind: must be one of .* got '\[1\]'"),
+        ("source.cone_k=1e9", "source.cone_k: .* 1000"),
+        ("microscope.samples=1000000000", "microscope.samples: .* 4096"),
+        ("microscope.window_offset_px=[nan, 0]", "window_offset_px.0: .*finite"),
+        ("clocks.kinematics_offset_s=nan", "kinematics_offset_s: .*finite"),
+        ("spot.azimuth_deg=1e308", "spot.azimuth_deg: "),
+        (f"camera.bit_depth={'9' * 5000}", "camera.bit_depth: "),
+        (f"camera.bit_depth={'[' * 5000}", "camera.bit_depth: "),
+        ("a." * 1000 + "b=1", "a change must have the form"),
+        (f"phantom.wall={'x' * 169_000}", "phantom.wall: "),
+    ],
+)
+def test_an_impossible_value_of_a_scene_is_named_and_not_echoed_whole(change, words):
+    with pytest.raises(InputError, match=words) as caught:
+        load_scene(None, [change])
+    assert len(str(caught.value)) < 1000
+    assert len(str(caught.value).splitlines()) <= 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        # 10^9 frames would take 8 GB for their times alone.
+        (["motion.kind=scan", "motion.speed_mm_s=1e-5", "clocks.camera_hz=1e4"], "frames; at most"),
+        (["motion.speed_mm_s=1e-5", "clocks.kinematics_hz=1e4"], "poses; at most"),
+    ],
+)
+def test_a_motion_without_an_end_is_refused_before_memory_is_taken(changes, words):
+    scene = load_scene(None, changes)
+    with pytest.raises(InputError, match=words):
+        _ = World(scene).motion
+    assert frame_count(load_scene(None)) == 61
+
+
+@pytest.mark.parametrize("line", ["5", "null", "[]", '"x"'])
+def test_a_label_line_that_is_no_object_is_refused(tmp_path, line):
+    shutil.copytree(OLD / "small-v1" / "train" / "0000", tmp_path, dirs_exist_ok=True)
+    (tmp_path / "metadata.jsonl").write_text(f"{line}\n")
+    with pytest.raises(InputError, match="line 1: not a JSON object"):
+        read_stack(tmp_path)
+    shutil.copyfile(OLD / "small-v1" / "train" / "0000" / "metadata.jsonl", tmp_path / "x")
+    (tmp_path / "x").rename(tmp_path / "metadata.jsonl")
+    (tmp_path / "manifest.json").write_text(line)
+    with pytest.raises(InputError, match=r"manifest\.json: not a JSON object"):
+        read_stack(tmp_path).verify()
+
+
+def huge_png(width: int, height: int) -> bytes:
+    """A whole PNG of some hundred bytes that announces a size."""
+
+    def chunk(name: bytes, content: bytes) -> bytes:
+        checked = name + content
+        return struct.pack(">I", len(content)) + checked + struct.pack(">I", zlib.crc32(checked))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    data = zlib.compress(bytes(1000))
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+    )
+
+
+@pytest.mark.parametrize("size", [(30_000, 30_000), (2**16, 2**15), (2**31 - 1, 2**31 - 1)])
+def test_an_image_of_too_many_pixels_is_refused_by_its_header(size):
+    with pytest.raises(InputError, match=r"pixels|damaged"):
+        decoded_image(huge_png(*size))
+    assert 30_000**2 > MOST_PIXELS
+
+
+@pytest.mark.parametrize("number", ["2147483648", "99999", "9" * 5000])
+def test_a_camera_of_an_impossible_number_is_refused(number, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises((InputError, OSError)) as caught:
+        open_source(number)
+    assert isinstance(caught.value, OSError) or "at most 4 digits" in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "json", "png", "mp4", "bag", "tif"])
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path, suffix):
+    path = tmp_path / f"file.{suffix}"
+    os.mkfifo(path)
+    with pytest.raises(InputError, match="pipe"):
+        match suffix:
+            case "csv":
+                read_poses(path)
+            case "json":
+                read_calibration(path)
+            case _:
+                open_source(path).read().__next__()
+
+
+def test_a_device_without_an_end_is_refused(tmp_path):
+    (tmp_path / "poses.csv").symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="device"):
+        read_poses(tmp_path / "poses.csv")
+
+
+def test_a_file_that_is_too_large_is_refused_unread(tmp_path):
+    path = tmp_path / "poses.csv"
+    with path.open("wb") as file:
+        file.truncate(2**40)  # a hole: it takes no disk
+    with pytest.raises(InputError, match=r"poses\.csv: larger than"):
+        read_poses(path)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        (
+            "rows: 3\n   cols: 3\n   dt: '9999999999x'\n   data: [ 1 ]",
+            "1 numbers, but rows and cols",
+        ),
+        (
+            "rows: 1000000\n   cols: 1000000\n   dt: d\n   data: [ 1 ]",
+            "1 numbers, but rows and cols",
+        ),
+        ("rows: -3\n   cols: 3\n   dt: d\n   data: [ 1 ]", "must be whole numbers"),
+        ("rows: x\n   cols: 3\n   dt: d\n   data: [ 1 ]", "must be whole numbers"),
+        ("rows: 3\n   cols: 3\n   dt: d\n   data: []", "must hold numbers"),
+    ],
+)
+def test_an_odd_matrix_of_opencv_is_refused(tmp_path: Path, matrix: str, words: str) -> None:
+    path = tmp_path / "camera.yml"
+    path.write_text(
+        f"%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\nK: !!opencv-matrix\n   {matrix}\n"
+    )
+    with pytest.raises(InputError, match=words):
+        read_microscope(path, pinhole_height_mm=200.0, eye_radius_mm=11.5)
+
+
+def test_a_value_in_a_message_has_at_most_two_hundred_characters() -> None:
+    assert shortened("x") == "'x'"
+    assert len(shortened("x" * 200_000)) == 201
+    assert "large" in shortened(10**5000)
