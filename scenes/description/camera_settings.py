@@ -8,8 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from optics import InputError
 
-_NonNegative = Annotated[float, Field(ge=0, le=1e9)]
-_Positive = Annotated[float, Field(ge=1e-3, le=1e9)]
+# A full well of 1e15 electrons makes a camera without noise.
+_NonNegative = Annotated[float, Field(ge=0, le=1e15)]
+_Positive = Annotated[float, Field(ge=1e-3, le=1e15)]
 
 
 class CameraSettings(BaseModel):
