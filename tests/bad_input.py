@@ -25,6 +25,7 @@ import cv2
 import numpy as np
 import tomli_w
 
+from benchmarks.reporting import run_folder
 from benchmarks.sets.make.manifest import verify_set
 from benchmarks.sets.read import read_set, stacks_of
 from benchmarks.sets.read.image_rows import rows
@@ -313,6 +314,10 @@ def _bag(name: str) -> Callable[[Path], None]:
     return read
 
 
+def _run(folder: Path) -> None:
+    os.close(run_folder.claim(folder / "run", _SETTINGS, command="eyespot validate"))
+
+
 def _calibration(folder: Path) -> None:
     calibration = read_calibration(folder / "calibration.json")
     Ranger(calibration, read_microscope(folder / "microscope.json"))
@@ -328,6 +333,7 @@ def _wall(folder: Path) -> None:
     wall_image(folder / "image.png", width_mm=24.0, white=0.5, extent_mm=24.0, pixels=64)
 
 
+_SETTINGS = {"schema": 1, "quick": True, "seed": 0, "source": "cone", "spec": {"frames": [3, 4]}}
 _STACK = "small-v1/train/0000"
 TARGETS = {
     "microscope": Target(
@@ -353,6 +359,7 @@ TARGETS = {
     "set": Target("small-v1/set.json", "json", _set),
     "set's manifest": Target("small-v1/manifest.json", "json", _set),
     "set's stack": Target(f"{_STACK}/stack.toml", "toml", _set),
+    "run": Target("run/run.json", "json", _run),
     "spots": Target("spots.csv", "csv", lambda f: read_spots(f / "spots.csv")),
     "parquet": Target("spots.parquet", "bytes", lambda f: read_spots(f / "spots.parquet")),
     "poses": Target("poses.csv", "csv", lambda f: read_poses(f / "poses.csv")),
@@ -414,6 +421,7 @@ def samples(folder: Path) -> Path:
         "sag = 0.12\nglue_index = 1.49\nnumerical_aperture = 0.2\n"
     )
     matrix = np.array([[3432.8, 0, 330.5], [0, 3432.8, 224.25], [0, 0, 1]])
+    _run(folder)
     for suffix in ("yml", "xml", "json"):
         storage = cv2.FileStorage(str(folder / f"camera.{suffix}"), cv2.FILE_STORAGE_WRITE)
         storage.write("camera_matrix", matrix)

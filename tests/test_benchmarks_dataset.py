@@ -159,6 +159,16 @@ def test_what_one_shard_has_made_the_next_leaves_and_the_last_one_finishes_the_s
     assert digests(out) == digests(whole)
 
 
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{", "[" * 100_000, '{"name": ' + "9" * 5000 + "}", "\udcff", "{}"]
+)
+def test_a_damaged_set_is_not_continued(spec, tmp_path, text):
+    (tmp_path / "set.json").write_text(text, errors="surrogateescape")
+    with pytest.raises(SetError, match=r"set\.json: |a set of another spec, None"):
+        make_set(spec, tmp_path, workers=nobody())
+    assert [path.name for path in tmp_path.iterdir()] == ["set.json"]
+
+
 def test_a_folder_with_another_set_or_something_else_is_refused(spec, spec_file, copy, tmp_path):
     other = load_spec(spec_file, ["spot.incidence_deg = 20.0"])
     with pytest.raises(SetError, match="contains a set of another spec"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import sys
 import tomllib
 import tracemalloc
@@ -29,7 +30,9 @@ from benchmarks.sets.formats.bags import START_S
 from benchmarks.sets.formats.export import Format, export
 from benchmarks.sets.read.stacks import stacks_of
 from estimator import FrameLabels, Reader, SubpixelSettings, open_source, read_poses, read_stack
+from estimator.files import write_manifest
 from estimator.run.offline import track_source
+from optics import InputError
 from tests.drawn_sets import MICROSCOPE, SHAPE, STACKS, labels_of, write_set, write_stack
 
 NAMES = [f"{split}/{name}" for split, names in STACKS.items() for name in names]
@@ -293,6 +296,34 @@ def test_nothing_is_written_over_and_a_failure_leaves_nothing(
     with pytest.raises(KeyboardInterrupt):
         export(drawn, to=to, out=tmp_path / "out", progress=stop)
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("kinematics.csv", "time_s,x_mm\n0,1\n", r"kinematics\.csv, line 1: its columns must be"),
+        ("kinematics.csv", "{},x", r"kinematics\.csv, line \d+: 7 cells"),
+        ("kinematics.csv", "{}0,0,0,0,0,0,one\n", r"line \d+: axis_z must be a finite number"),
+        ("kinematics.csv", "{}0,0,0,0,0,0,\n", r"line \d+: axis_z must be a finite number"),
+        ("microscope.json", "\0", r"microscope\.json: text must be Unicode without NUL"),
+        ("frames/000001.png", "", r"000001\.png: size or depth differ from the first"),
+    ],
+)
+def test_hdf5_refuses_a_stack_that_was_changed_with_its_manifest(
+    drawn: Path, tmp_path: Path, name: str, content: str, words: str
+) -> None:
+    stack = shutil.copytree(drawn / "train" / "a", tmp_path / "a")
+    path = stack / name
+    if path.suffix == ".png":
+        Image.open(path).crop((0, 0, 80, 60)).save(path)
+    elif path.name == "kinematics.csv" and not path.exists():
+        path.write_text(content.replace("{}", "time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n"))
+    else:
+        path.write_text(content.replace("{}", path.read_text()))
+    write_manifest(stack, schema=1)
+    with pytest.raises(InputError, match=words):
+        export(stack, to="hdf5", out=tmp_path / "out.h5")
+    assert [found.name for found in tmp_path.iterdir()] == ["a"]
 
 
 def test_a_folder_that_is_no_set_is_refused(tmp_path: Path) -> None:

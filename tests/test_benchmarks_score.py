@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
+import matplotlib
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 import eyespot
 from benchmarks.sets.read.stacks import stacks_of
 from benchmarks.sets.score.conditions import Circumstances, circumstances_of
+from benchmarks.sets.score.figure import score_figure
 from benchmarks.sets.score.groups import Score, score
 from benchmarks.sets.score.measures import Errors
 from benchmarks.sets.score.spots_of_set import read_set_spots
+from benchmarks.sets.score.table import tables
 from estimator import FrameLabels, NoSpot, Reason, Spot, SpotRecord, write_spots
 from tests.drawn_sets import MICROSCOPE, STACKS, labels_of, write_set
 
+SVG = "{http://www.w3.org/2000/svg}"
 Images = Mapping[str, Circumstances]
 
 
@@ -231,6 +238,30 @@ def test_images_are_scored_apart_by_condition(images: Images) -> None:
     assert bias["d_mm", "4–6"] == pytest.approx(0.3, abs=1e-12)
     assert rows["split", "adverse"]["theirs"].counts.images == 4
     assert not any(name == "medium" for name, _ in rows)  # all in air
+
+
+def test_names_with_markup_are_shown_as_they_are() -> None:
+    name, medium, exposure = "_a$b$[b]c_", "_d$e$[i]f_", "[/b]g$h$"
+    images = in_memory(4, medium="air") | {
+        f"other/{key}": about._replace(
+            labels=replace(about.labels, medium=medium, exposure=exposure)
+        )
+        for key, about in in_memory(4).items()
+    }
+    records = records_of(images, lambda row: spot_at(row, semi_minor_px=0.1))
+    result = score(images, {name: records}, against="half_max")
+    console = Console(file=io.StringIO(), width=300)
+    for table in tables(result):
+        console.print(table)
+    printed = console.file.getvalue()
+    figure = io.BytesIO()
+    with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text, not as outlines
+        score_figure(result).savefig(figure, format="svg")
+    root = ElementTree.fromstring(figure.getvalue())
+    drawn = {"".join(text.itertext()).strip() for text in root.iter(f"{SVG}text")}
+    for text in (name, medium, exposure):
+        assert text in printed
+        assert text in drawn
 
 
 def per_stack(drawn: Path, folder: Path) -> Path:

@@ -1,11 +1,14 @@
 """`eyespot fit`: recordings in, a calibration out where the fit is good, and a reason where not."""
 
+import base64
 import csv
 import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
+import matplotlib
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -18,6 +21,7 @@ from estimator import Spot, SpotRecord, open_source, read_poses, write_spots
 from estimator.files.calibration import read_calibration
 from estimator.sources import write_bag
 
+SVG = "{http://www.w3.org/2000/svg}"
 K, B, SCALE = 20.0, -5.117, 0.0067
 RIM = 0.25 * np.tan(np.radians(30.0))
 
@@ -105,6 +109,22 @@ def test_spots_files_of_a_rig_give_the_line_back(rig, tmp_path, ending):
     assert "<b>A good fit.</b>" in page
     # Self-contained: nothing is loaded from elsewhere.
     assert not re.findall(r'(?:src|href)="(?!data:)', page)
+
+
+def test_a_name_with_markup_is_shown_as_it_is(rig, tmp_path):
+    name = "_a$b$[b]c_"
+    spots, poses = rig(name)
+    with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text, not as outlines
+        result = fit(tmp_path, spots, "--poses", poses, "--model", "plane")
+    assert result.exit_code == 0, result.output
+    page = (tmp_path / "c.html").read_text()
+    drawn = [
+        ElementTree.fromstring(base64.b64decode(data))
+        for data in re.findall(r"data:image/svg\+xml;base64,([\w+/=]+)", page)
+    ]
+    texts = ["".join(text.itertext()).strip() for svg in drawn for text in svg.iter(f"{SVG}text")]
+    # The legends of both figures; mathematics would have no dollar signs.
+    assert texts.count(f"{name}.csv") == 2
 
 
 def test_a_bent_line_is_not_called_a_good_fit(rig, tmp_path):

@@ -6,12 +6,16 @@ import os
 import shutil
 from pathlib import Path
 
+import h5py
 import pytest
 
+from benchmarks.sets.formats import hdf5
 from benchmarks.sets.formats.export import export
 from benchmarks.sets.read import SetError, read_set
 from benchmarks.sets.spec.spec import SpecError, load_spec
-from estimator.files import StackError, inside, read_stack
+from estimator import Pose
+from estimator.files import StackError, inside, read_poses, read_stack
+from estimator.sources import write_bag
 from optics import InputError
 from tests.bad_input import OLD
 
@@ -112,3 +116,28 @@ def test_a_condition_that_cannot_name_a_folder_is_refused(tmp_path: Path, name: 
     replaced(path, "[adverse.conditions.dim]", f'[adverse.conditions."{name}"]')
     with pytest.raises(SpecError, match=r"spec\.toml: adverse\.conditions"):
         load_spec(path)
+
+
+def test_a_bag_reads_no_file_from_elsewhere(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    poses = [Pose(time_s=1.0, position_mm=(0.0, 0.0, 1.0))]
+    write_bag(bag, frames=[], poses=poses, ros=2)
+    (data,) = bag.glob("*.mcap")
+    secret = data.rename(tmp_path / data.name)
+    metadata = (bag / "metadata.yaml").read_text()
+    for name in (f"../{secret.name}", str(secret)):
+        (bag / "metadata.yaml").write_text(metadata.replace(secret.name, name))
+        with pytest.raises(InputError, match="missing"):
+            read_poses(bag)
+    (bag / "metadata.yaml").write_text(metadata)
+    (bag / secret.name).symlink_to(secret)
+    with pytest.raises(InputError, match=rf"bag: '{secret.name}' is a link that leads out"):
+        read_poses(bag)
+
+
+@pytest.mark.parametrize("name", ["stack.toml", "microscope.json", "kinematics.csv"])
+def test_hdf5_packs_no_description_from_elsewhere(stack: Path, tmp_path: Path, name: str) -> None:
+    path = (stack / name).rename(tmp_path / name)
+    (stack / name).symlink_to(path)
+    with h5py.File(tmp_path / "out.h5", "w") as file, pytest.raises(InputError, match="leads out"):
+        hdf5._write_stack(file, read_stack(stack), lambda: None)

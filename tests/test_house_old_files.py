@@ -74,6 +74,14 @@ def test_a_set_of_0_1_is_read() -> None:
     assert len(str(caught.value).splitlines()) == 2
 
 
+def test_spots_of_version_1_may_say_that_a_frame_met_a_bug(tmp_path: Path) -> None:
+    text = (OLD / "spots.csv").read_text()
+    assert "occluded" in text
+    (tmp_path / "spots.csv").write_text(text.replace("occluded", "internal_error"))
+    reasons = [record.reason for record in read_spots(tmp_path / "spots.csv")]
+    assert Reason.INTERNAL_ERROR.value in reasons
+
+
 @pytest.mark.parametrize("name", ["spots.csv", "spots.parquet"])
 def test_spots_of_0_1_are_read(name: str) -> None:
     first, second, third = read_spots(OLD / name)

@@ -10,12 +10,14 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import tomli_w
 
 from estimator import Stack, StackError, StackWriter, read_stack
 from estimator.files import BeingWrittenError
@@ -240,6 +242,28 @@ def test_frames_exposed_again_are_those_that_rendering_gives(tmp_path):
     one = expose_again(first, scene(exposures={"kinds": ["metered"]}), tmp_path / "one")
     assert [row.exposure for row in one.labels] == ["metered"] * 10
     one.verify()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("scene = 1", "scene must be a finite dict"),
+        ('wall_colour = "red"', "wall_colour must be a finite list"),
+        ('wall_colour = [0.5, "red", 0.5]', "wall_colour must be three reflectances"),
+        ("wall_colour = [0.5]", "wall_colour must be three reflectances"),
+        ("kinematics.csv", r"kinematics\.csv, line 1: its columns must be"),
+    ],
+)
+def test_a_damaged_description_is_not_exposed_again(whole, tmp_path, name, words):
+    broken = shutil.copytree(whole.folder, tmp_path / "broken")
+    if name == "kinematics.csv":
+        (broken / name).write_text("time_s,x_mm\n0,1\n")
+    else:
+        description = tomllib.loads((broken / "stack.toml").read_text()) | tomllib.loads(name)
+        (broken / "stack.toml").write_text(tomli_w.dumps(description))
+    with pytest.raises(InputError, match=words):
+        expose_again(read_stack(broken), scene(), tmp_path / "again")
+    assert not (tmp_path / "again").exists()
 
 
 def test_a_linear_frame_is_the_light_behind_its_image(whole):

@@ -8,7 +8,7 @@ report      The parts of a report: claims, sections with tables and pictures, CS
 run_folder  The folder of a run, which the same request resumes; files appear only when complete
 study       One run of a study: its request, scene, stacks and folder
 tables      Tables of the report and CSV files
-typeset     Numbers as text, alone and in sentences; names without their markup
+typeset     Numbers as text, alone and in sentences
 """
 
 import lazy_loader

@@ -28,6 +28,4 @@ from .study import Study as Study
 from .tables import Column as Column
 from .tables import Table as Table
 from .tables import write_csv as write_csv
-from .typeset import in_figure as in_figure
-from .typeset import in_terminal as in_terminal
 from .typeset import number as number

@@ -15,8 +15,15 @@ from typing import Any
 
 import scenes
 from estimator import Stack, read_stack
-from estimator.files import errors_named, lock, refuse_foreign, sweep, written_whole
-from optics import InputError
+from estimator.files import (
+    errors_named,
+    lock,
+    object_in,
+    refuse_foreign,
+    sweep,
+    written_whole,
+)
+from optics import InputError, in_file, read_text, shortened
 from scenes import Scene
 
 _PACKAGES = (
@@ -31,6 +38,7 @@ _PACKAGES = (
     "scikit-image",
     "matplotlib",
 )
+_MOST_KEYS = 2  # that a message names
 
 
 def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
@@ -61,8 +69,9 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
 
 def _claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
     file = out / "run.json"
-    if file.is_file():
-        found = json.loads(file.read_text())
+    if file.exists():
+        with in_file(file):
+            found = object_in(read_text(file))
         if found != settings:
             raise InputError(
                 f"{out} has a run with other settings: {_difference(found, settings)}. "
@@ -144,9 +153,13 @@ def versions() -> dict[str, str]:
 
 
 def _difference(found: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
-    """The keys in which two requests differ, each with both values."""
+    """The first keys in which two requests differ, each with both values."""
     keys = [key for key in {**found, **asked} if found.get(key) != asked.get(key)]
-    return ", ".join(f"{key!r}: {found.get(key)!r} instead of {asked.get(key)!r}" for key in keys)
+    said = [
+        f"{shortened(key)}: {shortened(found.get(key))} instead of {shortened(asked.get(key))}"
+        for key in keys[:_MOST_KEYS]
+    ]
+    return ", ".join(said) + ("" if len(keys) <= _MOST_KEYS else f", and {len(keys)} in all")
 
 
 def _finite(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Numbers as text, alone and in sentences; names of files as they are, without their markup."""
+"""Numbers as text, alone and in sentences."""
 
 from __future__ import annotations
 
@@ -6,18 +6,6 @@ import math
 import string
 from collections.abc import Mapping
 from typing import Any
-
-from rich.markup import escape
-
-
-def in_figure(name: str) -> str:
-    """A name as Matplotlib draws it; between two dollar signs it would read mathematics."""
-    return name.replace("$", r"\$")
-
-
-def in_terminal(name: str) -> str:
-    """A name as Rich prints it; in square brackets it would read a style."""
-    return escape(name)
 
 
 def number(value: float, digits: int = 2, *, sign: bool = False) -> str:

@@ -19,7 +19,7 @@ from calibration.command.fitted import Fitted, PixelResiduals
 from calibration.command.goodness import CHI_SQUARED, SIGNIFICANCE, Doubt, runs_probability
 from calibration.recordings import Recording
 from calibration.solvers import correlations
-from estimator.files import QUANTITIES
+from estimator.files import QUANTITIES, in_figure
 
 # Palette of Okabe and Ito, which colour-blind readers can distinguish.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -128,7 +128,7 @@ def _residuals(fitted: Fitted) -> Figure:
         for axes in row[:3]:
             axes.axhline(0.0, color="#999999", lw=0.8)
         row[0].set_ylabel("residual / σ")
-        row[0].set_title(_plain(name))
+        row[0].set_title(in_figure(name))
     for axes, label in zip(
         grid[-1],
         (
@@ -195,13 +195,8 @@ def _marks(axes: Axes, x: Any, y: Any, number: int, label: str) -> None:
         _MARKERS[number % len(_MARKERS)],
         color=_COLOURS[number % len(_COLOURS)],
         ms=3.5,
-        label=_plain(label),
+        label=in_figure(label),
     )
-
-
-def _plain(name: str) -> str:
-    """A name as Matplotlib draws it; between two dollar signs it would read mathematics."""
-    return name.replace("$", r"\$")
 
 
 def _svg(figure: Figure) -> str:

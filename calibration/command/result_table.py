@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 from calibration.command.fitted import Fitted
 from calibration.solvers import correlations
-from estimator.files import QUANTITIES
+from estimator.files import QUANTITIES, in_terminal
 
 _STRONG = 0.9
 """Correlations above this are named under the table; the report lists all."""
@@ -19,13 +18,13 @@ _STRONG = 0.9
 def result_table(fitted: Fitted, *, title: str) -> Table:
     """A row for each parameter: value, standard deviation, unit."""
     sigma = np.sqrt(np.diag(fitted.covariance))
-    table = Table(title=escape(title), caption=_strong_correlations(fitted))
+    table = Table(title=in_terminal(title), caption=_strong_correlations(fitted))
     for heading in ("parameter", "value", "± σ", "unit"):
         table.add_column(heading, justify="left" if heading == "parameter" else "right")
     for i, (name, value) in enumerate(fitted.values.items()):
-        table.add_row(escape(name), f"{value:.6g}", _error(sigma[i]), QUANTITIES[name].unit)
+        table.add_row(in_terminal(name), f"{value:.6g}", _error(sigma[i]), QUANTITIES[name].unit)
     for name, value, error, unit in fitted.others:
-        table.add_row(escape(name), f"{value:.4g}", _error(error), unit)
+        table.add_row(in_terminal(name), f"{value:.4g}", _error(error), unit)
     return table
 
 

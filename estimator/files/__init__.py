@@ -16,6 +16,8 @@ pose_files        Reads the robot's poses from a CSV file or a ROS bag
 poses             Poses of the robot: where the instrument's tip was, and in which direction it
                   pointed
 ros_bags          ROS 1 and ROS 2 bags, opened without ROS: their topics and messages
+shown_names       Names of files, and other text from files, as they are: without the markup of
+                  what shows them
 spots             The spots file: CSV or Parquet, one line per frame with the spot and its distance
 spots_stream      Writes a spots file record by record, so that nothing measured is lost however a
                   run ends

@@ -36,6 +36,8 @@ from .ros_bags import messages_of as messages_of
 from .ros_bags import opened_bag as opened_bag
 from .ros_bags import stamp_s as stamp_s
 from .ros_bags import topic_in as topic_in
+from .shown_names import in_figure as in_figure
+from .shown_names import in_terminal as in_terminal
 from .spots import SpotRecord as SpotRecord
 from .spots import pyarrow as pyarrow
 from .spots import read_spots as read_spots

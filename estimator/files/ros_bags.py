@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from estimator.files.inside import inside
 from estimator.files.whole_files import damage_reported
 from optics import InputError, check_regular, in_file
 
@@ -31,7 +32,7 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     """A bag, opened for the `with` block.
 
     Raises:
-        InputError: the file is not a bag or is damaged.
+        InputError: the file is not a bag, is damaged, or is a folder with a link that leads out.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -39,11 +40,7 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     # Old ROS 2 bags contain no message definitions; those of the messages used here have never
     # changed.
     types = get_typestore(Stores.ROS2_HUMBLE)
-    for file in path.iterdir() if path.is_dir() else (path,):
-        with in_file(file):
-            size = check_regular(file)
-            if file.suffix == ".yaml" and size > _MOST_YAML_BYTES:
-                raise InputError(f"larger than {_MOST_YAML_BYTES:,} bytes. {_REMEDY}")
+    _check_files(path)
     with _damage_reported(f"{path}"):
         reader = AnyReader([path], default_typestore=types)
         reader.open()
@@ -51,6 +48,17 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
         yield reader
     finally:
         reader.close()
+
+
+def _check_files(path: Path) -> None:
+    # rosbags takes the last part of a name in metadata.yaml, so only a link leads out of a bag.
+    with in_file(path):
+        files = [inside(path, file.name) for file in path.iterdir()] if path.is_dir() else [path]
+    for file in files:
+        with in_file(file):
+            size = check_regular(file)
+            if file.suffix == ".yaml" and size > _MOST_YAML_BYTES:
+                raise InputError(f"larger than {_MOST_YAML_BYTES:,} bytes. {_REMEDY}")
 
 
 @contextmanager

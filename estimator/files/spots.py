@@ -24,7 +24,7 @@ from estimator.image import PARAMETERS, NoSpot, Reason, Spot
 from optics import InputError, check_regular, check_schema, in_file, shortened
 
 SCHEMA_VERSION = 1
-HISTORY = {1: "the format of eyespot 0.1"}
+HISTORY = {1: "the format of eyespot 0.1; files written since may have the reason internal_error"}
 """What changed with each version of the format that is read."""
 
 _MOST_FRAMES = 2**31

@@ -15,7 +15,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
@@ -25,6 +25,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, create_model
 from pydantic import Strict as StrictType
 
+from estimator.files.csv_files import csv_rows, number_in
 from estimator.files.image_files import read_image
 from estimator.files.inside import inside
 from estimator.files.json_files import Strict, object_in, validated
@@ -34,6 +35,9 @@ from optics import InputError, check_schema, in_file, read_text, read_toml, shor
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}
 """What changed with each version of the format that is read, in any of its files."""
+
+KINEMATICS = ("time_s", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z")
+"""Columns of kinematics.csv."""
 
 _MOST_LABEL_BYTES = 2**28  # of metadata.jsonl: 250,000 images
 _LARGEST = 1e12  # of any label; times in s since 1970 have ten digits
@@ -142,6 +146,31 @@ class Stack:
     def mask(self, labels: FrameLabels) -> np.ndarray:
         """Mask of the visible spot, 0 or 255."""
         return self._read(labels.mask_file_name)
+
+    def kinematics(self) -> dict[str, np.ndarray]:
+        """What the robot reported: the columns of kinematics.csv by name, as they are written.
+
+        Raises:
+            InputError: the file is no such table, or has more than finite numbers.
+            OSError: the file is missing or cannot be read.
+        """
+
+        def check(names: Collection[str]) -> None:
+            if tuple(names) != KINEMATICS:
+                raise InputError(
+                    f"its columns must be {', '.join(KINEMATICS)}; got {shortened(list(names))}. "
+                    f"{_AGAIN}"
+                )
+
+        columns: dict[str, list[float]] = {name: [] for name in KINEMATICS}
+        for row, where in csv_rows(self.path_of("kinematics.csv"), check=check):
+            for name, cell in row.items():
+                with in_file(where):
+                    value = number_in(cell, name)
+                    if math.isnan(value):
+                        raise InputError(f"{name} must be a finite number; got {cell!r}. {_AGAIN}")
+                columns[name].append(value)
+        return {name: np.array(values) for name, values in columns.items()}
 
     def path_of(self, name: str) -> Path:
         """Path of a file that the labels or the manifest name.

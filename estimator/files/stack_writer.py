@@ -21,7 +21,7 @@ import numpy as np
 import tomli_w
 
 from estimator.files.manifest import write_manifest
-from estimator.files.stack import SCHEMA, FrameLabels, linear_name
+from estimator.files.stack import KINEMATICS, SCHEMA, FrameLabels, linear_name
 from estimator.files.whole_files import (
     STOPPED,
     empty,
@@ -44,7 +44,6 @@ _MASK += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 _TIFF = [cv2.IMWRITE_TIFF_COMPRESSION, 1]  # none: noise-free floats hardly compress
 _LABELS = "metadata.jsonl"
 _IMAGES = ("frames", "masks", "linear")
-_KINEMATICS = "time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z"
 
 
 class StackWriter:
@@ -193,8 +192,8 @@ class StackWriter:
 def _kinematics_csv(rows: np.ndarray) -> str:
     """To 1 us, 1 nm and 1 nrad: far below a robot's accuracy."""
     text = io.StringIO()
-    formats = ["%.6f"] * 4 + ["%.9f"] * 3
-    np.savetxt(text, rows, fmt=formats, delimiter=",", header=_KINEMATICS, comments="")
+    formats, header = ["%.6f"] * 4 + ["%.9f"] * 3, ",".join(KINEMATICS)
+    np.savetxt(text, rows, fmt=formats, delimiter=",", header=header, comments="")
     return text.getvalue()
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.files import Stack, StackWriter, read_stack
+from estimator.files import Stack, StackError, StackWriter, read_stack
+from optics import shortened
 from scenes.description import Scene, SceneError
 from scenes.stacks.photography import Photography
 from scenes.stacks.stack import dumped, microscope_file
@@ -43,17 +44,18 @@ def expose_again(stack: Stack, scene: Scene, out: Path) -> Stack:
 
     Raises:
         SceneError: another part of the scene differs, or the stack lacks a kind of exposure.
-        StackError: `out` exists, or the stack has no linear frames.
+        StackError: the stack has no linear frames, or its stack.toml is damaged.
+        InputError: `out` exists, or kinematics.csv is damaged.
     """
     _check_anew(stack, scene)
     world = World(scene)
-    world.wall_colour = np.array(stack.description["wall_colour"])  # needs no picture file
+    world.wall_colour = _wall_colour(stack)  # needs no picture file
     photography = Photography(world)
     with StackWriter(Path(out)) as writer:
         writer.describe(
             stack={**stack.description, "scene": dumped(scene)},
             microscope=microscope_file(world, photography.paper_exposure_s),
-            kinematics=np.loadtxt(stack.folder / "kinematics.csv", delimiter=",", skiprows=1),
+            kinematics=np.column_stack([*stack.kinematics().values()]),
         )
         for order, kind in enumerate(scene.exposures.kinds):
             for row in stack.exposed(kind):
@@ -72,8 +74,18 @@ def expose_again(stack: Stack, scene: Scene, out: Path) -> Stack:
     return read_stack(out)
 
 
+def _wall_colour(stack: Stack) -> np.ndarray:
+    found = stack.described("wall_colour", list)
+    if len(found) != 3 or not all(type(part) in (int, float) and 0 <= part <= 1 for part in found):
+        raise StackError(
+            f"{stack.folder / 'stack.toml'}: wall_colour must be three reflectances from 0 to 1; "
+            f"got {shortened(found)}. Render the stack again."
+        )
+    return np.array(found, dtype=float)
+
+
 def _check_anew(stack: Stack, scene: Scene) -> None:
-    was, now = stack.description["scene"], dumped(scene)
+    was, now = stack.described("scene", dict), dumped(scene)
     for name in now:
         if name not in _ANEW and now[name] != was.get(name):
             raise SceneError(

@@ -12,7 +12,6 @@ and the attributes `stack.toml` (the scene) and `microscope.json` (the camera), 
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import fields
@@ -24,6 +23,8 @@ import numpy as np
 
 from benchmarks.sets.read import SetStack, qualified_name, set_files
 from estimator import FrameLabels, Stack
+from estimator.files import StackError
+from optics import check_values, in_file, read_text
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -46,7 +47,7 @@ def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -
             with h5py.File(disk, "w") as file:
                 file.attrs["schema"] = _SCHEMA
                 for path in set_files(stacks):
-                    file.create_dataset(path.name, data=path.read_text(encoding="utf-8"))
+                    file.create_dataset(path.name, data=_text(path))
                 for entry in stacks:
                     group = file.create_group(qualified_name(entry))
                     _write_stack(group, entry.open(), image_done)
@@ -84,19 +85,24 @@ class _Disk(io.FileIO):
             raise self.error
 
 
+def _text(path: Path) -> str:
+    """A text file's content; HDF5 cannot have a NUL in it."""
+    with in_file(path):
+        text = read_text(path)
+        check_values(text)
+    return text
+
+
 def _write_stack(group: h5py.Group, stack: Stack, progress: Callable[[], None]) -> None:
     for name in ("stack.toml", "microscope.json"):
-        group.attrs[name] = (stack.folder / name).read_text(encoding="utf-8")
+        group.attrs[name] = _text(stack.path_of(name))
     labels = group.create_group("labels")
     for name in (field.name for field in fields(FrameLabels)):
         _write_column(labels, name, [getattr(row, name) for row in stack.labels])
-    kinematics = stack.folder / "kinematics.csv"
-    if kinematics.is_file():
+    if stack.path_of("kinematics.csv").is_file():
         report = group.create_group("kinematics")
-        with kinematics.open(newline="", encoding="utf-8") as file:
-            head, *rows = csv.reader(file)
-        for name, column in zip(head, zip(*rows, strict=True), strict=True):
-            _write_column(report, name, [float(cell) for cell in column])
+        for name, column in stack.kinematics().items():
+            _write_column(report, name, column)
     _write_images(group, stack, progress)
 
 
@@ -116,12 +122,17 @@ def _write_images(group: h5py.Group, stack: Stack, progress: Callable[[], None])
 
     frames, masks = images("frames", stack.image(first)), images("masks", stack.mask(first))
     for index, row in enumerate(stack.labels):
-        frames[index] = stack.image(row)
-        masks[index] = stack.mask(row)
+        for dataset, image in ((frames, stack.image(row)), (masks, stack.mask(row))):
+            if (image.shape, image.dtype) != (dataset.shape[1:], dataset.dtype):
+                raise StackError(
+                    f"{stack.folder / row.file_name}: size or depth differ from the first image's. "
+                    "Render the stack again."
+                )
+            dataset[index] = image
         progress()
 
 
-def _write_column(group: h5py.Group, name: str, values: list[object]) -> None:
+def _write_column(group: h5py.Group, name: str, values: list[object] | np.ndarray) -> None:
     text = h5py.string_dtype() if name in _TEXT else None
     column = group.create_dataset(name, data=values, dtype=text)
     if name not in _TEXT:

@@ -28,10 +28,12 @@ from estimator.files import (
     MANIFEST,
     BeingWrittenError,
     StackWriter,
+    object_in,
     require_space,
     sweep,
     written_whole,
 )
+from optics import in_file, read_text, shortened
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -176,8 +178,11 @@ def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
     file = out / "set.json"
     with _alone_in(out):
         if file.is_file():
-            if file.read_text() != text:
-                raise SetError(_difference(out, json.loads(file.read_text()), json.loads(text)))
+            with in_file(file, SetError):
+                there = read_text(file)
+                found = object_in(there)
+            if there != text:
+                raise SetError(_difference(out, found, content))
             return
         sweep(out)
         if any(out.iterdir()):
@@ -188,11 +193,17 @@ def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
 
 def _difference(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> str:
     if found.get("spec") != wanted["spec"]:
-        return f"{out} contains a set of another spec, {found.get('name')!r}. Choose another --out."
-    return (
-        f"{out} was started with other versions: {found.get('versions')} instead of "
-        f"{wanted['versions']}. Install those, or choose another --out."
-    )
+        name = shortened(found.get("name"))
+        return f"{out} contains a set of another spec, {name}. Choose another --out."
+    there, here = found.get("versions"), wanted["versions"]
+    if isinstance(there, dict) and there != here:
+        names = [name for name in {**here, **there} if there.get(name) != here.get(name)]
+        other, ours = ({name: each.get(name) for name in names} for each in (there, here))
+        return (
+            f"{out} was started with other versions: {shortened(other)} instead of "
+            f"{shortened(ours)}. Install those, or choose another --out."
+        )
+    return f"{out / 'set.json'} was changed after it was written. Choose another --out."
 
 
 def _finish(labelled: LabelledSet) -> None:

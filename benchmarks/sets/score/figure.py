@@ -18,12 +18,12 @@ from benchmarks.reporting import (
     PURPLE,
     SKY,
     VERMILION,
-    in_figure,
 )
 from benchmarks.sets.score.conditions import CONDITIONS
 from benchmarks.sets.score.groups import ALL, Group, Score
 from benchmarks.sets.score.measures import z_scores
 from benchmarks.sets.score.table import MAIN
+from estimator.files import in_figure
 
 _Panels = dict[str, dict[str, dict[str, Group]]]
 """Groups by condition, group and estimator."""
@@ -87,7 +87,9 @@ def _draw_condition(
         upper.vlines(x, low, high, color=colour, lw=1)
         lower.bar(x, [_missed_percent(group) for group in found], width, color=colour)
     upper.tick_params(labelbottom=False)
-    lower.set_xticks(places, list(groups), rotation=35, ha="right", rotation_mode="anchor")
+    lower.set_xticks(
+        places, [*map(in_figure, groups)], rotation=35, ha="right", rotation_mode="anchor"
+    )
     lower.set_xlim(-0.6, len(groups) - 0.4)
     lower.set_ylim(0, 100)
 

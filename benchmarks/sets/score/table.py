@@ -6,9 +6,9 @@ import math
 
 from rich.table import Table
 
-from benchmarks.reporting import in_terminal
 from benchmarks.sets.score.groups import Group, Score
 from benchmarks.sets.score.measures import Errors
+from estimator.files import in_terminal
 
 MAIN = "semi_minor_px"
 """The quantity that determines distances, by which groups are compared."""
@@ -74,7 +74,7 @@ def _conditions(result: Score) -> Table:
         if condition != last:
             table.add_section()
         cells = [cell for name in result.judged for cell in _group_cells(row.get(name))]
-        table.add_row("" if condition == last else condition, group, *cells)
+        table.add_row("" if condition == last else condition, in_terminal(group), *cells)
         last = condition
     return table
 

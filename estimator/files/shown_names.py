@@ -1,0 +1,20 @@
+"""Names of files, and other text from files, as they are: without the markup of what shows them."""
+
+from __future__ import annotations
+
+from rich.markup import escape
+
+
+def in_figure(name: str) -> str:
+    """A name as Matplotlib draws it.
+
+    Between two dollar signs it would read mathematics, and a label that begins with an underscore
+    would not be in the legend; a space before it cannot be seen.
+    """
+    literal = name.replace("$", r"\$")
+    return f" {literal}" if literal.startswith("_") else literal
+
+
+def in_terminal(name: str) -> str:
+    """A name as Rich prints it; in square brackets it would read a style."""
+    return escape(name)
