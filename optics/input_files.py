@@ -16,7 +16,7 @@ from typing import Any
 from optics.input_error import InputError, shortened
 
 MOST_BYTES = 2**26
-"""Largest text file unless its reader says otherwise, 64 MiB: a manifest of 200,000 images."""
+"""Largest text file unless its reader says otherwise, 64 MiB: set.json of 100,000 stacks."""
 
 _MOST_TOML_BYTES = 2**20  # our largest, a set's spec, has a few kB
 _MOST_DOTS = 100  # of a line

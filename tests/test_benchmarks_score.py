@@ -250,10 +250,11 @@ def test_names_with_markup_are_shown_as_they_are() -> None:
     }
     records = records_of(images, lambda row: spot_at(row, semi_minor_px=0.1))
     result = score(images, {name: records}, against="half_max")
-    console = Console(file=io.StringIO(), width=300)
+    text_file = io.StringIO()
+    console = Console(file=text_file, width=300)
     for table in tables(result):
         console.print(table)
-    printed = console.file.getvalue()
+    printed = text_file.getvalue()
     figure = io.BytesIO()
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text, not as outlines
         score_figure(result).savefig(figure, format="svg")
