@@ -15,7 +15,8 @@ indirect           Light that a Lambertian eyeball scatters back onto its own wa
 input_error        The error that says a value from outside is wrong, and values in its text
 input_files        Reads text and TOML that anyone may have written
 irradiance         Vector irradiance of a glue lens at a wall point, by quadrature
-irradiance_edges   Edges of the part of a cap that is lit when seen from a wall point
+irradiance_breaks  Rings of a cap at which its lit part changes its form
+irradiance_edges   Boundaries between lit and dark along a scan
 irradiance_lookup  Vector irradiance of a lens in a medium, as a table
 lens               GlueLens, a drop of glue on a fibre's end: shape, light and presets
 lens_misaligned    A glue lens with a decentred or tilted cap

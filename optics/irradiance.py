@@ -18,12 +18,14 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from optics.irradiance_edges import Excess, implicit_root, ring_breaks, scan_boundaries, settle
+from optics.irradiance_breaks import ring_breaks
+from optics.irradiance_edges import Excess, implicit_root, scan_boundaries, settle
 from optics.lens import GlueLens
 from optics.lens_trace import BackwardRays, trace_backwards
 
 _RINGS = 6  # Gauss-Legendre nodes between two breaks
-_CELLS = 8  # cells of the scan along half a ring
+_CELLS = 24  # cells of the scan along half a ring
+_ZOOM = 0.07  # half-width of a closer scan where it finds no light, a cell of the first
 _ARC = 5  # Gauss-Legendre nodes on an arc
 _BATCH = 64  # wall points per call, few enough to stay in the cache
 
@@ -120,14 +122,22 @@ def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
 
 def _lit_arcs(excess: Excess, rings: int) -> Float[Array, "2 2 rings"]:
     """First and last tau in [0, 1] of the at most two lit arcs of half a ring; may be empty."""
-    tau = jnp.broadcast_to(np.linspace(0.0, 1.0, _CELLS + 1)[:, None], (_CELLS + 1, rings))
+    # Short arcs lie near the meridian, where both edges of the lit part bend.
+    fraction = np.sin(np.linspace(0.0, 0.5 * np.pi, _CELLS + 1))[:, None] ** 2
+    tau = jnp.broadcast_to(fraction, (_CELLS + 1, rings))
     values = excess(tau)
-    found, lit, dark = scan_boundaries(tau, values, count=2)
+    # Next to a ring that the lit part's edge touches, the arc is shorter than a cell.
+    near = jnp.take_along_axis(tau, jnp.argmin(values, axis=0)[None], axis=0)
+    closer = jnp.clip(near + np.linspace(-_ZOOM, _ZOOM, _CELLS + 1)[:, None], 0.0, 1.0)
+    resolved = jnp.any(values < 0.0, axis=0)
+    tau = jnp.where(resolved, tau, closer)
+    values = jnp.where(resolved, values, excess(closer))
+    found, lit, dark = scan_boundaries(tau, values, count=3)
     root = jnp.clip(implicit_root(excess, settle(excess, lit, dark)), 0.0, 1.0)
-    zero, one = jnp.zeros(rings), jnp.ones(rings)
-    end, other = jnp.where(found, root, one)
-    from_lit = jnp.stack([jnp.stack([zero, other]), jnp.stack([end, one])])
-    from_dark = jnp.stack([jnp.stack([end, one]), jnp.stack([other, one])])
+    zero = jnp.zeros(rings)
+    one, two, three = jnp.where(found, root, 1.0)
+    from_lit = jnp.stack([jnp.stack([zero, two]), jnp.stack([one, three])])
+    from_dark = jnp.stack([jnp.stack([one, three]), jnp.stack([two, zero + 1.0])])
     return jnp.where(values[0] < 0.0, from_lit, from_dark)
 
 

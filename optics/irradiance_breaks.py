@@ -1,0 +1,204 @@
+"""Rings of a cap at which its lit part changes its form, when seen from a wall point.
+
+Between two such breaks the bounds of a ring's lit arcs are smooth, so a Gaussian rule over the
+rings converges. A break lies where the lit part's edge crosses the meridian through the wall point,
+where it touches a ring, or where it passes from one limit of the light to another.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+from optics.irradiance_edges import implicit_root, scan_boundaries, settle
+from optics.lens import GlueLens
+from optics.lens_trace import BackwardRays
+
+_MERIDIAN = 64  # cells of the scan along the meridian
+_ZOOM = 16  # cells of the second scan, for a lit part smaller than a cell
+_CROSSINGS = 6  # of the meridian with the lit part's edge, for a disc and a ring
+_COARSE, _COARSE_TURNS = 33, 11  # samples of the scan of whole rings
+_BEYOND = 2  # of these samples, to which the lit part may reach beyond the outermost lit one
+_RINGS, _TURNS = 16, 10  # samples of the search for turns of the edge, even numbers
+_STEPS, _LONGEST = 7, 0.25  # Newton steps towards a turn, and their bound
+_AROUND = 0.5  # of the range that may be lit: its bounds are estimates
+_CLOSE = 1e-6  # residual of a turn
+_SAME = 1e-9  # of the aperture: two candidates are one turn
+_BREAKS = 9  # kept of all candidates; more do not occur together
+
+# A turn is a zero of one limit and of its slope along the ring (touches), or of two limits.
+# Limits: 0 cone, 1 face, 2 drop.
+_FIRST, _SECOND = np.array([0, 0, 1, 0, 1, 2]), np.array([1, 2, 2, 0, 1, 2])
+_TOUCHES = _FIRST == _SECOND
+
+RingRays = Callable[[Array, Array], BackwardRays]
+
+
+def ring_breaks(
+    lens: GlueLens, rays: RingRays, *, radius: ArrayLike, distance: ArrayLike
+) -> Float[Array, "breaks"]:
+    """Radii of the cap at which the number or the bounds of lit arcs change, with both ends.
+
+    Breaks have derivatives, because a whole arc ends at a break if the core's edge is along a ring.
+
+    Args:
+        lens: the lens.
+        rays: rays to the wall point from (radius on the cap, tau), tau running over half a ring
+            from 0 on the wall point's side to 1.
+        radius: distance of the wall point from the axis, mm.
+        distance: distance of the wall point from the tip's plane, mm.
+    """
+    aperture = jnp.asarray(lens.aperture_radius)
+
+    def excess(x):
+        return rays(jnp.abs(x), jnp.where(x < 0.0, 1.0, 0.0)).excess
+
+    # Samples are nearly equidistant in the angle seen from the wall point. So they resolve the lit
+    # part for near wall points (small) and for far ones (the whole aperture). At the aperture
+    # itself light can be exactly at the core's limit although the strip next to it is lit.
+    end = aperture * (1.0 - 1e-6)
+    gap = distance + lens.sagitta(jnp.minimum(radius, end))
+
+    def angle(x):
+        return _half_tangent((x - radius) / gap)
+
+    def place(tangent):
+        x = radius + gap * 2.0 * tangent / (1.0 - jnp.square(tangent))
+        return jnp.clip(x, -end, end)
+
+    def spread(first, last, count):
+        return place(angle(first) + (angle(last) - angle(first)) * np.linspace(0.0, 1.0, count))
+
+    x = spread(-aperture, aperture, _MERIDIAN + 1)
+    values = excess(x)
+    cell = (angle(aperture) - angle(-aperture)) / _MERIDIAN
+    near = angle(x[jnp.argmin(values)])
+    zoomed = place(near + cell * np.linspace(-1.0, 1.0, _ZOOM + 1))
+    resolved = jnp.any(values < 0.0)
+    found, lit, dark = (
+        jnp.where(resolved, coarse, fine)
+        for coarse, fine in zip(
+            scan_boundaries(x, values, count=_CROSSINGS),
+            scan_boundaries(zoomed, excess(zoomed), count=_CROSSINGS),
+            strict=True,
+        )
+    )
+    crossing = jnp.abs(implicit_root(excess, settle(excess, lit, dark)))
+    reaches_rim = (values[0] < 0.0) | (values[-1] < 0.0)
+    inner = jnp.where(jnp.any(found), jnp.min(jnp.where(found, crossing, aperture)), 0.0)
+    outer = jnp.where(reaches_rim, aperture, jnp.max(jnp.where(found, crossing, 0.0)))
+    # The rings round the axis are lit if it is.
+    inner = jnp.where(excess(jnp.zeros(())) < 0.0, 0.0, jnp.minimum(inner, outer))
+    outer = jnp.maximum(inner, outer)
+
+    # Off the meridian rings are lit that are dark on it, where the edge bends away from a ring.
+    low, high = _lit_rings(rays, spread(0.0 * aperture, end, _COARSE), inner, outer)
+
+    def ring_at(share):
+        return place(angle(low) + (angle(high) - angle(low)) * share)
+
+    is_turn, turn = _turns(rays, ring_at)
+    first = jnp.minimum(inner, jnp.min(jnp.where(is_turn, turn, inner)))
+    last = jnp.maximum(outer, jnp.max(jnp.where(is_turn, turn, outer)))
+    # Few of the candidates exist. Unused breaks divide the range evenly in the angle.
+    found, breaks = jnp.append(found, is_turn), jnp.append(crossing, turn)
+    same = jnp.abs(breaks[:, None] - breaks) < _SAME * aperture
+    found &= ~jnp.any(np.tri(found.size, k=-1, dtype=bool) & same & found, axis=1)
+    chosen = jnp.argsort(~found)[:_BREAKS]
+    breaks = jnp.where(found[chosen], breaks[chosen], spread(first, last, _BREAKS))
+    zero = jnp.zeros_like(aperture)
+    edges = jnp.concatenate([jnp.clip(breaks, 0.0, aperture), jnp.stack([zero, aperture])])
+    return jnp.sort(edges)
+
+
+def _lit_rings(
+    rays: RingRays, ring: Float[Array, "rings"], inner: Array, outer: Array
+) -> tuple[Array, Array]:
+    """Bounds of the rings that may be lit: from a scan of whole rings, and of the meridian."""
+    tau = np.linspace(0.0, 1.0, _COARSE_TURNS)[:, None]
+    darkness = jnp.min(rays(ring, jnp.broadcast_to(tau, (tau.size, ring.size))).excess, axis=0)
+    # The lit part may begin between the samples, or lie between two of them.
+    lit = (darkness < 0.0) | (darkness == jnp.min(darkness))
+    before = jnp.concatenate([jnp.repeat(ring[:1], _BEYOND), ring[:-_BEYOND]])
+    after = jnp.concatenate([ring[_BEYOND:], jnp.repeat(ring[-1:], _BEYOND)])
+    low = jnp.min(jnp.where(lit, before, ring[-1]))
+    high = jnp.max(jnp.where(lit, after, ring[0]))
+    any_lit = outer > inner
+    return (
+        lax.stop_gradient(jnp.where(any_lit, jnp.minimum(low, inner), low)),
+        lax.stop_gradient(jnp.where(any_lit, jnp.maximum(high, outer), high)),
+    )
+
+
+def _turns(
+    rays: RingRays, ring_at: Callable[[Array], Array]
+) -> tuple[Bool[Array, "turns"], Float[Array, "turns"]]:
+    """Rings that the lit part's edge touches, and rings on which two limits meet on it.
+
+    Newton's method in two variables, from the best samples of a grid in each of its quarters.
+
+    Args:
+        rays: rays by ring and tau.
+        ring_at: ring by its share, in [0, 1], of the range that may be lit.
+    """
+
+    def limits(place):
+        """All limits and their slopes along the ring, [limit, ...]."""
+
+        def along(tau):
+            light = rays(ring_at(place[0]), tau)
+            return jnp.stack([light.cone, light.face, light.drop])
+
+        return jax.jvp(along, (place[1],), (jnp.ones_like(place[1]),))
+
+    share = (np.arange(_RINGS) + 0.5) / _RINGS
+    tau = (np.arange(_TURNS) + 0.5) / _TURNS
+    grid = jnp.stack(jnp.meshgrid(share, tau, indexing="ij"))
+    value, slope = limits(grid)
+    first, second = value[_FIRST], jnp.where(_TOUCHES[:, None, None], slope[_FIRST], value[_SECOND])
+    miss = jnp.maximum(jnp.maximum(jnp.abs(first), jnp.abs(second)), jnp.max(value, axis=0))
+    quarters = miss.reshape(-1, 2, _RINGS // 2, 2, _TURNS // 2).transpose(0, 1, 3, 2, 4)
+    best = jnp.argmin(quarters.reshape(-1, _RINGS // 2 * (_TURNS // 2)), axis=1)
+    candidates = best.size
+    quarter = np.arange(candidates) % 4
+    row = best // (_TURNS // 2) + quarter // 2 * (_RINGS // 2)
+    column = best % (_TURNS // 2) + quarter % 2 * (_TURNS // 2)
+    which = np.arange(candidates)
+    first_limit, second_limit, touches = (np.repeat(x, 4) for x in (_FIRST, _SECOND, _TOUCHES))
+
+    def values(place):
+        value, slope = limits(place)
+        other = jnp.where(touches, slope[first_limit, which], value[second_limit, which])
+        return value[first_limit, which], other, jnp.max(value, axis=0)
+
+    def step(place):
+        def along(direction):
+            move = jnp.broadcast_to(direction[:, None], place.shape)
+            return jax.jvp(values, (place,), (move,))
+
+        (a, b, excess), (a_slope, b_slope, _) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(2))
+        (a_ring, a_tau), (b_ring, b_tau) = lax.stop_gradient((a_slope, b_slope))
+        determinant = a_ring * b_tau - a_tau * b_ring
+        safe = jnp.where(determinant == 0.0, 1.0, determinant)
+        correction = jnp.stack([b_tau * a - a_tau * b, a_ring * b - b_ring * a]) / safe
+        correction = jnp.clip(correction, -_LONGEST, _LONGEST)
+        is_turn = jnp.maximum(jnp.maximum(jnp.abs(a), jnp.abs(b)), excess) < _CLOSE
+        ring, tau = place - correction
+        return jnp.stack(
+            [jnp.clip(ring, -_AROUND, 1.0 + _AROUND), jnp.clip(tau, 0.0, 1.0)]
+        ), is_turn
+
+    place = lax.stop_gradient(jnp.stack([jnp.asarray(share)[row], jnp.asarray(tau)[column]]))
+    place = lax.fori_loop(0, _STEPS, lambda _, place: step(place)[0], place)
+    # Only the last step is differentiated; it gives the implicit function's derivative.
+    place, is_turn = step(lax.stop_gradient(place))
+    return is_turn, ring_at(place[0])
+
+
+def _half_tangent(tangent: Array) -> Array:
+    """tan(x/2) from tan(x)."""
+    return tangent / (1.0 + jnp.sqrt(1.0 + jnp.square(tangent)))
