@@ -140,7 +140,8 @@ def outcome(folder: Path, command: tuple[str, ...]) -> tuple[int, str, float]:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     # Decoders of images, which are written in C, also print a word of their own.
-    own = [line for line in child.stderr.splitlines() if not line.startswith(("libpng", "["))]
+    theirs = ("libpng", "Corrupt JPEG data", "[")
+    own = [line for line in child.stderr.splitlines() if not line.startswith(theirs)]
     return child.returncode, "\n".join(own), spent
 
 

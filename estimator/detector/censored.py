@@ -79,8 +79,11 @@ def _flank(
             damping *= 8
         if np.abs(step).max() < Saturated.SMALLEST_STEP:
             break
+    information = jacobian.T @ jacobian
+    if not np.trace(information) > np.finfo(float).eps:
+        raise np.linalg.LinAlgError  # no light is left on the flank, and its inverse may overflow
     noise = float(residual @ residual) / (x.size - 3)
-    return fitted, noise * np.linalg.inv(jacobian.T @ jacobian)
+    return fitted, noise * np.linalg.inv(information)
 
 
 def _pixel_profile(
