@@ -18,14 +18,13 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from optics.irradiance_breaks import ring_breaks
+from optics.irradiance_breaks import Breaks, ring_breaks
 from optics.irradiance_edges import Excess, implicit_root, scan_boundaries, settle
 from optics.lens import GlueLens
 from optics.lens_trace import BackwardRays, trace_backwards
 
 _RINGS = 6  # Gauss-Legendre nodes between two breaks
-_CELLS = 24  # cells of the scan along half a ring
-_ZOOM = 0.07  # half-width of a closer scan where it finds no light, a cell of the first
+_CELLS = 8  # cells of the scan along half a ring, in each of three stretches
 _ARC = 5  # Gauss-Legendre nodes on an arc
 _BATCH = 64  # wall points per call, few enough to stay in the cache
 
@@ -103,13 +102,13 @@ def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
     # At a break an arc opens and closes like a square root; the cosine makes this smooth.
     turn = 0.5 * np.pi * (node + 1.0)
     share, share_weight = 0.5 - 0.5 * np.cos(turn), 0.25 * np.pi * np.sin(turn) * weight
-    start, width = breaks[:-1, None], jnp.diff(breaks)[:, None]
+    start, width = breaks.ring[:-1, None], jnp.diff(breaks.ring)[:, None]
     ring, ring_weight = (start + width * share).ravel(), (width * share_weight).ravel()
 
     # Axes from here on: node of an arc, arc, ring.
     node, weight = np.polynomial.legendre.leggauss(_ARC)
     node, weight = node[:, None, None], weight[:, None, None]
-    arcs = _lit_arcs(lambda tau: rays(ring, tau).excess, ring.size)
+    arcs = _lit_arcs(lambda tau: rays(ring, tau).excess, _openings(breaks, share).reshape(2, -1))
     first, last = _quarter_tangent(haversine(ring, arcs))
     half = 0.5 * (last - first)
     tangent = first + half * (1.0 + node)
@@ -120,18 +119,35 @@ def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
     return jnp.stack([jnp.sum(area * light.lateral), jnp.sum(area * light.axial)])
 
 
-def _lit_arcs(excess: Excess, rings: int) -> Float[Array, "2 2 rings"]:
-    """First and last tau in [0, 1] of the at most two lit arcs of half a ring; may be empty."""
-    # Short arcs lie near the meridian, where both edges of the lit part bend.
-    fraction = np.sin(np.linspace(0.0, 0.5 * np.pi, _CELLS + 1))[:, None] ** 2
-    tau = jnp.broadcast_to(fraction, (_CELLS + 1, rings))
+def _openings(breaks: Breaks, share: Float[np.ndarray, "nodes"]) -> Float[Array, "2 intervals n"]:
+    """Places in [0, 1] of short arcs on each ring, from the openings before and after it."""
+    number = jnp.arange(breaks.ring.size)
+    last = number[-1]
+    before = lax.cummax(jnp.where(breaks.opens, number, 0))[:-1, None]
+    after = lax.cummin(jnp.where(breaks.opens, number, last), reverse=True)[1:, None]
+    ring = breaks.ring[:-1, None] + jnp.diff(breaks.ring)[:, None] * share
+    nearest = jnp.stack([before, after])
+    place = breaks.tau[nearest] + breaks.drift[nearest] * (ring - breaks.ring[nearest])
+    middle = np.array([1 / 3, 2 / 3])[:, None, None]  # for a ring without an opening on one side
+    return lax.stop_gradient(jnp.clip(jnp.where(breaks.opens[nearest], place, middle), 0.0, 1.0))
+
+
+def _lit_arcs(excess: Excess, openings: Float[Array, "2 rings"]) -> Float[Array, "2 2 rings"]:
+    """First and last tau in [0, 1] of the at most two lit arcs of half a ring; may be empty.
+
+    Args:
+        excess: excess of the rings, by tau.
+        openings: places at which an arc can be shorter than the scan's cells.
+    """
+    # Short arcs lie at the openings, or near the meridian, where both edges of the lit part bend.
+    low, high = jnp.min(openings, axis=0), jnp.max(openings, axis=0)
+    rings = low.size
+    start = jnp.stack([jnp.zeros(rings), low, high])
+    width = jnp.stack([low, high - low, 1.0 - high])
+    fraction = np.sin(np.linspace(0.0, 0.5 * np.pi, _CELLS, endpoint=False)) ** 2
+    tau = (start[:, None] + width[:, None] * fraction[:, None]).reshape(-1, rings)
+    tau = jnp.append(tau, jnp.ones((1, rings)), axis=0)
     values = excess(tau)
-    # Next to a ring that the lit part's edge touches, the arc is shorter than a cell.
-    near = jnp.take_along_axis(tau, jnp.argmin(values, axis=0)[None], axis=0)
-    closer = jnp.clip(near + np.linspace(-_ZOOM, _ZOOM, _CELLS + 1)[:, None], 0.0, 1.0)
-    resolved = jnp.any(values < 0.0, axis=0)
-    tau = jnp.where(resolved, tau, closer)
-    values = jnp.where(resolved, values, excess(closer))
     found, lit, dark = scan_boundaries(tau, values, count=3)
     root = jnp.clip(implicit_root(excess, settle(excess, lit, dark)), 0.0, 1.0)
     zero = jnp.zeros(rings)

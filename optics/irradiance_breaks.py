@@ -6,6 +6,7 @@ where it touches a ring, or where it passes from one limit of the light to anoth
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,10 +39,26 @@ _TOUCHES = _FIRST == _SECOND
 RingRays = Callable[[Array, Array], BackwardRays]
 
 
+class Breaks(NamedTuple):
+    """Breaks in order, and where the lit part opens at those that lie off the meridian.
+
+    Attributes:
+        ring: radii on the cap, mm, from 0 to the aperture.
+        opens: whether the lit part opens at a known place of this ring.
+        tau: this place, in [0, 1]. An arc around it is short on the rings next to it.
+        drift: derivative of the arc's place along the rings, 1/mm.
+    """
+
+    ring: Float[Array, "breaks"]
+    opens: Bool[Array, "breaks"]
+    tau: Float[Array, "breaks"]
+    drift: Float[Array, "breaks"]
+
+
 def ring_breaks(
     lens: GlueLens, rays: RingRays, *, radius: ArrayLike, distance: ArrayLike
-) -> Float[Array, "breaks"]:
-    """Radii of the cap at which the number or the bounds of lit arcs change, with both ends.
+) -> Breaks:
+    """Rings of the cap at which the number or the bounds of lit arcs change, with both ends.
 
     Breaks have derivatives, because a whole arc ends at a break if the core's edge is along a ring.
 
@@ -101,7 +118,7 @@ def ring_breaks(
     def ring_at(share):
         return place(angle(low) + (angle(high) - angle(low)) * share)
 
-    is_turn, turn = _turns(rays, ring_at)
+    is_turn, turn, tau, drift = _turns(rays, ring_at)
     first = jnp.minimum(inner, jnp.min(jnp.where(is_turn, turn, inner)))
     last = jnp.maximum(outer, jnp.max(jnp.where(is_turn, turn, outer)))
     # Few of the candidates exist. Unused breaks divide the range evenly in the angle.
@@ -109,10 +126,18 @@ def ring_breaks(
     same = jnp.abs(breaks[:, None] - breaks) < _SAME * aperture
     found &= ~jnp.any(np.tri(found.size, k=-1, dtype=bool) & same & found, axis=1)
     chosen = jnp.argsort(~found)[:_BREAKS]
-    breaks = jnp.where(found[chosen], breaks[chosen], spread(first, last, _BREAKS))
-    zero = jnp.zeros_like(aperture)
-    edges = jnp.concatenate([jnp.clip(breaks, 0.0, aperture), jnp.stack([zero, aperture])])
-    return jnp.sort(edges)
+    used = found[chosen]
+    breaks = jnp.where(used, breaks[chosen], spread(first, last, _BREAKS))
+    ring = jnp.append(jnp.clip(breaks, 0.0, aperture), jnp.stack([0.0 * aperture, aperture]))
+    order = jnp.argsort(ring)
+
+    def in_order(of_turns: Array) -> Array:
+        every = jnp.append(jnp.zeros(crossing.size, of_turns.dtype), of_turns)
+        return jnp.append(every[chosen], jnp.zeros(2, of_turns.dtype))[order]
+
+    return Breaks(
+        ring[order], in_order(is_turn & found[crossing.size :]), in_order(tau), in_order(drift)
+    )
 
 
 def _lit_rings(
@@ -136,8 +161,10 @@ def _lit_rings(
 
 def _turns(
     rays: RingRays, ring_at: Callable[[Array], Array]
-) -> tuple[Bool[Array, "turns"], Float[Array, "turns"]]:
+) -> tuple[Bool[Array, "turns"], Array, Array, Array]:
     """Rings that the lit part's edge touches, and rings on which two limits meet on it.
+
+    Whether each candidate is one, its ring, its tau, and the drift of the arc that opens there.
 
     Newton's method in two variables, from the best samples of a grid in each of its quarters.
 
@@ -183,20 +210,28 @@ def _turns(
         (a, b, excess), (a_slope, b_slope, _) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(2))
         (a_ring, a_tau), (b_ring, b_tau) = lax.stop_gradient((a_slope, b_slope))
         determinant = a_ring * b_tau - a_tau * b_ring
-        safe = jnp.where(determinant == 0.0, 1.0, determinant)
-        correction = jnp.stack([b_tau * a - a_tau * b, a_ring * b - b_ring * a]) / safe
+        correction = jnp.stack([b_tau * a - a_tau * b, a_ring * b - b_ring * a])
+        correction /= _nonzero(determinant)
         correction = jnp.clip(correction, -_LONGEST, _LONGEST)
         is_turn = jnp.maximum(jnp.maximum(jnp.abs(a), jnp.abs(b)), excess) < _CLOSE
         ring, tau = place - correction
-        return jnp.stack(
-            [jnp.clip(ring, -_AROUND, 1.0 + _AROUND), jnp.clip(tau, 0.0, 1.0)]
-        ), is_turn
+        place = jnp.stack([jnp.clip(ring, -_AROUND, 1.0 + _AROUND), jnp.clip(tau, 0.0, 1.0)])
+        # Next to a touched ring the short arc lies around the zero of the slope, and next to a
+        # meeting of two limits between their zeros.
+        second = -b_ring / _nonzero(b_tau)
+        drift = jnp.where(touches, second, 0.5 * (second - a_ring / _nonzero(a_tau)))
+        return place, is_turn, drift
 
     place = lax.stop_gradient(jnp.stack([jnp.asarray(share)[row], jnp.asarray(tau)[column]]))
     place = lax.fori_loop(0, _STEPS, lambda _, place: step(place)[0], place)
     # Only the last step is differentiated; it gives the implicit function's derivative.
-    place, is_turn = step(lax.stop_gradient(place))
-    return is_turn, ring_at(place[0])
+    place, is_turn, drift = step(lax.stop_gradient(place))
+    ring, per_share = jax.jvp(ring_at, (place[0],), (jnp.ones_like(place[0]),))
+    return is_turn, ring, *lax.stop_gradient((place[1], drift / _nonzero(per_share)))
+
+
+def _nonzero(x: Array) -> Array:
+    return jnp.where(x == 0.0, 1.0, x)
 
 
 def _half_tangent(tangent: Array) -> Array:
