@@ -19,17 +19,18 @@ from optics.irradiance_edges import implicit_root, scan_boundaries, settle
 from optics.lens import GlueLens
 from optics.lens_trace import BackwardRays
 
-_MERIDIAN = 64  # cells of the scan along the meridian
+_MERIDIAN = 160  # cells of the scan along the meridian
 _ZOOM = 16  # cells of the second scan, for a lit part smaller than a cell
 _CROSSINGS = 6  # of the meridian with the lit part's edge, for a disc and a ring
 _COARSE, _COARSE_TURNS = 33, 11  # samples of the scan of whole rings
 _BEYOND = 2  # of these samples, to which the lit part may reach beyond the outermost lit one
-_RINGS, _TURNS = 16, 10  # samples of the search for turns of the edge, even numbers
+_RINGS, _TURNS = 16, 10  # samples of the search for turns of the edge
+_PARTS = 4  # of the rings; the search starts from the best sample in each
 _STEPS, _LONGEST = 7, 0.25  # Newton steps towards a turn, and their bound
 _AROUND = 0.5  # of the range that may be lit: its bounds are estimates
 _CLOSE = 1e-6  # residual of a turn
 _SAME = 1e-9  # of the aperture: two candidates are one turn
-_BREAKS = 9  # kept of all candidates; more do not occur together
+_BREAKS = 11  # kept of all candidates; more do not occur together
 
 # A turn is a zero of one limit and of its slope along the ring (touches), or of two limits.
 # Limits: 0 cone, 1 face, 2 drop.
@@ -166,7 +167,7 @@ def _turns(
 
     Whether each candidate is one, its ring, its tau, and the drift of the arc that opens there.
 
-    Newton's method in two variables, from the best samples of a grid in each of its quarters.
+    Newton's method in two variables, from the best sample in each part of a grid.
 
     Args:
         rays: rays by ring and tau.
@@ -188,14 +189,12 @@ def _turns(
     value, slope = limits(grid)
     first, second = value[_FIRST], jnp.where(_TOUCHES[:, None, None], slope[_FIRST], value[_SECOND])
     miss = jnp.maximum(jnp.maximum(jnp.abs(first), jnp.abs(second)), jnp.max(value, axis=0))
-    quarters = miss.reshape(-1, 2, _RINGS // 2, 2, _TURNS // 2).transpose(0, 1, 3, 2, 4)
-    best = jnp.argmin(quarters.reshape(-1, _RINGS // 2 * (_TURNS // 2)), axis=1)
-    candidates = best.size
-    quarter = np.arange(candidates) % 4
-    row = best // (_TURNS // 2) + quarter // 2 * (_RINGS // 2)
-    column = best % (_TURNS // 2) + quarter % 2 * (_TURNS // 2)
-    which = np.arange(candidates)
-    first_limit, second_limit, touches = (np.repeat(x, 4) for x in (_FIRST, _SECOND, _TOUCHES))
+    parts = miss.reshape(_FIRST.size, _PARTS, -1)  # ring and tau together on the last axis
+    best = jnp.argmin(parts, axis=-1)
+    row = (best // _TURNS + np.arange(0, _RINGS, _RINGS // _PARTS)).ravel()
+    column = (best % _TURNS).ravel()
+    which = np.arange(row.size)
+    first_limit, second_limit, touches = (np.repeat(x, _PARTS) for x in (_FIRST, _SECOND, _TOUCHES))
 
     def values(place):
         value, slope = limits(place)

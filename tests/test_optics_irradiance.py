@@ -134,6 +134,76 @@ def test_a_core_narrower_than_the_cap_sends_light_where_brute_force_says(
     np.testing.assert_allclose(axial, expected, rtol=0, atol=1e-3 * max(expected))
 
 
+def random_lens(seed):
+    """A lens from the whole range of drops, and a medium."""
+    rng = np.random.default_rng(seed)
+    aperture = rng.uniform(0.2, 0.35)
+    core = rng.uniform(0.15, min(0.3, aperture))
+    sag, rim = rng.uniform(0.001, aperture), rng.uniform(0.0, 0.4)
+    lens = optics.glue_lens(
+        core_radius=core,
+        aperture_radius=aperture,
+        sag=sag,
+        glue_length=sag + rim,
+        glue_index=rng.uniform(1.45, 1.55),
+        numerical_aperture=rng.uniform(0.05, 0.3),
+    )
+    return lens, (AIR, VITREOUS)[seed % 2]
+
+
+def adaptive_flux(light, distance, tolerance):
+    """Flux through a plane square to the axis, with panels that shrink at caustics."""
+    x, weight = nodes(-1.0, 1.0, 8)
+
+    def panels(first, last):
+        rho = first[:, None] + (last - first)[:, None] * (x + 1) / 2
+        _, axial = light(radius=rho.ravel(), distance=distance)
+        flux = 2 * np.pi * rho * np.asarray(axial).reshape(rho.shape) * weight
+        return flux.sum(axis=1) * (last - first) / 2
+
+    edges = np.linspace(0.0, float(light.envelope(distance)), 33)
+    first, last, total = edges[:-1], edges[1:], 0.0
+    whole = panels(first, last)
+    for _ in range(8):
+        middle = (first + last) / 2
+        halves = np.stack([panels(first, middle), panels(middle, last)], axis=1)
+        settled = np.abs(halves.sum(axis=1) - whole) < tolerance / 60
+        total += halves[settled].sum()
+        left = ~settled
+        first = np.stack([first, middle], axis=1)[left].ravel()
+        last = np.stack([middle, last], axis=1)[left].ravel()
+        whole = halves[left].ravel()
+        if not left.any():
+            break
+    return total + whole.sum()
+
+
+@pytest.mark.slow
+def test_no_light_of_a_hundred_lenses_is_lost():
+    lost, profile = [], []
+    for seed in range(1000, 1100):
+        lens, medium = random_lens(seed)
+        light = LensField(lens, medium)
+        power = float(transmitted_power(lens, medium_index=medium))
+        for distance in (0.1, 0.5, 2.0):
+            lost.append(abs(adaptive_flux(light, distance, 3e-5 * power) / power - 1))
+            radius = float(light.envelope(distance)) * np.linspace(0.0, 0.97, 12)
+            expected = np.array([irradiance(lens, medium, r, distance) for r in radius])
+            _, axial = field(lens, medium, radius, distance)
+            profile.append(np.max(np.abs(axial - expected)) / expected.max())
+    lost, profile = np.array(lost), np.array(profile)
+    print(
+        f"\nflux: {np.sum(lost > 1e-4)} of {lost.size} planes off by > 1e-4, worst {lost.max():.1e}"
+    )
+    print(
+        f"profile: {np.sum(profile > 1e-3)} of {profile.size} off by > 1e-3 of the peak, ", end=""
+    )
+    print(f"worst {profile.max():.1e}, median {np.median(profile):.1e}")
+    # A narrow second arc of a ring is missed now and then, at one radius in a thousand.
+    assert np.mean(lost > 1e-4) <= 0.03 and lost.max() < 1e-3
+    assert np.mean(profile > 1e-3) <= 0.01 and profile.max() < 5e-3
+
+
 @pytest.mark.parametrize("medium", [AIR, VITREOUS])
 def test_the_field_has_no_sources(medium):
     # What enters a cylinder about the axis through its ends leaves through its side.
@@ -182,6 +252,25 @@ def photons(lens, medium, count, seed):
     s = (index * cos1 - medium * cos2) / (index * cos1 + medium * cos2)
     q = (medium * cos1 - index * cos2) / (medium * cos1 + index * cos2)
     return point, out, 1 - (s**2 + q**2) / 2
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_photons_of_random_lenses_land_where_the_field_says(seed):
+    lens, medium = random_lens(seed)
+    count, distance = 400_000, (0.1, 0.4, 2.0)[seed % 3]
+    point, out, weight = photons(lens, medium, count, seed)
+    path = (distance - point[:, 2]) / out[:, 2]
+    rho = np.hypot(*(point[:, :2] + path[:, None] * out[:, :2]).T)
+    edges = np.append(0.0, np.quantile(rho, [0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99]))
+    for first, last in pairwise(edges):
+        r, area = nodes(first, last, 64)
+        expected = np.sum(2 * np.pi * r * area * field(lens, medium, r, distance)[1])
+        found = np.where((rho >= first) & (rho < last), weight, 0.0)
+        mean = found.sum() / count
+        sigma = np.sqrt((np.sum(found**2) / count - mean**2) / count)
+        # 70 comparisons: 4.5 sigma is passed by chance once in 2000 runs. The 64 nodes of a ring
+        # that a caustic crosses are good to 1e-3 of it.
+        assert abs(mean - expected) < 4.5 * sigma + 1e-3 * expected
 
 
 @pytest.mark.parametrize("medium", [AIR, VITREOUS])
