@@ -29,7 +29,7 @@ _PARTS = 4  # of the rings; the search starts from the best sample in each
 _STEPS, _LONGEST = 7, 0.25  # Newton steps towards a turn, and their bound
 _AROUND = 0.5  # of the range that may be lit: its bounds are estimates
 _CLOSE = 1e-6  # residual of a turn
-_SAME = 1e-9  # of the aperture: two candidates are one turn
+_SAME = 1e-6  # of the aperture: two candidates are one turn
 _BREAKS = 11  # kept of all candidates; more do not occur together
 
 # A turn is a zero of one limit and of its slope along the ring (touches), or of two limits.
