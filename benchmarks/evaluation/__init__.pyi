@@ -48,6 +48,7 @@ from .tracking import Tracked as Tracked
 from .tracking import Way as Way
 from .tracking import track_stack as track_stack
 from .trials import PINHOLE_HEIGHTS_MM as PINHOLE_HEIGHTS_MM
+from .trials import TILT_AZIMUTHS_DEG as TILT_AZIMUTHS_DEG
 from .trials import StaticTrial as StaticTrial
 from .trials import grid_trials as grid_trials
 from .trials import paper_trials as paper_trials

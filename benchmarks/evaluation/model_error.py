@@ -58,10 +58,11 @@ class ModelError(NamedTuple):
 
 
 class Accuracy(NamedTuple):
-    """Row of rendered_accuracy.csv: a model's errors over all measured spots of one pinhole."""
+    """Row of rendered_accuracy.csv: a model's errors over all measured spots of one geometry."""
 
     model: Annotated[str, Column("model")]
     z_f_mm: Annotated[float, Column("z_F, mm", 1)]
+    azimuth_deg: Annotated[float, Column("azimuth, °", 0)]
     spots: Annotated[int, Column("spots")]
     mean_error_mm: Annotated[float, Column("mean error, mm", 4, sign=True)]
     max_abs_error_mm: Annotated[float, Column("largest |error|, mm", 4)]
@@ -182,12 +183,14 @@ def estimates(
 
 
 def accuracy(errors: Sequence[ModelError]) -> list[Accuracy]:
-    """Each model's errors by pinhole height."""
-    rows = []
-    for height, model in dict.fromkeys((e.z_f_mm, e.model) for e in errors):
-        values = [e.error_mm for e in errors if (e.z_f_mm, e.model) == (height, model)]
-        rows.append(Accuracy(model, height, len(values), mean(values), largest(values)))
-    return rows
+    """Each model's errors by pinhole height and azimuth of the incidence."""
+    by_geometry: dict[tuple[str, float, float], list[float]] = {}
+    for e in errors:
+        by_geometry.setdefault((e.model, e.z_f_mm, e.azimuth_deg), []).append(e.error_mm)
+    return [
+        Accuracy(*key, len(values), mean(values), largest(values))
+        for key, values in by_geometry.items()
+    ]
 
 
 def largest_errors(errors: Iterable[ModelError]) -> tuple[list[float], list[float]]:

@@ -47,32 +47,35 @@ def model_error_figure(
     *,
     models: Sequence[str] = COMPARED,
 ) -> Figure:
-    """Signed error against c: a row for each pinhole height, a column for each model."""
+    """Signed error against c: a row for each pinhole and azimuth, a column for each model."""
     *square, tilted = sorted({e.incidence_deg for e in analytic})
 
-    def draw(axes: Axes, height: float, model: str) -> None:
+    def draw(axes: Axes, view: tuple[float, float], model: str) -> None:
+        height, azimuth = view
         limit_lines(axes, ACCEPTABLE_ERROR_MM)
         for d, colour in _SHADES.items():
-            for errors, incidences, style in (
-                (analytic, square, {"ls": ":"}),
-                (analytic, [tilted], {"ls": "-", "label": f"exact contour, $d$ = {d:g} mm"}),
-                (rendered, None, {"ls": "", "marker": "o", "ms": 3.5}),
+            for errors, style in (
+                ([e for e in analytic if e.incidence_deg in square], {"ls": ":"}),
+                (leaning(analytic, azimuth), {"label": f"exact contour, $d$ = {d:g} mm"}),
+                (leaning(rendered, azimuth), {"ls": "", "marker": "o", "ms": 3.5}),
             ):
                 shown = [
                     e
                     for e in errors
-                    if (e.model, e.z_f_mm) == (model, height)
-                    and abs(e.d_mm - d) < 1e-6
-                    and (incidences is None or e.incidence_deg in incidences)
+                    if (e.model, e.z_f_mm) == (model, height) and abs(e.d_mm - d) < 1e-6
                 ]
                 x, y = [e.c_mm for e in shown], [e.error_mm for e in shown]
                 axes.plot(x, y, color=colour, **style)
 
+    def leaning(errors: Sequence[ModelError], azimuth: float) -> list[ModelError]:
+        return [e for e in errors if (e.incidence_deg, e.azimuth_deg) == (tilted, azimuth)]
+
+    views = [(e.z_f_mm, e.azimuth_deg) for e in analytic if e.incidence_deg == tilted]
     return small_multiples(
         draw,
-        rows=list(dict.fromkeys(e.z_f_mm for e in analytic)),
+        rows=list(dict.fromkeys(views)),
         columns=models,
-        title=lambda height, model: f"{model}, {pinhole_title(height)}",
+        title=lambda view, model: f"{model}\n{pinhole_title(view[0])}, azimuth {view[1]:g}°",
         x=ECCENTRICITY,
         y="estimate − $d$ (mm)",
         sharex=True,

@@ -13,6 +13,8 @@ _PLANE_ECCENTRICITIES_MM = (1.5, 3.0, 4.5)
 _AZIMUTHS_DEG = (0.0, 120.0, 240.0)
 PINHOLE_HEIGHTS_MM = (11.5, 200.0)
 """On the eyeball's sphere (equation 9 of Zhou et al. 2020), and a real microscope."""
+TILT_AZIMUTHS_DEG = (0.0, 90.0, 180.0)
+"""Of a tilted beam: towards growing c, across the meridian, and towards the axis."""
 
 
 TrialKind = Literal["plane", "sphere", "grid"]
@@ -80,11 +82,11 @@ def paper_trials(*, source: str, quick: bool, seed: int) -> list[StaticTrial]:
 
 
 def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
-    """Ideal cones at each eccentricity from 0 to 7 mm, for both pinhole heights."""
+    """Ideal cones at each eccentricity from 0 to 7 mm, for both pinholes, tilted three ways."""
     eccentricities = (0.0, 3.0, 5.0, 7.0) if quick else tuple(float(c) for c in range(8))
     return [
         StaticTrial(
-            name=f"grid-pinhole-{height:g}-c-{c:g}",
+            name=f"grid-pinhole-{height:g}-azimuth-{azimuth:g}-c-{c:g}",
             kind="grid",
             group=f"pinhole {height:g} mm",
             scene=Scene.model_validate(
@@ -93,7 +95,7 @@ def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
                     "seed": seed,
                     "phantom": {"texture_seed": seed},
                     "source": {"kind": "cone"},
-                    "spot": {"eccentricity_mm": c},
+                    "spot": {"eccentricity_mm": c, "incidence_azimuth_deg": azimuth},
                     "motion": {"start_mm": 0.5, "travel_mm": 5.5, "frames": 4 if quick else 12},
                     "microscope": {"pinhole_height_mm": height},
                     "exposures": {"kinds": ["metered"]},
@@ -101,5 +103,6 @@ def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
             ),
         )
         for height in PINHOLE_HEIGHTS_MM
+        for azimuth in TILT_AZIMUTHS_DEG
         for c in eccentricities
     ]

@@ -123,14 +123,28 @@ def _main_cause(findings: EccentricityFindings, height: float) -> Iterator[Claim
     nearest = min(here, key=lambda p: (abs(p.c_mm - SHOWN_C_MM), abs(p.d_mm - SHOWN_C_MM)))
     spot = [p for p in here if (p.c_mm, p.d_mm) == (nearest.c_mm, nearest.d_mm)]
     ordered = sorted(spot, key=lambda p: -abs(p.part_mm))
+    own = min(
+        (
+            e
+            for e in findings.analytic
+            if (e.z_f_mm, e.model, e.incidence_deg)
+            == (height, "small_plane", nearest.incidence_deg)
+        ),
+        key=lambda e: (abs(e.c_mm - nearest.c_mm), abs(e.d_mm - nearest.d_mm)),
+    )
     yield Claim(
         name=f"z_F = {height:g} mm, causes",
         sentence="At c = {spot.c_mm:.1f} mm and d = {spot.d_mm:.1f} mm the error of small_plane is "
-        "{value:+.3f} mm. Its causes, the largest first: {causes}. Their parts in mm: {parts:+.3f}"
-        ".",
+        "{value:+.3f} mm if it is also given an r too large by {wrong_r:g} mm and a c too large by "
+        "{wrong_c:g} mm; its own error on the exact contour is {own.error_mm:+.3f} mm (c = "
+        "{own.c_mm:g}, d = {own.d_mm:g} mm). The causes, the largest first: {causes}. Their "
+        "shares in mm: {parts:+.3f}. (Shapley's values: a cause alone can do more or less.)",
         value=nearest.whole_mm,
         numbers={
             "spot": nearest,
+            "own": own,
+            "wrong_r": WRONG_R_MM,
+            "wrong_c": WRONG_C_MM,
             "causes": tuple(p.cause for p in ordered),
             "parts": tuple(p.part_mm for p in ordered),
         },

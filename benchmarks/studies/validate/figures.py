@@ -187,14 +187,18 @@ class SpotFigures:
 
 
 def model_error_size(findings: ValidateFindings) -> Figure:
-    """Largest absolute error over all distances, on a logarithmic axis: one panel a pinhole."""
+    """Largest absolute error over all distances, on a logarithmic axis: a column a pinhole."""
     tilted = max(e.incidence_deg for e in findings.rendered)
 
-    def draw(axes: Axes, _: str, height: float) -> None:
+    def draw(axes: Axes, azimuth: float, height: float) -> None:
         axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--")
         for model, marker in zip(COMPARED, "ov^s", strict=True):
             exact, seen = (
-                [e for e in errors if (e.model, e.z_f_mm) == (model, height)]
+                [
+                    e
+                    for e in errors
+                    if (e.model, e.z_f_mm, e.azimuth_deg) == (model, height, azimuth)
+                ]
                 for errors in (findings.analytic, findings.rendered)
             )
             line = largest_errors(e for e in exact if abs(e.incidence_deg - tilted) < 1e-6)
@@ -210,9 +214,9 @@ def model_error_size(findings: ValidateFindings) -> Figure:
 
     return small_multiples(
         draw,
-        rows=[""],
+        rows=list(dict.fromkeys(e.azimuth_deg for e in findings.rendered)),
         columns=list(dict.fromkeys(e.z_f_mm for e in findings.rendered)),
-        title=lambda _, height: pinhole_title(height),
+        title=lambda azimuth, height: f"{pinhole_title(height)}, azimuth {azimuth:g}°",
         x=ECCENTRICITY,
         y="largest |estimate − $d$| (mm)",
         height=3.1,

@@ -11,6 +11,7 @@ from benchmarks.evaluation import (
     ALL_PLANES,
     PINHOLE_HEIGHTS_MM,
     SUBPIXEL,
+    TILT_AZIMUTHS_DEG,
     WAYS,
     ModelError,
     StaticTrial,
@@ -71,14 +72,21 @@ def fit_tables(trials: Sequence[StaticTrial], tracked: Mapping[tuple[str, str], 
 
 
 def analytic_errors(*, quick: bool) -> list[ModelError]:
-    """Errors on exact contours: square to the wall, and at the trials' incidence."""
+    """Errors on exact contours: square to the wall, and at the trials' incidence and azimuths."""
     geometry = geometry_of(grid_trials(quick=quick, seed=0)[0].scene)
     return [
         error
         for height in _ANALYTIC_HEIGHTS_MM
-        for incidence in (0.0, geometry.incidence)
+        for incidence, azimuth_deg in (
+            (0.0, 0.0),
+            *((geometry.incidence, azimuth) for azimuth in TILT_AZIMUTHS_DEG),
+        )
         for error in model_error.analytic_errors(
-            geometry._replace(pinhole_height=height, incidence=incidence),
+            geometry._replace(
+                pinhole_height=height,
+                incidence=incidence,
+                incidence_azimuth=math.radians(azimuth_deg),
+            ),
             eccentricities=np.linspace(0.0, 7.0, 8 if quick else 29),
             distances=np.arange(0.5, 6.01, 0.5),
         )
@@ -88,17 +96,15 @@ def analytic_errors(*, quick: bool) -> list[ModelError]:
 def rendered_errors(
     trials: Sequence[StaticTrial], tracked: Mapping[tuple[str, str], Tracked]
 ) -> list[ModelError]:
-    """Errors on measured spots of the grid, each pinhole height in one batch."""
+    """Errors on measured spots of the grid, each pinhole height and azimuth in one batch."""
     errors: list[ModelError] = []
-    for height in PINHOLE_HEIGHTS_MM:
-        own = [
-            t
-            for t in trials
-            if t.kind == "grid" and math.isclose(t.scene.microscope.pinhole_height_mm, height)
-        ]
+    grid = [t for t in trials if t.kind == "grid"]
+    geometries = [geometry_of(t.scene) for t in grid]
+    for geometry in dict.fromkeys(geometries):
+        own = [t for t, its in zip(grid, geometries, strict=True) if its == geometry]
         seen = [tracked[t.name, SUBPIXEL.name] for t in own]
         errors += measured_errors(
-            geometry_of(own[0].scene),
+            geometry,
             labels=[row for t in seen for row in t.used_labels],
             semi_minor_px=np.concatenate([t.semi_minor_px for t in seen]),
         )

@@ -150,7 +150,7 @@ def _models(findings: ValidateFindings) -> Section:
             Accuracy,
             accuracy(findings.rendered),
             "Errors on rendered spots of the ideal cone at all c and d of the grid, sub-pixel "
-            "mode.",
+            "mode. Azimuth: direction of the beam's tilt, 0° towards growing c.",
             data="rendered_accuracy.csv",
         ),
     )
