@@ -322,7 +322,7 @@ def test_frames_left_out_are_counted_once_each(written: Path) -> None:
         (row["trial"], row["way"]): sum(int(r["frames"]) for r in rows if same_case(r, row))
         for row in rows
     }
-    # 12 trials of 9 frames in three ways, 8 of the grid with 4 frames in one.
+    # 12 trials of 9 frames in three ways, 24 of the grid with 4 frames in one.
     assert sorted(counted.values()) == [4] * 24 + [9] * 36
     assert read_summary(written)["left_out"] == {"none found": 12 * 9}
 
@@ -508,11 +508,11 @@ def test_fitted_eccentricity_claim_follows_the_fits() -> None:
 
 
 def test_a_way_that_sees_nothing_is_counted() -> None:
-    # 12 trials of 9 frames in three ways and 8 of 4 in one, less the blind third.
+    # 12 trials of 9 frames in three ways and 24 of 4 in one, less the blind third.
     found = find(paper_like_run(), "frames used")
-    assert found.text.startswith("The fits use 248 of 356 measurements.")
+    assert found.text.startswith("The fits use 312 of 420 measurements.")
     by_way = dict(zip(found.numbers["ways"].split("; "), found.numbers["used"], strict=True))
-    assert by_way == {LITERAL.name: 108, LITERAL_METERED.name: 0, SUBPIXEL.name: 140}
+    assert by_way == {LITERAL.name: 108, LITERAL_METERED.name: 0, SUBPIXEL.name: 204}
 
 
 @pytest.mark.parametrize(
