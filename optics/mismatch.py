@@ -22,7 +22,9 @@ def ellipse_mismatch(contour: Float[Array, "n 2"], ellipse: Ellipse) -> Float[Ar
 
     In coordinates (p, q) in which the given ellipse is the unit circle: shift along p and q, and
     the terms of 1, cos 2t and sin 2t in the radius. They are exactly zero if the two ellipses are
-    equal, because then the conic 1 - p^2 - q^2 satisfies the normal equations of the fit.
+    equal, because then the conic 1 - p^2 - q^2 satisfies the normal equations of the fit. Without
+    the division by the contour's mean square radius, they would also vanish for a contour of size
+    0, and a solver with many unknowns goes there.
 
     Args:
         contour: points in order around the curve, px; with 32 points the error is 1e-7 px.
@@ -38,7 +40,7 @@ def ellipse_mismatch(contour: Float[Array, "n 2"], ellipse: Ellipse) -> Float[Ar
     p, q, weights = jax.lax.optimization_barrier((p, q, weights))
     weights /= jnp.sum(weights)
     x, y = p - jnp.sum(weights * p), q - jnp.sum(weights * q)
-    outside = weights * (p * p + q * q - 1.0)
+    outside = weights * (p * p + q * q - 1.0) / jnp.sum(weights * (x * x + y * y))
     return jnp.stack(
         [
             jnp.sum(outside * x),

@@ -177,6 +177,72 @@ def test_scale_and_cone_are_only_seen_together_on_planes_from_a_telecentric_micr
     assert np.sqrt(fit.covariance[1, 1]) == pytest.approx(TOUCH.sigma, rel=0.01)
 
 
+def traced_ellipses(*, beam, motion, readings, noise):
+    """Ellipses of a cone's spots on the plane z = -11.5, in NumPy: generators, pinhole, conic."""
+    scale, height, plane = 0.0067, 200.0, -11.5
+    aside = np.cross(beam, [1.0, 0.0, 0.0])
+    aside /= np.linalg.norm(aside)
+    turn = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)[:, None]
+    around = np.cos(turn) * aside + np.sin(turn) * np.cross(beam, aside)
+    rays = np.cos(TRUE["half_angle"]) * beam + np.sin(TRUE["half_angle"]) * around
+    touching = np.array([1.2, 0.8, plane]) - 0.12 * beam
+    rows = []
+    for reading in readings:
+        apex = touching - reading * motion + TRUE["b"] * beam
+        wall = apex + rays * ((plane - apex[2]) / rays[:, 2])[:, None]
+        focal_px = (height - plane) / scale
+        u = focal_px * wall[:, 0] / (height - wall[:, 2])
+        v = -focal_px * wall[:, 1] / (height - wall[:, 2])
+        # The conic through the points, in coordinates in which they are near the unit circle.
+        mean, size = np.array([u.mean(), v.mean()]), np.std(u)
+        x, y = (u - mean[0]) / size, (v - mean[1]) / size
+        a, b, c, d, e = np.linalg.lstsq(
+            np.column_stack([x * x, x * y, y * y, x, y]), np.ones(x.size), rcond=None
+        )[0]
+        form = np.array([[a, b / 2], [b / 2, c]])
+        centre = -np.linalg.solve(2 * form, [d, e])
+        form /= 1 + centre @ form @ centre
+        strength, ways = np.linalg.eigh(form)
+        major, minor = size / np.sqrt(strength)
+        angle = np.arctan2(ways[1, 0], ways[0, 0])
+        rows.append([*(mean + size * centre), major, minor, (angle + np.pi / 2) % np.pi - np.pi / 2])
+    rows = np.array(rows) + noise.standard_normal((len(readings), 5)) * np.sqrt(np.diag(SIGMAS))
+    return optics.Ellipse(*map(jnp.asarray, (rows[:, :2], *rows[:, 2:].T)))
+
+
+@pytest.mark.parametrize("off_deg", [0.3, 2.0])
+def test_a_beam_off_the_motion_does_not_change_the_cone(off_deg):
+    noise = np.random.default_rng(8)
+    motion = np.array([0.25, 0.42, -0.87])
+    motion /= np.linalg.norm(motion)
+    aside = np.cross(motion, [0.6, 0.8, 0.1])
+    aside /= np.linalg.norm(aside)
+    angle = np.radians(off_deg)
+    beam = np.cos(angle) * motion + np.sin(angle) * aside
+    readings = np.linspace(0.3, 5.8, 20)
+    trial = calibration.ConeTrial(
+        ellipses=traced_ellipses(beam=beam, motion=motion, readings=readings, noise=noise),
+        covariances=np.tile(SIGMAS, (readings.size, 1, 1)),
+        readings=readings,
+        axis=motion,
+        motion=motion,
+        principal_point=np.zeros(2),
+        touch=calibration.Prior(0.12, 0.02),
+        kind="plane",
+    )
+    fit = calibration.fit_cone([trial], EYE, start=START)
+    assert fit.converged
+    for name, error in zip(CONE, np.sqrt(np.diag(fit.covariance)), strict=True):
+        assert abs(fit.values[name] - TRUE[name]) < 3 * error, name
+    # Chi squared of n normal numbers, within four standard deviations.
+    degrees = fit.degrees_of_freedom
+    assert abs(fit.chi_squared - degrees) < 4 * np.sqrt(2 * degrees)
+    # The spot moves by 5.5 mm x the angle, so even a single trial shows the angle.
+    sigma = np.sqrt(np.trace(fit.boresight_covariance[0]))
+    assert sigma < np.radians(0.01)
+    assert abs(np.hypot(*fit.boresight[0]) - angle) < 3 * sigma
+
+
 def test_an_unknown_parameter_is_refused_by_name():
     with pytest.raises(ValueError, match="sag"):
         calibration.fit_cone([trial("plane", 1.5)], EYE, start=START, free=("sag",))

@@ -87,8 +87,8 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
             *eccentricities,
         ],
         notes=[
-            f"{name}: the fitted axis deviates by {math.degrees(np.hypot(*lean)):.2f}° from the "
-            "robot's."
-            for name, lean in zip(names, fit.lean, strict=True)
+            f"{name}: the beam points {math.degrees(np.hypot(*boresight)):.2f}° off the tool's "
+            f"axis. The robot is rotated by {math.degrees(np.hypot(*lean)):.2f}° against the eye."
+            for name, boresight, lean in zip(names, fit.boresight, fit.lean, strict=True)
         ],
     )

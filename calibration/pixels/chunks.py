@@ -15,7 +15,7 @@ import optics
 from calibration.pixels.lens import PARAMETERS as LENS
 from calibration.pixels.model import BeamLight, Cone, Lens, WallPixels, radiance, wall_pixels
 from calibration.pixels.table import LensTable
-from calibration.spots import phantom_wall
+from calibration.spots import beam_directions, phantom_wall
 
 CHUNK = 4096
 """Pixels per chunk, few enough that the derivatives stay in the cache."""
@@ -30,7 +30,8 @@ class Problem(eqx.Module):
         first, size: the free values are first + size x.
         fixed: values of the parameters that are not free.
         microscope: the camera; `scale` and `eye_radius` of the values replace its own.
-        axis: the beam's axis, reported by the robot.
+        motion: the tip's direction of motion towards the wall, reported by the robot.
+        axis: the tool's axis towards the wall, reported by the robot.
         blur: sigma with which the frames were blurred, px, or None.
         names: names of the free parameters.
         kind: kind of the wall.
@@ -40,6 +41,7 @@ class Problem(eqx.Module):
     size: Float[Array, "p"]
     fixed: dict[str, Array]
     microscope: optics.Microscope
+    motion: Float[Array, "3"]
     axis: Float[Array, "3"]
     blur: Float[Array, ""] | None
     names: tuple[str, ...] = eqx.field(static=True)
@@ -76,7 +78,7 @@ class View(NamedTuple):
         along: distance of the wall from the tip's plane, mm.
         point: point on the wall, mm.
         sight: unit vectors from the microscope.
-        tip, axis: the frame's tip and axis.
+        tip, axis: the frame's tip and beam.
     """
 
     light: Float[Array, "n"]
@@ -174,7 +176,7 @@ def _radiance(
 def poses(
     problem: Problem, values: Mapping[str, ArrayLike], readings: Float[np.ndarray, "frames"]
 ) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "3"]]:
-    """Tips and axis of frames with the given readings."""
+    """Tips and beam of frames with the given readings."""
     known = {name: jnp.asarray(value) for name, value in values.items()}
     camera, surface = _eye(problem, known)
     tips, axes = zip(*(_pose(problem, known, camera, surface, r) for r in readings), strict=True)
@@ -197,12 +199,15 @@ def _pose(
     surface: optics.Surface,
     reading: ArrayLike,
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """Tip and axis of a frame."""
+    """Tip and beam of a frame. The tip follows the robot's motion, and the beam its tool."""
     spot = surface.intersect(*camera.ray(jnp.stack([values["u"], values["v"]]))).point
-    first, second = optics.perpendicular_frame(problem.axis)
-    axis = problem.axis + values["lean"] * first + values["lean_sideways"] * second
-    axis /= jnp.linalg.norm(axis)
-    return spot - (reading + values["touch"]) * axis, axis
+    motion, beam = beam_directions(
+        motion=problem.motion,
+        axis=problem.axis,
+        lean=jnp.stack([values["lean"], values["lean_sideways"]]),
+        boresight=jnp.stack([values["boresight"], values["boresight_sideways"]]),
+    )
+    return spot - values["touch"] * beam - reading * motion, beam
 
 
 def _source(problem: Problem, values: Mapping[str, Array], table: LensTable | None) -> BeamLight:

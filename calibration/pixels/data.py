@@ -163,8 +163,9 @@ class Footage:
         light: mean of the channels, full wells, frames x h x w.
         clear: whether a pixel is neither black nor saturated in any channel.
         exposure_s: exposure times that the camera reports.
-        readings: distance along the beam since the first frame, mm.
-        axis: unit vector from the tip towards the wall, reported by the robot.
+        readings: distance of the tip from its place in the first frame, mm.
+        motion: unit vector against the tip's motion, towards the wall, reported by the robot.
+        axis: unit vector along the tool from the tip towards the wall, reported by the robot.
         noise: the camera's noise.
         microscope: the stack's microscope file.
         instrument: the tool, which can hide the wall and touches it in the first frame.
@@ -178,6 +179,7 @@ class Footage:
     clear: Bool[np.ndarray, "frames h w"]
     exposure_s: Float[np.ndarray, "frames"]
     readings: Float[np.ndarray, "frames"]
+    motion: Float[np.ndarray, "3"]
     axis: Float[np.ndarray, "3"]
     noise: CameraNoise
     microscope: MicroscopeFile
@@ -203,7 +205,7 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
     noise = CameraNoise.of(_camera_of(stack), microscope.response)
     frames = list(open_source(stack.folder, exposure=exposure))
     times = np.array([frame.time_s for frame in frames])
-    readings, axis = withdrawal(times, stack.folder / "kinematics.csv", source=stack.folder)
+    readings, motion, axis = withdrawal(times, stack.folder / "kinematics.csv", source=stack.folder)
 
     def number(key: str) -> float:
         return stack.described(f"scene.{key}", float)
@@ -216,6 +218,7 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
         clear=np.stack([_clear(frame.image, noise.full_scale) for frame in frames]),
         exposure_s=np.array([frame.exposure_s for frame in frames]),
         readings=readings,
+        motion=motion,
         axis=axis,
         noise=noise,
         microscope=microscope,

@@ -13,7 +13,7 @@ from calibration.pixels.image_fit import ImageFit
 from calibration.pixels.lens import lens_parameters
 from calibration.pixels.parameters import FREE, check_names
 from calibration.pixels.solver import Solver
-from calibration.spots import Prior
+from calibration.spots import BORESIGHT_SIGMA, Prior
 from estimator import Stack
 
 
@@ -27,6 +27,7 @@ def fit_image(
     exposure: str | None = None,
     exposures: Literal["reported", "fitted"] = "reported",
     lean_sigma: float = np.radians(1.0),
+    boresight_sigma: float = BORESIGHT_SIGMA,
 ) -> ImageFit:
     """Fit the light of a cone or of a glue lens to all pixels that the beam reaches.
 
@@ -42,7 +43,8 @@ def fit_image(
         priors: priors of free parameters.
         exposure: which exposure to use if the stack has several.
         exposures: use the reported exposure times, or also fit each frame's as a multiple of it.
-        lean_sigma: standard deviation of the robot's axis, rad.
+        lean_sigma: standard deviation of the robot's directions, rad.
+        boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.
 
     Raises:
         InputError: an unknown name, a missing start value, or a stack that cannot be fitted.
@@ -56,6 +58,7 @@ def fit_image(
         priors=priors,
         exposures=exposures,
         lean_sigma=lean_sigma,
+        boresight_sigma=boresight_sigma,
     )
 
 
@@ -73,6 +76,7 @@ def fit_footage(
     priors: Mapping[str, Prior] | None = None,
     exposures: Literal["reported", "fitted"] = "reported",
     lean_sigma: float = np.radians(1.0),
+    boresight_sigma: float = BORESIGHT_SIGMA,
     progress: Callable[[float], None] = lambda chi_squared: None,
 ) -> ImageFit:
     """`fit_image` for frames in memory; calls `progress` with chi squared at every step."""
@@ -87,6 +91,7 @@ def fit_footage(
         priors or {},
         exposures == "fitted",
         lean_sigma,
+        boresight_sigma,
         progress,
     )
     return solver.run()

@@ -29,19 +29,23 @@ UNITS = {
     "v": "px",
     "lean": "rad",
     "lean_sideways": "rad",
+    "boresight": "rad",
+    "boresight_sideways": "rad",
 }
 """Every parameter's unit. `sensitivity`: full wells per radiance and second. `u`, `v`: image of
-the point where the beam's axis meets the wall. `touch`: distance along the axis in the first frame.
-`lean`, `lean_sideways`: deviation of the axis from the robot's, along
-`optics.perpendicular_frame`."""
+the point where the beam's axis meets the wall at reading 0, in the first frame. `touch`: distance
+along the beam there. `lean`, `lean_sideways`: rotation of the robot's directions against the eye,
+along `optics.perpendicular_frame` of the tool's axis. `boresight`, `boresight_sideways`: angle of the
+beam from the tool's axis, along the same vectors."""
 
 CONE = ("half_angle", "b")
 FREE = {"cone": CONE, "lens": ("sag", "numerical_aperture")}
 """Parameters that are free by default."""
-NUISANCES = ("sensitivity", "illumination", "touch", "u", "v", "lean", "lean_sideways")
+_ANGLES = ("lean", "lean_sideways", "boresight", "boresight_sideways")
+NUISANCES = ("sensitivity", "illumination", "touch", "u", "v", *_ANGLES)
 """Parameters that are free in every fit, because no log book contains them accurately enough."""
 DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0}
-_MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", "lean", "lean_sideways", "rim_height"}
+_MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", *_ANGLES, "rim_height"}
 
 
 def known_names(source: str) -> tuple[str, ...]:

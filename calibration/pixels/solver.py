@@ -68,6 +68,7 @@ class Solver:
         priors: Mapping[str, Prior],
         exposures: bool,
         lean_sigma: float,
+        boresight_sigma: float,
         progress: Callable[[float], None],
     ) -> None:
         self.footage, self.source, self.exposures = footage, source, exposures
@@ -91,11 +92,13 @@ class Solver:
             incidence=jnp.arccos(-normal @ footage.axis),
             rim_radius=footage.instrument.fibre_radius,
         )
-        lean = Prior(0.0, lean_sigma)
+        lean, boresight = Prior(0.0, lean_sigma), Prior(0.0, boresight_sigma)
         self.priors = {
             "touch": Prior(float(touch), _TOUCH_SIGMA_MM),
             "lean": lean,
             "lean_sideways": lean,
+            "boresight": boresight,
+            "boresight_sideways": boresight,
             **priors,
         }
         known = dict.fromkeys(NUISANCES, 0.0) | DEFAULTS
@@ -107,6 +110,7 @@ class Solver:
             size=jnp.array([self._size(name, known[name]) for name in self.names]),
             fixed={n: jnp.asarray(v, float) for n, v in known.items() if n not in self.names},
             microscope=microscope,
+            motion=jnp.asarray(footage.motion),
             axis=jnp.asarray(footage.axis),
             blur=None,
             names=self.names,

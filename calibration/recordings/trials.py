@@ -117,7 +117,7 @@ def read_recording(
 ) -> Recording:
     """Measure or read the spots of a withdrawal and join them with the robot's poses.
 
-    Readings are distances from the first frame along the mean axis that the robot reports.
+    Readings are distances from the first frame along the motion that the robot reports.
 
     Args:
         source: a stack, a spots file, or any other source of `open_source`, such as a bag or video.
@@ -200,8 +200,8 @@ def _joined(
     sha256: str,
 ) -> Recording:
     times = np.array([record.time_s for record in records])
-    readings, axis = withdrawal(times, log_book.poses, source=source)
-    axis = np.array(turned(tuple(axis), log_book.eye_from_robot))
+    readings, *directions = withdrawal(times, log_book.poses, source=source)
+    motion, axis = (np.array(turned(tuple(d), log_book.eye_from_robot)) for d in directions)
     usable = [
         (record.result, reading)
         for record, reading in zip(records, readings, strict=True)
@@ -233,6 +233,7 @@ def _joined(
             ellipses=ellipses,
             covariances=np.stack([spot.covariance for spot in spots]),
             readings=np.array([reading for _, reading in usable]),
+            motion=motion,
             axis=axis,
             principal_point=np.array(microscope.principal_point_px),
             touch=touch,

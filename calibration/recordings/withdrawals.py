@@ -1,8 +1,10 @@
-"""Distance of the tip at each frame and mean axis, from the robot's poses."""
+"""Distance of the tip at each frame, direction of its motion and mean axis, from poses."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -12,12 +14,29 @@ from optics import InputError
 
 _MOST_ASIDE_MM = 0.05
 """Largest distance of a withdrawal from its line. The spot then moves by as much, about 7 px."""
+_MOST_ASKEW_DEG = 10.0
+"""Largest angle between the tip's motion and the tool's axis: three standard deviations of
+`BORESIGHT_SIGMA`. A larger angle is another motion, or the axis is given in another frame."""
+
+
+class Withdrawal(NamedTuple):
+    """A straight motion of the tip away from the wall.
+
+    Attributes:
+        readings: distance from the first frame along the motion, mm.
+        motion: unit vector of the motion, reversed, so that it points towards the wall.
+        axis: unit vector of the tool's mean axis, towards the wall.
+    """
+
+    readings: Float[np.ndarray, "n"]
+    motion: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
 
 
 def withdrawal(
     times: Float[np.ndarray, "n"], poses_file: Path, *, source: Path
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "3"]]:
-    """Distance of the tip since the first frame, and the mean axis.
+) -> Withdrawal:
+    """Distance of the tip since the first frame, its direction, and the tool's mean axis.
 
     Positions are interpolated between poses: at 0.1 mm/s and 200 Hz the latest pose lags by up to
     0.5 um, which equals one standard error of the half-angle at 5 mm.
@@ -28,8 +47,7 @@ def withdrawal(
         source: source of the frames, for messages.
 
     Returns:
-        Readings along the axis, mm, and the unit vector from the tip towards the wall, both in the
-        poses' frame.
+        The withdrawal, in the poses' frame.
 
     Raises:
         InputError: poses that cannot be read or do not cover the frames, or no withdrawal.
@@ -51,11 +69,24 @@ def withdrawal(
     axis = np.mean([pose.axis for pose in poses[first : last + 1]], axis=0)
     axis /= np.linalg.norm(axis)
     gone = places[0] - places
-    readings = gone @ axis
-    aside = np.linalg.norm(gone - readings[:, None] * axis, axis=1).max()
-    if aside > _MOST_ASIDE_MM:
+    motion = _direction(gone, axis)
+    readings = gone @ motion
+    aside = np.linalg.norm(gone - readings[:, None] * motion, axis=1).max()
+    askew = math.degrees(math.acos(min(float(motion @ axis), 1.0)))
+    if aside > _MOST_ASIDE_MM or askew > _MOST_ASKEW_DEG:
         raise InputError(
-            f"{source} is no withdrawal: the tip leaves the line of its axis by {aside:.2f} mm; "
-            f"{_MOST_ASIDE_MM} mm are allowed. Withdraw the tip along its axis, one spot per trial."
+            f"{source} is no withdrawal: the tip leaves a straight line by {aside:.2f} mm, and this "
+            f"line is {askew:.1f}° from the tool's axis; {_MOST_ASIDE_MM} mm and "
+            f"{_MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot per trial."
         )
-    return readings, axis
+    return Withdrawal(readings, motion, axis)
+
+
+def _direction(
+    gone: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Unit vector of the straight line through the places, on the axis's side."""
+    _, travel, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
+    # A tip at rest has no direction.
+    line = lines[0] if travel[0] > _MOST_ASIDE_MM else axis
+    return np.asarray(line * np.copysign(1.0, line @ axis))

@@ -1,8 +1,10 @@
 from .cone_fit import PARAMETERS as PARAMETERS
 from .cone_fit import ConeFit as ConeFit
 from .cone_fit import fit_cone as fit_cone
+from .cone_trials import BORESIGHT_SIGMA as BORESIGHT_SIGMA
 from .cone_trials import ConeTrial as ConeTrial
 from .cone_trials import Prior as Prior
+from .cone_trials import beam_directions as beam_directions
 from .cone_trials import phantom_wall as phantom_wall
 from .lines import Lines as Lines
 from .lines import fit_lines as fit_lines

@@ -19,7 +19,16 @@ from calibration.solvers import (
     least_squares,
     marginal_information,
 )
-from calibration.spots.cone_trials import NUISANCES, ConeTrial, Group, Prior, misfit, spots
+from calibration.spots.cone_trials import (
+    BORESIGHT_SIGMA,
+    HELD,
+    NUISANCES,
+    ConeTrial,
+    Group,
+    Prior,
+    misfit,
+    spots,
+)
 from optics import InputError
 
 PARAMETERS = (
@@ -51,9 +60,11 @@ class ConeFit(NamedTuple):
         information: Fisher information of the fitted parameters, marginal over the nuisances.
         touch: distance at reading 0 per trial, mm.
         touch_error: its standard error, mm; infinite if the data do not determine it.
-        lean: deviation of the axis from the robot's per trial, along the two vectors of
+        lean: rotation of the robot against the eye per trial, along the two vectors of
             `optics.perpendicular_frame`, rad.
-        spot: (x, y) of the lit point of the wall in the first frame per trial, mm.
+        boresight: angle of the beam from the tool's axis per trial, along the same vectors, rad.
+        boresight_covariance: covariance of each; infinite if the data do not determine it.
+        spot: (x, y) of the wall's point that the beam meets at reading 0 per trial, mm.
         spot_covariance: covariance of each spot; infinite if the data do not determine it.
         residuals: `optics.ellipse_mismatch` with variance 1, n x 5 per trial.
         chi_squared: sum of squared residuals over their sigma, priors included.
@@ -69,6 +80,8 @@ class ConeFit(NamedTuple):
     touch: Float[np.ndarray, "trials"]
     touch_error: Float[np.ndarray, "trials"]
     lean: Float[np.ndarray, "trials 2"]
+    boresight: Float[np.ndarray, "trials 2"]
+    boresight_covariance: Float[np.ndarray, "trials 2 2"]
     spot: Float[np.ndarray, "trials 2"]
     spot_covariance: Float[np.ndarray, "trials 2 2"]
     residuals: tuple[Float[np.ndarray, "n 5"], ...]
@@ -106,6 +119,7 @@ def fit_cone(
     free: Sequence[str] = ("half_angle", "b"),
     priors: Mapping[str, Prior] | None = None,
     lean_sigma: float = np.radians(1.0),
+    boresight_sigma: float = BORESIGHT_SIGMA,
 ) -> ConeFit:
     """Fit the exact contour to the ellipses of all trials at once.
 
@@ -117,7 +131,8 @@ def fit_cone(
             optionally those that replace the microscope's, and the plane's tilt (default 0).
         free: names of `PARAMETERS` to fit.
         priors: priors of free parameters.
-        lean_sigma: standard deviation of the robot's axis, rad.
+        lean_sigma: standard deviation of the robot's directions, rad.
+        boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.
 
     Raises:
         InputError: an unknown name, or no trial.
@@ -138,12 +153,13 @@ def fit_cone(
     sizes = np.array([_SIZES.get(name) or abs(fixed[name]) for name in free])
     held = [(priors or {}).get(name) if name in free else None for name in PARAMETERS]
     groups = [
-        Group.of(trials, kind, lean_sigma) for kind in sorted({trial.kind for trial in trials})
+        Group.of(trials, kind, lean_sigma, boresight_sigma)
+        for kind in sorted({trial.kind for trial in trials})
     ]
     # Nuisances are deviations from their expected values, in standard deviations.
     begin = jnp.zeros(len(free) + len(NUISANCES) * len(trials))
     priors_held = sum(prior is not None for prior in held)
-    count = sum(group.data for group in groups) + priors_held + 3 * len(trials)
+    count = sum(group.data for group in groups) + priors_held + HELD * len(trials)
     # Arrays replace names here, so that one compilation is valid for all choices of equal number.
     solution, spot, spot_slopes = _solve(
         begin,
@@ -168,12 +184,16 @@ def fit_cone(
     )
     errors = np.sqrt(np.diag(covariance))
     touch, touch_error = np.empty((2, len(trials)))
-    lean = np.empty((len(trials), 2))
+    lean, boresight = np.empty((2, len(trials), 2))
+    boresight_covariance = np.empty((len(trials), 2, 2))
     at = len(free)
     for number in (number for group in groups for number in group.numbers):
         mean, sigma = trials[number].touch
         touch[number], touch_error[number] = mean + sigma * found[at], sigma * errors[at]
         lean[number] = lean_sigma * found[at + 3 : at + 5]
+        beam = slice(at + 5, at + 7)
+        boresight[number] = boresight_sigma * found[beam]
+        boresight_covariance[number] = boresight_sigma**2 * covariance[beam, beam]
         at += len(NUISANCES)
     own = slice(len(free))
     in_order = np.argsort([number for group in groups for number in group.numbers])
@@ -186,6 +206,8 @@ def fit_cone(
         touch=touch,
         touch_error=touch_error,
         lean=lean,
+        boresight=boresight,
+        boresight_covariance=boresight_covariance,
         spot=np.asarray(spot)[in_order],
         spot_covariance=_carried_on(covariance, slopes),
         residuals=_by_trial(np.asarray(solution.residuals)[len(PARAMETERS) :], groups, trials),
@@ -223,7 +245,7 @@ def _by_trial(
     found = {}
     for group in groups:
         longest = group.readings.shape[1]
-        mine = residuals[: group.size * (5 * longest + 3)].reshape(group.size, -1)
+        mine = residuals[: group.size * (5 * longest + HELD)].reshape(group.size, -1)
         residuals = residuals[mine.size :]
         for number, row in zip(group.numbers, mine, strict=True):
             frames = trials[number].readings.size

@@ -1,13 +1,16 @@
 """Data, nuisances and residuals of the exact geometry.
 
-A trial is a withdrawal along one beam. The robot reports the distance travelled and, to about a
-degree, the direction of the beam, but not the position of the wall. So each trial has five
-nuisances: the distance at the first reading (`touch`; the rim meets the wall before the centre
-does), the spot's position in the image (two), and the deviation of the axis from the robot's (two).
+A trial is a straight withdrawal. The robot reports the distance travelled and, to about a degree,
+the direction of the motion and of the tool, but not the position of the wall. The fibre's beam is
+not exactly parallel to the tool. So each trial has seven nuisances: the distance at reading 0
+(`touch`; the rim meets the wall before the centre does), the spot's position in the image at
+reading 0 (two), the rotation of the robot against the eye (`lean`, two), and the angle of the beam
+from the tool's axis (`boresight`, two).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,8 +23,13 @@ from jaxtyping import Array, Float, ScalarLike
 
 import optics
 
-NUISANCES = ("touch", "u", "v", "lean", "lean_sideways")
-"""Nuisances of each trial: touch and lean in units of their priors' sigma, the position in px."""
+NUISANCES = ("touch", "u", "v", "lean", "lean_sideways", "boresight", "boresight_sideways")
+"""Nuisances of each trial: the position in px, the others in units of their priors' sigma."""
+HELD = 5
+"""Number of nuisances that have a prior; the position has none."""
+BORESIGHT_SIGMA = math.radians(3.0)
+"""Standard deviation of the beam's angle from the tool's axis, rad. A fibre of 0.5 mm in a tube
+that is 0.1 mm wider and holds it over 2 mm can lie 3° askew."""
 _POINTS = 32
 
 
@@ -40,12 +48,13 @@ class ConeTrial:
         ellipses: measured ellipses, one per frame, px; leading axis n.
         covariances: covariance of each ellipse's (centre u, centre v, semi-major, semi-minor,
             angle), n x 5 x 5.
-        readings: distance along the beam since the touch, mm.
-        axis: unit vector from the tip towards the wall, eye frame.
+        readings: distance of the tip from its place at the touch, mm.
+        axis: unit vector along the tool from the tip towards the wall, eye frame.
         principal_point: (u0, v0) of this trial's window, px.
         touch: distance at reading 0, mm.
         kind: "eyeball", a sphere around the origin, or "plane", a plane through the sphere's pole
             that is perpendicular to z except for its tilt.
+        motion: unit vector against the tip's motion, towards the wall; None: the axis.
     """
 
     ellipses: optics.Ellipse
@@ -55,6 +64,29 @@ class ConeTrial:
     principal_point: Float[np.ndarray, "2"]
     touch: Prior
     kind: str
+    motion: Float[np.ndarray, "3"] | None = None
+
+
+def beam_directions(
+    *,
+    motion: Float[Array, "3"],
+    axis: Float[Array, "3"],
+    lean: Float[Array, "2"],
+    boresight: Float[Array, "2"],
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Unit vectors of the motion and of the beam in the eye.
+
+    Args:
+        motion: the robot's direction of motion, towards the wall.
+        axis: the robot's direction of the tool, towards the wall.
+        lean: rotation of motion and tool, along the two vectors of
+            `optics.perpendicular_frame(axis)`, rad.
+        boresight: deviation of the beam from the tool, along the same vectors, rad.
+    """
+    frame = jnp.stack(optics.perpendicular_frame(axis))
+    directions = jnp.stack([motion + lean @ frame, axis + (lean + boresight) @ frame])
+    motion, beam = directions / jnp.linalg.norm(directions, axis=-1, keepdims=True)
+    return motion, beam
 
 
 def phantom_wall(
@@ -80,11 +112,13 @@ class Group(eqx.Module):
     ellipses: optics.Ellipse
     whitening: Float[Array, "trials n 5 5"]
     readings: Float[Array, "trials n"]
+    motions: Float[Array, "trials 3"]
     axes: Float[Array, "trials 3"]
     principal_points: Float[Array, "trials 2"]
     touch_means: Float[Array, "trials"]
     touch_sigmas: Float[Array, "trials"]
     lean_sigma: Float[Array, ""]
+    boresight_sigma: Float[Array, ""]
     kind: str = eqx.field(static=True)
     data: int = eqx.field(static=True)
     numbers: tuple[int, ...] = eqx.field(static=True)
@@ -95,7 +129,13 @@ class Group(eqx.Module):
         return self.readings.shape[0]
 
     @classmethod
-    def of(cls, of_all_kinds: Sequence[ConeTrial], kind: str, lean_sigma: float) -> Group:
+    def of(
+        cls,
+        of_all_kinds: Sequence[ConeTrial],
+        kind: str,
+        lean_sigma: float,
+        boresight_sigma: float,
+    ) -> Group:
         """The trials on one kind of wall."""
         numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
         trials = [of_all_kinds[n] for n in numbers]
@@ -121,11 +161,15 @@ class Group(eqx.Module):
             ellipses=ellipses,
             whitening=whitening * real[..., None, None],
             readings=stacked([t.readings for t in trials]),
+            motions=jnp.asarray(
+                np.stack([t.axis if t.motion is None else t.motion for t in trials])
+            ),
             axes=jnp.asarray(np.stack([t.axis for t in trials])),
             principal_points=jnp.asarray(np.stack([t.principal_point for t in trials])),
             touch_means=jnp.array([t.touch.mean for t in trials]),
             touch_sigmas=jnp.array([t.touch.sigma for t in trials]),
             lean_sigma=jnp.asarray(lean_sigma),
+            boresight_sigma=jnp.asarray(boresight_sigma),
             kind=kind,
             data=5 * int(frames.sum()),
             numbers=numbers,
@@ -136,9 +180,9 @@ def spots(
     group: Group,
     camera: optics.Microscope,
     values: Mapping[str, ScalarLike],
-    nuisances: Float[Array, "trials 5"],
+    nuisances: Float[Array, "trials 7"],
 ) -> Float[Array, "trials 3"]:
-    """The lit point of the wall in each trial's first frame, mm."""
+    """The point of the wall that the beam meets at reading 0 in each trial, mm."""
     wall = _wall(group, values)
 
     def of_trial(ellipses: optics.Ellipse, principal_point: Array, nuisance: Array) -> Array:
@@ -159,15 +203,21 @@ def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
     """Residuals over their sigma: the mismatch of every frame and the priors of the nuisances."""
     wall = _wall(group, values)
 
-    def of_trial(ellipses, whitening, readings, axis, principal_point, spot, touch, nuisance):
+    def of_trial(
+        ellipses, whitening, readings, motion, axis, principal_point, spot, touch, nuisance
+    ):
         view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
-        first, second = optics.perpendicular_frame(axis)
-        aim = axis + group.lean_sigma * (nuisance[3] * first + nuisance[4] * second)
-        aim /= jnp.linalg.norm(aim)
+        away, aim = beam_directions(
+            motion=motion,
+            axis=axis,
+            lean=group.lean_sigma * nuisance[3:5],
+            boresight=group.boresight_sigma * nuisance[5:],
+        )
+        touching = spot - touch * aim
 
         def of_frame(ellipse, whiten, reading):
             beam = optics.Beam(
-                tip=spot - (reading + touch) * aim,
+                tip=touching - reading * away,
                 axis=aim,
                 half_angle=values["half_angle"],
                 apex_offset=values["b"],
@@ -184,6 +234,7 @@ def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
             group.ellipses,
             group.whitening,
             group.readings,
+            group.motions,
             group.axes,
             group.principal_points,
             spots(group, camera, values, nuisances),
