@@ -245,19 +245,24 @@ def test_slopes_are_those_of_central_differences():
     names = (
         *("half_angle", "b", "blur", "scale", "eye_radius", "reflectance", "power"),
         *("sensitivity", "illumination", "touch", "u", "v", "lean", "lean_sideways"),
+        *("boresight", "boresight_sideways"),
     )
     first = jnp.array(
-        [HALF_ANGLE, B, 0.7, 0.02, 11.5, 0.5, 1.0, 200.0, 0.05, 0.15, 64.0, 63.0, 0.01, -0.02]
+        [
+            *(HALF_ANGLE, B, 0.7, 0.02, 11.5, 0.5, 1.0, 200.0, 0.05, 0.15, 64.0, 63.0),
+            *(0.01, -0.02, 0.03, 0.005),
+        ]
     )
     eye = optics.microscope(
         scale=0.02, pinhole_height=11.5, eye_radius=11.5, principal_point=(-37.0, 63.0)
     )
-    axis = np.array([0.1506, 0.5, -0.8528])
+    axis, motion = np.array([0.1506, 0.5, -0.8528]), np.array([0.16, 0.49, -0.857])
     problem = Problem(
         first=first,
         size=jnp.maximum(jnp.abs(first), 0.01),
         fixed={},
         microscope=eye,
+        motion=jnp.asarray(motion / np.linalg.norm(motion)),
         axis=jnp.asarray(axis / np.linalg.norm(axis)),
         blur=None,
         names=names,
@@ -428,8 +433,90 @@ def test_exposures_can_be_fitted_frame_by_frame(stack):
     assert np.all(sigma < 0.01)
 
 
+def counted_light(
+    settings: Scene,
+    *,
+    spot: np.ndarray,
+    beam: np.ndarray,
+    readings: np.ndarray,
+    motion: np.ndarray,
+) -> np.ndarray:
+    """Light of the cone on the plane z = -11.5 in full wells at 1 s, in NumPy, 16 x 16 a pixel."""
+    camera = settings.microscope
+    n, scale = 16, camera.scale_mm_px
+    shift = (np.arange(n) + 0.5) / n - 0.5
+    shape = camera.height_px, camera.width_px
+    file = World(settings).microscope
+    u0, v0 = np.asarray(file.principal_point)
+    frames = []
+    for reading in readings:
+        apex = spot - 0.15 * beam - reading * motion + B * beam
+        total = np.zeros(shape)
+        for du, dv in np.array(np.meshgrid(shift, shift)).reshape(2, -1).T:
+            v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
+            # On the plane through the pole, a pixel is as large everywhere.
+            wall = np.stack(
+                [(u + du - u0) * scale, -(v + dv - v0) * scale, np.full(shape, -11.5)],
+                axis=-1,
+            )
+            away = wall - apex
+            far = np.linalg.norm(away, axis=-1)
+            inside = away @ beam > math.cos(HALF_ANGLE) * far
+            total += inside * -away[..., 2] / far**3
+        direct = total / n**2 / (2 * math.pi * (1 - math.cos(HALF_ANGLE)))
+        # A light in the pinhole, at the height of 200 mm: cos^3 over the plane.
+        across = (wall[..., 0] ** 2 + wall[..., 1] ** 2) / 211.5**2
+        frames.append(200.0 * 0.5 / math.pi * (direct + 0.05 * (1 + across) ** -1.5))
+    return np.stack(frames)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("off_deg", [0.3, 2.0])
+def test_a_beam_off_the_motion_does_not_change_the_cone(tmp_path, off_deg):
+    settings = scene(
+        phantom={"kind": "plane"}, instrument={"visible": False}, microscope={"samples": 4}
+    )
+    stack = render_stack(settings, tmp_path / "stack")
+    footage = read_footage(stack)
+    motion, spot = footage.motion, np.array(stack.labels[0].spot_mm)
+    aside = np.cross(motion, [0.3, -0.6, 0.7])
+    aside /= np.linalg.norm(aside)
+    angle = math.radians(off_deg)
+    beam = math.cos(angle) * motion + math.sin(angle) * aside
+    light = counted_light(
+        settings, spot=spot, beam=beam, readings=footage.readings, motion=motion
+    )
+    times = 0.8 / light.max(axis=(1, 2))
+    rng = np.random.default_rng(6)
+    images = [
+        expose(np.repeat(f[..., None], 3, -1), exposure=t, settings=CameraSettings(), rng=rng)
+        for f, t in zip(light, times, strict=True)
+    ]
+    noisy = dataclasses.replace(
+        footage,
+        light=np.stack([footage.noise.light(image) for image in images]).astype(np.float32),
+        clear=np.stack([((image > 0) & (image < 255)).all(axis=-1) for image in images]),
+        exposure_s=times,
+        # An edge through 16 x 16 samples, as in `Footage.edge_variance`.
+        edge_variance=1 / (12 * 256**1.5),
+    )
+    fit = fit_footage(noisy, source="cone", start=START)
+    assert fit.converged
+    for name, true in {"half_angle": HALF_ANGLE, "b": B, "sensitivity": 200.0}.items():
+        value, sigma = fit.parameters[name]
+        assert abs(value - true) < 3 * sigma, name
+    # Chi squared per degree of n normal numbers, within four standard deviations.
+    assert abs(fit.chi_squared_per_dof - 1) < 4 * math.sqrt(2 / fit.degrees_of_freedom)
+    found, sigma = zip(*(fit.parameters[f"boresight{end}"] for end in ("", "_sideways")), strict=True)
+    assert abs(math.hypot(*found) - angle) < 3 * math.hypot(*sigma)
+
+
 SEEDS = range(200)
-PRIORS = {"touch": 0.02, "lean": math.radians(1.0), "lean_sideways": math.radians(1.0)}
+PRIORS = {
+    "touch": 0.02,
+    **dict.fromkeys(("lean", "lean_sideways"), math.radians(1.0)),
+    **dict.fromkeys(("boresight", "boresight_sideways"), math.radians(3.0)),
+}
 
 
 def ideal_withdrawal(folder: Path) -> tuple[Footage, np.ndarray, dict[str, float]]:
@@ -447,7 +534,7 @@ def ideal_withdrawal(folder: Path) -> tuple[Footage, np.ndarray, dict[str, float
     truth = {
         **{"half_angle": HALF_ANGLE, "b": B, "sensitivity": 200.0, "illumination": 0.05},
         **{"touch": stack.labels[0].d_mm, "u": 63.5, "v": 63.5},
-        **{"lean": 0.0, "lean_sideways": 0.0},
+        **dict.fromkeys(("lean", "lean_sideways", "boresight", "boresight_sideways"), 0.0),
     }
     exact = dataclasses.replace(footage, edge_variance=0.0)
     return exact, np.asarray(light).reshape(footage.light.shape), truth
