@@ -17,7 +17,7 @@ from calibration.pixels.model import BeamLight, Cone, Lens, WallPixels, radiance
 from calibration.pixels.table import LensTable
 from calibration.spots import beam_directions, phantom_wall
 
-CHUNK = 4096
+CHUNK = 1024
 """Pixels per chunk, few enough that the derivatives stay in the cache."""
 
 _ROUNDING = 1e-6  # of a pixel; smaller fractions are rounding errors and no cut by an edge
@@ -49,11 +49,12 @@ class Problem(eqx.Module):
 
 
 class Chunk(NamedTuple):
-    """Pixels of one frame, padded to one size; padding has `weight` 0.
+    """Pixels, or squares of pixels, of one frame, padded to one size; padding has `weight` 0.
 
     Attributes:
-        pixels: (u, v), px.
-        light: measured light, full wells.
+        pixels: (u, v) of the centres, px.
+        sides: sides of the squares, px; 1 for single pixels.
+        light: measured mean light, full wells.
         weight: 1 over the light's sigma.
         reading: the robot's reading, mm.
         exposure_s: reported exposure time.
@@ -61,6 +62,7 @@ class Chunk(NamedTuple):
     """
 
     pixels: Float[np.ndarray, "n 2"]
+    sides: Float[np.ndarray, "n"]
     light: Float[np.ndarray, "n"]
     weight: Float[np.ndarray, "n"]
     reading: Float[np.ndarray, ""]
@@ -111,7 +113,7 @@ def look(problem: Problem, table: LensTable | None, x: Array, chunk: Chunk) -> V
     """Evaluate the model on a chunk."""
     values = values_at(problem, x)
     camera, surface = _eye(problem, values)
-    wall = wall_pixels(jnp.asarray(chunk.pixels), microscope=camera, surface=surface)
+    wall = _wall(chunk, camera, surface)
     tip, axis = _pose(problem, values, camera, surface, chunk.reading)
     source = _source(problem, values, table)
     gain = values["sensitivity"] * chunk.exposure_s
@@ -146,7 +148,7 @@ def sums(problem: Problem, table: LensTable | None, x: Array, over: Array, chunk
     def residuals(z: Array) -> Array:
         values = values_at(problem, z[:-1])
         camera, surface = _eye(problem, values)
-        wall = wall_pixels(jnp.asarray(chunk.pixels), microscope=camera, surface=surface)
+        wall = _wall(chunk, camera, surface)
         tip, axis = _pose(problem, values, camera, surface, chunk.reading)
         source = _source(problem, values, table)
         gain = values["sensitivity"] * chunk.exposure_s * (1.0 + z[-1])
@@ -181,6 +183,15 @@ def poses(
     camera, surface = _eye(problem, known)
     tips, axes = zip(*(_pose(problem, known, camera, surface, r) for r in readings), strict=True)
     return np.stack(tips), np.asarray(axes[0])
+
+
+def _wall(chunk: Chunk, camera: optics.Microscope, surface: optics.Surface) -> WallPixels:
+    return wall_pixels(
+        jnp.asarray(chunk.pixels),
+        microscope=camera,
+        surface=surface,
+        sides=jnp.asarray(chunk.sides),
+    )
 
 
 def _eye(problem: Problem, values: Mapping[str, Array]) -> tuple[optics.Microscope, optics.Surface]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,7 +22,9 @@ class ImageFit:
         axis: unit vector along the beam from the tip towards the wall, eye frame.
         undetermined: parameters that neither data nor priors determine, in words; may be empty.
         converged: whether another step would lower chi squared by less than 0.001.
-        residuals: light minus model over sigma, frames x h x w; NaN for pixels not fitted.
+        residuals: light minus model over sigma, frames x h x w; NaN for pixels not fitted. Pixels
+            that were fitted as one square all have the residual of its mean.
+        sides: side of the square that each pixel belongs to, px; 0 for pixels not fitted.
     """
 
     parameters: dict[str, tuple[float, float]]
@@ -35,6 +37,7 @@ class ImageFit:
     undetermined: tuple[str, ...]
     converged: bool
     residuals: Float[np.ndarray, "frames h w"]
+    sides: UInt8[np.ndarray, "frames h w"]
 
     @property
     def chi_squared_per_dof(self) -> float:

@@ -31,13 +31,13 @@ _FAR_PX, _FAR_SIGMAS = 2.0, 9.0  # distance from an edge beyond which a pixel is
 
 
 class WallPixels(NamedTuple):
-    """Wall points behind pixels.
+    """Wall points behind pixels, or behind squares of pixels.
 
     Attributes:
         point: X, mm, eye frame.
         normal: inward unit normal N.
-        right, down: dX/du and dX/dv, mm/px.
-        bend_right, bend_down: dN/du and dN/dv, 1/px.
+        right, down: dX/du and dX/dv, mm per side of a pixel or square.
+        bend_right, bend_down: dN/du and dN/dv, 1 per side.
         coaxial: irradiance from a light in the pinhole, relative to that at the pole.
     """
 
@@ -81,7 +81,11 @@ class BeamLight(Protocol):
 
 
 def wall_pixels(
-    pixels: Float[Array, "n 2"], *, microscope: optics.Microscope, surface: optics.Surface
+    pixels: Float[Array, "n 2"],
+    *,
+    microscope: optics.Microscope,
+    surface: optics.Surface,
+    sides: Float[Array, "n"] | None = None,
 ) -> WallPixels:
     """Wall points behind pixels, with their derivatives with respect to u and v.
 
@@ -89,6 +93,7 @@ def wall_pixels(
         pixels: (u, v) of the pixels' centres, px.
         microscope: the camera.
         surface: the wall.
+        sides: sides of squares of pixels, px; None: 1, which the light of a cone requires.
     """
 
     def hit(at: Array) -> tuple[tuple[Array, Array], Array]:
@@ -104,7 +109,15 @@ def wall_pixels(
     across = jnp.square(microscope.inverse_working_distance) * _dot(point, point, 2)
     depth = microscope.depth(point)
     coaxial = -_dot(normal, sight) / (across + jnp.square(depth))
-    return WallPixels(point, normal, right, down, bend_right, bend_down, coaxial)
+    wall = WallPixels(point, normal, right, down, bend_right, bend_down, coaxial)
+    if sides is None:
+        return wall
+    return wall._replace(
+        right=sides[:, None] * right,
+        down=sides[:, None] * down,
+        bend_right=sides[:, None] * bend_right,
+        bend_down=sides[:, None] * bend_down,
+    )
 
 
 def radiance(

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
-import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy import ndimage
 
-from calibration.pixels.chunks import CHUNK, Chunk, Problem, View, look
+from calibration.pixels.chunks import Chunk, Problem
 from calibration.pixels.data import Footage
+from calibration.pixels.squares import SquareChooser, chunked, seen
 from calibration.pixels.table import LensTable
 from optics import InputError
 
@@ -62,12 +60,22 @@ def chosen_chunks(
         stride: step between selected pixels along u and v, px.
         nearest: least distance from the tip's plane at which the model is valid, mm.
     """
+    if table is not None and not coarse:
+        return SquareChooser(
+            footage,
+            problem,
+            table,
+            x,
+            nearest=nearest,
+            lit=_LIT,
+            margin_px=_MARGIN_PX[False],
+        ).chunks(np.arange(len(footage.readings)))
     blur = 0.0 if problem.blur is None else float(problem.blur)
     chunks: list[Chunk] = []
     for frame in range(len(footage.readings)):
         v, u = np.nonzero(_reached(footage, problem, table, x, frame, blur))
         pixels = np.stack([u, v], axis=-1).astype(float)
-        view = _seen(footage, problem, table, x, frame, pixels)
+        view = seen(footage, problem, table, x, frame, pixels)
         usable = np.asarray(view.along) > nearest
         if footage.in_view:
             usable &= ~footage.instrument.hides(
@@ -90,7 +98,8 @@ def chosen_chunks(
         variance = footage.noise.variance(level if coarse else model)
         variance += footage.edge_variance * np.square(view.step)
         weight = 1.0 / np.sqrt(variance)
-        chunks += _chunks(footage, frame, pixels[usable], level[usable], weight[usable])
+        sides = np.ones(np.count_nonzero(usable))
+        chunks += chunked(footage, frame, pixels[usable], sides, level[usable], weight[usable])
     return chunks
 
 
@@ -106,50 +115,11 @@ def _reached(
     height, width = footage.light.shape[1:]
     v, u = np.mgrid[0:height:_GRID_PX, 0:width:_GRID_PX]
     pixels = np.stack([u.ravel(), v.ravel()], axis=-1).astype(float)
-    direct = np.asarray(_seen(footage, problem, table, x, frame, pixels).direct).reshape(u.shape)
+    direct = np.asarray(seen(footage, problem, table, x, frame, pixels).direct).reshape(u.shape)
     dark = ~(direct > _LIT * direct.max())
     ring = max(_RING_PX, _RING_SIGMAS * blur) + _GRID_PX
     near = ndimage.distance_transform_edt(dark) * _GRID_PX <= ring
     return np.kron(near, np.ones((_GRID_PX, _GRID_PX), bool))[:height, :width]
-
-
-def _seen(
-    footage: Footage,
-    problem: Problem,
-    table: LensTable | None,
-    x: Array,
-    frame: int,
-    pixels: Float[np.ndarray, "n 2"],
-) -> View:
-    ones = np.ones(len(pixels))
-    views = [look(problem, table, x, c) for c in _chunks(footage, frame, pixels, ones, ones)]
-
-    def joined(*parts: Array) -> np.ndarray:
-        # All chunks of a frame have the same tip and axis.
-        whole = np.concatenate([np.asarray(part) for part in parts])
-        return whole[: len(pixels)] if len(parts[0]) == CHUNK else whole[:3]
-
-    return jax.tree.map(joined, *views)
-
-
-def _chunks(
-    footage: Footage,
-    frame: int,
-    pixels: Float[np.ndarray, "n 2"],
-    light: Float[np.ndarray, "n"],
-    weight: Float[np.ndarray, "n"],
-) -> Iterator[Chunk]:
-    for begin in range(0, len(light), CHUNK):
-        part = slice(begin, begin + CHUNK)
-        missing = CHUNK - len(light[part])
-        yield Chunk(
-            pixels=np.pad(pixels[part], ((0, missing), (0, 0)), mode="edge"),
-            light=np.pad(light[part], (0, missing)),
-            weight=np.pad(weight[part], (0, missing)),
-            reading=np.asarray(footage.readings[frame]),
-            exposure_s=np.asarray(footage.exposure_s[frame]),
-            frame=np.asarray(frame),
-        )
 
 
 def _blurred(

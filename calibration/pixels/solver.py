@@ -301,10 +301,17 @@ class Solver:
         covariance = covariance * np.outer(size, size)
         errors = np.sqrt(np.diag(covariance)).tolist()
         residuals = np.full(self.footage.light.shape, np.nan, np.float32)
+        sides = np.zeros(residuals.shape, np.uint8)
         for chunk, part in zip(self.chunks, self._parts(found.x), strict=True):
             real = chunk.weight > 0
-            u, v = chunk.pixels[real].astype(int).T
-            residuals[int(chunk.frame), v, u] = -np.asarray(part.residuals)[real]
+            off = -np.asarray(part.residuals)[real]
+            frame, side = int(chunk.frame), chunk.sides[real].astype(int)
+            u, v = (chunk.pixels[real] - 0.5 * (side[:, None] - 1)).round().astype(int).T
+            for k in np.unique(side):
+                own = side == k
+                for dv, du in np.ndindex(k, k):
+                    residuals[frame, v[own] + dv, u[own] + du] = off[own]
+                    sides[frame, v[own] + dv, u[own] + du] = k
         tips, axis = poses(self.problem, every, self.footage.readings)
         held = sum(name in self.names for name in self.priors) + self.exposures
         return ImageFit(
@@ -318,4 +325,5 @@ class Solver:
             undetermined=lost,
             converged=found.converged,
             residuals=residuals,
+            sides=sides,
         )

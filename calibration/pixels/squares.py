@@ -1,0 +1,178 @@
+"""Squares of pixels that are fitted as one datum where a lens's light is smooth.
+
+A mean over k x k pixels has the information of its pixels if the light is nearly linear over them,
+and costs one evaluation of the model. Squares are halved, down to single pixels, until the model's
+quadrature is exact and every pixel is usable: at sharp edges, at the instrument's outline, and at
+the frame's border.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy import ndimage
+
+from calibration.pixels.chunks import CHUNK, Chunk, Problem, View, look
+from calibration.pixels.data import Footage
+from calibration.pixels.table import LensTable
+
+_LARGEST_PX = 16
+"""Side of the largest squares; a power of two."""
+_INEXACT = 0.1
+"""Largest error of a square's model, in standard deviations of its mean. A 16th of it, the error of
+the halved squares, is what remains in the smooth parts."""
+
+
+def seen(
+    footage: Footage,
+    problem: Problem,
+    table: LensTable | None,
+    x: Array,
+    frame: int,
+    centres: Float[np.ndarray, "n 2"],
+    *,
+    side: float = 1.0,
+) -> View:
+    """Evaluate the model on squares of one frame."""
+    ones = np.ones(len(centres))
+    every = chunked(footage, frame, centres, side * ones, ones, ones)
+    views = [look(problem, table, x, chunk) for chunk in every]
+
+    def joined(*parts: Array) -> np.ndarray:
+        # All chunks of a frame have the same tip and axis.
+        whole = np.concatenate([np.asarray(part) for part in parts])
+        return whole[: len(centres)] if len(parts[0]) == CHUNK else whole[:3]
+
+    return jax.tree.map(joined, *views)
+
+
+def chunked(
+    footage: Footage,
+    frame: int,
+    centres: Float[np.ndarray, "n 2"],
+    sides: Float[np.ndarray, "n"],
+    light: Float[np.ndarray, "n"],
+    weight: Float[np.ndarray, "n"],
+) -> Iterator[Chunk]:
+    """Chunks of one size, padded."""
+    for begin in range(0, len(light), CHUNK):
+        part = slice(begin, begin + CHUNK)
+        missing = CHUNK - len(light[part])
+        yield Chunk(
+            pixels=np.pad(centres[part], ((0, missing), (0, 0)), mode="edge"),
+            sides=np.pad(sides[part], (0, missing), mode="edge"),
+            light=np.pad(light[part], (0, missing)),
+            weight=np.pad(weight[part], (0, missing)),
+            reading=np.asarray(footage.readings[frame]),
+            exposure_s=np.asarray(footage.exposure_s[frame]),
+            frame=np.asarray(frame),
+        )
+
+
+class _Squares(NamedTuple):
+    """Squares of one size in a frame, with the model's light and whether all pixels are usable."""
+
+    corners: Int[np.ndarray, "n 2"]
+    light: Float[np.ndarray, "n"]
+    usable: Bool[np.ndarray, "n"]
+
+
+class SquareChooser:
+    """Chooses the squares of each frame for a lens near known parameters.
+
+    Args:
+        footage: the frames.
+        problem: the fit.
+        table: light of the lens.
+        x: current parameters.
+        nearest: least distance from the tip's plane at which the model is valid, mm.
+        lit: fraction of a frame's peak above which a pixel counts as lit by the beam.
+        margin_px: margin around the instrument.
+    """
+
+    def __init__(
+        self,
+        footage: Footage,
+        problem: Problem,
+        table: LensTable | None,
+        x: Array,
+        *,
+        nearest: float,
+        lit: float,
+        margin_px: float,
+    ) -> None:
+        self.footage, self.problem, self.table, self.x = footage, problem, table, x
+        self.nearest, self.lit, self.margin_px = nearest, lit, margin_px
+
+    def chunks(self, frames: Int[np.ndarray, "n"]) -> list[Chunk]:
+        """The squares of some frames, with their mean light and its weight."""
+        first, *rest = frames.tolist()
+        # The first frame runs alone, so that only one thread compiles.
+        with ThreadPoolExecutor() as pool:
+            return sum([self._of_frame(first), *pool.map(self._of_frame, rest)], [])
+
+    def _of_frame(self, frame: int) -> list[Chunk]:
+        noise, light = self.footage.noise, self.footage.light[frame]
+        squares, side = self._reached(frame), _LARGEST_PX
+        parts: list[np.ndarray] = []
+        while len(squares.corners):
+            if side == 1:
+                keep = squares.usable
+            else:
+                half = side // 2
+                steps = half * np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
+                corners = (squares.corners[:, None] + steps).reshape(-1, 2)
+                parted = self._view(frame, corners, half)[0]
+                error = np.abs(squares.light - parted.light.reshape(-1, 4).mean(axis=1))
+                sigma = np.sqrt(noise.variance(squares.light)) / side
+                usable = parted.usable.reshape(-1, 4)
+                keep = squares.usable & usable.all(axis=1) & (error <= _INEXACT * sigma)
+                split = ~keep & (squares.usable | usable.any(axis=1))
+            u, v = squares.corners[keep].T
+            sums = light[: light.shape[0] // side * side, : light.shape[1] // side * side]
+            sums = sums.reshape(light.shape[0] // side, side, -1, side).mean(axis=(1, 3), dtype=float)
+            weight = side / np.sqrt(noise.variance(squares.light[keep]))
+            centres = squares.corners[keep] + 0.5 * (side - 1)
+            sides = np.full(len(u), float(side))
+            means = sums[v // side, u // side]
+            parts.append(np.column_stack([centres, sides, means, weight]))
+            if side == 1:
+                break
+            chosen = np.repeat(split, 4)
+            squares, side = _Squares(*(part[chosen] for part in parted)), half
+        u, v, sides, means, weight = np.concatenate(parts).T if parts else np.empty((5, 0))
+        return list(
+            chunked(self.footage, frame, np.stack([u, v], axis=-1), sides, means, weight)
+        )
+
+    def _reached(self, frame: int) -> _Squares:
+        """The largest squares that the beam reaches, and those around them."""
+        height, width = self.footage.light.shape[1:]
+        v, u = np.mgrid[0:height:_LARGEST_PX, 0:width:_LARGEST_PX]
+        corners = np.stack([u.ravel(), v.ravel()], axis=-1)
+        squares, view = self._view(frame, corners, _LARGEST_PX)
+        bright = (view.direct > self.lit * view.direct.max()).reshape(u.shape)
+        near = ndimage.binary_dilation(bright, np.ones((3, 3))).ravel()
+        return _Squares(*(part[near] for part in squares))
+
+    def _view(
+        self, frame: int, corners: Int[np.ndarray, "n 2"], side: int
+    ) -> tuple[_Squares, View]:
+        footage = self.footage
+        centres = corners + 0.5 * (side - 1)
+        view = seen(
+            footage, self.problem, self.table, self.x, frame, centres, side=float(side)
+        )
+        usable = (corners + side <= footage.light.shape[:0:-1]).all(axis=1)
+        usable &= (view.along > self.nearest) & footage.noise.is_clear(view.light)
+        if footage.in_view:
+            reach = (self.margin_px + 0.5**0.5 * (side - 1)) * float(self.problem.microscope.scale)
+            usable &= ~footage.instrument.hides(
+                view.point, view.sight, tip=view.tip, axis=view.axis, margin=reach
+            )
+        return _Squares(corners, view.light, usable), view
