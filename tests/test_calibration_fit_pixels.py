@@ -41,7 +41,7 @@ def test_mean_residuals_of_noise_alone_have_variance_one():
     residuals[:, :, :20] = np.nan
     residuals[30:, :10] = np.nan
     residuals[7] = np.nan
-    frames, of_frames, image = _means(residuals)
+    frames, of_frames, image = _means(residuals, np.ones(residuals.shape, np.uint8))
     assert frames.tolist() == [n for n in range(60) if n != 7]
     assert np.isnan(image[:, :20]).all()
     # Variances of 59 and of 1200 normal numbers, to four of their standard errors.

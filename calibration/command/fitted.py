@@ -66,6 +66,7 @@ class Fitted:
         values: the calibration file's parameters.
         covariance: covariance of `values`.
         converged: whether the solvers converged.
+        failed: the criterion of convergence that is not met, with its value, if that is known.
         bounds: bounds that the fit reached, in words.
         undetermined: parameters that the data do not determine, in words.
         chi_squared: None if the noise was estimated from the residuals.
@@ -88,6 +89,7 @@ class Fitted:
     recordings: Sequence[Recording]
     used: int
     degrees_of_freedom: int
+    failed: str = ""
     chi_squared: float | None = None
     bounds: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()

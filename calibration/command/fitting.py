@@ -130,6 +130,7 @@ class _Result:
         """Why the fit is not good."""
         return doubts(
             converged=self.fitted.converged,
+            failed=self.fitted.failed,
             bounds=self.fitted.bounds,
             undetermined=self.fitted.undetermined,
             chi_squared_per_degree=self.fitted.chi_squared_per_degree,

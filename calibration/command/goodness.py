@@ -47,6 +47,7 @@ class Doubt(NamedTuple):
 def doubts(
     *,
     converged: bool,
+    failed: str = "",
     bounds: tuple[str, ...],
     undetermined: tuple[str, ...],
     chi_squared_per_degree: float | None,
@@ -56,12 +57,14 @@ def doubts(
 
     Args:
         converged: whether the solver converged.
+        failed: the criterion of convergence that is not met, with its value, if that is known.
         bounds: bounds that the fit reached, in words.
         undetermined: parameters that the data do not determine, in words.
         chi_squared_per_degree: None if the noise was estimated from the residuals themselves.
         residuals: by name, ordered so that a misfit affects neighbours alike.
     """
-    found = [] if converged else [Doubt(Fault.NOT_CONVERGED, "the solver did not converge")]
+    why = "the solver did not converge" + (f": {failed}" if failed else "")
+    found = [] if converged else [Doubt(Fault.NOT_CONVERGED, why)]
     found += [Doubt(Fault.BOUND, f"it hit a bound: {bound}") for bound in bounds]
     found += [
         Doubt(Fault.UNDETERMINED, f"the data do not determine all parameters: {direction}")

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 import optics
 from calibration.command.fitted import Choices, Fitted, PixelResiduals
@@ -25,8 +25,10 @@ from optics import InputError
 _BLUR_PX = 1.0  # start value: a camera in focus
 _CONE_IN_FILE = ("half_angle", "b")
 _EITHER_IN_FILE = ("scale", "eye_radius")
-_SECONDS_A_PIXEL = {"cone": 3e-6, "lens": 3e-5}
-"""Time of a fit per pixel and frame on two cores, accurate to a factor of two."""
+_SECONDS = {"cone": (10.0, 3e-6), "lens": (60.0, 5e-7)}
+"""Time of a fit on two cores, and its increase per pixel and frame, to a factor of two."""
+_STATED = 1.05
+"""Factor above which the report says that numerical errors enlarge the standard errors."""
 _BRIGHTNESS = ("sensitivity", "power", "reflectance")
 """Factors of a calibration file's brightness; it is their product over pi."""
 
@@ -119,7 +121,8 @@ def _fit(
     exposure = choices.exposure or usual_exposure(recording.source)
     footage = read_footage(read_stack(recording.source), exposure=exposure)
     frames = len(footage.readings)
-    minutes = footage.light.size * _SECONDS_A_PIXEL[source] / 60
+    least, per_pixel = _SECONDS[source]
+    minutes = (least + footage.light.size * per_pixel) / 60
     print(
         f"Fitting a {source} to {frames} frames: {_rounded(minutes)} min on two cores.",
         file=sys.stderr,
@@ -158,12 +161,13 @@ def _fitted(
     """
     names = list(fit.parameters)
     follows = np.array([[slopes[name].get(own, 0.0) for own in names] for name in values])
-    numbers, residuals, picture = _means(fit.residuals)
+    numbers, residuals, picture = _means(fit.residuals, fit.sides)
     return Fitted(
         calibration_model=model,
         values=values,
         covariance=_propagated(follows, fit.covariance),
         converged=fit.converged,
+        failed=fit.failed,
         bounds=bounds_hit(values),
         undetermined=fit.undetermined,
         chi_squared=fit.chi_squared,
@@ -176,7 +180,7 @@ def _fitted(
             for name, (value, error) in fit.parameters.items()
             if name not in in_file
         ],
-        notes=[f"{np.count_nonzero(np.isfinite(fit.residuals))} pixels were fitted."],
+        notes=_notes(fit),
         pixels=PixelResiduals(picture, numbers),
     )
 
@@ -185,14 +189,43 @@ def _rounded(minutes: float) -> str:
     return f"about {minutes:.0f}" if minutes >= 1 else "less than 1"
 
 
+def _notes(fit: ImageFit) -> list[str]:
+    """What was fitted, and what enlarged the standard errors."""
+    sides, pixels = np.unique(fit.sides[fit.sides > 0], return_counts=True)
+    squares = (pixels // sides.astype(int) ** 2).tolist()
+    found = f"{pixels.sum():,} pixels were fitted"
+    if sides.size and sides[-1] > 1:
+        sizes = ", ".join(
+            f"{count:,} of {side} x {side} px" for side, count in zip(sides, squares, strict=True)
+        )
+        found += (
+            f" as {sum(squares):,} means over squares: {sizes}. Large squares are where the light "
+            "is smooth, so they lose no information"
+        )
+    notes = [f"{found}."]
+    if fit.numerical_inflation > _STATED:
+        notes.append(
+            "Numerical errors of the lens's light enlarge the standard errors by a factor of up to "
+            f"{fit.numerical_inflation:.2g}; these errors are included."
+        )
+    return notes
+
+
 def _means(
-    residuals: Float[np.ndarray, "frames h w"],
+    residuals: Float[np.ndarray, "frames h w"], sides: UInt8[np.ndarray, "frames h w"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frames with pixels; mean residuals per frame and per pixel over their standard deviation."""
+    """Frames with pixels; mean residuals per frame and per pixel over their standard deviation.
+
+    Args:
+        residuals: as in `ImageFit`.
+        sides: as in `ImageFit`. The pixels of a square count as one datum.
+    """
     known = np.isfinite(residuals)
     filled = np.where(known, residuals, 0.0).astype(float)
     numbers = np.flatnonzero(known.any(axis=(1, 2)))
-    of_frames = filled.sum(axis=(1, 2))[numbers] / np.sqrt(known.sum(axis=(1, 2))[numbers])
+    share = np.divide(1.0, np.square(sides, dtype=float), where=known, out=np.zeros(sides.shape))
+    of_frames = (share * filled).sum(axis=(1, 2))[numbers]
+    of_frames /= np.sqrt(share.sum(axis=(1, 2))[numbers])
     count = known.sum(axis=0)
     picture = np.where(count > 0, filled.sum(axis=0) / np.sqrt(np.maximum(count, 1)), np.nan)
     return numbers, of_frames, picture

@@ -21,7 +21,9 @@ class ImageFit:
         tips: tips of the frames, mm, eye frame.
         axis: unit vector along the beam from the tip towards the wall, eye frame.
         undetermined: parameters that neither data nor priors determine, in words; may be empty.
-        converged: whether another step would lower chi squared by less than 0.001.
+        failed: the criterion of convergence that the fit does not meet, with its value; or "".
+        numerical_inflation: largest factor by which numerical errors of the lens's light enlarge a
+            standard error; contained in `covariance`.
         residuals: light minus model over sigma, frames x h x w; NaN for pixels not fitted. Pixels
             that were fitted as one square all have the residual of its mean.
         sides: side of the square that each pixel belongs to, px; 0 for pixels not fitted.
@@ -35,9 +37,15 @@ class ImageFit:
     tips: Float[np.ndarray, "frames 3"]
     axis: Float[np.ndarray, "3"]
     undetermined: tuple[str, ...]
-    converged: bool
+    failed: str
+    numerical_inflation: float
     residuals: Float[np.ndarray, "frames h w"]
     sides: UInt8[np.ndarray, "frames h w"]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit meets its criterion of convergence."""
+        return not self.failed
 
     @property
     def chi_squared_per_dof(self) -> float:

@@ -26,7 +26,7 @@ from calibration.pixels.data import Footage
 from calibration.pixels.image_fit import ImageFit
 from calibration.pixels.parameters import DEFAULTS, LENS, NUISANCES, possible
 from calibration.pixels.selection import bright_spot, chosen_chunks
-from calibration.pixels.table import LensTable, lens_sampling, lens_table
+from calibration.pixels.table import LensTable, lens_table, sampled_table
 from calibration.solvers import Minimum, NormalEquations, covariance_and_lost, minimise
 from calibration.spots import Prior, phantom_wall
 from optics import InputError
@@ -41,14 +41,18 @@ _NEAREST_MM = {"cone": 0.03, "lens": 0.3}
 """Least distance from the tip's plane. Nearer, the rim touches or the lens's table is invalid."""
 _REACH = {True: 1.6, False: 1.05}
 """Size of a lens's table over the light's envelope, for coarse and for full fits."""
-_TABLES = 10
-"""Most tables of a lens per round; each is computed where the fit with the last one ended."""
+_MOST_OF_TABLE = 10.0
+"""Largest difference of two tables' results, in standard errors. The covariance contains it, but a
+larger one is not only noise."""
 _HALVINGS = {True: 1, False: 3}
 """Most halvings of the cells of a lens's table, for coarse and for full fits."""
 _EXACT = 1e-6
 """Sigma of the constraint that fitted exposures equal the reported ones on average."""
-_SETTLED, _COARSELY = 1e-3, 0.1
-"""A fit ends if a step would lower chi squared by less: 0.03 or 0.3 standard errors."""
+_SETTLED = {"cone": 1e-3, "lens": 0.04}
+"""A fit ends if a step would lower chi squared by less. The root is the step in standard errors:
+0.03, or 0.2 for a lens, whose table is computed with errors."""
+_COARSELY = {"cone": 0.1, "lens": 10.0}
+"""The same for the first fits. A lens's next fit has a hundred times as many pixels anyway."""
 
 
 _HOPELESS = 2.0
@@ -73,6 +77,8 @@ class Solver:
     ) -> None:
         self.footage, self.source, self.exposures = footage, source, exposures
         self.progress = progress
+        self.table: LensTable | None = None
+        self.of_table: np.ndarray | None = None
         self.names = (*free, *(name for name in NUISANCES if name not in free))
         self.frames = len(footage.readings)
         place, self.radius_px = bright_spot(footage)
@@ -137,41 +143,65 @@ class Solver:
         x = self._bright_enough(x)
         for blur, stride in zip(coarse, strides, strict=True):
             self._choose(x, blur=blur, stride=stride)
-            found = minimise(self._tabulated_sums, x, tolerance=_COARSELY)
+            found = minimise(self._tabulated_sums, x, tolerance=_COARSELY[self.source])
             x = found.x
         if self.source == "lens" and found.at.cost > _HOPELESS * self._pixels:
-            return self._result(found)
-        for _ in range(_ROUNDS):
+            return self._result(found, (
+                f"after the first fit chi squared per pixel is {found.at.cost / self._pixels:.2f}; "
+                f"{_HOPELESS:g} is allowed"
+            ))
+        for _ in range(_ROUNDS - 1):
             self._choose(x)
-            found = self._settled(x)
-            x = found.x
-        return self._result(found)
+            x = minimise(self._sums, x, tolerance=_SETTLED[self.source]).x
+        self._choose(x)
+        return self._result(*self._settled(x))
 
     @property
     def _pixels(self) -> int:
         return sum(int(np.count_nonzero(chunk.weight > 0)) for chunk in self.chunks)
 
-    def _settled(self, x: np.ndarray) -> Minimum:
-        """Iterate until a lens's table is exact at the minimum.
+    def _settled(self, x: np.ndarray) -> tuple[Minimum, str]:
+        """Iterate until a lens's table is exact at the minimum; say why if it never is.
 
-        A new table at every step would make chi squared jump by 0.02, because the quadrature finds
-        or misses arcs, and the solver could not recognise an improvement.
+        Within a minimisation the table is linear in the lens's parameters. Each new table corrects
+        the terms of second order, and brings new errors of its quadrature, which finds or misses
+        arcs. If a step is not half as long as the one before, these errors are what remains. Their
+        effect on the parameters is then known from the steps, and becomes part of the covariance.
         """
-        for _ in range(_TABLES):
-            found = minimise(self._sums, x, tolerance=_SETTLED)
-            if self.source == "cone" or np.array_equal(found.x, x):
-                return found
+        steps: list[np.ndarray] = []
+        while True:
+            found = minimise(self._sums, x, tolerance=_SETTLED[self.source])
+            if not found.converged:
+                return found, (
+                    f"after {found.steps} steps another one would lower chi squared by "
+                    f"{found.gain:.2g}; {_SETTLED[self.source]:g} is allowed"
+                )
+            steps.append(found.x - x)
             x = found.x
-            self.table = self._table(x)
-        return found._replace(converged=False)
+            if self.source == "cone" or not found.steps:
+                return found, ""
+            lengths = [self._in_sigmas(step, found) for step in steps[-2:]]
+            if len(steps) > 2 and lengths[1] > lengths[0] / 2:
+                self.of_table = sum(np.outer(step, step) for step in steps[-2:]) / 2
+                if max(lengths) < _MOST_OF_TABLE:
+                    return found, ""
+                return found, (
+                    f"the last two tables of the lens's light differ by {max(lengths):.1f} "
+                    f"standard errors of the result; {_MOST_OF_TABLE:g} are allowed"
+                )
+            self._tabulate(x)
+
+    def _in_sigmas(self, step: np.ndarray, found: Minimum) -> float:
+        return float(np.sqrt(step @ found.at.information @ step))
 
     def _choose(self, x: np.ndarray, *, blur: float | None = None, stride: int = 1) -> None:
         """Select pixels for the current parameters; without a blur, all pixels."""
         if self.source == "lens":
             values = self._values(x)
             gone = self.footage.readings + values["touch"]
-            self.sampling = lens_sampling(
-                values,
+            self.sampling, self.table = sampled_table(
+                {name: values[name] for name in LENS},
+                self._of_lens,
                 medium_index=self.footage.medium_index,
                 # The wall is oblique, so parts of it are nearer and farther than on the axis.
                 nearest=max(_NEAREST_MM["lens"], gone.min() - 1.0),
@@ -185,7 +215,6 @@ class Solver:
             jnp.asarray(blur) if blur else None,
             is_leaf=lambda leaf: leaf is None,
         )
-        self.table = self._table(x)
         self.chunks = chosen_chunks(
             self.footage,
             self.problem,
@@ -226,13 +255,18 @@ class Solver:
         values = values_at(self.problem, jnp.asarray(x[: len(self.names)]))
         return {name: float(value) for name, value in values.items()}
 
-    def _table(self, x: np.ndarray) -> LensTable | None:
+    @property
+    def _of_lens(self) -> tuple[str, ...]:
+        return tuple(name for name in self.names if name in LENS)
+
+    def _tabulate(self, x: np.ndarray) -> None:
+        """Compute the lens's light anew at x."""
         if self.source == "cone":
-            return None
+            return
         values = self._values(x)
-        return lens_table(
+        self.table = lens_table(
             {name: values[name] for name in LENS},
-            tuple(name for name in self.names if name in LENS),
+            self._of_lens,
             medium_index=self.footage.medium_index,
             sampling=self.sampling,
         )
@@ -240,7 +274,7 @@ class Solver:
     def _tabulated_sums(self, x: np.ndarray) -> NormalEquations:
         """`_sums` with a new table at x, because far from the solution the light is not linear."""
         if possible(self._values(x)):
-            self.table = self._table(x)
+            self._tabulate(x)
         return self._sums(x)
 
     def _sums(self, x: np.ndarray) -> NormalEquations:
@@ -289,7 +323,7 @@ class Solver:
             # The first chunk runs alone, so that only one thread compiles.
             return [part(self.chunks[0]), *pool.map(part, self.chunks[1:])]
 
-    def _result(self, found: Minimum) -> ImageFit:
+    def _result(self, found: Minimum, failed: str = "") -> ImageFit:
         exposures = [f"exposure of frame {frame}" for frame in range(self.frames)]
         names = (*self.names, *exposures[: self.frames * self.exposures])
         over = dict(zip(names[len(self.names) :], 1.0 + found.x[len(self.names) :], strict=True))
@@ -297,6 +331,10 @@ class Solver:
         covariance, lost = covariance_and_lost(
             found.at.information, names, [every[name] for name in names]
         )
+        inflation = 1.0
+        if self.of_table is not None:
+            inflation = _inflation(self.of_table, covariance)
+            covariance = covariance + self.of_table
         size = np.append(np.asarray(self.problem.size), np.ones(len(over)))
         covariance = covariance * np.outer(size, size)
         errors = np.sqrt(np.diag(covariance)).tolist()
@@ -323,7 +361,14 @@ class Solver:
             tips=tips,
             axis=axis,
             undetermined=lost,
-            converged=found.converged,
+            failed=failed,
             residuals=residuals,
+            numerical_inflation=inflation,
             sides=sides,
         )
+
+
+def _inflation(added: np.ndarray, covariance: np.ndarray) -> float:
+    """Largest factor by which an added covariance enlarges a standard error."""
+    known = np.isfinite(np.diag(covariance))
+    return float(np.sqrt(1 + np.max(np.diag(added)[known] / np.diag(covariance)[known])))

@@ -105,19 +105,21 @@ class LensTable(eqx.Module):
         return self.transmitted_value + jnp.dot(self.moved, self.transmitted_slopes)
 
 
-def lens_sampling(
+def sampled_table(
     values: Mapping[str, float],
+    free: Sequence[str],
     *,
     medium_index: float,
     nearest: float,
     farthest: float,
     reach: float,
     halvings: int,
-) -> Sampling:
-    """Choose the samples for lenses near the given one.
+) -> tuple[Sampling, LensTable]:
+    """Choose the samples for lenses near the given one, and tabulate this lens at them.
 
     Args:
         values: all `PARAMETERS`.
+        free: names of the parameters to differentiate with respect to.
         medium_index: n0.
         nearest: least visible distance, mm.
         farthest: largest visible distance, mm.
@@ -128,7 +130,7 @@ def lens_sampling(
     contact_radius = float(envelope(0.0))
     slope = float(envelope(1.0)) - contact_radius
     grid = Grid(reach * contact_radius, reach * slope, nearest, farthest)
-    field = _Field(values, (), medium_index, grid)
+    field = _Field(values, tuple(free), medium_index, grid)
     computed = [np.ones((_ROWS + 1, _COLUMNS + 1), bool)]
     missed, samples = computed[0], field(computed[0])
     while missed.any() and len(computed) <= halvings:
@@ -136,10 +138,10 @@ def lens_sampling(
         wanted = np.kron(binary_dilation(missed, np.ones((3, 3))), np.ones((2, 2), bool))[:-1, :-1]
         wanted[::2, ::2] = False
         samples = field(wanted, guess)
-        error = np.abs(samples - guess).max(axis=(0, 1))
+        error = np.abs(samples - guess)[0].max(axis=0)
         missed = error > _TOLERANCE * samples[0, 1].max(axis=1, keepdims=True)
         computed.append(wanted)
-    return Sampling(grid, tuple(computed))
+    return Sampling(grid, tuple(computed)), field.table(samples)
 
 
 def lens_table(
@@ -159,17 +161,7 @@ def lens_table(
     samples = field(first)
     for computed in rest:
         samples = field(computed, _halved(samples))
-    samples = np.moveaxis(samples, 1, -1)
-    leaves = _transmitted(field.names, field.at, field.fixed, field.medium_index)
-    return LensTable(
-        values=jnp.asarray(samples[0]),
-        slopes=jnp.asarray(samples[1:]),
-        transmitted_value=leaves[0],
-        transmitted_slopes=leaves[1:],
-        at=field.at,
-        moved=jnp.zeros(len(field.names)),
-        grid=jax.tree.map(jnp.asarray, sampling.grid),
-    )
+    return field.table(samples)
 
 
 class _Field:
@@ -208,6 +200,20 @@ class _Field:
             parts = [evaluate(batches[0]), *pool.map(evaluate, batches[1:])]
         samples[..., row, column] = np.concatenate(parts, axis=-1)[..., : row.size] * envelope**2
         return samples
+
+    def table(self, samples: Float[np.ndarray, "p+1 2 rows columns"]) -> LensTable:
+        """The table of these samples."""
+        samples = np.moveaxis(samples, 1, -1)
+        leaves = _transmitted(self.names, self.at, self.fixed, self.medium_index)
+        return LensTable(
+            values=jnp.asarray(samples[0]),
+            slopes=jnp.asarray(samples[1:]),
+            transmitted_value=leaves[0],
+            transmitted_slopes=leaves[1:],
+            at=self.at,
+            moved=jnp.zeros(len(self.names)),
+            grid=jax.tree.map(jnp.asarray, self.grid),
+        )
 
 
 def _halved(samples: Float[np.ndarray, "p 2 n m"]) -> Float[np.ndarray, "p 2 2n-1 2m-1"]:

@@ -31,10 +31,20 @@ class NormalEquations(NamedTuple):
 
 
 class Minimum(NamedTuple):
-    """The last point, and whether another step would lower the cost by less than the tolerance."""
+    """The last point.
+
+    Attributes:
+        x: parameters.
+        at: the normal equations there.
+        gain: by how much another step would lower the cost, to first order.
+        steps: number of evaluations after the first.
+        converged: whether the gain is less than the tolerance.
+    """
 
     x: Float[np.ndarray, "p"]
     at: NormalEquations
+    gain: float
+    steps: int
     converged: bool
 
 
@@ -57,20 +67,26 @@ def minimise(
     """
     x, at = start, evaluate(start)
     damping, growth = _DAMPING, 2.0
-    for _ in range(_MOST_STEPS):
-        # If the residuals do not determine a parameter, take the minimum-norm step.
-        if at.gradient @ np.linalg.pinv(at.information, rcond=1e-12) @ at.gradient < tolerance:
-            return Minimum(x, at, True)
+    for steps in range(_MOST_STEPS):
+        gain = expected_gain(at)
+        if gain < tolerance:
+            return Minimum(x, at, gain, steps, True)
         damped = at.information + damping * np.diag(np.diag(at.information))
         step = -np.linalg.lstsq(damped, at.gradient, rcond=None)[0]
         tried = evaluate(x + step)
         expected = -(2 * at.gradient + at.information @ step) @ step
-        gain = (at.cost - tried.cost) / expected
-        if gain > 0:
+        ratio = (at.cost - tried.cost) / expected
+        if ratio > 0:
             x, at = x + step, tried
-            damping, growth = damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 2.0
+            damping, growth = damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), 2.0
         else:
             damping, growth = damping * growth, 2 * growth
             if damping > _MOST_DAMPING:
                 break
-    return Minimum(x, at, False)
+    return Minimum(x, at, expected_gain(at), steps + 1, False)
+
+
+def expected_gain(at: NormalEquations) -> float:
+    """By how much an undamped step would lower the cost, to first order."""
+    # If the residuals do not determine a parameter, take the minimum-norm step.
+    return float(at.gradient @ np.linalg.pinv(at.information, rcond=1e-12) @ at.gradient)
