@@ -204,8 +204,10 @@ def traced_ellipses(*, beam, motion, readings, noise):
         form /= 1 + centre @ form @ centre
         strength, ways = np.linalg.eigh(form)
         major, minor = size / np.sqrt(strength)
-        angle = np.arctan2(ways[1, 0], ways[0, 0])
-        rows.append([*(mean + size * centre), major, minor, (angle + np.pi / 2) % np.pi - np.pi / 2])
+        angle = (np.arctan2(ways[1, 0], ways[0, 0]) + np.pi / 2) % np.pi - np.pi / 2
+        rows.append(
+            [*(mean + size * centre), major, minor, (angle + np.pi / 2) % np.pi - np.pi / 2]
+        )
     rows = np.array(rows) + noise.standard_normal((len(readings), 5)) * np.sqrt(np.diag(SIGMAS))
     return optics.Ellipse(*map(jnp.asarray, (rows[:, :2], *rows[:, 2:].T)))
 

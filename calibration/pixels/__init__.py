@@ -9,6 +9,7 @@ model       Radiance of the wall lit by a cone or a lens, as a differentiable fu
 parameters  Names, units and valid ranges of the parameters
 selection   Which pixels a fit uses: those the beam reaches and a ring around them
 solver      The steps of the fit, from blurred frames to all pixels
+squares     Squares of pixels that are fitted as one datum where a lens's light is smooth
 table       Vector irradiance of a lens and its derivatives on a small grid
 """
 

@@ -57,19 +57,22 @@ def chosen_chunks(
         x: current parameters.
         coarse: whether `x` is only a guess. If so, the noise follows from the measured light
             instead of the model.
-        stride: step between selected pixels along u and v, px.
+        stride: step between selected pixels along u and v, px; for a lens, the side of the squares
+            of a coarse fit.
         nearest: least distance from the tip's plane at which the model is valid, mm.
     """
-    if table is not None and not coarse:
-        return SquareChooser(
+    if table is not None:
+        chooser = SquareChooser(
             footage,
             problem,
             table,
             x,
             nearest=nearest,
             lit=_LIT,
-            margin_px=_MARGIN_PX[False],
-        ).chunks(np.arange(len(footage.readings)))
+            margin_px=_MARGIN_PX[coarse],
+            guess=coarse,
+        )
+        return chooser.equal_chunks(stride) if coarse else chooser.chunks()
     blur = 0.0 if problem.blur is None else float(problem.blur)
     chunks: list[Chunk] = []
     for frame in range(len(footage.readings)):

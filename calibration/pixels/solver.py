@@ -34,7 +34,6 @@ from optics import InputError
 _TOUCH_SIGMA_MM = 0.02
 _BLURS = (1 / 4, 1 / 12, 1 / 36)
 """Blurs of the first fits, relative to the spot's radius; the last fits have no blur."""
-_COARSE_PIXELS = 200_000
 _ROUNDS = 2
 """Rounds of the fit to all pixels. Each selects pixels and computes noise from the last result."""
 _NEAREST_MM = {"cone": 0.03, "lens": 0.3}
@@ -44,20 +43,20 @@ _REACH = {True: 1.6, False: 1.05}
 _MOST_OF_TABLE = 10.0
 """Largest difference of two tables' results, in standard errors. The covariance contains it, but a
 larger one is not only noise."""
-_HALVINGS = {True: 1, False: 3}
+_HALVINGS = {True: 0, False: 3}
 """Most halvings of the cells of a lens's table, for coarse and for full fits."""
 _EXACT = 1e-6
 """Sigma of the constraint that fitted exposures equal the reported ones on average."""
 _SETTLED = {"cone": 1e-3, "lens": 0.04}
 """A fit ends if a step would lower chi squared by less. The root is the step in standard errors:
 0.03, or 0.2 for a lens, whose table is computed with errors."""
-_COARSELY = {"cone": 0.1, "lens": 10.0}
-"""The same for the first fits. A lens's next fit has a hundred times as many pixels anyway."""
+_COARSELY = {"cone": 0.1, "lens": 1.0}
+"""The same for the first fits."""
 
 
 _HOPELESS = 2.0
-"""Chi squared per pixel after a lens's coarse fit above which the fit ends: no later step mends a
-wall that is not even. An even wall gave 1.02, a printed retina 5.9; a good fit has at most 1.25."""
+"""Chi squared per datum after a lens's first round above which the fit ends: no later step mends a
+wall that is not even."""
 
 
 class Solver:
@@ -138,21 +137,24 @@ class Solver:
             strides = [max(1, round(blur / 2)) for blur in coarse]
         else:
             coarse = [0.0]
-            strides = [math.ceil((self.footage.light.size / _COARSE_PIXELS) ** 0.5)]
+            # Squares of a quarter of the spot's radius, as the first blur of a cone.
+            strides = [2 ** int(np.clip(math.log2(_BLURS[0] * self.radius_px), 0, 4))]
         self._choose(x, blur=coarse[0], stride=strides[0])
         x = self._bright_enough(x)
         for blur, stride in zip(coarse, strides, strict=True):
             self._choose(x, blur=blur, stride=stride)
             found = minimise(self._tabulated_sums, x, tolerance=_COARSELY[self.source])
             x = found.x
-        if self.source == "lens" and found.at.cost > _HOPELESS * self._pixels:
-            return self._result(found, (
-                f"after the first fit chi squared per pixel is {found.at.cost / self._pixels:.2f}; "
-                f"{_HOPELESS:g} is allowed"
-            ))
         for _ in range(_ROUNDS - 1):
             self._choose(x)
-            x = minimise(self._sums, x, tolerance=_SETTLED[self.source]).x
+            found = minimise(self._sums, x, tolerance=_SETTLED[self.source])
+            x, misfit = found.x, found.at.cost / self._pixels
+            if self.source == "lens" and misfit > _HOPELESS:
+                return self._result(
+                    found,
+                    f"after the first round chi squared per datum is {misfit:.2f}; "
+                    f"{_HOPELESS:g} is allowed",
+                )
         self._choose(x)
         return self._result(*self._settled(x))
 
@@ -182,7 +184,8 @@ class Solver:
                 return found, ""
             lengths = [self._in_sigmas(step, found) for step in steps[-2:]]
             if len(steps) > 2 and lengths[1] > lengths[0] / 2:
-                self.of_table = sum(np.outer(step, step) for step in steps[-2:]) / 2
+                last = np.stack(steps[-2:])
+                self.of_table = last.T @ last / 2
                 if max(lengths) < _MOST_OF_TABLE:
                     return found, ""
                 return found, (

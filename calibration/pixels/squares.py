@@ -74,6 +74,12 @@ def chunked(
         )
 
 
+_GUESSED = 0.01
+"""Error of the model in the first fit, relative to a frame's brightest square. Squares are far less
+noisy than this, and cut by edges."""
+_FRAMES_OF_GUESS = 24
+
+
 class _Squares(NamedTuple):
     """Squares of one size in a frame, with the model's light and whether all pixels are usable."""
 
@@ -93,6 +99,7 @@ class SquareChooser:
         nearest: least distance from the tip's plane at which the model is valid, mm.
         lit: fraction of a frame's peak above which a pixel counts as lit by the beam.
         margin_px: margin around the instrument.
+        guess: whether `x` is only a guess, so that the model does not show which pixels are clear.
     """
 
     def __init__(
@@ -105,20 +112,45 @@ class SquareChooser:
         nearest: float,
         lit: float,
         margin_px: float,
+        guess: bool,
     ) -> None:
+        self.guess = guess
         self.footage, self.problem, self.table, self.x = footage, problem, table, x
         self.nearest, self.lit, self.margin_px = nearest, lit, margin_px
 
-    def chunks(self, frames: Int[np.ndarray, "n"]) -> list[Chunk]:
-        """The squares of some frames, with their mean light and its weight."""
-        first, *rest = frames.tolist()
+    def chunks(self) -> list[Chunk]:
+        """The squares of all frames, with their mean light and its weight."""
+        first, *rest = range(len(self.footage.readings))
         # The first frame runs alone, so that only one thread compiles.
         with ThreadPoolExecutor() as pool:
-            return sum([self._of_frame(first), *pool.map(self._of_frame, rest)], [])
+            parts = [self._of_frame(first), *pool.map(self._of_frame, rest)]
+        return [chunk for part in parts for chunk in part]
+
+    def equal_chunks(self, side: int) -> list[Chunk]:
+        """Squares of one size in some of the frames, for a fit whose start is only a guess.
+
+        Means over squares change smoothly even where a sharp edge moves, so a start that is far
+        off still leads to the minimum. Their noise follows from the measured light.
+        """
+        count = len(self.footage.readings)
+        frames = np.unique(np.linspace(0, count - 1, _FRAMES_OF_GUESS).round().astype(int))
+        return [chunk for frame in frames.tolist() for chunk in self._equal(frame, side)]
+
+    def _equal(self, frame: int, side: int) -> list[Chunk]:
+        found = self._reached(frame, side)
+        corners = found.corners[found.usable]
+        u, v = corners.T // side
+        clear = _means(self.footage.clear[frame], side)[v, u] == 1.0
+        corners, means = corners[clear], _means(self.footage.light[frame], side)[v, u][clear]
+        error = _GUESSED * means.max(initial=0.0)
+        weight = 1.0 / np.sqrt(self.footage.noise.variance(means) / side**2 + error**2)
+        sides = np.full(len(corners), float(side))
+        centres = corners + 0.5 * (side - 1)
+        return list(chunked(self.footage, frame, centres, sides, means, weight))
 
     def _of_frame(self, frame: int) -> list[Chunk]:
         noise, light = self.footage.noise, self.footage.light[frame]
-        squares, side = self._reached(frame), _LARGEST_PX
+        squares, side = self._reached(frame, _LARGEST_PX), _LARGEST_PX
         parts: list[np.ndarray] = []
         while len(squares.corners):
             if side == 1:
@@ -134,30 +166,27 @@ class SquareChooser:
                 keep = squares.usable & usable.all(axis=1) & (error <= _INEXACT * sigma)
                 split = ~keep & (squares.usable | usable.any(axis=1))
             u, v = squares.corners[keep].T
-            sums = light[: light.shape[0] // side * side, : light.shape[1] // side * side]
-            sums = sums.reshape(light.shape[0] // side, side, -1, side).mean(axis=(1, 3), dtype=float)
             weight = side / np.sqrt(noise.variance(squares.light[keep]))
             centres = squares.corners[keep] + 0.5 * (side - 1)
             sides = np.full(len(u), float(side))
-            means = sums[v // side, u // side]
+            means = _means(light, side)[v // side, u // side]
             parts.append(np.column_stack([centres, sides, means, weight]))
             if side == 1:
                 break
             chosen = np.repeat(split, 4)
             squares, side = _Squares(*(part[chosen] for part in parted)), half
         u, v, sides, means, weight = np.concatenate(parts).T if parts else np.empty((5, 0))
-        return list(
-            chunked(self.footage, frame, np.stack([u, v], axis=-1), sides, means, weight)
-        )
+        return list(chunked(self.footage, frame, np.stack([u, v], axis=-1), sides, means, weight))
 
-    def _reached(self, frame: int) -> _Squares:
-        """The largest squares that the beam reaches, and those around them."""
+    def _reached(self, frame: int, side: int) -> _Squares:
+        """Squares that the beam reaches, and a ring around them."""
         height, width = self.footage.light.shape[1:]
-        v, u = np.mgrid[0:height:_LARGEST_PX, 0:width:_LARGEST_PX]
+        v, u = np.mgrid[0:height:side, 0:width:side]
         corners = np.stack([u.ravel(), v.ravel()], axis=-1)
-        squares, view = self._view(frame, corners, _LARGEST_PX)
+        squares, view = self._view(frame, corners, side)
         bright = (view.direct > self.lit * view.direct.max()).reshape(u.shape)
-        near = ndimage.binary_dilation(bright, np.ones((3, 3))).ravel()
+        ring = max(1, _LARGEST_PX // 2 // side)
+        near = ndimage.binary_dilation(bright, np.ones((3, 3)), iterations=ring).ravel()
         return _Squares(*(part[near] for part in squares))
 
     def _view(
@@ -165,14 +194,26 @@ class SquareChooser:
     ) -> tuple[_Squares, View]:
         footage = self.footage
         centres = corners + 0.5 * (side - 1)
-        view = seen(
-            footage, self.problem, self.table, self.x, frame, centres, side=float(side)
-        )
+        view = seen(footage, self.problem, self.table, self.x, frame, centres, side=float(side))
         usable = (corners + side <= footage.light.shape[:0:-1]).all(axis=1)
-        usable &= (view.along > self.nearest) & footage.noise.is_clear(view.light)
+        usable &= np.asarray(view.along) > self.nearest
+        light = np.asarray(view.light)
         if footage.in_view:
             reach = (self.margin_px + 0.5**0.5 * (side - 1)) * float(self.problem.microscope.scale)
             usable &= ~footage.instrument.hides(
-                view.point, view.sight, tip=view.tip, axis=view.axis, margin=reach
+                np.asarray(view.point),
+                np.asarray(view.sight),
+                tip=np.asarray(view.tip),
+                axis=np.asarray(view.axis),
+                margin=reach,
             )
-        return _Squares(corners, view.light, usable), view
+        if not self.guess:
+            usable &= footage.noise.is_clear(light)
+        return _Squares(corners, light, usable), view
+
+
+def _means(image: np.ndarray, side: int) -> Float[np.ndarray, "rows columns"]:
+    """Means over the squares that lie wholly in an image."""
+    rows, columns = (length // side for length in image.shape)
+    parts = image[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    return np.asarray(parts.mean(axis=(1, 3), dtype=float))

@@ -33,9 +33,7 @@ class Withdrawal(NamedTuple):
     axis: Float[np.ndarray, "3"]
 
 
-def withdrawal(
-    times: Float[np.ndarray, "n"], poses_file: Path, *, source: Path
-) -> Withdrawal:
+def withdrawal(times: Float[np.ndarray, "n"], poses_file: Path, *, source: Path) -> Withdrawal:
     """Distance of the tip since the first frame, its direction, and the tool's mean axis.
 
     Positions are interpolated between poses: at 0.1 mm/s and 200 Hz the latest pose lags by up to
@@ -75,9 +73,9 @@ def withdrawal(
     askew = math.degrees(math.acos(min(float(motion @ axis), 1.0)))
     if aside > _MOST_ASIDE_MM or askew > _MOST_ASKEW_DEG:
         raise InputError(
-            f"{source} is no withdrawal: the tip leaves a straight line by {aside:.2f} mm, and this "
+            f"{source} is no withdrawal: the tip leaves a straight line by {aside:.2f} mm, and the "
             f"line is {askew:.1f}° from the tool's axis; {_MOST_ASIDE_MM} mm and "
-            f"{_MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot per trial."
+            f"{_MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot a trial."
         )
     return Withdrawal(readings, motion, axis)
 
