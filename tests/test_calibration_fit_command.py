@@ -11,9 +11,11 @@ from xml.etree import ElementTree
 import matplotlib
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import eyespot
+import optics
 import scenes
 from calibration import Prior, fit_cone
 from calibration.recordings.trials import LogBook, read_recording
@@ -61,7 +63,7 @@ def rig(tmp_path):
         )
     )
 
-    def record(name="trial", *, bend=0.0, aside=0.0, outliers=(), seed=0, ending=".csv"):
+    def record(name="trial", *, bend=0.0, aside=0.0, bow=0.0, outliers=(), seed=0, ending=".csv"):
         rng = np.random.default_rng(seed)
         gone = np.linspace(0.0, 6.0, 31)
         axis = np.array([0.5, 0.0, -np.sqrt(0.75)])
@@ -70,7 +72,7 @@ def rig(tmp_path):
             rows.writerow(["time_s", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z"])
             # The robot's clock is not the camera's: its reports fall between the frames.
             for n in np.arange(-0.3, 30.7, 0.4):
-                tip = -axis * 0.2 * n + (0.0, aside * n / 30, 0.0)
+                tip = -axis * 0.2 * n + (0.0, aside * n / 30 + bow * np.sin(np.pi * n / 30), 0.0)
                 rows.writerow([n / 10, *tip, *axis])
         d = gone + RIM + bend * (gone - 3.0) ** 2
         sizes = (d - B) / (K * SCALE) + rng.normal(0, 0.05, gone.size)
@@ -204,9 +206,19 @@ def log_book(tmp_path, poses):
 
 
 def test_a_tip_that_leaves_its_line_is_no_withdrawal(rig, tmp_path):
-    spots, poses = rig(aside=0.2)
-    with pytest.raises(ValueError, match=r"leaves the line of its axis by 0\.20 mm"):
+    spots, poses = rig(bow=0.2)
+    with pytest.raises(ValueError, match=r"leaves a straight line by 0\.20 mm"):
         read_recording(spots, log_book=log_book(tmp_path, poses))
+
+
+def test_a_straight_motion_need_not_be_along_the_tools_axis(rig, tmp_path):
+    spots, poses = rig(aside=0.2)
+    trial = read_recording(spots, log_book=log_book(tmp_path, poses)).trial
+    np.testing.assert_allclose(trial.axis, [0.5, 0.0, -np.sqrt(0.75)], atol=1e-9)
+    # 0.2 mm sideways over 6 mm, reversed: 1.9 degrees.
+    expected = np.array([3.0, -0.2, -6.0 * np.sqrt(0.75)])
+    assert trial.motion is not None
+    np.testing.assert_allclose(trial.motion, expected / np.linalg.norm(expected), atol=1e-9)
 
 
 def test_readings_are_those_of_the_moment_between_two_reports(rig, tmp_path):
@@ -246,6 +258,25 @@ def test_poses_of_the_robot_are_turned_into_the_eyes_frame(rig, tmp_path):
     # A quarter turn about z takes X to Y.
     axis = read_recording(spots, log_book=book).trial.axis
     np.testing.assert_allclose(axis, [0.0, 0.5, -np.sqrt(0.75)], atol=1e-12)
+
+
+def test_a_boresight_in_the_eye_is_an_angle_in_the_tools_frame(rig, tmp_path):
+    spots, poses = rig()
+    tool = Rotation.from_euler("xyz", [2.8, 0.3, -0.7])
+    axis = tool.apply([0.0, 0.0, 1.0])
+    lines = ["time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw"]
+    for n in np.arange(-0.3, 30.7, 0.4):
+        lines.append(",".join(map(repr, [n / 10, *(-0.2 * n * axis), *tool.as_quat()])))
+    poses = tmp_path / "turned.csv"
+    poses.write_text("\n".join(map(str, lines)).replace("np.float64(", "").replace(")", ""))
+    turn = Rotation.from_euler("zyx", [0.4, 0.2, -0.1])  # from the robot to the eye
+    book = replace(log_book(tmp_path, poses), eye_from_robot=tuple(turn.as_quat().tolist()))
+    recording = read_recording(spots, log_book=book)
+    boresight = np.array([0.02, -0.03])
+    in_eye = boresight @ np.stack(optics.perpendicular_frame(recording.trial.axis))
+    expected = tool.inv().apply(turn.inv().apply(in_eye))
+    np.testing.assert_allclose(recording.beam_slopes @ boresight, expected[:2], atol=1e-9)
+    assert abs(expected[2]) < 1e-9
 
 
 def test_what_is_no_stack_is_refused(tmp_path):

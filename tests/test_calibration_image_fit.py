@@ -528,10 +528,9 @@ def test_a_beam_off_the_motion_does_not_change_the_cone(tmp_path, off_deg):
         assert abs(value - true) < 3 * sigma, name
     # Chi squared per degree of n normal numbers, within four standard deviations.
     assert abs(fit.chi_squared_per_dof - 1) < 4 * math.sqrt(2 / fit.degrees_of_freedom)
-    found, sigma = zip(
-        *(fit.parameters[f"boresight{end}"] for end in ("", "_sideways")), strict=True
-    )
-    assert abs(math.hypot(*found) - angle) < 3 * math.hypot(*sigma)
+    angles = np.array([fit.parameters[f"boresight{end}"] for end in ("", "_sideways")])
+    found, error = np.hypot(*angles)
+    assert abs(found - angle) < 3 * error
 
 
 SEEDS = range(200)

@@ -57,6 +57,7 @@ def edited(tmp_path):
         ("planar", {"k": 20.1, "b": -5.117}),
         ("small_plane", {"b": -5.0, "k": 19.0, "eccentricity": 2.5, "eye_radius": 11.5}),
         ("exact", {"half_angle": 0.05, "b": -5.0, "scale": 0.0067}),
+        ("exact", {"half_angle": 0.05, "b": -5.0, "beam_x": 0.03, "beam_y": -0.02}),
         ("lens", LENS),
         ("lens", {**LENS, "launch_radius": 0.1, "launch_aperture": 0.1, "brightness": 3e-3}),
     ],
@@ -102,8 +103,8 @@ def put(*keys, value):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (put("schema", value=0), r"schema is 0; this eyespot .* reads 1\. Fit again"),
-        (put("schema", value=2), r"schema is 2; this eyespot .* reads 1\. Install a newer"),
+        (put("schema", value=0), r"schema is 0; this eyespot .* reads 1 and 2\. Fit again"),
+        (put("schema", value=3), r"schema is 3; this eyespot .* reads 1 and 2\. Install a newer"),
         (put("model", value="sphere"), r"model must be one of planar.*'sphere'"),
         (put("parameters", "q", value={"value": 1, "unit": "1", "sigma": 0}), "q is unknown"),
         (put("parameters", "k", "unit", value="mm"), r"k must be in '1'; got unit 'mm'\. Convert"),

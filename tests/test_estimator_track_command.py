@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -314,12 +315,20 @@ def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(
     bag, out = tmp_path / "rig.bag", tmp_path / "spots.csv"
     turn = Rotation.from_euler("xyz", [0.4, -0.2, 0.3])  # from the robot to the eye
     axis = Rotation.from_euler("x", 0.3).apply([0.0, 0.0, -1.0])  # in the eye
-    reported = tuple(turn.inv().apply(axis).tolist())
+    # The fibre is not parallel to its tool, and the calibration contains the angles.
+    off = np.array([0.03, -0.02, 1.0]) / math.hypot(0.03, 0.02, 1.0)
+    tool, _ = Rotation.align_vectors(turn.inv().apply(axis)[None], off[None])
+    old = read_calibration(calibration)
+    beam = {"beam_x": 0.03, "beam_y": -0.02}
+    write_calibration(
+        calibration, replace(old, values={**old.values, **beam}, covariance=np.zeros((4, 4)))
+    )
     stamped = [
         Frame(index=k, file_name="", time_s=1.0 + k / 10, image=image)
         for k, image in enumerate(images[:2])
     ]
-    pose = Pose.along(reported, time_s=0.9, position_mm=(0.0, 0.0, 0.0))
+    rotation = tuple(tool.as_quat().tolist())
+    pose = Pose(rotation=rotation, time_s=0.9, position_mm=(0.0, 0.0, 0.0))
     write_bag(bag, frames=stamped, poses=[pose])
     quaternion = ",".join(map(repr, turn.as_quat().tolist()))
     options = ("--calibration", calibration, "--microscope", microscope, "--model", "exact")

@@ -6,11 +6,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from calibration.command.fitted import Choices, Fitted
 from calibration.command.goodness import bounds_hit
 from calibration.recordings import Recording
 from calibration.spots import fit_cone, fit_plane
+from estimator.files import BEAM
 from optics import InputError
 
 _MISMATCHES = ("position along", "position across", "size", "elongation", "direction")
@@ -54,6 +56,13 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
     )
     kept = [i for i, name in enumerate(fit.free) if name not in ("tilt_x", "tilt_y")]
     values = {fit.free[i]: fit.values[fit.free[i]] for i in kept}
+    covariance = fit.covariance[np.ix_(kept, kept)]
+    if len(recordings) == 1 and np.isfinite(fit.boresight_covariance).all():
+        # Several trials may have been made with several tools.
+        slopes = recordings[0].beam_slopes
+        values |= dict(zip(BEAM, (slopes @ fit.boresight[0]).tolist(), strict=True))
+        of_beam = slopes @ fit.boresight_covariance[0] @ slopes.T
+        covariance = block_diag(covariance, of_beam)
     sigma = np.sqrt(np.diag(fit.covariance))
     names = [recording.name for recording in recordings]
     touches = zip(names, fit.touch, fit.touch_error, strict=True)
@@ -68,7 +77,7 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
     return Fitted(
         calibration_model="exact",
         values=values,
-        covariance=fit.covariance[np.ix_(kept, kept)],
+        covariance=covariance,
         converged=fit.converged,
         bounds=bounds_hit(values),
         undetermined=fit.undetermined,

@@ -18,7 +18,7 @@ from calibration.pixels import LENS, UNITS, Footage, ImageFit, fit_footage, lens
 from calibration.recordings import Recording, usual_exposure
 from calibration.spots import fit_plane
 from estimator import read_stack
-from estimator.files import LENS_PARAMETERS
+from estimator.files import BEAM, LENS_PARAMETERS
 from estimator.run import progress
 from optics import InputError
 
@@ -160,6 +160,7 @@ def _fitted(
         in_file: the fit's parameters that the file's values contain.
     """
     names = list(fit.parameters)
+    values, slopes = _with_beam(recording, fit, values, slopes)
     follows = np.array([[slopes[name].get(own, 0.0) for own in names] for name in values])
     numbers, residuals, picture = _means(fit.residuals, fit.sides)
     return Fitted(
@@ -187,6 +188,25 @@ def _fitted(
 
 def _rounded(minutes: float) -> str:
     return f"about {minutes:.0f}" if minutes >= 1 else "less than 1"
+
+
+def _with_beam(
+    recording: Recording,
+    fit: ImageFit,
+    values: dict[str, float],
+    slopes: Mapping[str, Mapping[str, float]],
+) -> tuple[dict[str, float], dict[str, Mapping[str, float]]]:
+    """Values and slopes with the beam's direction in the tool's frame, if it is determined."""
+    angles = ("boresight", "boresight_sideways")
+    if not all(math.isfinite(fit.parameters[name][1]) for name in angles):
+        return values, dict(slopes)
+    turn = recording.beam_slopes
+    beam = turn @ [fit.values[name] for name in angles]
+    own = {
+        name: dict(zip(angles, row, strict=True))
+        for name, row in zip(BEAM, turn.tolist(), strict=True)
+    }
+    return values | dict(zip(BEAM, beam.tolist(), strict=True)), {**slopes, **own}
 
 
 def _notes(fit: ImageFit) -> list[str]:

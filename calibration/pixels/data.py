@@ -205,7 +205,9 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
     noise = CameraNoise.of(_camera_of(stack), microscope.response)
     frames = list(open_source(stack.folder, exposure=exposure))
     times = np.array([frame.time_s for frame in frames])
-    readings, motion, axis = withdrawal(times, stack.folder / "kinematics.csv", source=stack.folder)
+    readings, motion, axis, _ = withdrawal(
+        times, stack.folder / "kinematics.csv", source=stack.folder
+    )
 
     def number(key: str) -> float:
         return stack.described(f"scene.{key}", float)

@@ -33,9 +33,9 @@ UNITS = {
     "boresight_sideways": "rad",
 }
 """Every parameter's unit. `sensitivity`: full wells per radiance and second. `u`, `v`: image of
-the point where the beam's axis meets the wall at reading 0, in the first frame. `touch`: distance
-along the beam there. `lean`, `lean_sideways`: rotation of the robot's directions against the eye,
-along `optics.perpendicular_frame` of the tool's axis. `boresight`, `boresight_sideways`: angle of the
+the point where the beam meets the wall at reading 0, in the first frame. `touch`: distance along
+the beam there. `lean`, `lean_sideways`: rotation of the robot's directions against the eye, along
+`optics.perpendicular_frame` of the tool's axis. `boresight`, `boresight_sideways`: angle of the
 beam from the tool's axis, along the same vectors."""
 
 CONE = ("half_angle", "b")

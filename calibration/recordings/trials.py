@@ -69,6 +69,7 @@ class Recording(NamedTuple):
         source: the file or folder.
         trial: spots, readings and axis.
         tilt: tilt of the plane, from the log book.
+        across: unit vectors of the tool's x and y axes, eye frame.
         frames: number of frames, with or without a usable spot.
         microscope: content of the microscope file.
         medium: medium between the tip and the wall.
@@ -83,12 +84,18 @@ class Recording(NamedTuple):
     source: Path
     trial: ConeTrial
     tilt: tuple[float, float]
+    across: Float[np.ndarray, "2 3"]
     frames: int
     microscope: MicroscopeFile
     medium: str
     fibre_radius_mm: float
     relative_edge_width: Float[np.ndarray, "n"]
     sha256: str
+
+    @property
+    def beam_slopes(self) -> Float[np.ndarray, "2 2"]:
+        """Derivatives of (beam_x, beam_y) of a calibration with respect to the boresight."""
+        return self.across @ np.stack(optics.perpendicular_frame(self.trial.axis)).T
 
     @property
     def is_stack(self) -> bool:
@@ -201,7 +208,10 @@ def _joined(
 ) -> Recording:
     times = np.array([record.time_s for record in records])
     readings, *directions = withdrawal(times, log_book.poses, source=source)
-    motion, axis = (np.array(turned(tuple(d), log_book.eye_from_robot)) for d in directions)
+    motion, axis, *across = (
+        np.array(turned(tuple(direction), log_book.eye_from_robot))
+        for direction in np.vstack(directions)
+    )
     usable = [
         (record.result, reading)
         for record, reading in zip(records, readings, strict=True)
@@ -240,6 +250,7 @@ def _joined(
             kind=log_book.kind,
         ),
         tilt=log_book.tilt,
+        across=np.stack(across),
         frames=len(records),
         microscope=microscope,
         medium=log_book.medium,

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator import read_poses
+from estimator.files import turned
 from optics import InputError
 
 _MOST_ASIDE_MM = 0.05
@@ -26,11 +27,13 @@ class Withdrawal(NamedTuple):
         readings: distance from the first frame along the motion, mm.
         motion: unit vector of the motion, reversed, so that it points towards the wall.
         axis: unit vector of the tool's mean axis, towards the wall.
+        across: unit vectors of the tool's x and y axes in the middle of the withdrawal.
     """
 
     readings: Float[np.ndarray, "n"]
     motion: Float[np.ndarray, "3"]
     axis: Float[np.ndarray, "3"]
+    across: Float[np.ndarray, "2 3"]
 
 
 def withdrawal(times: Float[np.ndarray, "n"], poses_file: Path, *, source: Path) -> Withdrawal:
@@ -77,7 +80,9 @@ def withdrawal(times: Float[np.ndarray, "n"], poses_file: Path, *, source: Path)
             f"line is {askew:.1f}° from the tool's axis; {_MOST_ASIDE_MM} mm and "
             f"{_MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot a trial."
         )
-    return Withdrawal(readings, motion, axis)
+    middle = poses[(first + last) // 2].rotation
+    across = np.array([turned(side, middle) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
+    return Withdrawal(readings, motion, axis, across)
 
 
 def _direction(

@@ -19,6 +19,7 @@ from .manifest import write_manifest as write_manifest
 from .microscope import MicroscopeFile as MicroscopeFile
 from .microscope import MicroscopeFileError as MicroscopeFileError
 from .microscope import read_microscope as read_microscope
+from .model_parameters import BEAM as BEAM
 from .model_parameters import CONE_MODELS as CONE_MODELS
 from .model_parameters import LENS_PARAMETERS as LENS_PARAMETERS
 from .model_parameters import MODELS as MODELS

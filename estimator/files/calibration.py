@@ -1,6 +1,6 @@
 """Calibration file: JSON with a model's fitted parameters, their covariance and their origin.
 
-    {"schema": 1,
+    {"schema": 2,
      "model": "planar",
      "medium": {"name": "air", "index": 1.0},
      "parameters": {"k": {"value": 20.0, "unit": "1", "sigma": 0.1}, "b": {...}},
@@ -27,12 +27,16 @@ import numpy as np
 from pydantic import AllowInfNan, ConfigDict, Field
 
 from estimator.files.json_files import Strict, object_in, validated
-from estimator.files.model_parameters import CalibrationError, check_parameters, quantity
+from estimator.files.model_parameters import BEAM, CalibrationError, check_parameters, quantity
+from estimator.files.poses import Vector
 from estimator.files.whole_files import written_whole
 from optics import check_schema, in_file, read_text, shortened
 
-SCHEMA = 1
-HISTORY = {1: "the format of eyespot 0.1"}
+SCHEMA = 2
+HISTORY = {
+    1: "the format of eyespot 0.1",
+    2: "the parameters may contain beam_x and beam_y, the beam's direction in the tool's frame",
+}
 """What changed with each version of the format that is read."""
 
 _LARGEST = 1e24  # of a covariance, in the square of a parameter's unit
@@ -86,6 +90,13 @@ class Calibration:
                 "fitted_on sha256 must be 64 hexadecimal digits, lower case; got "
                 f"{shortened(self.data_sha256)}. Fit again to get a true one."
             )
+
+    @property
+    def beam_in_tool(self) -> Vector:
+        """Unit vector of the beam in the tool's frame; +z if the fit did not determine it."""
+        x, y = (self.values.get(name, 0.0) for name in BEAM)
+        size = math.hypot(x, y, 1.0)
+        return x / size, y / size, 1.0 / size
 
     def sigma(self, name: str) -> float:
         """Standard error of a parameter, in its own unit."""

@@ -17,6 +17,7 @@ class CalibrationError(InputError):
     """A calibration that cannot be used; the text names file, key, value and remedy."""
 
 
+_ASKEW = math.radians(20)  # of a fibre against its tool; more is another tool
 _LARGE, _BRIGHTEST = 1e6, 1e12
 """End of a range that has none by nature; squares and products of such values stay finite."""
 
@@ -38,6 +39,8 @@ QUANTITIES = {
     "eye_radius": Quantity("mm", 0, _LARGE),
     "inverse_working_distance": Quantity("1/mm", 0, _LARGE, low_included=True),
     "eccentricity": Quantity("mm", 0, _LARGE, low_included=True),
+    "beam_x": Quantity("rad", -_ASKEW, _ASKEW),
+    "beam_y": Quantity("rad", -_ASKEW, _ASKEW),
     "core_radius": Quantity("mm", 0, _LARGE),
     "glue_length": Quantity("mm", 0, _LARGE, low_included=True),
     "aperture_radius": Quantity("mm", 0, _LARGE),
@@ -51,7 +54,8 @@ QUANTITIES = {
 """Unit and range of every parameter that a file may hold.
 
 k = 1/tan(half_angle); b: apex offset; scale: delta at the pole; inverse_working_distance: 1/(z_F +
-r), 0 if telecentric; eccentricity: c of the trials that were fitted; core_radius ...
+r), 0 if telecentric; eccentricity: c of the trials that were fitted; beam_x, beam_y: angles of the
+beam from the tool's +z axis, towards the tool's +x and +y axes; core_radius ...
 launch_aperture: of the glue lens, as `optics.GlueLens` has them; brightness: of the spot's peak as
 a fraction of full scale, over irradiance (1/mm2 per unit power) and exposure time.
 """
@@ -59,7 +63,8 @@ a fraction of full scale, over irradiance (1/mm2 per unit power) and exposure ti
 _NAMES = tuple(QUANTITIES)
 LENS_PARAMETERS = _NAMES[_NAMES.index("core_radius") : _NAMES.index("brightness")]
 _LENS_REQUIRED = LENS_PARAMETERS[:6]
-_COMMON = {"scale", "eye_radius", "inverse_working_distance", "eccentricity"}
+BEAM = ("beam_x", "beam_y")
+_COMMON = {"scale", "eye_radius", "inverse_working_distance", "eccentricity", *BEAM}
 
 
 def check_parameters(model: str, values: Mapping[str, float]) -> None:

@@ -62,7 +62,8 @@ class Reader:
         ranger: computes the distances of spots; None for none.
         exposure_s: of all frames; None takes each frame's own.
         eye_from_robot: unit quaternion that turns the poses' frame into the eye's; with it the
-            model `exact` takes the beam's axis from the tool's +z.
+            model `exact` takes the beam's axis from the tool's +z, or from the beam's direction in
+            the tool's frame if the calibration contains it.
     """
 
     def __init__(
@@ -147,7 +148,8 @@ class Reader:
             return Reading(result, None, age_s)
         axis = None
         if pose is not None and self._eye_from_robot is not None:
-            axis = turned(pose.axis, self._eye_from_robot)
+            beam = self._ranger.calibration.beam_in_tool
+            axis = turned(turned(beam, pose.rotation), self._eye_from_robot)
         own = None if math.isnan(exposure_s) else exposure_s
         distance = self._ranger.distance(
             result, axis=axis, frame=image, exposure_s=self._exposure_s or own
