@@ -179,10 +179,17 @@ def poses(
     problem: Problem, values: Mapping[str, ArrayLike], readings: Float[np.ndarray, "frames"]
 ) -> tuple[Float[np.ndarray, "frames 3"], Float[np.ndarray, "3"]]:
     """Tips and beam of frames with the given readings."""
-    known = {name: jnp.asarray(value) for name, value in values.items()}
-    camera, surface = _eye(problem, known)
-    tips, axes = zip(*(_pose(problem, known, camera, surface, r) for r in readings), strict=True)
-    return np.stack(tips), np.asarray(axes[0])
+    known = {name: jnp.asarray(value, float) for name, value in values.items()}
+    tips, beam = _poses(problem, known, jnp.asarray(readings))
+    return np.asarray(tips), np.asarray(beam)
+
+
+@eqx.filter_jit
+def _poses(problem: Problem, values: dict[str, Array], readings: Array) -> tuple[Array, Array]:
+    camera, surface = _eye(problem, values)
+    return jax.vmap(
+        lambda reading: _pose(problem, values, camera, surface, reading), out_axes=(0, None)
+    )(readings)
 
 
 def _wall(chunk: Chunk, camera: optics.Microscope, surface: optics.Surface) -> WallPixels:
