@@ -10,6 +10,7 @@ fit_speed          Time of a thousand of the paper's fits: one batch, SciPy, Num
 frame_pose         Accuracy of tip and axis from all pixels of single rendered frames
 geometry_speed     Time of a million exact spots, and of single inverses
 image_fit          Accuracy of the fit to all pixels of rendered stacks
+lens_fit           Time and accuracy of the fit of a lens to pixels
 load               Long measurements: `eyespot track` of many frames, and a `Reader` that keeps a
                    camera's pace
 output             Tables and sentences on the terminal, processor times, and memory

@@ -22,7 +22,7 @@ MAKE_BENCH = (
 )
 """What `make bench` runs. Each module has a function `run(*, full: bool)` that prints tables."""
 
-BY_NAME_ONLY = ("photon_fit", "estimator.tuning", "set_size")
+BY_NAME_ONLY = ("lens_fit", "photon_fit", "estimator.tuning", "set_size")
 """Benches that take long, and whose results the documents do not state."""
 
 
