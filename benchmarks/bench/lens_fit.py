@@ -81,6 +81,6 @@ def _report(title: str, fit: ImageFit, wall_s: float, cpu_s: float) -> None:
         made,
         f"{pixels:,} pixels as {fit.degrees_of_freedom:,} data; chi squared per datum "
         f"{fit.chi_squared_per_dof:.3f}; {fit.failed or 'converged'}; {wall_s:.0f} s, "
-        f"{cpu_s:.0f} s of CPU with compilation, load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores "
-        f"(limit of the full run: {_LIMIT_S} s)",
+        f"{cpu_s:.0f} s of CPU with compilation, load {os.getloadavg()[0]:.1f} on "
+        f"{os.cpu_count()} cores (limit of the full run: {_LIMIT_S} s)",
     )

@@ -115,8 +115,8 @@ class Options(BaseModel):
         Field(
             None,
             description="Rotation (unit quaternion) from the poses' frame to the eye's. The model "
-            "exact then takes the beam's axis from the tool's +z axis, or from beam_x and beam_y of "
-            "the calibration.",
+            "exact then takes the beam's axis from the tool's +z axis, or from beam_x and beam_y "
+            "of the calibration.",
         )
     )
 
