@@ -76,6 +76,7 @@ from .profile import isophote_radius as isophote_radius
 from .refraction import MEDIA as MEDIA
 from .square_spot import eyeball_point as eyeball_point
 from .square_spot import planar_semi_minor as planar_semi_minor
+from .square_spot import plane_point as plane_point
 from .square_spot import square_spot_axes as square_spot_axes
 from .square_spot import square_spot_radius as square_spot_radius
 from .square_spot import stereographic_semi_axis as stereographic_semi_axis

@@ -1,4 +1,4 @@
-"""Pinhole microscope at any height, from the eyeball's centre to infinity."""
+"""Pinhole microscope at any height: above the retina, at infinity, or behind it."""
 
 from __future__ import annotations
 
@@ -22,11 +22,14 @@ class Microscope(eqx.Module):
        v = v_0 - \frac{Y/\delta}{1 - \kappa (Z + r)}, $$
 
     which is $u_0 + f X/(z_F - Z)$ with $f = (z_F + r)/\delta$, and stays finite for the telecentric
-    microscope ($\kappa = 0$). Integer pixel coordinates are pixel centres (OpenCV's convention).
+    microscope ($\kappa = 0$). With $\kappa < 0$ the lines of sight meet behind the retina, so that
+    magnification grows with depth, as it does through a contact lens. Integer pixel coordinates are
+    pixel centres (OpenCV's convention).
 
     Attributes:
         scale: delta, mm per px at the height of the pole.
-        inverse_working_distance: kappa, 1/mm; 0 is telecentric.
+        inverse_working_distance: kappa, 1/mm; 0 is telecentric, below 0 the pinhole lies behind
+            the retina.
         pole_height: Z of the retinal pole, mm (-r for the eyeball).
         principal_point: (u0, v0), px; may lie outside the window.
         distortion: Brown-Conrady (k1, k2, p1, p2, k3) in OpenCV's order and normalisation
@@ -41,7 +44,7 @@ class Microscope(eqx.Module):
 
     @property
     def inverse_focal(self) -> Float[Array, ""]:
-        """1/f in 1/px; 0 for a telecentric microscope."""
+        """1/f in 1/px, with the sign of kappa; 0 for a telecentric microscope."""
         return self.inverse_working_distance * self.scale
 
     @property
@@ -133,23 +136,25 @@ def microscope(
 
     Args:
         scale: delta, mm/px at the pole.
-        pinhole_height: z_F, mm above the eyeball's centre; `inf` is telecentric.
+        pinhole_height: z_F, mm above the eyeball's centre; `inf` is telecentric; below
+            -eye_radius the pinhole lies behind the retina.
         eye_radius: r, mm; the pole (or the plane phantom) lies at Z = -r.
         principal_point: (u0, v0), px.
         distortion: (k1, k2, p1, p2, k3), OpenCV's order.
 
     Raises:
-        InputError: scale or the working distance z_F + r is not positive.
+        InputError: scale is not positive, or the working distance z_F + r is 0.
     """
     delta = jnp.asarray(scale, float)
     # Traced values have no known size; check the others.
     if _known(delta) and not delta > 0:
         raise InputError(f"microscope(scale=...) must be positive; got {scale} mm/px.")
     reach = jnp.asarray(pinhole_height, float) + eye_radius
-    if _known(reach) and not reach > 0:
+    if _known(reach) and not (reach > 0 or -jnp.inf < reach < 0):
         raise InputError(
-            "microscope(pinhole_height=...) must lie above the retinal pole at -eye_radius; got "
-            f"{pinhole_height} mm with eye_radius={eye_radius} mm. Raise pinhole_height."
+            "microscope(pinhole_height=...) must lie above the retinal pole at -eye_radius, or "
+            f"below it, or be inf; got {pinhole_height} mm with eye_radius={eye_radius} mm. Move "
+            "the pinhole."
         )
     return Microscope(
         scale=delta,
@@ -171,7 +176,7 @@ def microscope_from_camera_matrix(
 
     Args:
         matrix: K, px; square pixels without skew.
-        working_distance: z_F + r, mm.
+        working_distance: z_F + r, mm; it has the sign of K's focal length.
         eye_radius: r, mm.
         distortion: (k1, k2, p1, p2, k3).
 
@@ -180,7 +185,7 @@ def microscope_from_camera_matrix(
             does not model; rectify the images first.
     """
     fx, fy, skew = float(matrix[0][0]), float(matrix[1][1]), float(matrix[0][1])
-    if abs(fx - fy) > 1e-6 * fx or abs(skew) > 1e-6 * fx:
+    if max(abs(fx - fy), abs(skew)) > 1e-6 * abs(fx):
         raise InputError(
             f"microscope_from_camera_matrix needs square pixels without skew; got fx={fx} px, "
             f"fy={fy} px, skew={skew} px. Rectify the images (cv2.undistort) first."

@@ -49,7 +49,8 @@ def closed_form_distance(
         b: apex offset, mm.
         eccentricity: c, mm.
         eye_radius: r, mm.
-        inverse_working_distance: 1/(z_F + r), 1/mm; 0 is telecentric.
+        inverse_working_distance: 1/(z_F + r), 1/mm; 0 is telecentric, below 0 the pinhole lies
+            behind the retina.
 
     Returns:
         d, mm.

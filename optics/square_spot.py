@@ -105,6 +105,40 @@ def square_spot_axes(
     return meridional / scale, tangential / scale
 
 
+def plane_point(
+    *,
+    right_px: ArrayLike,
+    down_px: ArrayLike,
+    scale: ArrayLike,
+    eye_radius: ArrayLike,
+    inverse_working_distance: ArrayLike,
+    normal: tuple[float, float, float],
+) -> Float[Array, "3 *batch"]:
+    r"""Intersection of an image point's line of sight with a plane through the pole.
+
+    At a height t above the pole the line is at q (1 - kappa t), as for `eyeball_point`. It meets
+    the plane at $t = -\mathbf n\cdot\mathbf q/(n_z - \kappa\,\mathbf n\cdot\mathbf q)$.
+
+    Args:
+        right_px: image point, to the right of the principal point, px.
+        down_px: image point, below the principal point, px.
+        scale: delta, mm/px at the pole.
+        eye_radius: r, mm; the pole lies at -r.
+        inverse_working_distance: kappa = 1/(z_F + r), 1/mm; 0 is telecentric.
+        normal: of the plane, n_z > 0.
+
+    Returns:
+        X, Y, Z on the first axis, mm, eye frame; NaN if the line does not meet the plane.
+    """
+    xp = array_namespace(right_px, down_px, scale, eye_radius, inverse_working_distance)
+    x, y = scale * xp.asarray(right_px), scale * -xp.asarray(down_px)
+    lean = normal[0] * x + normal[1] * y
+    slope = normal[2] - inverse_working_distance * lean
+    height = -lean / xp.where(slope > 0, slope, xp.nan)
+    narrowing = 1.0 - inverse_working_distance * height
+    return xp.stack([x * narrowing, y * narrowing, height - eye_radius])
+
+
 def eyeball_point(
     *,
     right_px: ArrayLike,

@@ -2,18 +2,20 @@
 
 import json
 import math
+from typing import Any
 
 import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import optics
 from estimator.files.microscope import MicroscopeFileError, read_microscope
 
 FOCAL, CX, CY = 3432.8, 330.5, 224.25
 MATRIX = np.array([[FOCAL, 0, CX], [0, FOCAL, CY], [0, 0, 1.0]])
 DISTORTION = np.array([-0.21, 0.13, 1e-3, -2e-3, 0.05])
-EYE = {"pinhole_height_mm": 200.0, "eye_radius_mm": 11.5}
+EYE: dict[str, Any] = {"pinhole_height_mm": 200.0, "eye_radius_mm": 11.5}
 
 
 def ours(**changed):
@@ -61,6 +63,47 @@ def test_a_telecentric_microscope_has_no_matrix(written):
     assert math.isinf(microscope.pinhole_height_mm)
     assert microscope.camera() is None
     assert float(microscope.ideal_microscope().inverse_working_distance) == 0.0
+
+
+def test_a_pinhole_behind_the_retina_is_read_with_its_negative_focal_length(written):
+    # 1/kappa = -16.9 mm: a phakic eye behind a flat contact lens.
+    f = -16.9 / 0.0067
+    matrix = [[f, 0, 900.0], [0, f, -300.0], [0, 0, 1]]
+    distorted = ours(camera_matrix=matrix, pinhole_height_mm=-28.4, distortion=DISTORTION.tolist())
+    microscope = read_microscope(written(distorted))
+    assert microscope.inverse_working_distance == pytest.approx(-1 / 16.9, rel=1e-12)
+    pixels = np.array([[640.0, 0.0], [310.0, 400.0]])
+    camera = microscope.camera()
+    assert camera is not None
+    ideal = camera.undistorted(pixels)
+    eye = optics.microscope(
+        scale=0.0067,
+        pinhole_height=-28.4,
+        eye_radius=11.5,
+        principal_point=(900.0, -300.0),
+        distortion=tuple(DISTORTION),
+    )
+    point, _ = eye.ray(pixels)
+    # OpenCV inverts the distortion by five fixed-point steps.
+    seen = microscope.ideal_microscope().project(point)
+    np.testing.assert_allclose(ideal, seen, atol=1e-3)
+
+
+def test_opencvs_camera_may_see_through_an_eye_whose_pinhole_lies_behind_the_retina(written):
+    microscope = read_microscope(written(ROS, ".yaml"), **EYE | {"pinhole_height_mm": -28.4})
+    assert microscope.scale_mm_px == pytest.approx(16.9 / FOCAL, rel=1e-12)
+    assert microscope.inverse_working_distance == pytest.approx(-1 / 16.9, rel=1e-12)
+
+
+def test_a_plane_wall_stands_in_the_file_or_comes_with_the_call(written):
+    normal = (0.0, 0.6, 0.8)
+    in_file = read_microscope(written(ours(plane_normal=list(normal))))
+    given = read_microscope(written(ROS, ".yaml"), plane_normal=normal, **EYE)
+    old = read_microscope(written(ours()), plane_normal=normal)
+    assert in_file.plane_normal == given.plane_normal == old.plane_normal == normal
+    met = in_file.wall().intersect(jnp.array([0.0, 0.0, 5.0]), jnp.array([0.0, 0.0, -1.0]))
+    np.testing.assert_allclose(met.point, jnp.array([0.0, 0.0, -11.5]), atol=1e-12)
+    assert isinstance(read_microscope(written(ours())).wall(), optics.Sphere)
 
 
 @pytest.mark.parametrize(("response", "curve"), [("linear", "linear"), (2.2, "gamma")])
@@ -151,6 +194,8 @@ def test_what_opencv_does_not_hold_must_be_given(written, missing):
 def test_what_stands_in_the_file_must_not_be_given_too(written):
     with pytest.raises(MicroscopeFileError, match="eye_radius_mm is in the file already"):
         read_microscope(written(ours()), eye_radius_mm=12.0)
+    with pytest.raises(MicroscopeFileError, match="plane_normal is in the file already"):
+        read_microscope(written(ours(plane_normal=None)), plane_normal=(0.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -170,6 +215,10 @@ def test_what_stands_in_the_file_must_not_be_given_too(written):
         ({"principal_point_px": [0, 0]}, "Change both alike"),
         ({"principal_point_px": [0, 0, 0]}, "principal_point_px must be finite numbers"),
         ({"distortion": None}, "distortion must be finite numbers"),
+        ({"pinhole_height_mm": -11.5}, "must lie above or below the retinal pole"),
+        ({"plane_normal": [0, 0, 2]}, "plane_normal must be a unit vector.*square"),
+        ({"plane_normal": [0, 0, -1]}, "plane_normal must be a unit vector.*square"),
+        ({"plane_normal": "up"}, r"plane_normal must be finite numbers \(3\)"),
         ({"response": "log"}, "response must be linear, srgb"),
     ],
 )

@@ -13,6 +13,7 @@ import pytest
 import optics
 from estimator import Response, Spot, SubpixelSettings, TrackState, measure
 from estimator.detector.shape import Shape, spot_shape
+from estimator.distance import lens_range
 from estimator.distance.lens_range import LensCurve, distance_from_lens
 from estimator.distance.range import RangeFlag
 from estimator.distance.ranger import Ranger
@@ -22,7 +23,8 @@ from estimator.files.model_parameters import LENS_PARAMETERS
 
 HOME = Path(__file__).resolve().parents[1]
 R_EYE, SCALE, K, B = 11.5, 0.0067, 20.0, -5.117
-HEIGHTS = (0.0, 11.5, 200.0, math.inf)
+BEHIND = -28.4  # kappa = -0.059/mm, a phakic eye behind a flat contact lens
+HEIGHTS = (0.0, 11.5, 200.0, math.inf, BEHIND)
 CENTRE = (900.0, -300.0)  # outside the frame, as for a spot far from the axis
 
 
@@ -215,6 +217,18 @@ def test_exact_sees_through_the_fitted_working_distance():
     there = Ranger(calibration(model="exact"), microscope(200.0)).distance(seen, axis=axis)
     assert result.distance_mm == pytest.approx(there.distance_mm, abs=1e-9)
     assert result.distance_mm == pytest.approx(3.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("c", [1.0, 3.0, 5.0])
+def test_corrected_recovers_a_distance_through_a_pinhole_behind_the_retina(c):
+    seen, *_ = exact_spot(BEHIND, d=2.0, c=c)
+    found = Ranger(calibration(), microscope(BEHIND)).distance(seen)
+    # The factor is of first order in the spot's size, R = 0.36 mm. At c = 5 mm the paper's cos(phi)
+    # errs by -2 mm.
+    assert found.distance_mm == pytest.approx(2.0, abs=0.01)
+    own = calibration(k=K, b=B, inverse_working_distance=1 / (BEHIND + R_EYE))
+    fitted = Ranger(own, microscope()).distance(seen)
+    assert fitted.distance_mm == pytest.approx(found.distance_mm, abs=1e-10)
 
 
 @pytest.mark.parametrize("height", HEIGHTS)
@@ -573,6 +587,73 @@ def test_a_radius_that_the_lens_never_has_is_nowhere():
 NA_SIGMA = 5e-4
 
 
+TILTED = (math.sin(0.2) * math.cos(2.0), math.sin(0.2) * math.sin(2.0), math.cos(0.2))
+WALLS: dict[str, optics.Surface] = {
+    "eyeball": optics.Sphere(R_EYE),
+    "plane": optics.pole_plane(eye_radius=R_EYE),
+    "tilted plane": optics.pole_plane(eye_radius=R_EYE, tilt=0.2, tilt_azimuth=2.0),
+}
+NORMALS = {"eyeball": None, "plane": (0.0, 0.0, 1.0), "tilted plane": TILTED}
+
+
+@pytest.mark.parametrize("wall", ["plane", "tilted plane"])
+def test_exact_takes_the_planes_shape(wall):
+    view = microscope(200.0, plane_normal=NORMALS[wall])
+    beam = optics.beam_at_spot(
+        WALLS[wall],
+        eccentricity=3.0,
+        azimuth=0.7,
+        distance=4.0,
+        incidence=0.4,
+        incidence_azimuth=0.4,
+        half_angle=math.atan(1 / K),
+        apex_offset=B,
+    )
+    ellipse = optics.spot_ellipse(beam, WALLS[wall], view.ideal_microscope())
+    seen = spot(*ellipse.centre, *ellipse[1:])
+    result = Ranger(calibration(), view, model="exact").distance(seen, axis=np.asarray(beam.axis))
+    # 1e-7 px, as above; on a sphere the same ellipse would be 0.024 mm off.
+    assert result.distance_mm == pytest.approx(4.0, abs=2e-8)
+
+
+@pytest.mark.parametrize("curvature", [1 / R_EYE, 0.0])
+def test_light_of_a_lens_is_found_on_the_curved_and_on_the_plane_wall(curvature):
+    # Any smooth light will do: a bell that fills the envelope.
+    x = jnp.linspace(0.0, 1.0, 65)
+    bell = jnp.exp(-((3 * x) ** 2))
+    table = optics.IrradianceTable(
+        values=jnp.tile(jnp.stack([0.2 * x * bell, bell], axis=-1), (9, 1, 1)),
+        medium_index=jnp.array(1.0),
+        contact_radius=jnp.array(0.3),
+        slope=jnp.array(0.2),
+    )
+    light, points = lens_range._wall_light(table, curvature, 3.0)
+    wall = optics.Sphere(R_EYE) if curvature else optics.pole_plane(eye_radius=R_EYE)
+    for row, incidence in enumerate(lens_range._INCIDENCES):
+        beam = optics.beam_at_spot(
+            wall,
+            eccentricity=0.0,
+            distance=3.0,
+            incidence=incidence,
+            half_angle=0.0,
+            apex_offset=0.0,
+        )
+        there = jnp.asarray(points[row] - [0.0, 0.0, R_EYE])
+        offset = there - beam.tip
+        along = offset @ beam.axis
+        across = offset - along[..., None] * beam.axis
+        radius = jnp.linalg.norm(across, axis=-1)
+        lateral, axial = table(radius=radius, distance=along)
+        inward = -there / R_EYE if curvature else jnp.array([0.0, 0.0, 1.0])
+        vector = (lateral / jnp.maximum(radius, 1e-9))[..., None] * across
+        vector = vector + axial[..., None] * beam.axis
+        expected = jnp.maximum(-jnp.sum(vector * inward, axis=-1), 0.0)
+        on_wall = jnp.linalg.norm(there, axis=-1) if curvature else -there[..., 2]
+        # Rounding at 11.5 mm.
+        np.testing.assert_allclose(on_wall, R_EYE, atol=1e-12)
+        np.testing.assert_allclose(light[row], expected, atol=1e-12)
+
+
 @pytest.fixture(scope="module")
 def flat_end():
     """The flat end of NA 0.10 in air: its light, and a ranger calibrated to it."""
@@ -584,9 +665,9 @@ def flat_end():
     return optics.irradiance_table(lens, medium_index=1.0), ranger
 
 
-def beam_at(distance, *, c=3.0, incidence=0.5):
+def beam_at(distance, *, c=3.0, incidence=0.5, wall=None):
     return optics.beam_at_spot(
-        optics.Sphere(R_EYE),
+        wall or optics.Sphere(R_EYE),
         eccentricity=c,
         azimuth=0.7,
         distance=distance,
@@ -615,6 +696,21 @@ def test_lens_returns_the_distance_of_its_half_maximum_contour(flat_end, c, inci
         # Radii agree within 0.1 %, and the distance has 1.2 (at 6 mm 0.9) times its share.
         assert result.distance_mm == pytest.approx(d, rel=1.3e-3)
         assert result.flag is RangeFlag.NONE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wall", ["plane", "tilted plane"])
+def test_lens_takes_the_walls_true_shape(flat_end, wall):
+    table, on_sphere = flat_end
+    view = microscope(200.0, plane_normal=NORMALS[wall])
+    ranger = Ranger(on_sphere.calibration, view)
+    for d in (3.0, 4.0, 6.0):
+        beam = beam_at(d, wall=WALLS[wall])
+        contour = optics.half_maximum_contour(table, beam, WALLS[wall])
+        ellipse = optics.ellipse_of_contour(view.ideal_microscope().project(contour))
+        seen = spot(*ellipse.centre, *ellipse[1:])
+        # As for the eyeball, whose curvature would cost 0.05 mm.
+        assert ranger.distance(seen).distance_mm == pytest.approx(d, rel=1.3e-3)
 
 
 @pytest.mark.slow

@@ -15,7 +15,8 @@ R_EYE = 11.5
 SCALE = 0.0067
 HALF_ANGLE = float(np.arctan(1 / 20))
 APEX = -5.117
-HEIGHTS = (0.0, 5.0, 11.5, 30.0, 100.0, 200.0, float("inf"))
+BEHIND = -28.4  # kappa = -0.059/mm, a phakic eye behind a flat contact lens
+HEIGHTS = (0.0, 5.0, 11.5, 30.0, 100.0, 200.0, float("inf"), BEHIND)
 
 
 def camera(height: float, **kwargs) -> optics.Microscope:
@@ -89,9 +90,10 @@ def test_camera_matrix_round_trip():
     np.testing.assert_allclose(again.principal_point, [3.0, 4.0])
 
 
-def test_a_pinhole_below_the_retina_is_refused_with_the_way_out():
-    with pytest.raises(ValueError, match=r"-20\.0 mm .* Raise pinhole_height"):
-        camera(-20.0)
+@pytest.mark.parametrize("height", [-R_EYE, -float("inf"), float("nan")])
+def test_a_pinhole_on_the_retina_is_refused_with_the_way_out(height):
+    with pytest.raises(optics.InputError, match=r"eye_radius=11\.5 mm.* Move the pinhole"):
+        camera(height)
 
 
 @pytest.mark.parametrize(

@@ -124,7 +124,7 @@ def test_an_unknown_closed_form_is_refused_by_name():
         optics.closed_form_distance("exact", **zero, inverse_working_distance=0.0)
 
 
-@pytest.mark.parametrize("height", [0.0, 11.5, 200.0, float("inf")])
+@pytest.mark.parametrize("height", [0.0, 11.5, 200.0, float("inf"), -28.4])
 def test_the_closed_form_of_a_line_of_sight_meets_the_sphere_where_the_ray_does(height):
     eye = optics.microscope(scale=SCALE, pinhole_height=height, eye_radius=R_EYE)
     right, down = np.array([-700.0, 0.0, 300.0]), np.array([100.0, 0.0, -500.0])

@@ -44,7 +44,13 @@ LENS = (-0.2, 0.3, 0.02, -0.03, 0.5)
 
 @pytest.mark.parametrize(
     ("height", "distortion"),
-    [(11.5, [0.0] * 5), (11.5, LENS), (200.0, [0.0] * 5), (float("inf"), [0.0] * 5)],
+    [
+        (11.5, [0.0] * 5),
+        (11.5, LENS),
+        (200.0, [0.0] * 5),
+        (float("inf"), [0.0] * 5),
+        (-28.4, [0.0] * 5),  # behind the retina
+    ],
 )
 @pytest.mark.parametrize("kind", ["eyeball", "plane"])
 def test_mitsubas_camera_is_the_microscope_of_the_labels(kind, height, distortion):

@@ -1,6 +1,6 @@
 """From a spot to a distance, by one of the models.
 
-cone_pose   Tip and axis of the sharp cone whose spot on the eyeball has a given ellipse: the
+cone_pose   Tip and axis of the sharp cone whose spot on the wall has a given ellipse: the
             model `exact`
 lens_range  Distance behind a glue lens, from the size, shape and brightness of the spot
 range       The distance of a spot, its standard deviation, and a flag if it is doubtful

@@ -1,4 +1,4 @@
-"""Tip and axis of the sharp cone whose spot on the eyeball has a given ellipse: model `exact`."""
+"""Tip and axis of the sharp cone whose spot on the wall has a given ellipse: model `exact`."""
 
 from __future__ import annotations
 
@@ -51,9 +51,7 @@ class ConePoses:
     def __init__(
         self, microscope: MicroscopeFile, *, half_angle: float, apex_offset: float
     ) -> None:
-        import optics
-
-        self._wall = optics.Sphere(microscope.eye_radius_mm)
+        self._wall = microscope.wall()
         self._view = microscope.ideal_microscope()
         self._cone = {"half_angle": np.asarray(half_angle), "apex_offset": np.asarray(apex_offset)}
         # Compile now, so that the first image of a rig does not wait.

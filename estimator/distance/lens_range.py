@@ -36,7 +36,7 @@ _SENSITIVITY_DISTANCES = np.linspace(0.05, 8.0, 32)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LensCurve:
-    """The spot of a lens on the eyeball's wall, by distance and incidence.
+    """The spot of a lens on a wall, by distance and incidence.
 
     Attributes:
         distances: d, (n,), mm, growing.
@@ -149,12 +149,12 @@ def _vertex(grid: np.ndarray, cost: np.ndarray, index: int) -> float:
     return float(grid[index] + 0.5 * _STEP * (before - after) / (before - 2 * least + after))
 
 
-def lens_curve(calibration: Calibration, *, eye_radius_mm: float) -> LensCurve:
+def lens_curve(calibration: Calibration, *, wall_curvature: float) -> LensCurve:
     """Trace a calibrated lens. Loads JAX; takes some 20 s.
 
     Args:
         calibration: of the model `lens`.
-        eye_radius_mm: r.
+        wall_curvature: 1/r of the eyeball, 1/mm; 0 of a plane.
 
     Raises:
         InputError: no lens has these parameters; the text says which one is wrong.
@@ -166,7 +166,7 @@ def lens_curve(calibration: Calibration, *, eye_radius_mm: float) -> LensCurve:
     )
     table = optics.irradiance_table(lens, medium_index=calibration.medium_index)
     light, points = zip(
-        *(_wall_light(table, eye_radius_mm, distance) for distance in _DISTANCES), strict=True
+        *(_wall_light(table, wall_curvature, distance) for distance in _DISTANCES), strict=True
     )
     contours: Any = np.stack([_isophotes(*of_one) for of_one in zip(light, points, strict=True)])
     return LensCurve(
@@ -180,11 +180,12 @@ def lens_curve(calibration: Calibration, *, eye_radius_mm: float) -> LensCurve:
 
 
 def _wall_light(
-    table: optics.IrradianceTable, eye_radius_mm: float, distance: float
+    table: optics.IrradianceTable, curvature: float, distance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Irradiance of the wall as `optics.wall_irradiance` has it, but at all incidences at once.
 
-    The wall touches z = 0 at O, the sphere's centre is above it, and the beam leans towards +x.
+    The wall touches z = 0 at O, the sphere's centre is above it, and the beam leans towards +x. A
+    point p of the wall has p_z = curvature |p|^2 / 2, and the outward normal curvature p - (0,0,1).
 
     Returns:
         Light per unit power on half a turn of rays, (incidences, angles, radii), and where on the
@@ -198,19 +199,22 @@ def _wall_light(
     sine, cosine, none = np.sin(incidence), np.cos(incidence), np.zeros(1)
     axis = vectors(sine, none, -cosine)
     around = vectors(np.cos(angle) * cosine, np.sin(angle), np.cos(angle) * sine)
-    centre = np.array([0.0, 0.0, eye_radius_mm])
+    down = np.array([0.0, 0.0, -1.0])
 
     def light_to(reach: float) -> tuple[np.ndarray, np.ndarray]:
         radius = reach * _RADII
-        start = radius[:, None] * around - distance * axis - centre
-        along = np.sum(start * axis, axis=-1)
-        square = along**2 + eye_radius_mm**2 - np.sum(start**2, axis=-1)
-        to_wall = np.sqrt(np.maximum(square, 0.0)) - along
-        outward = start + to_wall[..., None] * axis
+        start = radius[:, None] * around - distance * axis
+        # Where the ray leaves the wall: a t^2 + 2 b t + c = 0, in the form that needs no a > 0.
+        b = 0.5 * (curvature * np.sum(start * axis, axis=-1) + cosine)
+        c = 0.5 * curvature * np.sum(start**2, axis=-1) - start[..., 2]
+        square = b**2 - 0.5 * curvature * c
+        to_wall = -c / (b + np.sqrt(np.maximum(square, 0.0)))
+        point = start + to_wall[..., None] * axis
+        outward = curvature * point + down
         lateral, axial = map(np.asarray, table(radius=radius, distance=to_wall))
         vector = lateral[..., None] * around + axial[..., None] * axis
-        light = np.sum(outward * vector, axis=-1) / eye_radius_mm
-        return np.where(square > 0, np.maximum(light, 0.0), 0.0), outward + centre
+        light = np.sum(outward * vector, axis=-1)
+        return np.where(square > 0, np.maximum(light, 0.0), 0.0), point
 
     # On a tilted wall the light's far side is farther than O; wide enough up to 45 degrees. A few
     # rays go far beside the spot, so a second look takes in the isophotes alone.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,8 +32,11 @@ class Ranger:
     - small_plane: the paper's model of the eyeball (eq. 11).
     - corrected: with the right first-order factor for the pinhole's height.
     - stereographic: exact for a pinhole on the sphere (z_F = r) and a square beam.
-    - exact: tip and axis of the cone that leaves the spot's ellipse on the sphere. Loads JAX.
+    - exact: tip and axis of the cone that leaves the spot's ellipse on the wall. Loads JAX.
     - lens: by size, shape and brightness against the light of a glue lens. Loads JAX.
+
+    The closed forms are of the wall that they were derived for; exact and lens take the
+    microscope's.
     """
 
     def __init__(
@@ -79,7 +83,8 @@ class Ranger:
                 self.microscope, half_angle=float(np.arctan(1 / _slope(own))), apex_offset=own["b"]
             )
         elif self.model == "lens":
-            self._curve = lens_curve(calibration, eye_radius_mm=self.microscope.eye_radius_mm)
+            plane = microscope.plane_normal is not None
+            self._curve = lens_curve(calibration, wall_curvature=0.0 if plane else 1.0 / radius)
 
     def distance(
         self,
@@ -177,21 +182,20 @@ class Ranger:
             "inverse_working_distance": calibrated.get("inverse_working_distance", own),
         }
 
-    def _wall_point(self, eye: Mapping[str, Numbers], x: Numbers, y: Numbers) -> np.ndarray:
+    def _eccentricity(self, eye: Mapping[str, Numbers], x: Numbers, y: Numbers) -> Numbers:
+        """c; the models that need it are of the eyeball."""
         import optics
 
-        u, v = self.microscope.principal_point_px
-        return np.asarray(optics.eyeball_point(right_px=x - u, down_px=y - v, **eye))
-
-    def _eccentricity(self, eye: Mapping[str, Numbers], x: Numbers, y: Numbers) -> Numbers:
         if self.eccentricity_mm is not None:
             return self.eccentricity_mm
-        return np.hypot(*self._wall_point(eye, x, y)[:2])
+        u, v = self.microscope.principal_point_px
+        return np.hypot(*optics.eyeball_point(right_px=x - u, down_px=y - v, **eye)[:2])
 
     def _exact(self, spot: Spot, axis: np.ndarray | None, axis_sigma_rad: float) -> Range:
-        """The pose whose cone leaves the spot's ellipse on the sphere."""
+        """The pose whose cone leaves the spot's ellipse on the wall."""
         # The calibration's errors act on a tilted spot as on a square one, to a few percent.
-        square = self._closed_form("corrected", spot, np.zeros((5, 5)))
+        near = "corrected" if self.microscope.plane_normal is None else "planar"
+        square = self._closed_form(near, spot, np.zeros((5, 5)))
         if math.isnan(square.distance_mm):
             return square
         found = self._poses.of(spot, axis=axis, axis_sigma_rad=axis_sigma_rad)
@@ -243,12 +247,21 @@ class Ranger:
         )
 
     def _axes_on_wall(self, spot: Spot) -> np.ndarray:
-        """The spot's semi-axes on the wall, mm, to first order in its size; NaN off the sphere."""
+        """The spot's semi-axes on the wall, mm, to first order in its size; NaN off the wall."""
+        import optics
+
         # A pixel's step along u, and one along v.
         x = spot.x_px + np.array([0.5, -0.5, 0.0, 0.0])
         y = spot.y_px + np.array([0.0, 0.0, 0.5, -0.5])
+        u, v = self.microscope.principal_point_px
+        seen: Any = {"right_px": x - u, "down_px": y - v, **self._eye({})}
+        normal = self.microscope.plane_normal
         with np.errstate(invalid="ignore"):
-            points = self._wall_point(self._eye({}), x, y)
+            points = np.asarray(
+                optics.eyeball_point(**seen)
+                if normal is None
+                else optics.plane_point(**seen, normal=normal)
+            )
         per_px = points[:, [0, 2]] - points[:, [1, 3]]
         if np.isnan(per_px).any():
             return np.full(2, math.nan)

@@ -32,6 +32,7 @@ _LARGEST = 1e12  # of other numbers
 _MOST_BYTES = 2**20
 _STEEPEST = 100  # exponent of a gamma curve
 _SAME = 1e-6  # relative; numbers that a file contains twice agree to JSON's digits
+_UNIT = 1e-3  # of a normal's length, as people round it
 _SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
 
 
@@ -49,7 +50,7 @@ _MOST = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MicroscopeFile:
-    """A pinhole on the axis of the eye, looking down at the retinal pole.
+    """A pinhole on the axis of the eye, looking down at the retinal pole, and the wall there.
 
     Attributes:
         width_px: of the frames.
@@ -58,10 +59,13 @@ class MicroscopeFile:
         distortion: coefficients in OpenCV's order.
         scale_mm_px: delta at the height of the pole.
         principal_point_px: (u0, v0); may lie outside the frame.
-        pinhole_height_mm: z_F above the eyeball's centre; infinite if telecentric.
+        pinhole_height_mm: z_F above the eyeball's centre; infinite if telecentric. Below the pole,
+            magnification grows with depth.
         eye_radius_mm: r; the pole lies at -r.
         response: relation of the frames' values to light; linear if the file does not say.
         paper_exposure_s: exposure time of the stack's frames of fixed exposure; None if unknown.
+        plane_normal: of a plane wall through the pole, a unit vector towards the microscope; None
+            if the wall is the eyeball.
     """
 
     width_px: int
@@ -74,6 +78,7 @@ class MicroscopeFile:
     eye_radius_mm: float
     response: Response = field(default_factory=Response)
     paper_exposure_s: float | None = None
+    plane_normal: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Reject what no microscope can have."""
@@ -83,12 +88,15 @@ class MicroscopeFile:
                 raise MicroscopeFileError(
                     f"{name} must be positive and at most {most:g}; got {value}."
                 )
-        if not self.pinhole_height_mm > -self.eye_radius_mm:
+        reach = self.pinhole_height_mm + self.eye_radius_mm
+        if not (reach > 0 or -math.inf < reach < 0):
             raise MicroscopeFileError(
-                "pinhole_height_mm must lie above the retinal pole at -eye_radius_mm; got "
-                f"{self.pinhole_height_mm} mm with eye_radius_mm = {self.eye_radius_mm}. It counts "
-                "from the eyeball's centre, up."
+                "pinhole_height_mm must lie above or below the retinal pole, which is at "
+                f"-eye_radius_mm; got {self.pinhole_height_mm} mm with eye_radius_mm = "
+                f"{self.eye_radius_mm}. It counts from the eyeball's centre, up."
             )
+        if self.plane_normal is not None:
+            _check_normal(self.plane_normal)
         if not (np.abs(self.principal_point_px) <= _MOST_PX).all():
             raise MicroscopeFileError(
                 f"principal_point_px must lie within {_MOST_PX} px of the frame; got "
@@ -97,8 +105,17 @@ class MicroscopeFile:
 
     @property
     def inverse_working_distance(self) -> float:
-        """kappa = 1/(z_F + r), 1/mm; 0 if telecentric."""
+        """kappa = 1/(z_F + r), 1/mm; 0 if telecentric, negative for a pinhole below the pole."""
         return 1.0 / (self.pinhole_height_mm + self.eye_radius_mm)
+
+    def wall(self) -> optics.Surface:
+        """The wall that the spots lie on. Loads JAX."""
+        import optics
+
+        if self.plane_normal is None:
+            return optics.Sphere(self.eye_radius_mm)
+        pole = np.array([0.0, 0.0, -self.eye_radius_mm])
+        return optics.Plane(point=pole, inward=np.array(self.plane_normal))
 
     def camera(self) -> Camera | None:
         """For `SubpixelSettings(camera=...)`; None if there is no distortion."""
@@ -123,6 +140,7 @@ def read_microscope(
     *,
     pinhole_height_mm: float | None = None,
     eye_radius_mm: float | None = None,
+    plane_normal: tuple[float, float, float] | None = None,
 ) -> MicroscopeFile:
     """Read a microscope from a stack's microscope.json or from a calibration file of OpenCV.
 
@@ -130,6 +148,8 @@ def read_microscope(
         path: of the file.
         pinhole_height_mm: z_F above the eyeball's centre, for OpenCV files, which lack it.
         eye_radius_mm: r, for OpenCV files, which lack it.
+        plane_normal: of a plane wall, for files that lack it, such as those of OpenCV; None: the
+            file's, or the eyeball.
 
     Raises:
         MicroscopeFileError: the file is neither, of another schema, contradicts itself, lacks
@@ -142,8 +162,12 @@ def read_microscope(
         text = read_text(path, most_bytes=_MOST_BYTES)
         content = _json_in(text)
         if "schema" not in content:
-            return _from_opencv(text, given)
+            return _from_opencv(text, given, plane_normal)
         twice = [name for name, value in given.items() if value is not None]
+        if plane_normal is not None:
+            # A file of a version that did not know planes has no such key.
+            twice += ["plane_normal"] * ("plane_normal" in content)
+            content["plane_normal"] = list(plane_normal)
         if twice:
             raise MicroscopeFileError(
                 f"{twice[0]} is in the file already. Leave it out of the call, or edit the file."
@@ -201,6 +225,7 @@ class _PinholeFile(Strict):
     eye_radius_mm: _Millimetres
     response: Annotated[Response, PlainValidator(_curve)]
     paper_exposure_s: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
+    plane_normal: Annotated[np.ndarray, _numbers(3)] | None = None
 
 
 class _TelecentricFile(_PinholeFile):
@@ -228,6 +253,7 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
         eye_radius_mm=file.eye_radius_mm,
         response=file.response,
         paper_exposure_s=file.paper_exposure_s,
+        plane_normal=None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
     )
     _agrees_with_its_matrix(microscope)
     return microscope
@@ -249,7 +275,11 @@ def _agrees_with_its_matrix(microscope: MicroscopeFile) -> None:
         )
 
 
-def _from_opencv(text: str, given: dict[str, float | None]) -> MicroscopeFile:
+def _from_opencv(
+    text: str,
+    given: dict[str, float | None],
+    plane_normal: tuple[float, float, float] | None,
+) -> MicroscopeFile:
     seen = opencv_camera(text)
     height, radius = (_given(name, value) for name, value in given.items())
     matrix = seen.camera.matrix
@@ -265,10 +295,12 @@ def _from_opencv(text: str, given: dict[str, float | None]) -> MicroscopeFile:
         height_px=seen.height_px,
         camera_matrix=matrix,
         distortion=seen.camera.distortion,
-        scale_mm_px=(height + radius) / math.sqrt(fx * fy),
+        # Below the pole, the pinhole that the eye shows sees a pixel under the same angle.
+        scale_mm_px=abs(height + radius) / math.sqrt(fx * fy),
         principal_point_px=_pair(matrix[:2, 2]),
         pinhole_height_mm=height,
         eye_radius_mm=radius,
+        plane_normal=plane_normal,
     )
 
 
@@ -279,6 +311,14 @@ def _given(name: str, value: float | None) -> float:
             f"{value}."
         )
     return value
+
+
+def _check_normal(normal: tuple[float, float, float]) -> None:
+    if not (abs(math.hypot(*normal) - 1) < _UNIT and normal[2] > 0):
+        raise MicroscopeFileError(
+            f"plane_normal must be a unit vector towards the microscope (z > 0); got {normal}. A "
+            "plane square to the microscope's axis has (0, 0, 1)."
+        )
 
 
 def _pair(values: np.ndarray) -> tuple[float, float]:

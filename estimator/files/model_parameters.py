@@ -37,7 +37,7 @@ QUANTITIES = {
     "b": Quantity("mm", -_LARGE, _LARGE),
     "scale": Quantity("mm/px", 0, _LARGE),
     "eye_radius": Quantity("mm", 0, _LARGE),
-    "inverse_working_distance": Quantity("1/mm", 0, _LARGE, low_included=True),
+    "inverse_working_distance": Quantity("1/mm", -_LARGE, _LARGE),
     "eccentricity": Quantity("mm", 0, _LARGE, low_included=True),
     "beam_x": Quantity("rad", -_ASKEW, _ASKEW),
     "beam_y": Quantity("rad", -_ASKEW, _ASKEW),
@@ -54,10 +54,11 @@ QUANTITIES = {
 """Unit and range of every parameter that a file may hold.
 
 k = 1/tan(half_angle); b: apex offset; scale: delta at the pole; inverse_working_distance: 1/(z_F +
-r), 0 if telecentric; eccentricity: c of the trials that were fitted; beam_x, beam_y: angles of the
-beam from the tool's +z axis, towards the tool's +x and +y axes; core_radius ...
-launch_aperture: of the glue lens, as `optics.GlueLens` has them; brightness: of the spot's peak as
-a fraction of full scale, over irradiance (1/mm2 per unit power) and exposure time.
+r), 0 if telecentric, negative if the pinhole lies behind the retina; eccentricity: c of the trials
+that were fitted; beam_x, beam_y: angles of the beam from the tool's +z axis, towards the tool's +x
+and +y axes; core_radius ... launch_aperture: of the glue lens, as `optics.GlueLens` has them;
+brightness: of the spot's peak as a fraction of full scale, over irradiance (1/mm2 per unit power)
+and exposure time.
 """
 
 _NAMES = tuple(QUANTITIES)

@@ -17,7 +17,8 @@ class Camera:
     """Removes a lens's distortion from image points.
 
     Attributes:
-        matrix: 3x3 camera matrix K, px.
+        matrix: 3x3 camera matrix K, px; its focal lengths are negative if the pinhole, seen through
+            the eye, lies behind the scene.
         distortion: 4, 5, 8, 12 or 14 coefficients in OpenCV's order.
     """
 
@@ -27,9 +28,9 @@ class Camera:
     def __post_init__(self) -> None:
         """Refuse matrices and coefficients that OpenCV cannot use."""
         matrix, distortion = np.asarray(self.matrix, float), np.asarray(self.distortion, float)
-        if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or matrix[0, 0] <= 0:
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or matrix[0, 0] == 0:
             raise InputError(
-                "Camera(matrix=...) must be a finite 3x3 matrix with positive focal lengths;"
+                "Camera(matrix=...) must be a finite 3x3 matrix with focal lengths other than 0;"
                 f" got shape {matrix.shape}."
             )
         if distortion.size not in (4, 5, 8, 12, 14) or not np.isfinite(distortion).all():

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from estimator.run.reader import Reader
 
 _NEEDS = {
-    **dict.fromkeys(("pinhole_height_mm", "eye_radius_mm", "calibration"), "microscope"),
+    **dict.fromkeys(("pinhole_height_mm", "eye_radius_mm", "wall", "calibration"), "microscope"),
     **dict.fromkeys(("model", "eccentricity_mm", "exposure_s", "eye_from_robot"), "calibration"),
 }
 
@@ -101,6 +101,11 @@ class Options(BaseModel):
     eye_radius_mm: float | None = Field(
         None, description="Radius of the eyeball, for OpenCV calibrations."
     )
+    wall: Literal["plane"] | None = Field(
+        None,
+        description="The wall is a plane square to the microscope's axis, for microscope files "
+        "that do not say (default: the file's, or the eyeball).",
+    )
     calibration: Annotated[Path | None, _Text("FILE")] = Field(
         None, description="Calibration file of `eyespot fit`; without it there are no distances."
     )
@@ -160,6 +165,7 @@ class Options(BaseModel):
                 self.microscope,
                 pinhole_height_mm=self.pinhole_height_mm,
                 eye_radius_mm=self.eye_radius_mm,
+                plane_normal=(0.0, 0.0, 1.0) if self.wall else None,
             )
         settings = self._settings(microscope)
         if self.calibration is not None and microscope is not None:

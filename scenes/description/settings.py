@@ -157,7 +157,8 @@ class MicroscopeSettings(_Settings):
     pinhole_height_mm: Annotated[float, AllowInfNan()] = Field(
         11.5,
         gt=-1e4,
-        description="z_F, height of the pinhole above the eye's centre; inf: telecentric.",
+        description="z_F, height of the pinhole above the eye's centre; inf: telecentric. With a "
+        "pinhole below the retina, magnification grows with depth, as through a contact lens.",
     )
     scale_mm_px: float = Field(
         0.0067, ge=1e-6, le=10, description="Size of a pixel on the wall at the pole."
@@ -267,10 +268,11 @@ class Scene(_Settings):
                 f"spot.eccentricity_mm must be smaller than phantom.radius_mm; got {c:g} mm with "
                 f"radius {r:g} mm. Lower eccentricity_mm."
             )
-        if self.microscope.pinhole_height_mm < -r * 0.5:
+        if abs(self.microscope.pinhole_height_mm + r) < r * 0.5:
             raise InputError(
-                "microscope.pinhole_height_mm must lie well above the retina; got "
-                f"{self.microscope.pinhole_height_mm:g} mm with radius {r:g} mm. Raise it."
+                f"microscope.pinhole_height_mm must lie {r / 2:g} mm or more (half a radius) above "
+                f"or below the retina, which is at {-r:g} mm; got "
+                f"{self.microscope.pinhole_height_mm:g} mm. Raise or lower it."
             )
         if math.isinf(self.microscope.pinhole_height_mm) and any(self.microscope.distortion):
             raise InputError(

@@ -228,8 +228,11 @@ def _inside_the_eye(world: World) -> float:
     """
     scene = world.scene
     settings, r = scene.microscope, scene.phantom.radius_mm
+    # Lines of sight that meet in a pinhole above the wall start below it.
+    above = -r < settings.pinhole_height_mm < math.inf
+    highest = settings.pinhole_height_mm if above else 3 * r
     if scene.phantom.kind == "plane":
-        return 3 * r if math.isinf(settings.pinhole_height_mm) else settings.pinhole_height_mm
+        return highest
     border = world.window_border
     point, direction = (np.asarray(a) for a in world.microscope.ray(border))
     if slope := _aperture_slope(scene):
@@ -248,4 +251,4 @@ def _inside_the_eye(world: World) -> float:
             f"of radius {r:g} mm. Lower spot.eccentricity_mm or the window's size."
         )
     entry = point[:, 2] + (along - np.sqrt(chord)) * direction[:, 2]
-    return min(float(entry.min()) - 1e-3 * r, settings.pinhole_height_mm - _NEAR_MM)
+    return min(float(entry.min()) - 1e-3 * r, highest - _NEAR_MM)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import optics
 from estimator.files import Stack, StackWriter, fingerprint, read_stack, require_space
 from scenes.description import Scene
 from scenes.rendering import LinearFrame, Renderer
@@ -174,7 +175,12 @@ def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
         "eye_radius_mm": scene.phantom.radius_mm,
         "response": scene.camera.response,
         "paper_exposure_s": fixed_exposure_s,
+        "plane_normal": _plane_normal(world.wall),
     }
+
+
+def _plane_normal(wall: optics.Surface) -> list[float] | None:
+    return np.asarray(wall.inward).tolist() if isinstance(wall, optics.Plane) else None
 
 
 def _versions() -> dict[str, str]:
