@@ -26,10 +26,12 @@ models             Models from spot size to distance: planar, small_plane, corre
 pose               The five parameters of tip and axis, and their solver
 profile            Spot radius behind a lens: half maximum, isophote, equivalent cone
 refraction         Refraction and Fresnel transmission at a smooth boundary between two media
+spread_contour     The spot's contours on a wall that spreads light, for labels
 square_spot        The spot of a beam perpendicular to the wall, and its image, in closed form
 surface            The walls: a plane with any normal, and the eyeball's sphere
 truth              The true parameters of a beam's spot, for labels
 vector             Operations on three-vectors by components
+wall_spread        The point-spread on a wall that scatters light sideways before it leaves
 """
 
 import os

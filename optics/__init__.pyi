@@ -74,6 +74,10 @@ from .profile import effective_cone as effective_cone
 from .profile import half_maximum_radius as half_maximum_radius
 from .profile import isophote_radius as isophote_radius
 from .refraction import MEDIA as MEDIA
+from .spread_contour import SpreadSpot as SpreadSpot
+from .spread_contour import lit_share as lit_share
+from .spread_contour import spread_contours as spread_contours
+from .spread_contour import spread_spots as spread_spots
 from .square_spot import eyeball_point as eyeball_point
 from .square_spot import planar_semi_minor as planar_semi_minor
 from .square_spot import plane_point as plane_point
@@ -91,3 +95,5 @@ from .surface import WallFrame as WallFrame
 from .surface import pole_plane as pole_plane
 from .truth import SpotTruth as SpotTruth
 from .truth import spot_truth as spot_truth
+from .wall_spread import enclosed as enclosed
+from .wall_spread import spread_nodes as spread_nodes

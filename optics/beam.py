@@ -161,14 +161,14 @@ def generator_angles(count: int) -> np.ndarray:
 
 
 def perpendicular_frame(
-    axis: Float[ArrayLike, "3"],
-) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    axis: Float[ArrayLike, "*batch 3"],
+) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
     """Two unit vectors that complete `axis` to a right-handed frame (Duff et al. 2017)."""
-    x, y, z = jnp.asarray(axis)
+    x, y, z = components(jnp.asarray(axis))
     sign = jnp.where(z >= 0, 1.0, -1.0)
     a = -1.0 / (sign + z)
     b = x * y * a
     return (
-        jnp.stack([1.0 + sign * x * x * a, sign * b, -sign * x]),
-        jnp.stack([b, sign + y * y * a, -y]),
+        jnp.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=-1),
+        jnp.stack([b, sign + y * y * a, -y], axis=-1),
     )

@@ -69,6 +69,9 @@ class FrameLabels:
         incidence_rad, incidence_azimuth_rad: of the beam at O.
         cone_*: ellipse of the geometric cone's edge.
         half_max_*: ellipse of half of the noise-free, unoccluded direct peak.
+        spread_cone_*, spread_half_max_*: the same two after the wall has spread the light, in
+            green: where half of the light of a point comes from inside the cone's edge, and half
+            of the spread light's peak. NaN, and not in the file, if the wall does not spread it.
         visible_fraction: part of the half-maximum contour that the camera sees.
         speed_mm_s: of the tip in the middle of the exposure.
         saturated_fraction: part of the mask's pixels with a channel at full scale.
@@ -105,6 +108,21 @@ class FrameLabels:
     speed_mm_s: float
     medium: str
     seed: Count
+    spread_cone_x_px: float = math.nan
+    spread_cone_y_px: float = math.nan
+    spread_cone_semi_major_px: float = math.nan
+    spread_cone_semi_minor_px: float = math.nan
+    spread_cone_angle_rad: float = math.nan
+    spread_half_max_x_px: float = math.nan
+    spread_half_max_y_px: float = math.nan
+    spread_half_max_semi_major_px: float = math.nan
+    spread_half_max_semi_minor_px: float = math.nan
+    spread_half_max_angle_rad: float = math.nan
+
+    def row(self) -> dict[str, Any]:
+        """The fields of a line; a wall without spread has none of the spread's."""
+        unspread = math.isnan(self.spread_cone_x_px)
+        return {n: v for n, v in vars(self).items() if not (unspread and n.startswith("spread_"))}
 
 
 @dataclass(frozen=True)
@@ -240,7 +258,8 @@ class _AnyRow(Strict):
 
 
 _COLUMNS: dict[str, Any] = {
-    name: (kind, ...) for name, kind in get_type_hints(FrameLabels, include_extras=True).items()
+    name: (kind, math.nan if name.startswith("spread_") else ...)
+    for name, kind in get_type_hints(FrameLabels, include_extras=True).items()
 }
 _Row = create_model("_Row", __base__=_AnyRow, **_COLUMNS)
 """A line of metadata.jsonl: the fields of `FrameLabels`."""

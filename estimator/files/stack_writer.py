@@ -12,7 +12,6 @@ import os
 import shutil
 import threading
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
 
@@ -162,7 +161,7 @@ class StackWriter:
             os.close(self._lock)
 
     def _add_line(self, labels: FrameLabels) -> None:
-        line = json.dumps(asdict(labels)) + "\n"
+        line = json.dumps(labels.row()) + "\n"
         path = self._partial / _LABELS
         with self._one_at_a_time:
             before = path.stat().st_size

@@ -24,6 +24,7 @@ Place = Annotated[float, Field(ge=-1e4, le=1e4)]
 """A coordinate, or another length with a sign, mm."""
 Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Coefficient = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Spread = Annotated[float, Field(ge=1e-4, le=1)]
 FileName = Annotated[str, Field(max_length=4096)]
 
 
@@ -72,6 +73,17 @@ class Phantom(_Settings):
         "none",
         description="Coat on the matt wall: wet, a film of water; glossy, a varnish. The result is "
         "approximate with source.kind 'lens' and with indirect 'closed form'.",
+    )
+    spread: Literal["none", "printed paper", "own"] = Field(
+        "none",
+        description="Light that the wall scatters sideways before it leaves: none, as measured on "
+        "paper (0.024 mm), or own, with spread_mm. No measured length of the whole retina was "
+        "found.",
+    )
+    spread_mm: tuple[_Spread, _Spread, _Spread] = Field(
+        (0.05, 0.05, 0.05),
+        description="Length L of spread 'own' for red, green and blue: light leaves the wall at a "
+        "distance r from where it arrives with the weight exp(-r/L).",
     )
     indirect: Literal["closed form", "traced", "off"] = Field(
         "closed form",
@@ -283,6 +295,14 @@ class Scene(_Settings):
         if self.phantom.wall == "image" and not self.phantom.wall_image:
             raise InputError(
                 "phantom.wall = 'image' needs phantom.wall_image. Set it to the path of the image."
+            )
+        traced = self.source.kind == "photons" or self.phantom.indirect == "traced"
+        if self.phantom.spread != "none" and traced:
+            raise InputError(
+                "phantom.spread does not apply to traced light; got spread "
+                f"{self.phantom.spread!r} with source.kind {self.source.kind!r} and indirect "
+                f"{self.phantom.indirect!r}. Set spread = 'none', or the other two to 'lens' and "
+                "'closed form'."
             )
         if self.phantom.pupil_radius_mm and self.phantom.kind == "plane":
             raise InputError(

@@ -41,6 +41,8 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
         "jitter": scene.phantom.indirect == "traced",
     }
     at_random = {"type": "independent", "sample_count": scene.source.photons_per_pixel}
+    eyeball = scene.phantom.kind == "eyeball"
+    spread = np.zeros(3) if world.wall_spread is None else world.wall_spread
     coaxial = scene.microscope.light == "coaxial"
     # Ambient light is equal from all sides, like the light that the eyeball scatters back.
     ambient = 0.0 if coaxial else scene.microscope.illumination_mw_mm2
@@ -63,6 +65,8 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
             "pinhole_height": scene.microscope.pinhole_height_mm,
             "pole_height": -scene.phantom.radius_mm,
             "pupil_height": _pupil_height(scene),
+            "wall_curvature": 1 / scene.phantom.radius_mm if eyeball else 0.0,
+            **{f"spread_{colour}": float(s) for colour, s in zip("rgb", spread, strict=True)},
         },
     }
 

@@ -95,9 +95,10 @@ def _refuse_slow_light(scene: Scene, variant: str) -> None:
     """Scalar variants run our emitters in Python, ray by ray: a minute per frame at least."""
     if not variant.startswith("scalar"):
         return
-    if scene.source.kind != "cone" or scene.phantom.indirect == "traced":
+    phantom = scene.phantom
+    if scene.source.kind != "cone" or phantom.indirect == "traced" or phantom.spread != "none":
         raise SceneError(
-            f"the variant {variant} renders only source.kind 'cone' without traced light; got "
-            f"{scene.source.kind!r} with phantom.indirect {scene.phantom.indirect!r}. Use "
-            "llvm_ad_rgb; `eyespot doctor` checks what it needs."
+            f"the variant {variant} renders only source.kind 'cone' without traced or spread light;"
+            f" got {scene.source.kind!r} with phantom.indirect {phantom.indirect!r} and spread "
+            f"{phantom.spread!r}. Use llvm_ad_rgb; `eyespot doctor` checks what it needs."
         )

@@ -19,6 +19,13 @@ from scenes.rendering.placement import wall_shape
 _NEAREST_PAIR_MM = 0.01
 
 
+SPREAD_NODES = 64
+"""Points round each camera ray's point whose light is averaged if the wall spreads light."""
+
+# Powers of the root of x^4 = x + 1: steps that fill a cube evenly (Roberts 2018).
+_STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
+
+
 class _PointEmitter(mi.Emitter):
     """Base class of emitters without a surface: a tip and an axis."""
 
@@ -140,6 +147,10 @@ class SpotIntegrator(mi.SamplingIntegrator):
     instead, with up to that many reflections before the last one. The coaxial light comes from the
     pinhole, so it has no shadows. The extra channel `wall` is the fraction of a pixel that shows
     the wall.
+
+    If the wall spreads light, the light that a matt wall radiates at a point arrives at points
+    round it (`optics.wall_spread`). Those are drawn for each camera ray with a seed from the point
+    itself, so that an image has the same small noise whenever it is rendered.
     """
 
     def __init__(self, props):
@@ -150,6 +161,8 @@ class SpotIntegrator(mi.SamplingIntegrator):
         self.pole_height = float(props["pole_height"])
         self.pupil_height = float(props["pupil_height"])
         self.direct, self.bounces = props["direct"], int(props["bounces"])
+        self.spread = [float(props[f"spread_{colour}"]) for colour in "rgb"]
+        self.wall_curvature = float(props["wall_curvature"])
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
         """Radiance along camera rays, and whether they hit the wall."""
@@ -160,14 +173,50 @@ class SpotIntegrator(mi.SamplingIntegrator):
         radiance += bsdf.eval(context, si, si.wi, valid) * self.coaxial * self._falloff(si)
         if self.bounces:
             radiance += self._interreflection(scene, sampler, si, valid)
-        for emitter in scene.emitters() if self.direct else ():
-            ds, weight = emitter.sample_direction(si, mi.Point2f(0.5), valid)
-            reflected = bsdf.eval(context, si, si.to_local(ds.d), valid) * weight
-            lit = valid & (dr.max(reflected) > 0)
-            lit = dr.select(scene.ray_test(si.spawn_ray_to(ds.p), lit), False, lit)
-            radiance += dr.select(lit, reflected, 0)
         wall = si.shape == wall_shape(scene)
+        if self.direct and any(self.spread):
+            on_surface, within = mi.BSDFContext(), mi.BSDFContext()
+            on_surface.type_mask = mi.BSDFFlags.GlossyReflection
+            within.type_mask = mi.BSDFFlags.DiffuseReflection
+            radiance += _direct(scene, si, on_surface, valid & wall)
+            radiance += self._spread_light(scene, si, within, valid & wall)
+            radiance += _direct(scene, si, context, valid & ~wall)
+        elif self.direct:
+            radiance += _direct(scene, si, context, valid)
         return dr.select(valid, radiance, 0), valid, [dr.select(valid & wall, mi.Float(1), 0)]
+
+    @dr.syntax
+    def _spread_light(self, scene, si, context, active):
+        """Radiance of direct light that arrives round a point of the wall, by its kernel."""
+        low, high = mi.sample_tea_32(
+            dr.reinterpret_array(mi.UInt32, si.p.x), dr.reinterpret_array(mi.UInt32, si.p.y)
+        )
+        shift = mi.Point3f(low, high, low ^ high) * 2.0**-32
+        radiance, node = mi.Color3f(0), mi.UInt32(0)
+        while node < SPREAD_NODES:
+            number = shift + mi.Float(node) * mi.Point3f(_STEPS)
+            number -= dr.floor(number)
+            # The radius is the sum of two exponential ones, the angle is uniform.
+            reach = -dr.log(dr.maximum((1 - number.x) * (1 - number.y), 1e-12))
+            sine, cosine = dr.sincos(2 * dr.pi * number.z)
+            aside = reach * (cosine * si.sh_frame.s + sine * si.sh_frame.t)
+            for length in sorted(set(self.spread)):
+                arriving = self._moved(si, length * aside)
+                light = _direct(scene, arriving, context, active)
+                radiance += light * mi.Color3f([float(own == length) for own in self.spread])
+            node += 1
+        return radiance / SPREAD_NODES
+
+    def _moved(self, si, aside):
+        """The interaction at another point of the wall, as the texture is seen at this one."""
+        moved = mi.SurfaceInteraction3f(si)
+        moved.p += aside
+        if self.wall_curvature:
+            inwards = -dr.normalize(mi.Vector3f(moved.p))
+            moved.p = mi.Point3f(-inwards / self.wall_curvature)
+            moved.n = mi.Normal3f(inwards)
+            moved.sh_frame = mi.Frame3f(inwards)
+        return moved
 
     @dr.syntax
     def _interreflection(self, scene, sampler, si, active):
@@ -217,6 +266,18 @@ class SpotIntegrator(mi.SamplingIntegrator):
 
     def traverse(self, callback):
         """No parameter changes."""
+
+
+def _direct(scene, si, context, active):
+    """Radiance of the light that reaches a surface from the emitters without a detour."""
+    radiance, bsdf = mi.Color3f(0), si.bsdf()
+    for emitter in scene.emitters():
+        ds, weight = emitter.sample_direction(si, mi.Point2f(0.5), active)
+        reflected = bsdf.eval(context, si, si.to_local(ds.d), active) * weight
+        lit = active & (dr.max(reflected) > 0)
+        lit = dr.select(scene.ray_test(si.spawn_ray_to(ds.p), lit), False, lit)
+        radiance += dr.select(lit, reflected, 0)
+    return radiance
 
 
 mi.register_emitter("eyespot_cone", ConeEmitter)

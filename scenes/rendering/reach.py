@@ -19,6 +19,7 @@ _TILE_PX = 16
 # The curved wall within a tile extends beyond the sphere around its corners by less than this
 # factor, if a pixel is at most 0.1 mm wide.
 _BULGE = 1.05
+_SPREAD_REACH = 12.0  # in lengths of the wall's spread; 8e-5 of the light goes farther
 
 
 class Reach(NamedTuple):
@@ -84,6 +85,10 @@ class Reach(NamedTuple):
             envelope = -world.cone.apex_offset * slope, slope
         else:
             envelope = float(table.contact_radius), float(table.slope)
+        if world.wall_spread is not None:
+            # Along the wall, light reaches as far sideways and, on a steep wall, as far ahead.
+            further = _SPREAD_REACH * world.wall_spread.max()
+            envelope = envelope[0] + further * (1 + envelope[1]), envelope[1]
         towards = sight[:-1, :-1].reshape(-1, 3)
         return cls(
             world.scene, envelope, centre.reshape(-1, 3), radius.ravel(), towards, tile, always

@@ -4,6 +4,7 @@ fundus_image  A drawn fundus: reflectance of disc, macula, vessels and choroid f
 image_file    A picture from an image file
 landmarks     Coordinates of the map; positions and sizes of fovea and optic disc
 picture       The picture that a scene selects, and its mean colour
+spread        How far walls scatter light sideways: lengths for each colour, with their sources
 vessels       The vessel tree of the drawn fundus
 """
 

@@ -3,3 +3,5 @@ from .picture import PICTURE_MM as PICTURE_MM
 from .picture import PICTURE_PX as PICTURE_PX
 from .picture import wall_colour as wall_colour
 from .picture import wall_picture as wall_picture
+from .spread import PRESETS_MM as PRESETS_MM
+from .spread import wall_spread as wall_spread

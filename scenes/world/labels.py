@@ -42,7 +42,10 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
         "medium": scene.source.medium,
         "seed": scene.seed,
     }
-    for kind, ellipse in (("cone", spots.cone), ("half_max", spots.half_max)):
+    ellipses = {"cone": spots.cone, "half_max": spots.half_max}
+    if (spread := world.spread_spots) is not None:
+        ellipses |= {"spread_cone": spread.cone, "spread_half_max": spread.half_max}
+    for kind, ellipse in ellipses.items():
         x, y = at(ellipse.centre)
         labels |= {
             f"{kind}_x_px": x,

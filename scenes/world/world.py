@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 import optics
-from scenes.walls import wall_colour
+from scenes.walls import wall_colour, wall_spread
 from scenes.world.geometry import Geometry
 from scenes.world.light_cache import LensLight, lens_light
 from scenes.world.limits import check_poses, check_window
@@ -39,6 +39,11 @@ class World(Geometry):
     def wall_colour(self) -> np.ndarray:
         """Mean linear reflectance of the wall per colour channel."""
         return wall_colour(self.scene.phantom)
+
+    @cached_property
+    def wall_spread(self) -> np.ndarray | None:
+        """L of the light's spread in the wall for each colour channel, mm; None without spread."""
+        return wall_spread(self.scene.phantom)
 
     @cached_property
     def light(self) -> LensLight | None:
@@ -106,6 +111,15 @@ class World(Geometry):
         )
         check_window(self, times=self.times, contours=np.asarray(truth.contour_px))
         return truth
+
+    @cached_property
+    def spread_spots(self) -> optics.SpreadSpot | None:
+        """The true spots on a wall that spreads light, in green; None without spread."""
+        if self.wall_spread is None:
+            return None
+        return optics.spread_spots(
+            self.wall, self.microscope, self.table, self.truth.beam, self.wall_spread[1]
+        )
 
     def check(self) -> None:
         """Refuse an impossible scene by deriving its truth.

@@ -1,0 +1,46 @@
+r"""Light that the wall scatters sideways before it leaves: the point-spread on the wall.
+
+A matt wall that spreads light radiates $\rho/\pi\,(E * p)$: the irradiance is averaged over the
+wall with the weight
+
+$$ p(r) = \frac{e^{-r/L}}{2\pi L^2}, \qquad
+   P(r) = 1 - (1 + r/L)\,e^{-r/L}, \qquad
+   M(\nu) = \left(1 + (2\pi L\nu)^2\right)^{-3/2}, $$
+
+its share within r and its modulation transfer function. One length L is what is known of most
+walls; printing research describes paper by the same function (Inoue, Tsumura & Miyake 1997).
+Photons traced through a thick medium leave it in a sharper core and a wider tail: the edge of a
+spot on a medium of albedo 0.91 is that of the best L within 7 % of the plateau.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, ScalarLike
+from scipy.special import roots_genlaguerre
+
+_RADII, _DIRECTIONS = 8, 16  # of the nodes of a smooth light
+
+
+def enclosed(radius: Float[Array, "*batch"], length: ScalarLike) -> Float[Array, "*batch"]:
+    """Share of a point's light that leaves the wall within a radius (mm); P of the module.
+
+    Args:
+        radius: mm, not negative.
+        length: L, mm.
+    """
+    reach = radius / length
+    return 1.0 - (1.0 + reach) * jnp.exp(-reach)
+
+
+def spread_nodes() -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+    """Quadrature of the kernel for smooth light: offsets in units of L, and weights of sum 1.
+
+    Gauss-Laguerre in the radius, uniform in the angle.
+    """
+    radii, weights = roots_genlaguerre(_RADII, 1.0)
+    angles = (np.arange(_DIRECTIONS) + 0.5) * (2.0 * np.pi / _DIRECTIONS)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    offsets = radii[:, None, None] * circle
+    return offsets.reshape(-1, 2), np.repeat(weights / (_DIRECTIONS * weights.sum()), _DIRECTIONS)
