@@ -40,7 +40,7 @@ from benchmarks.studies.eccentricity.shapley import coalitions, shapley_values
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
 SCALE, K, B, R = 0.0067, 20.0, -5.117, 11.5
-EDGE_PX, PIXELS_PX = 0.03, -0.02
+EDGE_PX, PIXELS_PX, SPREAD_PX = 0.03, -0.02, -0.5
 MICROSCOPE, TELECENTRIC, SQUARE, ON_AXIS, CENTRED = range(5)
 """Geometries whose errors are split: see `worths`."""
 C_MM = np.linspace(0.0, 8.0, 9)
@@ -74,7 +74,7 @@ def worths() -> np.ndarray:
         incidence=[tilt, tilt, 0.0, tilt, 0.0],
         eccentricity=[4.0, 4.0, 4.0, 0.0, 3.0],
     )
-    shift = Shift(np.full(5, EDGE_PX), np.full(5, PIXELS_PX))
+    shift = Shift(*(np.full(5, x) for x in (EDGE_PX, PIXELS_PX, SPREAD_PX)))
     return causes.worths(eye, d=np.full(5, 4.0), shift=shift)
 
 
@@ -145,7 +145,7 @@ def test_a_square_spot_has_an_ellipse_for_its_image_so_that_fitting_one_costs_no
 
 def test_what_is_not_there_has_no_part_in_the_error(worths):
     for model in optics.MODELS:
-        # Sums of 512 numbers of some mm.
+        # Sums of 1,024 numbers of some mm.
         assert share(worths, SQUARE, model, "beam not square") == pytest.approx(0.0, abs=1e-12)
         if model != "stereographic":  # which takes every microscope for one on the sphere
             telecentric = share(worths, TELECENTRIC, model, "magnification with depth")
@@ -161,7 +161,7 @@ def test_the_parts_sum_to_the_error_that_the_models_make_of_the_measured_spot(wo
         told = geometry(z_f=pinhole, incidence_deg=30.0 if where == MICROSCOPE else 0.0)
         # As many as a grid of withdrawals has, which spares a compilation.
         c, d = np.full(GRID, 4.0), np.full(GRID, 4.0)
-        seen = model_error.semi_minor(told, c=c, d=d) + EDGE_PX + PIXELS_PX
+        seen = model_error.semi_minor(told, c=c, d=d) + EDGE_PX + PIXELS_PX + SPREAD_PX
         # The working distance z_F + r is the microscope's and stays.
         wrong = told._replace(eye_radius=R + WRONG_R_MM, pinhole_height=pinhole - WRONG_R_MM)
         found = model_error.estimates(wrong, c=c + WRONG_C_MM, semi_minor_px=seen)
@@ -192,6 +192,18 @@ def test_at_the_eyeballs_centre_magnification_makes_the_papers_factor_right(
     # First order in 1 - cos(phi) = 0.035 of 9 mm is 0.31 mm; the derivation leaves 0.014 mm.
     assert abs(both) < 0.014
     assert error("foreshortening") < -0.3
+
+
+def test_light_spread_in_the_wall_moves_a_square_cones_distance_by_a_tenth_of_a_millimetre():
+    d = np.array([0.5, 2.0, 4.0, 6.0])
+    moved = causes.spread_shift(geometry(z_f=200.0), c=np.zeros(4), d=d, length=0.05)
+    # As an independent sum over an evenly lit disc has it (`test_optics_wall_spread`); a spot seen
+    # from 200 mm has its size on the wall to the sagitta of 0.01 mm over 211 mm.
+    assert K * SCALE * moved == pytest.approx([-0.148, -0.134, -0.110, -0.091], abs=1e-3)
+    paper = causes.spread_length(scenes.load_scene(None))
+    assert paper == pytest.approx(0.0244, abs=1e-4)
+    own = scenes.load_scene(None, ["phantom.spread=own", "phantom.spread_mm=[0.1,0.05,0.02]"])
+    assert causes.spread_length(own) == 0.05
 
 
 # Shares.

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +21,7 @@ import h5py
 import numpy as np
 
 from benchmarks.sets.read import SetStack, qualified_name, set_files
-from estimator import FrameLabels, Stack
+from estimator import Stack
 from estimator.files import StackError
 from optics import check_values, in_file, read_text
 
@@ -97,7 +96,7 @@ def _write_stack(group: h5py.Group, stack: Stack, progress: Callable[[], None]) 
     for name in ("stack.toml", "microscope.json"):
         group.attrs[name] = _text(stack.path_of(name))
     labels = group.create_group("labels")
-    for name in (field.name for field in fields(FrameLabels)):
+    for name in stack.labels[0].row():
         _write_column(labels, name, [getattr(row, name) for row in stack.labels])
     if stack.path_of("kinematics.csv").is_file():
         report = group.create_group("kinematics")

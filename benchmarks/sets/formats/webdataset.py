@@ -11,7 +11,6 @@ import itertools
 import json
 import tarfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from benchmarks.sets.read import SetStack, copy_description, qualified_name, split_name
@@ -51,7 +50,7 @@ def _samples(entry: SetStack) -> Iterator[dict[str, bytes]]:
         yield {
             f"{key}.png": stack.path_of(row.file_name).read_bytes(),
             f"{key}.mask.png": stack.path_of(row.mask_file_name).read_bytes(),
-            f"{key}.json": json.dumps(asdict(row)).encode(),
+            f"{key}.json": json.dumps(row.row()).encode(),
         }
 
 

@@ -1,14 +1,14 @@
 """The error of every model split by cause, so that the parts sum to the whole.
 
-The players are the five links of `chain`, and four more: what a rendered frame adds to e1' at its
+The players are the five links of `chain`, and five more: what a rendered frame adds to e1' at its
 edge (half-maximum, falling light, texture, shadow; seen without noise at twice the resolution) and
-by pixels and noise (the rest), and a wrong r and a wrong c that the models are given. The worth of
-a set of players is a model's error when they are real and the others ideal; it is computed for all
-512 sets, so Shapley's values are exact.
+by pixels and noise (the rest), what the wall does by spreading the light, and a wrong r and a wrong
+c that the models are given. The worth of a set of players is a model's error when they are real and
+the others ideal; it is computed for all 1,024 sets, so Shapley's values are exact.
 
-The two that a rendering gives are differences of e1' in px, taken once for each geometry, in the
-real world, and added in every other as they are: what noise and edges do to a contour depends on
-its size and light, which the geometric links change by a few per cent.
+Edge, pixels and spread are differences of e1' in px, taken once for each geometry, in the real
+world, and added in every other as they are: what noise and edges do to a contour depends on its
+size and light, which the geometric links change by a few per cent.
 """
 
 from __future__ import annotations
@@ -26,8 +26,17 @@ from benchmarks.studies.eccentricity import chain
 from benchmarks.studies.eccentricity.chain import LINKS, Eye, Links
 from benchmarks.studies.eccentricity.findings import CauseShare
 from benchmarks.studies.eccentricity.shapley import coalitions, shapley_values
+from scenes import Scene
+from scenes.walls import PRESETS_MM, wall_spread
 
-CAUSES = (*LINKS, "edge and radiometry", "pixels and noise", "wrong r", "wrong c")
+CAUSES = (
+    *LINKS,
+    "edge and radiometry",
+    "pixels and noise",
+    "light spread in the wall",
+    "wrong r",
+    "wrong c",
+)
 """The players, in order."""
 
 WRONG_R_MM = 0.5
@@ -45,10 +54,53 @@ class Shift(NamedTuple):
     Attributes:
         edge: by the edge and its light.
         pixels: by pixels and noise.
+        spread: by a wall that spreads light.
     """
 
     edge: np.ndarray
     pixels: np.ndarray
+    spread: np.ndarray
+
+
+def spread_length(scene: Scene) -> float:
+    """L of the scene's wall in green, mm; that of printed paper if the scene's spreads nothing."""
+    own = wall_spread(scene.phantom)
+    return float(PRESETS_MM["printed paper"][1] if own is None else own[1])
+
+
+def spread_shift(geometry: Geometry, *, c: np.ndarray, d: np.ndarray, length: float) -> np.ndarray:
+    """What light spread in the wall adds to e1' of the cone's half-maximum contour, px.
+
+    Args:
+        geometry: what the spots share.
+        c: n eccentricities, mm.
+        d: n distances, mm.
+        length: L, mm.
+    """
+    wall = optics.Sphere(geometry.eye_radius)
+    camera = optics.microscope(
+        scale=geometry.scale,
+        pinhole_height=geometry.pinhole_height,
+        eye_radius=geometry.eye_radius,
+    )
+
+    def beam(c: jax.Array, d: jax.Array) -> optics.Beam:
+        return optics.beam_at_spot(
+            wall,
+            eccentricity=c,
+            distance=d,
+            incidence=geometry.incidence,
+            incidence_azimuth=geometry.incidence_azimuth,
+            half_angle=geometry.half_angle,
+            apex_offset=geometry.apex_offset,
+        )
+
+    # In parts of one size, so that one compilation serves every trial.
+    padded = (np.pad(a, (0, -len(a) % _BATCH), mode="edge") for a in (c, d))
+    beams = jax.vmap(beam)(*map(jnp.asarray, padded))
+    spread = optics.spread_spots(wall, camera, None, beams, length).half_max.semi_minor
+    sharp = jax.vmap(lambda beam: optics.spot_ellipse(beam, wall, camera).semi_minor)(beams)
+    return np.asarray(spread - sharp)[: len(c)]
 
 
 def shares(
@@ -97,7 +149,7 @@ def eyes(geometry: Geometry, *, c: np.ndarray) -> Eye:
 
 
 def worths(eye: Eye, *, d: np.ndarray, shift: Shift) -> np.ndarray:
-    """Error of every model with every set of causes, mm: n x models x 512."""
+    """Error of every model with every set of causes, mm: n x models x 1,024."""
     columns = [np.asarray(column, float) for column in (*eye, d, *shift)]
     # In parts of one size, so that one compilation serves every trial.
     filled = np.pad(np.stack(columns), ((0, 0), (0, -len(d) % _BATCH)), mode="edge")
@@ -110,10 +162,9 @@ def _worths(columns: Float[Array, "columns n"]) -> Float[Array, "n models sets"]
     sets = jnp.asarray(coalitions(len(CAUSES)))
 
     def of(spot: Float[Array, "columns"]) -> Float[Array, "models sets"]:
-        *eye, d, edge, pixels = spot
-        return jax.vmap(lambda causes: _errors(Eye(*eye), d, edge, pixels, causes), out_axes=1)(
-            sets
-        )
+        *eye, d, edge, pixels, spread = spot
+        shift = jnp.stack([edge, pixels, spread])
+        return jax.vmap(lambda causes: _errors(Eye(*eye), d, shift, causes), out_axes=1)(sets)
 
     return jax.vmap(of, in_axes=1)(columns)
 
@@ -121,14 +172,13 @@ def _worths(columns: Float[Array, "columns n"]) -> Float[Array, "n models sets"]
 def _errors(
     eye: Eye,
     d: Float[Array, ""],
-    edge: Float[Array, ""],
-    pixels: Float[Array, ""],
-    causes: Float[Array, "9"],
+    shift: Float[Array, "3"],
+    causes: Float[Array, "10"],
 ) -> Float[Array, "models"]:
     """Every model's error with one set of causes, mm."""
     links = Links(*causes[: len(LINKS)])
-    edge_on, pixels_on, r_on, c_on = causes[len(LINKS) :]
-    seen = chain.semi_minor(eye, d, links) + edge_on * edge + pixels_on * pixels
+    *shifted, r_on, c_on = causes[len(LINKS) :]
+    seen = chain.semi_minor(eye, d, links) + jnp.stack(shifted) @ shift
     # The working distance is the microscope's, so it does not change with the wrong r.
     believed = eye._replace(
         radius=eye.radius + r_on * WRONG_R_MM, eccentricity=eye.eccentricity + c_on * WRONG_C_MM

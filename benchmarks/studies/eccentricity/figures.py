@@ -29,9 +29,9 @@ from benchmarks.studies.eccentricity.findings import (
 )
 
 _COLOURS = {"planar": ORANGE} | MODEL_COLOURS
-_GREYS = ("#B8B8B8", "#6E6E6E")
+_BROWN, _GREYS = "#8C6D31", ("#B8B8B8", "#6E6E6E")
 _CAUSE_COLOURS = dict(
-    zip(CAUSES, (BLUE, VERMILION, ORANGE, BLACK, GREEN, SKY, PURPLE, *_GREYS), strict=True)
+    zip(CAUSES, (BLUE, VERMILION, ORANGE, BLACK, GREEN, SKY, PURPLE, _BROWN, *_GREYS), strict=True)
 )
 _AXIS_NAMES = {
     "c_mm": ECCENTRICITY,

@@ -171,11 +171,17 @@ def _shares(trial: EccentricTrial, seen: Tracked, noise_free: Tracked) -> list[C
         for t in (seen, noise_free)
     )
     ideal = np.array([seen.labels[i].cone_semi_minor_px for i in both])
-    fine = fine / _FINER
+    fine, geometry = fine / _FINER, geometry_of(trial.scene)
+    c = np.array([seen.labels[i].c_mm for i in both])
+    d = np.array([seen.labels[i].d_mm for i in both])
+    length = causes.spread_length(trial.scene)
+    spread = causes.spread_shift(geometry, c=c, d=d, length=length)
+    # A wall that spreads light does so in the frames already.
+    edge = fine - ideal - (spread if trial.scene.phantom.spread != "none" else 0.0)
     return causes.shares(
-        geometry_of(trial.scene),
+        geometry,
         medium=trial.scene.source.medium,
-        c=np.array([seen.labels[i].c_mm for i in both]),
-        d=np.array([seen.labels[i].d_mm for i in both]),
-        shift=Shift(edge=fine - ideal, pixels=measured - fine),
+        c=c,
+        d=d,
+        shift=Shift(edge=edge, pixels=measured - fine, spread=spread),
     )

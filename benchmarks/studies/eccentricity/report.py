@@ -16,7 +16,12 @@ from benchmarks.evaluation import (
 )
 from benchmarks.reporting import Claim, Column, Data, Picture, Report, Section, Table
 from benchmarks.studies.eccentricity import figures
-from benchmarks.studies.eccentricity.causes import CAUSES, WRONG_C_MM, WRONG_R_MM
+from benchmarks.studies.eccentricity.causes import (
+    CAUSES,
+    WRONG_C_MM,
+    WRONG_R_MM,
+    spread_length,
+)
 from benchmarks.studies.eccentricity.findings import (
     AXES,
     LARGEST_C_MM,
@@ -279,7 +284,9 @@ def _causes(findings: EccentricityFindings) -> Section:
         "for it. Every model is exact if all links are ideal. Each cause's part is its Shapley "
         f"value, exact over all {1 << len(CAUSES):,} sets of causes, and the parts sum to the "
         "error. Edge and pixels are measured in rendered frames: with noise, and without it at "
-        f"twice the resolution. The models are given an r {WRONG_R_MM:g} mm and a c "
+        "twice the resolution. Light spread in the wall is computed for a sharp cone, with the "
+        f"scene's length, or that of printed paper: {spread_length(findings.scene):.3f} mm. The "
+        f"models are given an r {WRONG_R_MM:g} mm and a c "
         f"{WRONG_C_MM:g} mm too large, so the model exact also has errors from links that it "
         "models. "
         "The paper's cos φ counts as a term for foreshortening, as the paper derives it."
