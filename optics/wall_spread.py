@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 from scipy.special import roots_genlaguerre
 
-_RADII, _DIRECTIONS = 8, 16  # of the nodes of a smooth light
+_RINGS, _DIRECTIONS = 8, 16  # of the nodes of a smooth light
+_GAUSSIANS = 5
 
 
 def enclosed(radius: Float[Array, "*batch"], length: ScalarLike) -> Float[Array, "*batch"]:
@@ -34,13 +35,25 @@ def enclosed(radius: Float[Array, "*batch"], length: ScalarLike) -> Float[Array,
     return 1.0 - (1.0 + reach) * jnp.exp(-reach)
 
 
-def spread_nodes() -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+def spread_nodes(
+    *, rings: int = _RINGS, directions: int = _DIRECTIONS
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
     """Quadrature of the kernel for smooth light: offsets in units of L, and weights of sum 1.
 
     Gauss-Laguerre in the radius, uniform in the angle.
     """
-    radii, weights = roots_genlaguerre(_RADII, 1.0)
-    angles = (np.arange(_DIRECTIONS) + 0.5) * (2.0 * np.pi / _DIRECTIONS)
+    radii, weights = roots_genlaguerre(rings, 1.0)
+    angles = (np.arange(directions) + 0.5) * (2.0 * np.pi / directions)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     offsets = radii[:, None, None] * circle
-    return offsets.reshape(-1, 2), np.repeat(weights / (_DIRECTIONS * weights.sum()), _DIRECTIONS)
+    return offsets.reshape(-1, 2), np.repeat(weights / (directions * weights.sum()), directions)
+
+
+def spread_mixture() -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    r"""The kernel as a sum of Gaussians, for edges: variances along one axis in L^2, and weights.
+
+    $M = \int \Gamma_{3/2}(t)\,e^{-t (2\pi L\nu)^2}\,dt$ by Gauss-Laguerre quadrature: a Gaussian of
+    variance $2 t L^2$ for each node t.
+    """
+    nodes, weights = roots_genlaguerre(_GAUSSIANS, 0.5)
+    return 2.0 * nodes, weights / weights.sum()

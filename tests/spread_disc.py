@@ -1,9 +1,12 @@
 """An evenly lit disc on a wall that spreads light, summed ring by ring, without `optics`."""
 
+import functools
+
 import numpy as np
 from scipy.special import gammaincinv
 
 
+@functools.cache
 def radii(length, count=20_000):
     """Equal shares of a point's light leave the wall at these distances; a Gamma distribution."""
     return length * gammaincinv(2.0, (np.arange(count) + 0.5) / count)

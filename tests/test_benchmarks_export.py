@@ -9,7 +9,7 @@ import sys
 import tomllib
 import tracemalloc
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -71,7 +71,7 @@ def test_hdf5_holds_frames_masks_and_labels_with_their_units(drawn: Path, tmp_pa
                 assert stored.pop("exposure").decode() == row.exposure
                 np.testing.assert_array_equal(stored.pop("tip_mm"), row.tip_mm)
                 assert stored["half_max_semi_minor_px"] == row.half_max_semi_minor_px
-                assert set(asdict(row)) - set(stored) == {"file_name", "exposure", "tip_mm"}
+                assert set(row.row()) - set(stored) == {"file_name", "exposure", "tip_mm"}
             for index, (_, mask) in enumerate(images_of(drawn / name, "mask_file_name")):
                 np.testing.assert_array_equal(group["masks"][index], mask)
             units = {key: column.attrs.get("unit") for key, column in group["labels"].items()}
@@ -185,7 +185,7 @@ def test_webdataset_holds_image_mask_and_labels_of_each_sample(drawn: Path, tmp_
                 sample = samples[f"{split}/{name}/{Path(row.file_name).stem}"]
                 np.testing.assert_array_equal(sample["png"], image)
                 np.testing.assert_array_equal(sample["mask.png"][:, :, 0], masks[row])
-                assert sample["json"] == json.loads(json.dumps(asdict(row)))
+                assert sample["json"] == json.loads(json.dumps(row.row()))
 
 
 @LEAVES_FILES_OPEN

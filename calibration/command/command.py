@@ -45,7 +45,8 @@ def fit(
             metavar="NAME,…",
             help="Parameters to fit (default: half_angle,b; of a lens sag,numerical_aperture). A "
             "cone has half_angle, b, scale, eye_radius, inverse_working_distance, tilt_x, tilt_y; "
-            "a lens has sag, numerical_aperture, glue_index and others.",
+            "a lens has sag, numerical_aperture, glue_index and others. In the fits to pixels, "
+            "spread is the length over which the wall spreads light.",
         ),
     ] = None,
     prior: Annotated[

@@ -23,6 +23,7 @@ from estimator.run import progress
 from optics import InputError
 
 _BLUR_PX = 1.0  # start value: a camera in focus
+_SPREAD_MM = 0.03  # start value: about that of paper
 _CONE_IN_FILE = ("half_angle", "b")
 _EITHER_IN_FILE = ("scale", "eye_radius")
 _SECONDS = {"cone": (10.0, 3e-6), "lens": (60.0, 5e-7)}
@@ -111,6 +112,8 @@ def _fit(
     source: Literal["cone", "lens"],
     start: Mapping[str, float],
 ) -> tuple[Footage, ImageFit]:
+    if "spread" in (choices.free or ()):
+        start = {**start, "spread": _SPREAD_MM}
     if choices.loss != "squares":
         raise InputError("--robust works with the models plane and sphere only. Leave it out.")
     if any(recording.tilt):

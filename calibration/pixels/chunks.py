@@ -233,7 +233,8 @@ def _source(problem: Problem, values: Mapping[str, Array], table: LensTable | No
         own, added = values.get("blur"), problem.blur
         blurs = [blur for blur in (own, added) if blur is not None]
         blur = jnp.sqrt(sum(jnp.square(b) for b in blurs)) if blurs else None
-        return Cone(values["half_angle"], values["b"], blur)
+        return Cone(values["half_angle"], values["b"], blur, values.get("spread"))
     names = [name for name in problem.names if name in LENS]
     now = jnp.array([values[name] for name in names])
-    return Lens(eqx.tree_at(lambda t: t.moved, table, now - table.at))
+    moved = eqx.tree_at(lambda t: t.moved, table, now - table.at)
+    return Lens(moved, values.get("spread"))

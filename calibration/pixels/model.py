@@ -27,6 +27,7 @@ from calibration.pixels.table import LensTable
 
 _ACROSS = 1e-3  # px; avoids a width of 0 for an edge parallel to a pixel's side
 _GAUSS = 12**-0.5 * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])  # px from a pixel's centre
+_SPREAD_RINGS, _SPREAD_DIRECTIONS = 4, 8  # of a lens's light, which is smooth
 _FAR_PX, _FAR_SIGMAS = 2.0, 9.0  # distance from an edge beyond which a pixel is fully lit or dark
 
 
@@ -157,17 +158,19 @@ class Cone(eqx.Module):
         half_angle: alpha, rad.
         apex_offset: b, mm.
         blur: sigma of the microscope's Gaussian blur at the cone's edge, px, or None.
+        spread: L of the light's spread in the wall (`optics.wall_spread`), mm, or None.
     """
 
     half_angle: Float[Array, ""]
     apex_offset: Float[Array, ""]
     blur: Float[Array, ""] | None
+    spread: Float[Array, ""] | None = None
 
     def irradiance(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
         """Intensity over squared distance, times cosine, over the pixel's part inside the cone."""
-        edge = self._edge(wall, tip, axis)
+        edge, per_mm = self._edge(wall, tip, axis, blur=self.blur)
         along = edge.normal_u[:, None] * wall.right + edge.normal_v[:, None] * wall.down
         bend = edge.normal_u[:, None] * wall.bend_right + edge.normal_v[:, None] * wall.bend_down
 
@@ -178,16 +181,38 @@ class Cone(eqx.Module):
 
         value, slope = jax.jvp(even, (wall.point, wall.normal), (along, bend))
         # The centre of a cut pixel's lit part is not the pixel's centre.
-        whole = lit_part(edge, blur=self.blur) * value + lit_moment(edge, blur=self.blur) * slope
+
+        def over_pixel(blur: Array | None) -> Array:
+            edge, _ = self._edge(wall, tip, axis, blur=blur)
+            return lit_part(edge, blur=blur) * value + lit_moment(edge, blur=blur) * slope
+
+        if self.spread is None:
+            whole = over_pixel(self.blur)
+        else:
+            # Light spread in the wall is a sum of Gaussians, each a blur of its own.
+            own = 0.0 if self.blur is None else jnp.square(self.blur)
+            variances, shares = (jnp.asarray(a)[:, None] for a in optics.spread_mixture())
+            blurs = jnp.sqrt(own + variances * jnp.square(self.spread * per_mm))
+            whole = jnp.sum(shares * jax.vmap(over_pixel)(blurs), axis=0)
         return whole / (2.0 * jnp.pi * (1.0 - jnp.cos(self.half_angle)))
 
     def lit(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
         """Fraction of each pixel inside the cone."""
-        return lit_part(self._edge(wall, tip, axis), blur=self.blur)
+        if self.spread is not None:  # no edge is as sharp as a pixel
+            return jnp.ones(wall.coaxial.shape)
+        return lit_part(self._edge(wall, tip, axis, blur=self.blur)[0], blur=self.blur)
 
-    def _edge(self, wall: WallPixels, tip: Float[Array, "3"], axis: Float[Array, "3"]) -> Edge:
+    def _edge(
+        self,
+        wall: WallPixels,
+        tip: Float[Array, "3"],
+        axis: Float[Array, "3"],
+        *,
+        blur: Array | None,
+    ) -> tuple[Edge, Float[Array, "n"]]:
+        """The edge, and px that a step of 1 mm on the wall across it spans in the image."""
         offset = wall.point - (tip + self.apex_offset * axis)
         along = _dot(offset, axis)
         lateral = offset - along[:, None] * axis
@@ -202,9 +227,11 @@ class Cone(eqx.Module):
         # The edge is curved, so the mean over a pixel or over the blur lies behind its tangent.
         tangent = normal_u[:, None] * wall.down - normal_v[:, None] * wall.right
         around = _dot(tangent, jnp.cross(axis, lateral)) / off_axis
-        spread = 1.0 / 12.0 + (0.0 if self.blur is None else jnp.square(self.blur))
-        recedes = 0.5 * spread * cos_a * jnp.square(around) / off_axis
-        return Edge((inside - recedes) / per_px, normal_u, normal_v)
+        width = 1.0 / 12.0 + (0.0 if blur is None else jnp.square(blur))
+        # The radius is the edge's. With a wide blur, a pixel's own may be far from it.
+        recedes = 0.5 * width * cos_a**2 * jnp.square(around) / (jnp.abs(along) * sin_a + 1e-12)
+        steepest = jnp.sqrt(1.0 - jnp.square(_dot(inwards, wall.normal)))
+        return Edge((inside - recedes) / per_px, normal_u, normal_v), steepest / per_px
 
     def emitted(self) -> Float[Array, ""]:
         """1: the whole power."""
@@ -216,14 +243,33 @@ class Lens(eqx.Module):
 
     Attributes:
         table: the lens's light near the parameters for which the table was computed.
+        spread: L of the light's spread in the wall (`optics.wall_spread`), mm, or None.
     """
 
     table: LensTable
+    spread: Float[Array, ""] | None = None
 
     def irradiance(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
         """E = -n · V (see `optics.vector_irradiance`), a pixel's mean by Gauss quadrature."""
+        if self.spread is None:
+            return self._direct(wall, tip=tip, axis=axis)
+        first = wall.right / jnp.linalg.norm(wall.right, axis=-1, keepdims=True)
+        second = jnp.cross(wall.normal, first)
+        offsets, weights = optics.spread_nodes(rings=_SPREAD_RINGS, directions=_SPREAD_DIRECTIONS)
+        nodes = jnp.asarray(np.column_stack([offsets, weights]))
+
+        def added(total: Array, node: Array) -> tuple[Array, None]:
+            aside = self.spread * (node[0] * first + node[1] * second)
+            moved = wall._replace(point=wall.point + aside)
+            return total + node[2] * self._direct(moved, tip=tip, axis=axis), None
+
+        return jax.lax.scan(added, jnp.zeros(wall.coaxial.shape), nodes)[0]
+
+    def _direct(
+        self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
+    ) -> Float[Array, "n"]:
         u, v = (node[:, None, None] for node in _GAUSS.T)
         offset = wall.point + u * wall.right + v * wall.down - tip
         normal = wall.normal + u * wall.bend_right + v * wall.bend_down

@@ -12,6 +12,7 @@ UNITS = {
     "half_angle": "rad",
     "b": "mm",
     "blur": "px",
+    "spread": "mm",
     "core_radius": "mm",
     "aperture_radius": "mm",
     "rim_height": "mm",
@@ -36,7 +37,8 @@ UNITS = {
 the point where the beam meets the wall at reading 0, in the first frame. `touch`: distance along
 the beam there. `lean`, `lean_sideways`: rotation of the robot's directions against the eye, along
 `optics.perpendicular_frame` of the tool's axis. `boresight`, `boresight_sideways`: angle of the
-beam from the tool's axis, along the same vectors."""
+beam from the tool's axis, along the same vectors. `spread`: L of the light's spread in the wall
+(`optics.wall_spread`); without a start value there is none."""
 
 CONE = ("half_angle", "b")
 FREE = {"cone": CONE, "lens": ("sag", "numerical_aperture")}
@@ -66,7 +68,7 @@ def check_names(
     names = known_names(source)
     unknown = [name for name in (*start, *free, *priors) if name not in names]
     missing = [name for name in own if name not in start]
-    missing += ["blur"] if "blur" in free and "blur" not in start else []
+    missing += [name for name in ("blur", "spread") if name in free and name not in start]
     if unknown or missing:
         raise InputError(
             f"the image fit of a {source} has the parameters {', '.join(names)} and needs start "
