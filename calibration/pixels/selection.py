@@ -14,6 +14,7 @@ from optics import InputError
 
 _GRID_PX = 4  # step of the search for pixels that the beam reaches
 _RING_PX = 8
+_NAMED = 10  # frames that an error message names
 _RING_SIGMAS = 4
 _LIT = 1e-3  # fraction of a frame's peak above which a pixel counts as lit by the beam
 _MARGIN_PX = {True: 10.0, False: 3.0}  # around the instrument; larger while its pose is a guess
@@ -29,8 +30,13 @@ def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
     excess = np.maximum(footage.light - dark, 0)
     peak = np.quantile(excess, 0.999, axis=(1, 2), keepdims=True)
     excess = np.where(excess > peak / 2, excess, 0)
-    if not peak.min() > 4 * np.sqrt(footage.noise.variance(dark.min())):
-        raise InputError("the stack has frames without a spot. Leave them out of the image fit.")
+    faint = peak.ravel() <= 4 * np.sqrt(footage.noise.variance(dark.min()))
+    if faint.any():
+        frames = ", ".join(map(str, np.flatnonzero(faint)[:_NAMED]))
+        more = f" and {faint.sum() - _NAMED} more" if faint.sum() > _NAMED else ""
+        raise InputError(
+            f"the frames {frames}{more} show no spot. Leave them out of the image fit."
+        )
     weight = excess.sum(axis=0)
     v, u = np.mgrid[: weight.shape[0], : weight.shape[1]]
     centre = np.array([np.sum(u * weight), np.sum(v * weight)]) / np.sum(weight)
