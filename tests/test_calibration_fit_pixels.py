@@ -2,6 +2,8 @@
 
 import math
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from typer.testing import CliRunner
 import eyespot
 import optics
 import scenes
-from calibration.command.pixel_models import _means, _propagated
+from calibration.command.goodness import MOST_MISFIT
+from calibration.command.pixel_models import _maps, _of_frames, _propagated
 from calibration.pixels import fit_footage, lens_start, read_footage
 from estimator import Spot
 from estimator.distance.ranger import Ranger
@@ -35,18 +38,26 @@ def test_two_stacks_are_not_fitted_as_one(tmp_path):
     assert not list(tmp_path.glob("c.*"))
 
 
-def test_mean_residuals_of_noise_alone_have_variance_one():
+@pytest.mark.parametrize("side", [1, 4])
+def test_maps_of_noise_alone_have_variance_one(side):
     rng = np.random.default_rng(5)
-    residuals = rng.normal(size=(60, 40, 50))
-    residuals[:, :, :20] = np.nan
-    residuals[30:, :10] = np.nan
+    of_squares = rng.normal(size=(60, 96 // side, 120 // side))
+    residuals = np.kron(of_squares, np.ones((1, side, side)))
+    residuals[:, :, :24] = np.nan
+    residuals[30:, :12] = np.nan
     residuals[7] = np.nan
-    frames, of_frames, image = _means(residuals, np.ones(residuals.shape, np.uint8))
+    sides = np.where(np.isfinite(residuals), side, 0)
+    fit: Any = SimpleNamespace(residuals=residuals, sides=sides)
+    frames, of_frames = _of_frames(fit)
     assert frames.tolist() == [n for n in range(60) if n != 7]
-    assert np.isnan(image[:, :20]).all()
-    # Variances of 59 and of 1200 normal numbers, to four of their standard errors.
+    # Variance of 59 normal numbers, to four of its standard errors.
     assert np.mean(of_frames**2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / 59))
-    assert np.mean(image[:, 20:] ** 2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / 1200))
+    maps, groups = _maps(fit)
+    assert groups == [(0, 10), (11, 20), (21, 30), (31, 40), (41, 50), (51, 59)][:6]
+    assert np.isnan(maps[:, :, :24]).all()
+    # Smoothing leaves about (96 x 96)/(4 pi 3²) independent numbers a map, of six maps; the
+    # smoothing's own error where a square is wider than its sigma is a few percent.
+    assert np.nanmean(maps**2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / (6 * 81)) + 0.05)
 
 
 def test_what_follows_an_undetermined_parameter_is_undetermined():
@@ -101,7 +112,7 @@ def test_the_cone_is_found_in_pixels(cone, tmp_path):
     assert found.values["half_angle"] == pytest.approx(HALF_ANGLE, rel=0.003)
     page = out.with_suffix(".html").read_text()
     assert "<b>A good fit.</b>" in page
-    assert "Mean residual of each pixel and of each frame" in page
+    assert "Maps of residuals for groups of frames" in page
 
 
 @pytest.mark.slow
@@ -124,8 +135,8 @@ def test_on_a_textured_wall_no_lens_fits_the_pixels(tmp_path):
         source="lens",
         start=lens_start(optics.load_lens("dome")),
     )
-    # A print of 10 % contrast is many times the camera's noise; a good fit leaves 1.25 at most.
-    assert fit.chi_squared / fit.degrees_of_freedom > 2
+    # A print of 10 % contrast is many times the camera's noise, and far above the limit.
+    assert fit.misfit.share > 2 * MOST_MISFIT
 
 
 @pytest.mark.slow  # most of it for the lens's light, to render, to fit and to range with

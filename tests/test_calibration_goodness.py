@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.command.goodness import bounds_hit, doubts, refusal, runs_probability
+from calibration.command.goodness import (
+    bounds_hit,
+    doubts,
+    refusal,
+    runs_probability,
+    verdict,
+)
+from calibration.pixels import Misfit
 
 
 @pytest.mark.parametrize(("positive", "negative"), [(4, 4), (3, 6), (1, 5), (5, 4)])
@@ -40,6 +47,8 @@ def good(**changes):
         "bounds": (),
         "undetermined": (),
         "chi_squared_per_degree": 1.0,
+        "degrees_of_freedom": 200,
+        "misfit": None,
         "residuals": {"size": noise},
     }
     return doubts(**known | changes)
@@ -54,8 +63,8 @@ def good(**changes):
             {"undetermined": ("scale is not determined",)},
             "do not determine all parameters: scale is not determined",
         ),
-        ({"chi_squared_per_degree": 0.79}, "0.79.*noise is lower than assumed"),
-        ({"chi_squared_per_degree": 1.26}, "1.26.*residuals are larger than the noise"),
+        ({"chi_squared_per_degree": 0.69}, "0.69.*noise is lower than assumed"),
+        ({"chi_squared_per_degree": 2.1}, "2.1.*residuals are larger than the noise"),
         ({"residuals": {"size": np.linspace(-1, 1, 40)}}, "residuals of size have structure"),
     ],
 )
@@ -72,6 +81,8 @@ def test_a_refusal_has_three_lines_whatever_is_wrong():
         "bounds": ("k = 0", "b = 0"),
         "undetermined": ("scale is not determined", "b is not determined"),
         "chi_squared_per_degree": 9.0,
+        "degrees_of_freedom": 200,
+        "misfit": None,
         "residuals": {name: bend for name in ("along", "across", "size", "elongation")},
     }
     wrong, remedy, details = refusal(
@@ -83,6 +94,48 @@ def test_a_refusal_has_three_lines_whatever_is_wrong():
     for word in ("--lens", "--free", "--prior", "--model lens"):
         assert word in remedy
     assert "c.html" in details
+
+
+@pytest.mark.parametrize(("degrees", "noise_explains"), [(40, True), (400, False)])
+def test_the_accepted_chi_squared_depends_on_the_degrees_of_freedom(degrees, noise_explains):
+    # 1.4 is 1.8 standard deviations sqrt(2/n) from 1 with 40 degrees of freedom, 5.7 with 400.
+    found = good(chi_squared_per_degree=1.4, degrees_of_freedom=degrees)
+    assert (found == []) == noise_explains
+    if found:
+        assert verdict(found).startswith("A good fit with a stated misfit: chi squared")
+        assert "enlarged 1.2 times" in found[0].reason
+
+
+def pixels(share, structured, chi_squared, degrees=302_732):
+    where = "the core is 1.1 % darker than the model in all frames" if structured else ""
+    misfit = Misfit(share, 1e-9 if structured else 0.5, structured, 17.0, where)
+    return good(
+        chi_squared_per_degree=chi_squared,
+        degrees_of_freedom=degrees,
+        misfit=misfit,
+        residuals={},
+    )
+
+
+def test_a_small_misfit_of_pixels_is_stated_with_its_place_and_its_effect():
+    (doubt,) = found = pixels(0.009, True, 1.21)
+    assert doubt.harmless
+    for words in ("0.9 %", "the core is 1.1 % darker", "enlarged up to 17 times"):
+        assert words in doubt.reason
+    assert verdict(found).startswith("A good fit with a stated misfit")
+    # Residuals with structure count even where chi squared does not show them.
+    assert len(pixels(0.001, True, 1.0)) == 1
+
+
+def test_a_large_misfit_of_pixels_is_not_a_good_fit():
+    (doubt,) = pixels(0.03, True, 3.0)
+    assert not doubt.harmless
+    assert "3 %" in doubt.reason and "limit is 2 %" in doubt.reason
+
+
+def test_a_camera_noisier_than_its_data_sheet_by_a_few_percent_is_no_misfit():
+    assert pixels(0.001, False, 1.05) == []
+    assert pixels(0.0, False, 0.95) == []
 
 
 def test_nothing_speaks_against_a_good_fit():

@@ -100,6 +100,7 @@ def test_calibrations_of_0_1_are_read() -> None:
     planar = read_calibration(OLD / "calibration.json")
     assert dict(planar.values) == {"k": 20.0, "b": -5.117, "scale": 0.0067}
     assert planar.sigma("k") == 0.1
+    assert planar.sigma_inflation == 1.0
     lens = read_calibration(OLD / "calibration-lens.json")
     assert (lens.model, lens.medium, lens.medium_index) == ("lens", "vitreous", 1.336)
     assert lens.values["sag"] == 0.12

@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 from calibration.command.fitted import Choices, Fitted
 from calibration.command.goodness import bounds_hit
 from calibration.recordings import Recording
+from calibration.solvers import excess_variance
 from calibration.spots import fit_cone, fit_plane
 from estimator.files import BEAM
 from optics import InputError
@@ -63,13 +64,15 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
         values |= dict(zip(BEAM, (slopes @ fit.boresight[0]).tolist(), strict=True))
         of_beam = slopes @ fit.boresight_covariance[0] @ slopes.T
         covariance = block_diag(covariance, of_beam)
-    sigma = np.sqrt(np.diag(fit.covariance))
+    grown = excess_variance(fit.chi_squared / fit.degrees_of_freedom, fit.degrees_of_freedom)
+    growth = math.sqrt(grown)
+    sigma = growth * np.sqrt(np.diag(fit.covariance))
     names = [recording.name for recording in recordings]
-    touches = zip(names, fit.touch, fit.touch_error, strict=True)
+    touches = zip(names, fit.touch, growth * fit.touch_error, strict=True)
     eccentricities = [
         (f"c of {recording.name}", c, error, "mm")
         for recording, c, error in zip(
-            recordings, fit.eccentricity, fit.eccentricity_error, strict=True
+            recordings, fit.eccentricity, growth * fit.eccentricity_error, strict=True
         )
         if recording.trial.kind == "eyeball"
     ]
@@ -77,7 +80,7 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
     return Fitted(
         calibration_model="exact",
         values=values,
-        covariance=covariance,
+        covariance=grown * covariance,
         converged=fit.converged,
         bounds=bounds_hit(values),
         undetermined=fit.undetermined,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -9,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from calibration.pixels import Misfit
 from calibration.recordings import Recording
+from calibration.solvers import excess_variance
 from calibration.spots import Loss, Prior
 
 
@@ -46,15 +49,21 @@ class Curve(NamedTuple):
 
 
 class PixelResiduals(NamedTuple):
-    """Mean residuals of a fit to all pixels, in standard deviations of the mean.
+    """Residuals of a fit to pixels, averaged so that structure is visible, over their sigma.
 
     Attributes:
-        image: mean over the frames; NaN for pixels that were fitted in no frame.
+        maps: averages over groups of frames and neighbouring pixels; NaN where nothing was fitted.
+        groups: first and last frame of each map.
         frames: numbers of the frames with fitted pixels.
+        of_frames: mean over the pixels of each of these.
+        misfit: what the residuals show.
     """
 
-    image: Float[np.ndarray, "h w"]
+    maps: Float[np.ndarray, "groups h w"]
+    groups: list[tuple[int, int]]
     frames: Int[np.ndarray, "n"]
+    of_frames: Float[np.ndarray, "n"]
+    misfit: Misfit
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,15 +73,15 @@ class Fitted:
     Attributes:
         calibration_model: name in the calibration file.
         values: the calibration file's parameters.
-        covariance: covariance of `values`.
+        covariance: covariance of `values`, enlarged by the misfit.
         converged: whether the solvers converged.
         failed: the criterion of convergence that is not met, with its value, if that is known.
         bounds: bounds that the fit reached, in words.
         undetermined: parameters that the data do not determine, in words.
         chi_squared: None if the noise was estimated from the residuals.
         degrees_of_freedom: number of data and priors minus number of parameters.
-        residuals: by name, with variance 1: one per usable spot of all recordings in order, or one
-            per frame for a fit to pixels.
+        residuals: by name, with variance 1: one per usable spot of all recordings in order; empty
+            for a fit to pixels.
         recordings: the recordings of the residuals, in the same order.
         used: number of spots, or of frames, that the fit used.
         others: rows (name, value, sigma, unit) of fitted parameters that the file does not contain.
@@ -107,3 +116,11 @@ class Fitted:
     def chi_squared_per_degree(self) -> float | None:
         """Expected to be 1 if noise and geometry are as assumed."""
         return None if self.chi_squared is None else self.chi_squared / self.degrees_of_freedom
+
+    @property
+    def inflation(self) -> float:
+        """Largest factor by which a misfit enlarges a standard error; 1 without."""
+        if self.pixels is not None:
+            return self.pixels.misfit.inflation
+        value = self.chi_squared_per_degree
+        return 1.0 if value is None else math.sqrt(excess_variance(value, self.degrees_of_freedom))

@@ -18,7 +18,7 @@ import optics
 from calibration.command import report as fit_report
 from calibration.command.arguments import log_books, read_priors, read_rotation
 from calibration.command.fitted import Choices, Fitted
-from calibration.command.goodness import Doubt, doubts, refusal
+from calibration.command.goodness import Doubt, doubts, refusal, verdict
 from calibration.command.models import AUTO, MODELS, Model, chosen_model
 from calibration.command.result_table import result_table
 from calibration.pixels import NUISANCES
@@ -112,9 +112,7 @@ def run(
         if not all(doubt.harmless for doubt in result.doubts):
             raise InputError(refusal(result.doubts, model=model, report=report))
         write_calibration(calibration, result.calibration())
-    reasons = "; ".join(doubt.reason for doubt in result.doubts)
-    verdict = f"Not called a good fit: {reasons}" if result.doubts else "A good fit"
-    print(f"{verdict}. Wrote {out} and {report}.")
+    print(f"{verdict(result.doubts)}. Wrote {out} and {report}.")
 
 
 @dataclass(frozen=True)
@@ -134,6 +132,8 @@ class _Result:
             bounds=self.fitted.bounds,
             undetermined=self.fitted.undetermined,
             chi_squared_per_degree=self.fitted.chi_squared_per_degree,
+            degrees_of_freedom=self.fitted.degrees_of_freedom,
+            misfit=None if self.fitted.pixels is None else self.fitted.pixels.misfit,
             residuals=self.fitted.residuals,
         )
 
@@ -142,7 +142,7 @@ class _Result:
         frames = sum(recording.frames for recording in self.recordings)
         goodness = self.fitted.chi_squared_per_degree
         title = f"{self.fitted.used} of {frames} frames, recordings: {len(self.recordings)}"
-        title += "" if goodness is None else f"; χ²/n {goodness:.2f}"
+        title += "" if goodness is None else f"; χ²/n {goodness:.3g}"
         return result_table(self.fitted, title=title)
 
     def page(self) -> str:
@@ -169,6 +169,7 @@ class _Result:
             fitted_on=f"{fitted.used} {fitted.unit} of {names}",
             data_sha256=self._fingerprint,
             software=_software(),
+            sigma_inflation=fitted.inflation,
         )
 
     @property

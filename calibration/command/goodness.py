@@ -1,4 +1,8 @@
-"""Checks of a fit: convergence, bounds, chi squared, runs of residuals."""
+"""Checks of a fit: convergence, bounds, chi squared, structure of residuals.
+
+A fit has one of three verdicts. It is good, or good with a stated misfit, whose effect its standard
+errors contain, or not good. Only the last writes no calibration.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +16,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from calibration.pixels import Misfit
+from calibration.solvers import accepted_range
 from estimator.files import QUANTITIES
 
-CHI_SQUARED = (0.8, 1.25)
-"""Accepted range per degree of freedom. Outside it, the noise model or the geometry is wrong."""
+MOST_CHI_SQUARED = 2.0
+"""Largest chi squared per degree of freedom of a fit to spots. Below it, errors grow instead."""
+MOST_MISFIT = 0.02
+"""Largest misfit of a fit to pixels, as a part of the light. With more, a parameter's bias can be
+several times its enlarged standard error (docs/fitting.md has departures of both kinds)."""
+_KNOWN_VARIANCE = 0.1
+"""Relative accuracy of a camera's data sheet. Residuals that are smaller by less say nothing."""
 SIGNIFICANCE = 0.01
 """Probability that random residuals fail at least one of a fit's runs tests."""
 
@@ -29,6 +40,7 @@ class Fault(Enum):
     BOUND = "fit fewer parameters (--free), or record longer withdrawals"
     UNDETERMINED = "fit fewer parameters (--free), or add what you know of them (--prior)"
     OVERSTATED_NOISE = "nothing; the values are right and only their errors are too large"
+    STATED_MISFIT = "nothing; the standard errors contain it"
     MISFIT = "{other_model}a recording of an even wall with nothing in front of it"
 
 
@@ -40,8 +52,8 @@ class Doubt(NamedTuple):
 
     @property
     def harmless(self) -> bool:
-        """Whether the values are right and only their errors are too large."""
-        return self.fault is Fault.OVERSTATED_NOISE
+        """Whether the values are right within their errors."""
+        return self.fault in (Fault.OVERSTATED_NOISE, Fault.STATED_MISFIT)
 
 
 def doubts(
@@ -51,6 +63,8 @@ def doubts(
     bounds: tuple[str, ...],
     undetermined: tuple[str, ...],
     chi_squared_per_degree: float | None,
+    degrees_of_freedom: int,
+    misfit: Misfit | None,
     residuals: Mapping[str, Float[np.ndarray, "n"]],
 ) -> list[Doubt]:
     """Reasons why a fit is not good; empty for a good fit.
@@ -61,7 +75,9 @@ def doubts(
         bounds: bounds that the fit reached, in words.
         undetermined: parameters that the data do not determine, in words.
         chi_squared_per_degree: None if the noise was estimated from the residuals themselves.
-        residuals: by name, ordered so that a misfit affects neighbours alike.
+        degrees_of_freedom: those of chi squared.
+        misfit: of a fit to pixels; None for a fit to spots.
+        residuals: of a fit to spots, by name, ordered so that a misfit affects neighbours alike.
     """
     why = "the solver did not converge" + (f": {failed}" if failed else "")
     found = [] if converged else [Doubt(Fault.NOT_CONVERGED, why)]
@@ -70,16 +86,8 @@ def doubts(
         Doubt(Fault.UNDETERMINED, f"the data do not determine all parameters: {direction}")
         for direction in undetermined
     ]
-    low, high = CHI_SQUARED
-    if chi_squared_per_degree is not None and not low <= chi_squared_per_degree <= high:
-        value = f"chi squared per degree of freedom is {chi_squared_per_degree:.2f}"
-        within = f"not between {low} and {high}"
-        if chi_squared_per_degree < low:
-            why = f"{value}, {within}: the noise is lower than assumed"
-            found.append(Doubt(Fault.OVERSTATED_NOISE, why))
-        else:
-            why = f"{value}, {within}: the residuals are larger than the noise"
-            found.append(Doubt(Fault.MISFIT, why))
+    if chi_squared_per_degree is not None:
+        found += _of_chi_squared(chi_squared_per_degree, degrees_of_freedom, misfit)
     level = SIGNIFICANCE / max(len(residuals), 1)
     chances = {name: runs_probability(values) for name, values in residuals.items()}
     structured = [name for name, chance in chances.items() if chance < level]
@@ -90,6 +98,42 @@ def doubts(
         )
         found.append(Doubt(Fault.MISFIT, why))
     return found
+
+
+def _of_chi_squared(value: float, degrees: int, misfit: Misfit | None) -> list[Doubt]:
+    """Doubts about the size of the residuals, and for pixels about their structure."""
+    low, high = accepted_range(degrees)
+    said = f"chi squared per degree of freedom is {value:.3g}"
+    if value < min(low, 1 - _KNOWN_VARIANCE):
+        why = f"{said}, below the {low:.3g} of {degrees} degrees: the noise is lower than assumed"
+        return [Doubt(Fault.OVERSTATED_NOISE, why)]
+    beyond = f"{said}, above the {high:.3g} that noise explains with {degrees} degrees"
+    if misfit is None:
+        if value <= high:
+            return []
+        if value > MOST_CHI_SQUARED:
+            why = f"{beyond} and above the limit of {MOST_CHI_SQUARED:g}"
+            return [Doubt(Fault.MISFIT, f"{why}: the residuals are larger than the noise")]
+        why = f"{beyond}, so the standard errors are enlarged {math.sqrt(value):.2g} times"
+        return [Doubt(Fault.STATED_MISFIT, why)]
+    if not misfit.structured and value <= max(high, 1 + _KNOWN_VARIANCE):
+        return []
+    why = f"the model misses the light by {100 * misfit.share:.2g} % (RMS; {said})"
+    why += f"; {misfit.where}" if misfit.where else "; the residuals have no structure"
+    if misfit.share > MOST_MISFIT:
+        return [Doubt(Fault.MISFIT, f"{why}; the limit is {100 * MOST_MISFIT:g} %")]
+    why += f"; the standard errors are enlarged up to {misfit.inflation:.2g} times"
+    return [Doubt(Fault.STATED_MISFIT, why)]
+
+
+def verdict(found: Sequence[Doubt]) -> str:
+    """The verdict on a fit whose calibration is written."""
+    reasons = "; ".join(doubt.reason for doubt in found)
+    if not found:
+        return "A good fit"
+    if any(doubt.fault is Fault.STATED_MISFIT for doubt in found):
+        return f"A good fit with a stated misfit: {reasons}"
+    return f"Not called a good fit: {reasons}"
 
 
 def refusal(found: Sequence[Doubt], *, model: str, report: Path) -> str:

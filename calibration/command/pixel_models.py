@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
+from scipy import ndimage
 
 import optics
 from calibration.command.fitted import Choices, Fitted, PixelResiduals
@@ -30,6 +31,8 @@ _SECONDS = {"cone": (10.0, 3e-6), "lens": (60.0, 5e-7)}
 """Time of a fit on two cores, and its increase per pixel and frame, to a factor of two."""
 _STATED = 1.05
 """Factor above which the report says that numerical errors enlarge the standard errors."""
+_MAPS, _SMOOTHING = 6, 0.03
+"""Number of the maps of residuals, and the sigma of their smoothing over the lit part's size."""
 _BRIGHTNESS = ("sensitivity", "power", "reflectance")
 """Factors of a calibration file's brightness; it is their product over pi."""
 
@@ -165,7 +168,8 @@ def _fitted(
     names = list(fit.parameters)
     values, slopes = _with_beam(recording, fit, values, slopes)
     follows = np.array([[slopes[name].get(own, 0.0) for own in names] for name in values])
-    numbers, residuals, picture = _means(fit.residuals, fit.sides)
+    numbers, of_frames = _of_frames(fit)
+    maps, groups = _maps(fit)
     return Fitted(
         calibration_model=model,
         values=values,
@@ -176,7 +180,7 @@ def _fitted(
         undetermined=fit.undetermined,
         chi_squared=fit.chi_squared,
         degrees_of_freedom=fit.degrees_of_freedom,
-        residuals={"the frames": residuals},
+        residuals={},
         recordings=[recording],
         used=len(numbers),
         others=[
@@ -185,7 +189,7 @@ def _fitted(
             if name not in in_file
         ],
         notes=_notes(fit),
-        pixels=PixelResiduals(picture, numbers),
+        pixels=PixelResiduals(maps, groups, numbers, of_frames, fit.misfit),
     )
 
 
@@ -234,24 +238,37 @@ def _notes(fit: ImageFit) -> list[str]:
     return notes
 
 
-def _means(
-    residuals: Float[np.ndarray, "frames h w"], sides: UInt8[np.ndarray, "frames h w"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frames with pixels; mean residuals per frame and per pixel over their standard deviation.
+def _of_frames(fit: ImageFit) -> tuple[np.ndarray, np.ndarray]:
+    """Frames with pixels, and the mean residual of each over its standard deviation."""
+    known, single = _single(fit)
+    count = known.sum(axis=(1, 2))
+    numbers = np.flatnonzero(count)
+    return numbers, single.sum(axis=(1, 2))[numbers] / np.sqrt(count[numbers])
 
-    Args:
-        residuals: as in `ImageFit`.
-        sides: as in `ImageFit`. The pixels of a square count as one datum.
-    """
-    known = np.isfinite(residuals)
-    filled = np.where(known, residuals, 0.0).astype(float)
+
+def _maps(fit: ImageFit) -> tuple[np.ndarray, list[tuple[int, int]]]:
+    """Residuals averaged over groups of frames and over neighbouring pixels, over their sigma."""
+    known, single = _single(fit)
     numbers = np.flatnonzero(known.any(axis=(1, 2)))
-    share = np.divide(1.0, np.square(sides, dtype=float), where=known, out=np.zeros(sides.shape))
-    of_frames = (share * filled).sum(axis=(1, 2))[numbers]
-    of_frames /= np.sqrt(share.sum(axis=(1, 2))[numbers])
-    count = known.sum(axis=0)
-    picture = np.where(count > 0, filled.sum(axis=0) / np.sqrt(np.maximum(count, 1)), np.nan)
-    return numbers, of_frames, picture
+    parts = np.array_split(numbers, min(_MAPS, numbers.size))
+    width = _SMOOTHING * math.sqrt(known[numbers].sum(axis=(1, 2)).mean())
+    maps = []
+    for part in parts:
+        # A Gaussian of sigma s is the square of one of s/sqrt(2), up to a factor 4 pi (s/sqrt 2)^2.
+        count = ndimage.gaussian_filter(known[part].sum(axis=0).astype(float), width / math.sqrt(2))
+        mean = ndimage.gaussian_filter(single[part].sum(axis=0), width)
+        over = mean * math.sqrt(4 * math.pi) * width / np.sqrt(np.maximum(count, 1e-3))
+        maps.append(np.where(known[part].any(axis=0), over, np.nan))
+    return np.array(maps), [(int(part[0]), int(part[-1])) for part in parts]
+
+
+def _single(fit: ImageFit) -> tuple[np.ndarray, np.ndarray]:
+    """Which pixels were fitted, and residuals whose sums over squares of pixels have unit noise.
+
+    All k x k pixels of a square have the residual of its mean, so each counts as 1/k of it.
+    """
+    known = np.isfinite(fit.residuals)
+    return known, np.where(known, fit.residuals, 0.0) / np.maximum(fit.sides, 1)
 
 
 def _propagated(

@@ -16,9 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calibration.command.fitted import Fitted, PixelResiduals
-from calibration.command.goodness import CHI_SQUARED, SIGNIFICANCE, Doubt, runs_probability
+from calibration.command.goodness import SIGNIFICANCE, Doubt, Fault, runs_probability
 from calibration.recordings import Recording
-from calibration.solvers import correlations
+from calibration.solvers import accepted_range, correlations
 from estimator.files import QUANTITIES, in_figure
 
 # Palette of Okabe and Ito, which colour-blind readers can distinguish.
@@ -68,11 +68,7 @@ def render(
     )
     sigma = np.sqrt(np.diag(fitted.covariance))
     with matplotlib.rc_context(_STYLE):
-        residuals = (
-            _residuals(fitted)
-            if fitted.pixels is None
-            else _pixels(fitted.pixels, *fitted.residuals.values())
-        )
+        residuals = _residuals(fitted) if fitted.pixels is None else _pixels(fitted.pixels)
         figures = {"residuals": _svg(residuals)}
         if fitted.lines:
             figures["lines"] = _svg(_lines(fitted))
@@ -93,8 +89,9 @@ def render(
             (name, runs_probability(values), float(np.mean(values**2)))
             for name, values in fitted.residuals.items()
         ],
-        level=SIGNIFICANCE / len(fitted.residuals),
-        chi_squared=CHI_SQUARED,
+        level=SIGNIFICANCE / max(len(fitted.residuals), 1),
+        accepted=accepted_range(fitted.degrees_of_freedom),
+        stated=any(doubt.fault is Fault.STATED_MISFIT for doubt in doubts),
         significance=SIGNIFICANCE,
         number=_number,
     )
@@ -145,22 +142,32 @@ def _residuals(fitted: Fitted) -> Figure:
     return figure
 
 
-def _pixels(pixels: PixelResiduals, of_frames: np.ndarray) -> Figure:
-    """The mean residual of each pixel over the frames and of each frame over its pixels."""
-    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    shown = left.imshow(
-        pixels.image, cmap="RdBu_r", vmin=-_STRONG, vmax=_STRONG, interpolation="nearest"
-    )
-    figure.colorbar(shown, ax=left, extend="both", label="mean over frames / its σ")
-    lit = np.argwhere(np.isfinite(pixels.image))
+def _pixels(pixels: PixelResiduals) -> Figure:
+    """Maps of smoothed residuals for groups of frames, and the mean residual of each frame."""
+    figure = Figure(figsize=(10.0, 6.6), layout="constrained")
+    halves: Any = figure.subfigures(2, 1, height_ratios=(2.2, 1.0))
+    upper, lower = halves
+    grid = upper.subplots(2, 3, squeeze=False, sharex=True, sharey=True)
+    lit = np.argwhere(np.isfinite(pixels.maps).any(axis=0))
     (top, first), (bottom, last) = lit.min(axis=0), lit.max(axis=0)
-    left.set(xlim=(first - 1, last + 1), ylim=(bottom + 1, top - 1), facecolor="#E4E4E4")
-    left.set(xlabel="$u$ (px)", ylabel="$v$ (px)")
-    left.grid(visible=False)
-    _marks(right, pixels.frames, of_frames, 0, "")
-    right.axhline(0.0, color="#999999", lw=0.8)
-    right.set(xlabel="frame", ylabel="mean over pixels / its σ")
+    for axes in grid.flat[len(pixels.maps) :]:
+        axes.set_axis_off()
+    for axes, smooth, (begin, end) in zip(grid.flat, pixels.maps, pixels.groups, strict=False):
+        shown = axes.imshow(
+            smooth, cmap="RdBu_r", vmin=-_STRONG, vmax=_STRONG, interpolation="nearest"
+        )
+        axes.set(xlim=(first - 1, last + 1), ylim=(bottom + 1, top - 1), facecolor="#E4E4E4")
+        axes.set_title(f"frame {begin}" if begin == end else f"frames {begin} to {end}")
+        axes.grid(visible=False)
+    upper.colorbar(shown, ax=grid, extend="both", label="smoothed residual / its σ")
+    for axes in grid[-1]:
+        axes.set_xlabel("$u$ (px)")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("$v$ (px)")
+    frames = lower.subplots()
+    _marks(frames, pixels.frames, pixels.of_frames, 0, "")
+    frames.axhline(0.0, color="#999999", lw=0.8)
+    frames.set(xlabel="frame", ylabel="mean over pixels / its σ")
     return figure
 
 

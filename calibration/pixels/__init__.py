@@ -5,6 +5,7 @@ data        Frames as light with a known noise, with the conditions of the recor
 fit         The entry points: fit source, brightness and pose to all pixels at once
 image_fit   The result of a fit to all pixels
 lens        Conversion between a glue lens and fit parameters
+misfit      What the model leaves in the residuals, and how much it may bias the fit
 model       Radiance of the wall lit by a cone or a lens, as a differentiable function
 parameters  Names, units and valid ranges of the parameters
 selection   Which pixels a fit uses: those the beam reaches and a ring around them

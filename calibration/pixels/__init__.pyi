@@ -4,6 +4,7 @@ from .fit import fit_footage as fit_footage
 from .fit import fit_image as fit_image
 from .fit import lens_start as lens_start
 from .image_fit import ImageFit as ImageFit
+from .misfit import Misfit as Misfit
 from .parameters import CONE as CONE
 from .parameters import FREE as FREE
 from .parameters import LENS as LENS

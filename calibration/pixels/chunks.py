@@ -134,8 +134,10 @@ def look(problem: Problem, table: LensTable | None, x: Array, chunk: Chunk) -> V
 
 
 @eqx.filter_jit
-def sums(problem: Problem, table: LensTable | None, x: Array, over: Array, chunk: Chunk) -> Sums:
-    """A chunk's contribution to the normal equations.
+def linearised(
+    problem: Problem, table: LensTable | None, x: Array, over: Array, chunk: Chunk
+) -> tuple[Float[Array, "n"], Float[Array, "p+1 n"]]:
+    """A chunk's residuals, and their derivatives; the last parameter is the frame's exposure.
 
     Args:
         problem: the fit.
@@ -143,6 +145,9 @@ def sums(problem: Problem, table: LensTable | None, x: Array, over: Array, chunk
         x: the parameters.
         over: relative excess of the frame's exposure over the reported one.
         chunk: the pixels.
+
+    Returns:
+        Model minus light over sigma, and its derivatives.
     """
 
     def residuals(z: Array) -> Array:
@@ -156,9 +161,15 @@ def sums(problem: Problem, table: LensTable | None, x: Array, over: Array, chunk
         return jnp.asarray(chunk.weight) * (model - chunk.light)
 
     z = jnp.append(x, over)
-    value, slopes = jax.vmap(
-        lambda direction: jax.jvp(residuals, (z,), (direction,)), out_axes=(None, 0)
-    )(jnp.eye(z.size))
+    return jax.vmap(lambda direction: jax.jvp(residuals, (z,), (direction,)), out_axes=(None, 0))(
+        jnp.eye(z.size)
+    )
+
+
+@eqx.filter_jit
+def sums(problem: Problem, table: LensTable | None, x: Array, over: Array, chunk: Chunk) -> Sums:
+    """A chunk's contribution to the normal equations; arguments as for `linearised`."""
+    value, slopes = linearised(problem, table, x, over, chunk)
     return Sums(jnp.sum(value**2), slopes @ value, slopes @ slopes.T, value)
 
 

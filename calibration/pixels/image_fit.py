@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from calibration.pixels.misfit import Misfit
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImageFit:
@@ -15,7 +17,8 @@ class ImageFit:
     Attributes:
         parameters: value and standard error by name (see `UNITS`).
         values: values of all parameters, including those that were not fitted.
-        covariance: covariance of `parameters` in their order, from camera noise and priors.
+        covariance: covariance of `parameters` in their order, from camera noise, priors and misfit.
+        misfit: the light that the model lacks.
         chi_squared: sum of squared residuals over their sigma, priors included.
         degrees_of_freedom: number of pixels and priors minus number of parameters.
         tips: tips of the frames, mm, eye frame.
@@ -34,6 +37,7 @@ class ImageFit:
     covariance: Float[np.ndarray, "p p"]
     chi_squared: float
     degrees_of_freedom: int
+    misfit: Misfit
     tips: Float[np.ndarray, "frames 3"]
     axis: Float[np.ndarray, "3"]
     undetermined: tuple[str, ...]

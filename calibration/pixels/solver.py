@@ -10,8 +10,9 @@ the first fits blur frames and model alike, by a quarter of the spot's radius an
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
@@ -21,9 +22,19 @@ import jax.numpy as jnp
 import numpy as np
 
 import optics
-from calibration.pixels.chunks import Chunk, Problem, Sums, look, poses, sums, values_at
+from calibration.pixels.chunks import (
+    Chunk,
+    Problem,
+    Sums,
+    linearised,
+    look,
+    poses,
+    sums,
+    values_at,
+)
 from calibration.pixels.data import Footage
 from calibration.pixels.image_fit import ImageFit
+from calibration.pixels.misfit import Pixels, found_misfit
 from calibration.pixels.parameters import DEFAULTS, LENS, NUISANCES, possible
 from calibration.pixels.selection import bright_spot, chosen_chunks
 from calibration.pixels.table import LensTable, lens_table, sampled_table
@@ -326,6 +337,25 @@ class Solver:
             # The first chunk runs alone, so that only one thread compiles.
             return [part(self.chunks[0]), *pool.map(part, self.chunks[1:])]
 
+    def _pixels_at(self, x: np.ndarray) -> Iterator[Pixels]:
+        """The pixels of every frame with their residuals and derivatives."""
+        p = len(self.names)
+        at, over = jnp.asarray(x[:p]), x[p:] if self.exposures else np.zeros(self.frames)
+        for frame, chunks in itertools.groupby(self.chunks, key=lambda chunk: int(chunk.frame)):
+            parts = []
+            for chunk in chunks:
+                view = look(self.problem, self.table, at, chunk)
+                off, derivatives = linearised(self.problem, self.table, at, over[frame], chunk)
+                columns = (*chunk.pixels.T, view.direct, view.light, chunk.weight, off)
+                rows = [*columns, *np.asarray(derivatives)[: p + self.exposures]]
+                parts.append(np.array(rows)[:, chunk.weight > 0])
+            u, v, direct, light, weight, residual, *own = np.concatenate(parts, axis=1)
+            slopes = np.zeros((x.size, u.size))
+            slopes[:p] = own[:p]
+            if self.exposures:
+                slopes[p + frame] = own[p]
+            yield Pixels(frame, u, v, direct, light, weight, residual, slopes)
+
     def _result(self, found: Minimum, failed: str = "") -> ImageFit:
         exposures = [f"exposure of frame {frame}" for frame in range(self.frames)]
         names = (*self.names, *exposures[: self.frames * self.exposures])
@@ -333,6 +363,14 @@ class Solver:
         every = self._values(found.x) | over
         covariance, lost = covariance_and_lost(
             found.at.information, names, [every[name] for name in names]
+        )
+        held = sum(name in self.names for name in self.priors) + self.exposures
+        degrees = self._pixels + held - len(names)
+        misfit, covariance = found_misfit(
+            self._pixels_at(found.x),
+            covariance,
+            chi_squared=found.at.cost,
+            degrees_of_freedom=degrees,
         )
         inflation = 1.0
         if self.of_table is not None:
@@ -354,13 +392,13 @@ class Solver:
                     residuals[frame, v[own] + dv, u[own] + du] = off[own]
                     sides[frame, v[own] + dv, u[own] + du] = k
         tips, axis = poses(self.problem, every, self.footage.readings)
-        held = sum(name in self.names for name in self.priors) + self.exposures
         return ImageFit(
             parameters={n: (every[n], error) for n, error in zip(names, errors, strict=True)},
             values=every,
             covariance=covariance,
             chi_squared=found.at.cost,
-            degrees_of_freedom=self._pixels + held - len(names),
+            degrees_of_freedom=degrees,
+            misfit=misfit,
             tips=tips,
             axis=axis,
             undetermined=lost,

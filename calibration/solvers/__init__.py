@@ -1,5 +1,6 @@
 """Least squares with covariance.
 
+chi_squared          Chi squared against its degrees of freedom: the range that noise explains
 identifiability      Covariance, and the parameters that the data do not determine, in words
 levenberg_marquardt  Nonlinear least squares by Optimistix
 normal_equations     Levenberg-Marquardt on J^T J and J^T r, without a Jacobian in memory

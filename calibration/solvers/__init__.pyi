@@ -1,3 +1,6 @@
+from .chi_squared import CHANCE as CHANCE
+from .chi_squared import accepted_range as accepted_range
+from .chi_squared import excess_variance as excess_variance
 from .identifiability import correlations as correlations
 from .identifiability import covariance_and_lost as covariance_and_lost
 from .identifiability import marginal_information as marginal_information

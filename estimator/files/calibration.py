@@ -6,6 +6,7 @@
      "parameters": {"k": {"value": 20.0, "unit": "1", "sigma": 0.1}, "b": {...}},
      "covariance": {"order": ["k", "b"], "matrix": [[...], [...]]},
      "fitted_on": {"description": "...", "sha256": "..."},
+     "sigma_inflation": 1.0,
      "software": "eyespot 0.1.0"}
 
 The standard errors are given twice, beside the values for people and in the covariance for
@@ -35,7 +36,8 @@ from optics import check_schema, in_file, read_text, shortened
 SCHEMA = 2
 HISTORY = {
     1: "the format of eyespot 0.1",
-    2: "the parameters may contain beam_x and beam_y, the beam's direction in the tool's frame",
+    2: "the parameters may contain beam_x and beam_y, the beam's direction in the tool's frame; "
+    "sigma_inflation says by how much a misfit enlarges the standard errors",
 }
 """What changed with each version of the format that is read."""
 
@@ -59,6 +61,8 @@ class Calibration:
         fitted_on: free text: the data of the fit.
         data_sha256: fingerprint of those data, 64 hexadecimal digits.
         software: name and version that made the fit.
+        sigma_inflation: largest factor by which the standard errors exceed those from noise alone,
+            because the model misses part of the light; 1 for a good fit and in files of version 1.
     """
 
     model: str
@@ -69,6 +73,7 @@ class Calibration:
     fitted_on: str
     data_sha256: str
     software: str
+    sigma_inflation: float = 1.0
 
     def __post_init__(self) -> None:
         """Reject what no fit can give.
@@ -126,6 +131,7 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
             "description": calibration.fitted_on,
             "sha256": calibration.data_sha256,
         },
+        "sigma_inflation": calibration.sigma_inflation,
         "software": calibration.software,
     }
     text = json.dumps(content, indent=1) + "\n"
@@ -178,6 +184,7 @@ class _CalibrationFile(Strict):
     parameters: dict[str, _Parameter]
     covariance: _Covariance
     fitted_on: _Origin
+    sigma_inflation: Annotated[float, Field(ge=1, le=_LARGEST)] = 1.0
     software: str
 
 
@@ -206,6 +213,7 @@ def _calibration(content: dict[str, Any]) -> Calibration:
         fitted_on=file.fitted_on.description,
         data_sha256=file.fitted_on.sha256,
         software=file.software,
+        sigma_inflation=file.sigma_inflation,
     )
     for name, entry in file.parameters.items():
         expected = calibration.sigma(name)

@@ -1,0 +1,239 @@
+"""Lenses fitted to stacks that photons made: how far off, in standard errors of the fit.
+
+    python -m tests.photon_fits coverage FILE [FITS]    random lenses, walls and media
+    python -m tests.photon_fits departures FILE         light that the model does not know
+
+Each fit is a line of JSON in FILE. A run that was killed goes on where it ended; the table at the
+end is that of all lines. One fit takes 10 to 20 s on two idle cores, after a minute to compile.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from calibration.command.goodness import doubts, verdict
+from calibration.pixels import ImageFit, fit_footage
+from tests.photon_stacks import (
+    Recording,
+    footage_of,
+    frames_of,
+    light_of,
+    photographs,
+    reach_of,
+)
+from tests.photons import Drop
+
+PARAMETERS = ("sag", "numerical_aperture", "sensitivity")
+"""`sensitivity` is the brightness: power and reflectance are fixed at their true values."""
+LEAN = math.radians(1.0)
+BORESIGHT = math.radians(3.0)
+TOUCH_MM = 0.02
+"""Scatter of what a fit knows in advance; its priors have these standard deviations."""
+_SMALL: dict[str, Any] = {"frames": 10, "width": 96, "height": 72}
+_START_OFF = 0.26
+_PHOTONS = 1 << 22
+
+_DROP = Drop(core=0.25, aperture=0.30, sag=0.07, rim=0.04, aperture_na=0.15)
+
+
+def _departures() -> dict[str, Recording]:
+    """Recordings of one lens whose light is not as the model assumes, in air and in vitreous."""
+    air = Recording(drop=_DROP, **_SMALL, scale=0.035)
+    vitreous = dataclasses.replace(air, medium="vitreous", scale=0.02)
+    found = {}
+    for medium, base in (("air", air), ("vitreous", vitreous)):
+        changes: dict[str, dict[str, Any]] = {
+            "none": {},
+            "beam 0.3° off the motion": {"beam_off": (math.radians(0.3), 0.0)},
+            "Gaussian launch": {"drop": dataclasses.replace(_DROP, gaussian=True)},
+            "cap off centre by 20 µm": {"drop": dataclasses.replace(_DROP, shift=0.02)},
+            "cap off centre by 5 µm": {"drop": dataclasses.replace(_DROP, shift=0.005)},
+            "end tilted by 2°": {"drop": dataclasses.replace(_DROP, tilt=math.radians(2.0))},
+            "end tilted by 0.5°": {"drop": dataclasses.replace(_DROP, tilt=math.radians(0.5))},
+            "light spreads 50 µm in the wall": {"spread": 0.05},
+            "light spreads 20 µm in the wall": {"spread": 0.02},
+            "texture of 2 %": {"texture": 0.02},
+        }
+        for name, change in changes.items():
+            found[f"{name}, {medium}"] = dataclasses.replace(base, **change)
+    return found
+
+
+def random_recording(seed: int) -> Recording:
+    """A lens, wall and medium at random; frames as wide as the light."""
+    rng = np.random.default_rng([26, seed])
+    core = rng.uniform(0.15, 0.30)
+    aperture = rng.uniform(core, 0.35)
+    drop = Drop(
+        core=core,
+        aperture=aperture,
+        sag=aperture * rng.uniform(0.05, 1.0),
+        rim=rng.uniform(0.0, 0.4),
+        aperture_na=rng.uniform(0.05, 0.30),
+        index=rng.uniform(1.45, 1.55),
+    )
+    recording = Recording(
+        drop=drop,
+        medium=str(rng.choice(["air", "vitreous"])),
+        wall=str(rng.choice(["plane", "eyeball"])),
+        eccentricity=rng.uniform(0.0, 3.0),
+        azimuth=rng.uniform(-np.pi, np.pi),
+        incidence=rng.uniform(0.0, 0.6),
+        incidence_azimuth=rng.uniform(-np.pi, np.pi),
+        beam_off=tuple(BORESIGHT * rng.standard_normal(2)),
+        lean=tuple(LEAN * rng.standard_normal(2)),
+        touch_off=TOUCH_MM * rng.standard_normal(),
+        pinhole=float(rng.choice([11.5, 200.0])),
+        **_SMALL,
+    )
+    wide = reach_of(recording, 0.9)
+    return dataclasses.replace(recording, scale=float(np.clip(3 * wide / 72, 0.012, 0.05)))
+
+
+def fitted(recording: Recording, seed: int) -> tuple[ImageFit, float]:
+    """Photons, photographs and a fit from a start that is 26 % off; and the fit's seconds."""
+    rng = np.random.default_rng([27, seed])
+    frames = frames_of(recording, light_of(recording, count=_PHOTONS, seed=seed))
+    footage = footage_of(recording, frames, photographs(recording, frames, rng))
+    drop = recording.drop
+    off = 1 + _START_OFF * rng.choice([-1.0, 1.0], 2)
+    start = {
+        "core_radius": drop.core,
+        "aperture_radius": drop.aperture,
+        "rim_height": drop.rim,
+        "glue_index": drop.index,
+        "sag": min(drop.sag * off[0], drop.aperture),
+        "numerical_aperture": drop.aperture_na * off[1],
+    }
+    began = time.monotonic()
+    fit = fit_footage(footage, source="lens", start=start)
+    return fit, time.monotonic() - began
+
+
+def result(recording: Recording, seed: int) -> dict[str, Any]:
+    """A line of the file: the verdict, and each parameter's error and standard error."""
+    fit, seconds = fitted(recording, seed)
+    found = doubts(
+        converged=fit.converged,
+        failed=fit.failed,
+        bounds=(),
+        undetermined=fit.undetermined,
+        chi_squared_per_degree=fit.chi_squared_per_dof,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        misfit=fit.misfit,
+        residuals={},
+    )
+    good = all(doubt.harmless for doubt in found)
+    truth = {
+        "sag": recording.drop.sag,
+        "numerical_aperture": recording.drop.aperture_na,
+        "sensitivity": recording.sensitivity,
+    }
+    return {
+        "good": good,
+        "said": verdict(found) if good else "; ".join(doubt.reason for doubt in found),
+        "chi_squared": fit.chi_squared_per_dof,
+        "misfit": fit.misfit.share,
+        "inflation": fit.misfit.inflation,
+        "seconds": seconds,
+        **{
+            name: [(fit.parameters[name][0] - true) / true, fit.parameters[name][1] / true]
+            for name, true in truth.items()
+        },
+    }
+
+
+def collected(
+    file: Path, recordings: Iterable[tuple[str, Callable[[], Recording]]]
+) -> dict[str, dict[str, Any]]:
+    """Results by name: those in the file, and those of other recordings, which it then has too."""
+    lines = file.read_text().splitlines() if file.exists() else []
+    done = {row.pop("name"): row for row in map(json.loads, lines)}
+    names = []
+    for number, (name, recording) in enumerate(recordings):
+        names.append(name)
+        if name in done:
+            continue
+        try:
+            done[name] = result(recording(), number)
+        except ValueError as error:  # a stack without a spot, or a start that cannot be
+            done[name] = {"good": False, "said": str(error)}
+        with file.open("a") as appended:
+            appended.write(json.dumps({"name": name, **done[name]}) + "\n")
+    return {name: done[name] for name in names}
+
+
+def coverage(file: Path, fits: int) -> dict[str, dict[str, Any]]:
+    """Fits of random lenses."""
+
+    def drawn(seed: int) -> Callable[[], Recording]:
+        return lambda: random_recording(seed)
+
+    return collected(file, ((str(seed), drawn(seed)) for seed in range(fits)))
+
+
+def departures(file: Path) -> dict[str, dict[str, Any]]:
+    """Fits to light that the model does not know."""
+
+    def known(recording: Recording) -> Callable[[], Recording]:
+        return lambda: recording
+
+    return collected(file, ((name, known(own)) for name, own in _departures().items()))
+
+
+def inside(rows: Iterable[dict[str, Any]], name: str, sigmas: float) -> tuple[int, int]:
+    """Number of accepted fits with an error below some standard errors, and their total."""
+    z = [abs(row[name][0] / row[name][1]) for row in rows if row["good"]]
+    return sum(value < sigmas for value in z), len(z)
+
+
+def binomial_limits(total: int, share: float) -> tuple[int, int]:
+    """Numbers between which a binomial one lies in 99 % of all cases."""
+    low, high = stats.binom.ppf([0.005, 0.995], total, share)
+    return int(low), int(high)
+
+
+def main() -> None:
+    """Run the program that the module's docstring describes."""
+    kind, file = sys.argv[1], Path(sys.argv[2])
+    if kind == "departures":
+        for name, row in departures(file).items():
+            print(_line(name, row))
+        return
+    rows = coverage(file, int(sys.argv[3]) if len(sys.argv) > 3 else 200)
+    for name, row in rows.items():
+        print(_line(name, row))
+    print(f"{sum(row['good'] for row in rows.values())} of {len(rows)} fits were accepted.")
+    for name in PARAMETERS:
+        for sigmas in (1.0, 1.96, 3.0):
+            count, total = inside(rows.values(), name, sigmas)
+            share = math.erf(sigmas / math.sqrt(2))
+            low, high = binomial_limits(total, share)
+            print(f"{name}: |z| < {sigmas}: {count} of {total} ({low} to {high} are expected)")
+
+
+def _line(name: str, row: dict[str, Any]) -> str:
+    if "chi_squared" not in row:
+        return f"{name}: {row['said']}"
+    errors = ", ".join(
+        f"{own} {100 * row[own][0]:+.3f} ± {100 * row[own][1]:.3f} %" for own in PARAMETERS
+    )
+    return (
+        f"{name}: {'good' if row['good'] else 'NOT GOOD'}, {errors}, "
+        f"chi²/n {row['chi_squared']:.3f}, misfit {100 * row['misfit']:.2f} %, "
+        f"F {row['inflation']:.1f}, {row['seconds']:.0f} s; {row['said']}"
+    )
+
+
+if __name__ == "__main__":
+    main()

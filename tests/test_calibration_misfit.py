@@ -1,0 +1,153 @@
+"""Misfit of a fit to pixels: found where it is, and contained in the standard errors."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from calibration.pixels.misfit import Pixels, found_misfit
+from calibration.solvers import accepted_range, excess_variance
+
+FRAMES, SIDE = 8, 40
+V, U = (x.ravel() - 19.5 for x in np.mgrid[:SIDE, :SIDE].astype(float))
+NOISE = 0.02
+
+
+def spot(values, frame):
+    """A bell whose height, place and width follow a line of time."""
+    height, u, v, width, growth = values
+    wide = width + growth * frame
+    return height * np.exp(-((U - u) ** 2 + (V - v) ** 2) / (2 * wide**2)) + 0.05
+
+
+TRUTH = np.array([1.0, 0.3, -0.2, 7.0, 0.4])
+
+
+def fitted(light):
+    """Least squares to frames: pixels at the solution, covariance, chi squared, values."""
+    values = TRUTH.copy()
+    for _ in range(8):
+        slopes = np.stack(
+            [
+                np.concatenate(
+                    [
+                        (spot(values + step, f) - spot(values - step, f)) / 2e-5
+                        for f in range(FRAMES)
+                    ]
+                )
+                for step in 1e-5 * np.eye(len(values))
+            ]
+        )
+        off = np.concatenate([spot(values, f) for f in range(FRAMES)]) - light.ravel()
+        information = slopes @ slopes.T / NOISE**2
+        values = values - np.linalg.solve(information, slopes @ off / NOISE**2)
+    frames = [
+        Pixels(
+            frame,
+            U,
+            V,
+            spot(values, frame) - 0.05,
+            spot(values, frame),
+            np.full(U.size, 1 / NOISE),
+            part / NOISE,
+            slope / NOISE,
+        )
+        for frame, (part, slope) in enumerate(
+            zip(off.reshape(FRAMES, -1), np.split(slopes, FRAMES, axis=1), strict=True)
+        )
+    ]
+    return frames, np.linalg.inv(information), float(np.sum((off / NOISE) ** 2)), values
+
+
+def judged(light):
+    frames, covariance, chi_squared, values = fitted(light)
+    degrees = light.size - len(values)
+    misfit, enlarged = found_misfit(
+        frames, covariance, chi_squared=chi_squared, degrees_of_freedom=degrees
+    )
+    return misfit, enlarged, covariance, values
+
+
+def noise(seed):
+    return NOISE * np.random.default_rng(seed).standard_normal((FRAMES, U.size))
+
+
+CLEAN = np.array([spot(TRUTH, frame) for frame in range(FRAMES)])
+
+
+def test_noise_alone_has_structure_as_rarely_as_the_chance_says():
+    chances = np.array([judged(CLEAN + noise(seed))[0].chance for seed in range(200)])
+    # Bonferroni's bound of two tests that depend on each other is conservative, by at most 2.
+    for level in (0.05, 0.2):
+        count = np.sum(chances < level)
+        assert stats.binom.ppf(0.001, 200, level / 2) <= count <= stats.binom.ppf(0.999, 200, level)
+
+
+def test_noise_alone_leaves_the_covariance_as_it_is():
+    for seed in range(10):
+        misfit, enlarged, covariance, _ = judged(CLEAN + noise(seed))
+        assert not misfit.structured
+        assert misfit.inflation == 1.0
+        assert misfit.where == ""
+        np.testing.assert_array_equal(enlarged, covariance)
+
+
+def ring(frame):
+    """2 % of light that the model lacks, in a ring."""
+    return 0.02 * np.exp(-((np.hypot(U, V) - 12) ** 2) / 8)
+
+
+def side(frame):
+    """3 % of the light in the outer part of the right side."""
+    return 0.03 * (spot(TRUTH, frame) - 0.05) * (U > 5) * (np.abs(V) < U)
+
+
+def flicker(frame):
+    """Light that is 2 % too bright in the second quarter of the time."""
+    return 0.02 * (spot(TRUTH, frame) - 0.05) * (FRAMES // 4 <= frame < FRAMES // 2)
+
+
+@pytest.mark.parametrize("departure", [ring, side, flicker])
+def test_the_standard_errors_contain_the_bias_of_a_misfit_that_chi_squared_hardly_shows(departure):
+    light = CLEAN + [departure(frame) for frame in range(FRAMES)] + noise(3)
+    misfit, enlarged, covariance, values = judged(light)
+    assert misfit.structured
+    off = np.abs(values - TRUTH)
+    assert (off > 3 * np.sqrt(np.diag(covariance))).any()
+    assert (off < 3 * np.sqrt(np.diag(enlarged))).all()
+    assert misfit.inflation > 2
+
+
+def test_the_sentence_names_the_side_and_the_sign():
+    misfit, *_ = judged(CLEAN + [side(frame) for frame in range(FRAMES)] + noise(3))
+    assert "right side" in misfit.where and "brighter" in misfit.where
+    late = np.arange(FRAMES) >= FRAMES // 2
+    patch = 0.03 * late[:, None] * (np.hypot(U, V) < 5)
+    misfit, *_ = judged(CLEAN + patch + noise(3))
+    assert "core" in misfit.where and "brighter" in misfit.where
+    assert "the later half of the frames" in misfit.where
+
+
+def test_noise_larger_than_assumed_enlarges_all_errors_alike():
+    misfit, enlarged, covariance, _ = judged(CLEAN + 1.3 * noise(4))
+    assert not misfit.structured
+    # Chi squared over 12,795 degrees of freedom scatters by sqrt(2/12795) = 1.2 %.
+    np.testing.assert_allclose(enlarged / covariance, 1.3**2, rtol=0.06)
+
+
+def test_undetermined_parameters_stay_so():
+    frames, covariance, chi_squared, _ = fitted(CLEAN + noise(0) + [ring(0)] * FRAMES)
+    covariance[1, :] = covariance[:, 1] = np.inf
+    _, enlarged = found_misfit(
+        frames, covariance, chi_squared=chi_squared, degrees_of_freedom=12_795
+    )
+    assert np.isinf(enlarged[1]).all() and np.isinf(enlarged[:, 1]).all()
+    assert np.isfinite(np.delete(np.delete(enlarged, 1, 0), 1, 1)).all()
+
+
+def test_chi_squared_is_accepted_as_often_as_its_distribution_says():
+    for degrees in (5, 50, 300_000):
+        low, high = accepted_range(degrees)
+        inside = np.diff(stats.chi2.cdf(np.array([low, high]) * degrees, degrees))
+        assert inside[0] == pytest.approx(0.998, abs=1e-6)
+        assert excess_variance(0.99 * high, degrees) == 1.0
+        assert excess_variance(1.01 * high, degrees) == pytest.approx(1.01 * high)
