@@ -112,8 +112,8 @@ def fit(
     """Fit a model of the light beam to recordings and write a calibration file.
 
     The file serves `eyespot track --calibration`. A fit that fails its checks writes its report
-    only, says why, and ends with exit code 2. If the only fault is that the standard deviations
-    are too large, the file is written with a warning.
+    only, says why, and ends with exit code 2. If the model misses a small part of the light, the
+    file is written with standard deviations that contain this misfit, and the misfit is described.
     """
     from calibration.command.fitting import run
 

@@ -166,10 +166,16 @@ def linearised(
     )
 
 
-@eqx.filter_jit
 def sums(problem: Problem, table: LensTable | None, x: Array, over: Array, chunk: Chunk) -> Sums:
-    """A chunk's contribution to the normal equations; arguments as for `linearised`."""
-    value, slopes = linearised(problem, table, x, over, chunk)
+    """A chunk's contribution to the normal equations; arguments as for `linearised`.
+
+    It is not compiled as a whole, because `linearised` is compiled by itself in any case.
+    """
+    return _products(*linearised(problem, table, x, over, chunk))
+
+
+@jax.jit
+def _products(value: Array, slopes: Array) -> Sums:
     return Sums(jnp.sum(value**2), slopes @ value, slopes @ slopes.T, value)
 
 
