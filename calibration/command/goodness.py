@@ -114,7 +114,7 @@ def _of_chi_squared(value: float, degrees: int, misfit: Misfit | None) -> list[D
         if value > MOST_CHI_SQUARED:
             why = f"{beyond} and above the limit of {MOST_CHI_SQUARED:g}"
             return [Doubt(Fault.MISFIT, f"{why}: the residuals are larger than the noise")]
-        why = f"{beyond}, so the standard errors are enlarged {math.sqrt(value):.2g} times"
+        why = f"{beyond}, so the standard errors are enlarged {math.sqrt(value):.3g} times"
         return [Doubt(Fault.STATED_MISFIT, why)]
     if not misfit.structured and value <= max(high, 1 + _KNOWN_VARIANCE):
         return []
@@ -122,7 +122,7 @@ def _of_chi_squared(value: float, degrees: int, misfit: Misfit | None) -> list[D
     why += f"; {misfit.where}" if misfit.where else "; the residuals have no structure"
     if misfit.share > MOST_MISFIT:
         return [Doubt(Fault.MISFIT, f"{why}; the limit is {100 * MOST_MISFIT:g} %")]
-    why += f"; the standard errors are enlarged up to {misfit.inflation:.2g} times"
+    why += f"; the standard errors are enlarged up to {misfit.inflation:.3g} times"
     return [Doubt(Fault.STATED_MISFIT, why)]
 
 
