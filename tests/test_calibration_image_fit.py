@@ -138,7 +138,7 @@ def test_model_image_of_a_lens_is_the_renderers(medium, scale):
     lens = Lens(tabulated)
     drop = photons.Drop.of(optics.load_lens("dome"))
     counted = photons.counted_light(
-        drop, index, nearest=0.5, farthest=7.0, contact=0.35, slope=0.5, count=1 << 23
+        drop, index, nearest=0.5, farthest=7.0, contact=0.35, slope=1.0, count=1 << 23
     )
     recording = Recording(
         drop=drop,

@@ -36,7 +36,7 @@ _HALVES = ("earlier", "later")
 _SHAPE = (len(_ZONE_NAMES), len(_SIDES))
 _HIDDEN = 4.0
 """c: the fit hides the part of a misfit that looks like its parameters. This factor makes the bias
-of every departure in tests/test_calibration_departures.py less than its standard error."""
+of every departure in tests/photon_fits.py less than twice its standard error."""
 _NEGLIGIBLE = 1e-9  # relative; smaller eigenvalues are rounding errors
 
 

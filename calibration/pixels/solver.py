@@ -65,9 +65,9 @@ _COARSELY = {"cone": 0.1, "lens": 1.0}
 """The same for the first fits."""
 
 
-_HOPELESS = 2.0
-"""Chi squared per datum after a lens's first round above which the fit ends: no later step mends a
-wall that is not even."""
+_HOPELESS = 0.04
+"""Part of the light, RMS, that a lens may miss after the first round: no later step mends a wall
+that is not even. Chi squared would depend on how bright the frames are."""
 
 
 class Solver:
@@ -159,12 +159,14 @@ class Solver:
         for _ in range(_ROUNDS - 1):
             self._choose(x)
             found = minimise(self._sums, x, tolerance=_SETTLED[self.source])
-            x, misfit = found.x, found.at.cost / self._pixels
+            x = found.x
+            signal = sum(float(np.sum((c.light * c.weight) ** 2)) for c in self.chunks)
+            misfit = math.sqrt(max(found.at.cost - self._pixels, 0.0) / signal)
             if self.source == "lens" and misfit > _HOPELESS:
                 return self._result(
                     found,
-                    f"after the first round chi squared per datum is {misfit:.2f}; "
-                    f"{_HOPELESS:g} is allowed",
+                    f"after the first round the lens misses {100 * misfit:.2g} % of the light; "
+                    f"{100 * _HOPELESS:g} % are allowed",
                 )
         self._choose(x)
         return self._result(*self._settled(x))
