@@ -103,7 +103,7 @@ def test_the_accepted_chi_squared_depends_on_the_degrees_of_freedom(degrees, noi
     assert (found == []) == noise_explains
     if found:
         assert verdict(found).startswith("A good fit with a stated misfit: chi squared")
-        assert "enlarged 1.2 times" in found[0].reason
+        assert "enlarged 1.18 times" in found[0].reason
 
 
 def pixels(share, structured, chi_squared, degrees=302_732):
