@@ -33,7 +33,7 @@ from calibration.pixels.model import (
     wall_pixels,
 )
 from calibration.pixels.parameters import check_names
-from calibration.pixels.table import Grid, LensTable, sampled_table
+from calibration.pixels.table import Grid, LensTable, lens_table
 from estimator import Stack, read_stack
 from estimator.image import Response
 from scenes import Renderer, Scene, render_stack
@@ -132,7 +132,7 @@ def test_model_image_of_a_lens_is_the_renderers(medium, scale):
     wall = seen(settings)
     values = lens_parameters(optics.load_lens("dome"))
     index = optics.MEDIA[medium]
-    _, tabulated = sampled_table(
+    tabulated = lens_table(
         values, ("sag",), medium_index=index, nearest=1.0, farthest=6.0, reach=1.05, halvings=3
     )
     lens = Lens(tabulated)

@@ -37,7 +37,7 @@ from calibration.pixels.image_fit import ImageFit
 from calibration.pixels.misfit import Pixels, found_misfit
 from calibration.pixels.parameters import DEFAULTS, LENS, NUISANCES, possible
 from calibration.pixels.selection import bright_spot, chosen_chunks
-from calibration.pixels.table import LensTable, lens_table, sampled_table
+from calibration.pixels.table import LensTable, lens_table
 from calibration.solvers import Minimum, NormalEquations, covariance_and_lost, minimise
 from calibration.spots import Prior, phantom_wall
 from optics import InputError
@@ -54,8 +54,9 @@ _REACH = {True: 1.6, False: 1.05}
 _MOST_OF_TABLE = 10.0
 """Largest difference of two tables' results, in standard errors. The covariance contains it, but a
 larger one is not only noise."""
-_HALVINGS = {True: 0, False: 3}
-"""Most halvings of the cells of a lens's table, for coarse and for full fits."""
+_HALVINGS = {True: 1, False: 5}
+"""Most halvings of the cells of a lens's table, for coarse and for full fits. Three are too few in
+vitreous, where a lens can make a sharp image of its core: errors of a tenth of the peak."""
 _EXACT = 1e-6
 """Sigma of the constraint that fitted exposures equal the reported ones on average."""
 _SETTLED = {"cone": 1e-3, "lens": 0.04}
@@ -88,6 +89,7 @@ class Solver:
         self.footage, self.source, self.exposures = footage, source, exposures
         self.progress = progress
         self.table: LensTable | None = None
+        self.coarse = True
         self.of_table: np.ndarray | None = None
         self.names = (*free, *(name for name in NUISANCES if name not in free))
         self.frames = len(footage.readings)
@@ -158,7 +160,7 @@ class Solver:
             x = found.x
         for _ in range(_ROUNDS - 1):
             self._choose(x)
-            found = minimise(self._sums, x, tolerance=_SETTLED[self.source])
+            found = minimise(self._tabulated_sums, x, tolerance=_COARSELY[self.source])
             x = found.x
             signal = sum(float(np.sum((c.light * c.weight) ** 2)) for c in self.chunks)
             misfit = math.sqrt(max(found.at.cost - self._pixels, 0.0) / signal)
@@ -212,19 +214,8 @@ class Solver:
 
     def _choose(self, x: np.ndarray, *, blur: float | None = None, stride: int = 1) -> None:
         """Select pixels for the current parameters; without a blur, all pixels."""
-        if self.source == "lens":
-            values = self._values(x)
-            gone = self.footage.readings + values["touch"]
-            self.sampling, self.table = sampled_table(
-                {name: values[name] for name in LENS},
-                self._of_lens,
-                medium_index=self.footage.medium_index,
-                # The wall is oblique, so parts of it are nearer and farther than on the axis.
-                nearest=max(_NEAREST_MM["lens"], gone.min() - 1.0),
-                farthest=gone.max() + 1.0,
-                reach=_REACH[blur is not None],
-                halvings=_HALVINGS[blur is not None],
-            )
+        self.coarse = blur is not None
+        self._tabulate(x)
         self.problem = eqx.tree_at(
             lambda problem: problem.blur,
             self.problem,
@@ -271,20 +262,21 @@ class Solver:
         values = values_at(self.problem, jnp.asarray(x[: len(self.names)]))
         return {name: float(value) for name, value in values.items()}
 
-    @property
-    def _of_lens(self) -> tuple[str, ...]:
-        return tuple(name for name in self.names if name in LENS)
-
     def _tabulate(self, x: np.ndarray) -> None:
         """Compute the lens's light anew at x."""
         if self.source == "cone":
             return
         values = self._values(x)
+        gone = self.footage.readings + values["touch"]
         self.table = lens_table(
             {name: values[name] for name in LENS},
-            self._of_lens,
+            tuple(name for name in self.names if name in LENS),
             medium_index=self.footage.medium_index,
-            sampling=self.sampling,
+            # The wall is oblique, so parts of it are nearer and farther than on the axis.
+            nearest=max(_NEAREST_MM["lens"], gone.min() - 1.0),
+            farthest=gone.max() + 1.0,
+            reach=_REACH[self.coarse],
+            halvings=_HALVINGS[self.coarse],
         )
 
     def _tabulated_sums(self, x: np.ndarray) -> NormalEquations:

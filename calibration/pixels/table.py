@@ -42,20 +42,6 @@ class Grid(NamedTuple):
     farthest: ScalarLike
 
 
-class Sampling(NamedTuple):
-    """Which samples of a grid are computed.
-
-    Attributes:
-        grid: positions of the table's samples.
-        computed: which samples are computed by quadrature, for each grid. First all samples of the
-            first grid. Then each grid has cells of half the size, and only samples for which the
-            cubic spline through the previous grid is wrong. The spline gives the others.
-    """
-
-    grid: Grid
-    computed: tuple[Bool[np.ndarray, "rows columns"], ...]
-
-
 class LensTable(eqx.Module):
     """Vector irradiance, to first order in the lens's parameters, cubic between samples.
 
@@ -105,7 +91,7 @@ class LensTable(eqx.Module):
         return self.transmitted_value + jnp.dot(self.moved, self.transmitted_slopes)
 
 
-def sampled_table(
+def lens_table(
     values: Mapping[str, float],
     free: Sequence[str],
     *,
@@ -114,8 +100,13 @@ def sampled_table(
     farthest: float,
     reach: float,
     halvings: int,
-) -> tuple[Sampling, LensTable]:
-    """Choose the samples for lenses near the given one, and tabulate this lens at them.
+) -> LensTable:
+    """Tabulate a lens and its derivatives with respect to the free parameters.
+
+    Quadrature gives all samples of a first grid. Then each grid has cells of half the size, and
+    quadrature only near samples for which the cubic spline through the previous grid is wrong. The
+    spline gives the others. The samples follow the light's edges, so a table serves its own lens
+    and small changes only.
 
     Args:
         values: all `PARAMETERS`.
@@ -131,36 +122,17 @@ def sampled_table(
     slope = float(envelope(1.0)) - contact_radius
     grid = Grid(reach * contact_radius, reach * slope, nearest, farthest)
     field = _Field(values, tuple(free), medium_index, grid)
-    computed = [np.ones((_ROWS + 1, _COLUMNS + 1), bool)]
-    missed, samples = computed[0], field(computed[0])
-    while missed.any() and len(computed) <= halvings:
+    missed = np.ones((_ROWS + 1, _COLUMNS + 1), bool)
+    samples = field(missed)
+    for _ in range(halvings):
+        if not missed.any():
+            break
         guess = _halved(samples)
         wanted = np.kron(binary_dilation(missed, np.ones((3, 3))), np.ones((2, 2), bool))[:-1, :-1]
         wanted[::2, ::2] = False
         samples = field(wanted, guess)
         error = np.abs(samples - guess)[0].max(axis=0)
         missed = error > _TOLERANCE * samples[0, 1].max(axis=1, keepdims=True)
-        computed.append(wanted)
-    return Sampling(grid, tuple(computed)), field.table(samples)
-
-
-def lens_table(
-    values: Mapping[str, float], free: Sequence[str], *, medium_index: float, sampling: Sampling
-) -> LensTable:
-    """Tabulate a lens and its derivatives with respect to the free parameters.
-
-    Args:
-        values: all `PARAMETERS`.
-        free: names of the parameters to differentiate with respect to.
-        medium_index: n0.
-        sampling: the samples. A fit keeps them while its parameters change, so that interpolation
-            errors stay constant.
-    """
-    field = _Field(values, tuple(free), medium_index, sampling.grid)
-    first, *rest = sampling.computed
-    samples = field(first)
-    for computed in rest:
-        samples = field(computed, _halved(samples))
     return field.table(samples)
 
 
