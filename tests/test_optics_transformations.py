@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -155,6 +156,17 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
             "inverse_working_distance": 0.01,
         },
     ),
+    "enclosed": of(optics.enclosed, {"radius": 0.07, "length": 0.05}),
+    "plane_point": of(
+        partial(optics.plane_point, normal=(0.1, -0.2, 0.97)),
+        {
+            "right_px": 300.0,
+            "down_px": -200.0,
+            "scale": SCALE,
+            "eye_radius": R_EYE,
+            "inverse_working_distance": 0.01,
+        },
+    ),
     "paper_foreshortening": of(
         optics.paper_foreshortening, {"eccentricity": 3.0, "eye_radius": R_EYE}
     ),
@@ -269,6 +281,11 @@ ELSEWHERE = {
     "irradiance_table": "test_optics_irradiance_table: accuracy of look-ups and derivatives",
     "misaligned_vector_irradiance": "test_optics_lens_misaligned: derivative in the offset",
     "effective_cone": "test_optics_irradiance_table: the slope's derivative by the lens",
+    "spread_nodes": "numbers of a quadrature, without arguments that could be traced",
+    "spread_mixture": "numbers of a quadrature, without arguments",
+    "lit_share": "test_optics_wall_spread: the closed form of a half plane, one batched look-up",
+    "spread_contours": "a loop in Python over compiled batches",
+    "spread_spots": "a loop in Python over compiled batches",
     "spot_truth": "a loop in Python over compiled batches",
     "ambiguous_distances": "a list of intervals, found by NumPy",
     "lens_names": "reads files",

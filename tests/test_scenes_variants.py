@@ -74,10 +74,12 @@ def test_without_llvm_a_cone_is_rendered_in_scalar_mode(tmp_path):
     compare(tmp_path, "scalar_rgb")
 
 
-@pytest.mark.parametrize("change", ["source.kind=lens", "phantom.indirect=traced"])
+@pytest.mark.parametrize(
+    "change", ["source.kind=lens", "phantom.indirect=traced", "phantom.spread=printed paper"]
+)
 def test_scalar_mode_refuses_what_it_cannot_do_in_time(tmp_path, change):
     scene = load_scene(None, ["source.kind=cone", change])
-    with pytest.raises(SceneError, match="'cone' without traced light; got"):
+    with pytest.raises(SceneError, match="'cone' without traced or spread light; got"):
         render_stack(scene, tmp_path / "stack", variant="scalar_rgb")
     assert not (tmp_path / "stack").exists()
 
