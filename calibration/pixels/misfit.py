@@ -132,6 +132,12 @@ def _cells(frames: Iterable[Pixels], p: int) -> tuple[np.ndarray, np.ndarray, np
         scores, information = np.zeros((*_SHAPE, p)), np.zeros((*_SHAPE, p, p))
         tone = np.zeros((*_SHAPE, 2))
         glow = np.maximum(own.direct, 0.0)
+        if not glow.any():
+            # All pixels that the beam reaches are black, saturated or hidden: there are no sides.
+            scores[0, 0] = own.slopes @ own.residual
+            information[0, 0] = own.slopes @ own.slopes.T
+            by_frame.append((scores, information, tone))
+            continue
         centre_u, centre_v = (np.average(x, weights=glow) for x in (own.u, own.v))
         # Sides are quarters around the axes of the image; v points down.
         turn = np.arctan2(own.v - centre_v, own.u - centre_u) / (2 * np.pi)
