@@ -10,15 +10,12 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from optics.irradiance_edges import implicit_root, scan_boundaries, settle
 from optics.lens import GlueLens
 from optics.refraction import refract
 
-_VIEW = 24  # samples per axis in the search for the lit part
-_AZIMUTHS = 96  # of the periodic midpoint rule around the lit part's centre
-_CELLS = 16  # cells of the scan along one azimuth
-_RADII = 6  # Gauss-Legendre nodes on a lit stretch
-_BATCH = 32  # wall points per call, few enough to stay in the cache
+_LOOK = 64  # cells per side of the grid that finds the lit part
+_AROUND = 2  # of these cells, added around the lit ones
+_CELLS = 400  # per side of the grid over the lit part
 
 
 class MisalignedLens(eqx.Module):
@@ -47,8 +44,10 @@ def misaligned_vector_irradiance(
 ) -> Float[Array, "*batch 3"]:
     r"""Vector irradiance at wall points of a lens without symmetry, per unit power in the core.
 
-    The integral of `vector_irradiance` in polar coordinates around the centre of the lit part of
-    the cap. The error is 2e-3 of the peak, and 2e-2 near caustics.
+    The integral of `vector_irradiance` as a sum over an even grid of directions from the wall point
+    to the cap, over the lit part only. A cell that an edge of the lit part crosses counts by its
+    lit share, so the sum needs no form of that part: it may have holes and several pieces. The
+    error is 3e-4 of the peak, 1e-5 of the flux through a plane.
 
     Args:
         misaligned: the lens.
@@ -66,75 +65,60 @@ def misaligned_vector_irradiance(
 
 @jax.jit
 def _fields(misaligned: MisalignedLens, medium_index, points) -> Float[Array, "n 3"]:
-    field = partial(_field, misaligned, medium_index)
-    return lax.map(field, points, batch_size=min(_BATCH, len(points)))
+    return lax.map(partial(_field, misaligned, medium_index), points)
 
 
 def _field(misaligned: MisalignedLens, medium_index, point) -> Float[Array, "3"]:
     aperture = misaligned.lens.aperture_radius
-    trace = partial(_trace, misaligned, medium_index, point)
-    centre, size = lax.stop_gradient(_lit_part(misaligned, trace, point))
+    # The grid is fixed while a derivative is taken: the lit shares of its cells carry it.
+    origin = lax.stop_gradient(point)
+    beyond = jnp.sqrt(origin[:2] @ origin[:2])
+    gap = origin[2] + misaligned.lens.sagitta(jnp.minimum(beyond, 0.999 * aperture))
+    gap = lax.stop_gradient(gap)
+    towards = jnp.arctan2(-origin[1], -origin[0])
+    # The angle from the wall point's foot, and the azimuth, which is 0 towards the axis. So a near
+    # wall point's small lit part is resolved like a far one's.
+    lowest = jnp.stack([0.0 * gap, -jnp.pi])
+    highest = jnp.stack([jnp.arctan((beyond + aperture) / gap), jnp.pi])
 
-    azimuth = 2.0 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS
-    along = centre[0] * np.cos(azimuth) + centre[1] * np.sin(azimuth)
-    end = jnp.sqrt(aperture**2 - centre @ centre + along**2) - along
+    def cells(low, high, count):
+        """Excesses and light on a grid, [..., angle, azimuth]."""
+        share = (np.arange(count) + 0.5) / count
+        angle = (low[0] + (high[0] - low[0]) * share)[:, None]
+        azimuth = towards + low[1] + (high[1] - low[1]) * share
+        far = gap * jnp.tan(angle)
+        place = jnp.stack([origin[0] + far * jnp.cos(azimuth), origin[1] + far * jnp.sin(azimuth)])
+        per_cell = jnp.prod((high - low) / count) * far * gap / jnp.square(jnp.cos(angle))
+        excess, light = _trace(misaligned, medium_index, point, place)
+        return excess, per_cell * light
 
-    def radius(t):
-        # From 0 to the aperture's rim; the first steps are relative to the lit part's size.
-        return size * t / (1.0 - t * (1.0 - size / end))
+    excess, _ = cells(lowest, highest, _LOOK)
+    darkness = jnp.max(excess - 2.0 * _change(excess), axis=0)
+    near = darkness <= jnp.maximum(0.0, jnp.min(darkness))
 
-    def place(r):
-        return jnp.stack([centre[0] + r * np.cos(azimuth), centre[1] + r * np.sin(azimuth)])
+    def bounds(number, low, high):
+        first = jnp.min(jnp.where(near, number, _LOOK)) - _AROUND
+        last = jnp.max(jnp.where(near, number, -1)) + 1 + _AROUND
+        return jnp.clip(jnp.stack([first, last]) / _LOOK, 0.0, 1.0) * (high - low) + low
 
-    def excess(t):
-        return trace(place(radius(t)))[0]
-
-    t = jnp.broadcast_to(np.linspace(0.0, 1.0, _CELLS + 1)[:, None], (_CELLS + 1, _AZIMUTHS))
-    values = excess(t)
-    found, lit, dark = scan_boundaries(t, values, count=3)
-    root = jnp.clip(implicit_root(excess, settle(excess, lit, dark)), 0.0, 1.0)
-    root = jnp.where(found, root, 1.0)
-    zero, one = jnp.zeros((1, _AZIMUTHS)), jnp.ones((1, _AZIMUTHS))
-    bounds = jnp.where(values[0] < 0.0, jnp.concatenate([zero, root]), jnp.concatenate([root, one]))
-    first, last = radius(bounds[0::2]), radius(bounds[1::2])
-    node, weight = np.polynomial.legendre.leggauss(_RADII)
-    half = 0.5 * (last - first)
-    r = first + half * (1.0 + node[:, None, None])
-    _, light = trace(place(r))
-    area = r * half * weight[:, None, None] * (2.0 * np.pi / _AZIMUTHS)
-    return jnp.sum(area * light, axis=(1, 2, 3))
+    number = np.arange(_LOOK)
+    angles = bounds(number[:, None], lowest[0], highest[0])
+    azimuths = bounds(number, lowest[1], highest[1])
+    low, high = lax.stop_gradient(jnp.stack([angles, azimuths], axis=1))
+    excess, light = cells(low, high, _CELLS)
+    change = lax.stop_gradient(_change(excess))
+    share = jnp.min(jnp.clip(0.5 - excess / jnp.maximum(change, 1e-300), 0.0, 1.0), axis=0)
+    return jnp.sum(share * light, axis=(1, 2))
 
 
-def _lit_part(misaligned: MisalignedLens, trace, point) -> tuple[Float[Array, "2"], Array]:
-    """Centre and size of the part of the aperture that is lit when seen from a wall point, mm."""
-    aperture = misaligned.lens.aperture_radius
-    foot = point[:2]
-    # Samples at equal angles seen from the wall point, up to the far side of the aperture.
-    beyond = jnp.sqrt(foot @ foot)
-    gap = point[2] + misaligned.lens.sagitta(jnp.minimum(beyond, 0.999 * aperture))
-    reach = jnp.arctan((beyond + aperture) / gap)
-    angle = reach * (np.arange(_VIEW) + 0.5) / _VIEW
-    azimuth = 2.0 * np.pi * np.arange(_VIEW) / _VIEW
-    spread = gap * jnp.tan(angle)[:, None]
-    x, y = foot[0] + spread * np.cos(azimuth), foot[1] + spread * np.sin(azimuth)
-    # Samples outside the aperture move to its rim.
-    shrink = jnp.minimum(1.0, 0.999 * aperture / jnp.sqrt(x**2 + y**2))
-    places = jnp.stack([x * shrink, y * shrink])
-    excess = trace(places)[0]
-    lit = excess < 0.0
-    area = jnp.where(lit, spread / jnp.cos(angle)[:, None] ** 2, 0.0)
-    total = jnp.sum(area)
-    safe = jnp.where(total > 0.0, total, 1.0)
-    best = jnp.unravel_index(jnp.argmin(excess), excess.shape)
-    centroid = jnp.sum(area * places, axis=(1, 2)) / safe
-    centre = jnp.where(total > 0.0, centroid, places[:, *best])
-    variance = jnp.sum(area * jnp.sum((places - centre[:, None, None]) ** 2, axis=0)) / safe
-    size = jnp.maximum(jnp.sqrt(variance), gap * reach / _VIEW)
-    return centre, size
+def _change(values: Float[Array, "limits n m"]) -> Float[Array, "limits n m"]:
+    """How much the values change from cell to cell."""
+    along, across = jnp.gradient(values, axis=(1, 2))
+    return jnp.abs(along) + jnp.abs(across)
 
 
 def _trace(misaligned: MisalignedLens, medium_index, point, places: Float[Array, "2 *batch"]):
-    """Excess over the limits and dV per area of the aperture's plane, for rays through the cap."""
+    """Excess over each limit and dV per area of the aperture's plane, for rays through the cap."""
     lens = misaligned.lens
     squared = jnp.sum(places**2, axis=0)
     normal_s = jnp.sqrt(jnp.maximum(1.0 - lens.curvature**2 * squared, 1e-12))
@@ -164,11 +148,15 @@ def _trace(misaligned: MisalignedLens, medium_index, point, places: Float[Array,
     sine_squared = 1.0 - cos_cone**2
     opening = jnp.where(cos_cone > 0.0, sine_squared, 2.0 - sine_squared)
     face_squared = jnp.sum(start**2, axis=-1)
-    kept = jnp.maximum(
-        jnp.maximum(opening / lens.sine_limit**2, face_squared / lens.face_radius**2),
-        jnp.sum(rim**2, axis=-1) / lens.aperture_radius**2,
+    excess = jnp.stack(
+        [
+            opening / lens.sine_limit**2 - 1.0,
+            face_squared / lens.face_radius**2 - 1.0,
+            jnp.sum(rim**2, axis=-1) / lens.aperture_radius**2 - 1.0,
+            squared / lens.aperture_radius**2 - 1.0,
+            -cos_medium,
+        ]
     )
-    excess = jnp.maximum(jnp.where(passes, kept - 1.0, 1.0), -cos_medium)
     # The étendue of a tilted cone is smaller by the cosine of the tilt.
     radiance = lens.radiance(face_radius_squared=face_squared, sine_squared=sine_squared) / axis_s
     ratio_squared = jnp.square(medium_index / lens.glue_index)

@@ -1,4 +1,4 @@
-"""A cap off centre or tilted: the symmetric case as a limit, and rays traced forwards."""
+"""A cap off centre or tilted: the symmetric case as a limit, brute force, and photons."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,9 @@ import pytest
 
 import optics
 from optics.emission import emitted_rays
+from optics.irradiance_lookup import LensField
 from optics.lens_misaligned import MisalignedLens, misaligned_vector_irradiance
+from tests.lens_quadrature import misaligned_irradiance
 
 AIR, VITREOUS = 1.0, 1.336
 
@@ -17,18 +19,64 @@ def grid(first, last, count):
     return first + (last - first) * (x + 1) / 2, weight * (last - first) / 2
 
 
-@pytest.mark.slow
 def test_without_misalignment_it_is_the_symmetric_lens():
     rng = np.random.default_rng(8)
     dome = optics.load_lens("dome")
     aligned = MisalignedLens(dome, jnp.zeros(2), jnp.zeros(2))
-    radius, turn, s = rng.uniform(0.0, 0.6, 32), rng.uniform(0, 2 * np.pi, 32), np.full(32, 2.0)
+    radius, turn, s = rng.uniform(0.0, 0.6, 16), rng.uniform(0, 2 * np.pi, 16), np.full(16, 2.0)
     points = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), s])
     found = np.asarray(misaligned_vector_irradiance(aligned, medium_index=AIR, points=points))
     lateral, axial = optics.vector_irradiance(dome, medium_index=AIR, radius=radius, distance=s)
     expected = np.column_stack([lateral * np.cos(turn), lateral * np.sin(turn), axial])
-    # 96 azimuths and a kink where the core's edge takes over from the cone's: 1e-3 of the peak.
-    np.testing.assert_allclose(found, expected, atol=1e-3 * np.max(axial))
+    # The grid's own error, which falls with the square of its step.
+    np.testing.assert_allclose(found, expected, atol=3e-4 * np.max(axial))
+
+
+def random_end(seed):
+    """A lens from the whole range of drops with its core off centre and its light tilted."""
+    rng = np.random.default_rng(seed)
+    aperture = rng.uniform(0.2, 0.35)
+    core = rng.uniform(0.15, min(0.3, aperture)) - 0.03
+    sag, rim = rng.uniform(0.001, aperture), rng.uniform(0.0, 0.4)
+    lens = optics.glue_lens(
+        core_radius=core,
+        aperture_radius=aperture,
+        sag=sag,
+        glue_length=sag + rim,
+        glue_index=rng.uniform(1.45, 1.55),
+        numerical_aperture=rng.uniform(0.05, 0.3),
+    )
+    return lens, (AIR, VITREOUS)[seed % 2], rng.uniform(-0.02, 0.02, 2), rng.uniform(-0.06, 0.06, 2)
+
+
+def misses(seed, distance, count):
+    """Error at points on a plane, in parts of the peak."""
+    lens, medium, offset, tilt = random_end(seed)
+    field = LensField(lens, medium)
+    rng = np.random.default_rng(seed)
+    radius = float(field.envelope(distance)) * np.linspace(0.02, 0.8, count)
+    turn = rng.uniform(0, 2 * np.pi, count)
+    points = np.column_stack(
+        [radius * np.cos(turn), radius * np.sin(turn), np.full(count, distance)]
+    )
+    end = MisalignedLens(lens, jnp.asarray(offset), jnp.asarray(tilt))
+    found = np.asarray(misaligned_vector_irradiance(end, medium_index=medium, points=points))
+    expected = [misaligned_irradiance(lens, medium, p, offset, tilt, steps=500) for p in points]
+    return np.abs(found[:, 2] - expected) / max(expected)
+
+
+# The polar sum about the lit part's centre that was here before lost 2 % of the peak at seed 2,
+# where that part is a ring, and 0.1 to 0.2 % at the other two.
+@pytest.mark.parametrize(("seed", "distance"), [(2, 0.1), (4, 2.0), (5, 2.0)])
+def test_light_of_a_misaligned_end_arrives_where_brute_force_says(seed, distance):
+    assert misses(seed, distance, 6).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_thirty_misaligned_ends_send_light_where_brute_force_says():
+    worst = [misses(seed, s, 12).max() for seed in range(30) for s in (0.1, 0.5, 2.0)]
+    print(f"\nworst {max(worst):.1e} of the peak, median {np.median(worst):.1e}")
+    assert max(worst) < 1e-3
 
 
 @pytest.mark.slow
