@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from optics.irradiance_breaks import Breaks, ring_breaks
-from optics.irradiance_edges import Excess, implicit_root, scan_boundaries, settle
+from optics.irradiance_edges import Excess, approach_extremes, implicit_root, scan_boundaries, settle
 from optics.lens import GlueLens
 from optics.lens_trace import BackwardRays, trace_backwards
 
@@ -147,7 +147,7 @@ def _lit_arcs(excess: Excess, openings: Float[Array, "2 rings"]) -> Float[Array,
     fraction = np.sin(np.linspace(0.0, 0.5 * np.pi, _CELLS, endpoint=False)) ** 2
     tau = (start[:, None] + width[:, None] * fraction[:, None]).reshape(-1, rings)
     tau = jnp.append(tau, jnp.ones((1, rings)), axis=0)
-    values = excess(tau)
+    tau, values = approach_extremes(excess, tau, excess(tau), count=1)
     found, lit, dark = scan_boundaries(tau, values, count=3)
     root = jnp.clip(implicit_root(excess, settle(excess, lit, dark)), 0.0, 1.0)
     zero = jnp.zeros(rings)

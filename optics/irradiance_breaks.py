@@ -15,12 +15,13 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from optics.irradiance_edges import implicit_root, scan_boundaries, settle
+from optics.irradiance_edges import approach_extremes, implicit_root, scan_boundaries, settle
 from optics.lens import GlueLens
 from optics.lens_trace import BackwardRays
 
 _MERIDIAN = 160  # cells of the scan along the meridian
 _ZOOM = 16  # cells of the second scan, for a lit part smaller than a cell
+_EXTREMES = 3  # of the excess along the meridian that may pass zero between two samples
 _CROSSINGS = 6  # of the meridian with the lit part's edge, for a disc and a ring
 _COARSE, _COARSE_TURNS = 33, 11  # samples of the scan of whole rings
 _BEYOND = 2  # of these samples, to which the lit part may reach beyond the outermost lit one
@@ -92,7 +93,7 @@ def ring_breaks(
         return place(angle(first) + (angle(last) - angle(first)) * np.linspace(0.0, 1.0, count))
 
     x = spread(-aperture, aperture, _MERIDIAN + 1)
-    values = excess(x)
+    x, values = approach_extremes(excess, x, excess(x), count=_EXTREMES)
     cell = (angle(aperture) - angle(-aperture)) / _MERIDIAN
     near = angle(x[jnp.argmin(values)])
     zoomed = place(near + cell * np.linspace(-1.0, 1.0, _ZOOM + 1))

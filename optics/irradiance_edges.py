@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 _STEPS = 6  # Newton or bisection steps towards a boundary
+_APPROACHES = 3  # pairs of steps towards an extremum
 
 Excess = Callable[[Array], Array]
 
@@ -50,6 +51,90 @@ def scan_boundaries(
     # A short scan costs less unrolled, a long one takes long to compile that way.
     (passed, lit, dark), _ = lax.scan(visit, start, cells, unroll=len(x) <= 16)
     return passed > number, lit, dark
+
+
+def approach_extremes(
+    excess: Excess,
+    x: Float[Array, "samples *batch"],
+    values: Float[Array, "samples *batch"],
+    *,
+    count: int,
+) -> tuple[Float[Array, "samples *batch"], Float[Array, "samples *batch"]]:
+    """Move samples to extremes near which a lit or dark stretch is shorter than a cell.
+
+    Where the samples have a positive minimum or a negative maximum, the excess may pass zero twice
+    unseen. The sample there is moved to the extremum itself, so no boundary that was seen is lost.
+
+    Args:
+        excess: the excess along the scan.
+        x: positions of the samples, in order.
+        values: their excess.
+        count: number of extremes to approach: those that may pass zero farthest.
+
+    Returns:
+        Positions and values of all samples, without derivatives.
+    """
+    x, values = lax.stop_gradient((x, values))
+    number = np.arange(len(x)).reshape(-1, *(1 for _ in values.shape[1:]))
+    sign = jnp.where(values[1:-1] < 0.0, -1.0, 1.0)
+    here, before, after = (sign * v for v in (values[1:-1], values[:-2], values[2:]))
+    reach = jnp.where(
+        (here <= before) & (here < after), here - 0.5 * jnp.maximum(before, after), jnp.inf
+    )
+    for _ in range(count):
+        chosen = jnp.argmin(reach, axis=0, keepdims=True)
+        moves = (number[1:-1] == chosen + 1) & (reach < 0.0)
+        reach = jnp.where(number[1:-1] == chosen + 1, jnp.inf, reach)
+
+        def pick(of_samples, moves=moves):
+            # A gather would be slow in XLA.
+            return jnp.sum(jnp.where(moves, of_samples, 0.0), axis=0)
+
+        place = _extremum(excess, pick(x[:-2]), pick(x[2:]), pick(sign))
+        at = excess(place)
+        closer = moves & (pick(sign) * at < pick(here))
+        x = x.at[1:-1].set(jnp.where(closer, place, x[1:-1]))
+        values = values.at[1:-1].set(jnp.where(closer, at, values[1:-1]))
+    return lax.stop_gradient((x, values))
+
+
+def _extremum(excess: Excess, low: Array, high: Array, sign: Array) -> Array:
+    """The minimum of the excess, times a sign, between two positions."""
+
+    def measure(x):
+        value, slope = jax.jvp(excess, (x,), (jnp.ones_like(x),))
+        return sign * value, sign * slope
+
+    def narrowed(state, between):
+        low, high, (low_value, low_slope), (high_value, high_slope) = state
+        steeper = high_slope - low_slope
+        x = between(low, high, low_value, high_value, low_slope, high_slope)
+        x = x / jnp.where(steeper == 0.0, 1.0, steeper)
+        x = jnp.where((x > low) & (x < high), x, 0.5 * (low + high))
+        value, slope = measure(x)
+        falls = slope < 0.0
+
+        def chosen(inner, outer_low, outer_high):
+            return jnp.where(falls, inner, outer_low), jnp.where(falls, outer_high, inner)
+
+        low, high = chosen(x, low, high)
+        low_value, high_value = chosen(value, low_value, high_value)
+        low_slope, high_slope = chosen(slope, low_slope, high_slope)
+        return low, high, (low_value, low_slope), (high_value, high_slope)
+
+    def where_tangents_meet(low, high, low_value, high_value, low_slope, high_slope):
+        return high_slope * high - low_slope * low + low_value - high_value
+
+    def where_slope_is_zero(low, high, low_value, high_value, low_slope, high_slope):
+        return high_slope * low - low_slope * high
+
+    def steps(_, state):
+        # The first is exact where two limits meet, the second for a parabola.
+        return narrowed(narrowed(state, where_tangents_meet), where_slope_is_zero)
+
+    state = lax.fori_loop(0, _APPROACHES, steps, (low, high, measure(low), measure(high)))
+    low, high, (low_value, _), (high_value, _) = state
+    return jnp.where(low_value < high_value, low, high)
 
 
 def settle(excess: Excess, lit: Array, dark: Array) -> Array:
