@@ -22,11 +22,12 @@ from optics.lens_trace import BackwardRays
 _MERIDIAN = 160  # cells of the scan along the meridian
 _ZOOM = 16  # cells of the second scan, for a lit part smaller than a cell
 _EXTREMES = 3  # of the excess along the meridian that may pass zero between two samples
-_CROSSINGS = 6  # of the meridian with the lit part's edge, for a disc and a ring
+_PINCHES = 2  # of the lit part across the meridian
+_CROSSINGS = 8  # of the meridian with the lit part's edge, for a disc and a ring
 _COARSE, _COARSE_TURNS = 33, 11  # samples of the scan of whole rings
 _BEYOND = 2  # of these samples, to which the lit part may reach beyond the outermost lit one
-_RINGS, _TURNS = 16, 10  # samples of the search for turns of the edge
-_PARTS = 4  # of the rings; the search starts from the best sample in each
+_RINGS, _TURNS = 16, 10  # cells of the search for turns of the edge
+_STARTS = 4  # of the search, for each kind of turn
 _STEPS, _LONGEST = 7, 0.25  # Newton steps towards a turn, and their bound
 _AROUND = 0.5  # of the range that may be lit: its bounds are estimates
 _CLOSE = 1e-6  # residual of a turn
@@ -121,10 +122,18 @@ def ring_breaks(
         return place(angle(low) + (angle(high) - angle(low)) * share)
 
     is_turn, turn, tau, drift = _turns(rays, ring_at)
+    # A lit part off the meridian may lack turns, if it reaches the rim.
+    inner, outer = jnp.where(outer > inner, jnp.stack([inner, outer]), jnp.stack([low, high]))
     first = jnp.minimum(inner, jnp.min(jnp.where(is_turn, turn, inner)))
     last = jnp.maximum(outer, jnp.max(jnp.where(is_turn, turn, outer)))
     # Few of the candidates exist. Unused breaks divide the range evenly in the angle.
-    found, breaks = jnp.append(found, is_turn), jnp.append(crossing, turn)
+    # Where the lit part is nearly pinched off, its arcs change their form within few rings.
+    middle = jnp.where(values[1:-1] < 0.0, values[1:-1], -jnp.inf)
+    middle = jnp.where((middle >= values[:-2]) & (middle > values[2:]), middle, -jnp.inf)
+    highest = jnp.argsort(-middle)[:_PINCHES]
+    pinch, is_pinch = lax.stop_gradient(x[1:-1][highest]), middle[highest] > -jnp.inf
+    found = jnp.concatenate([found, is_turn, is_pinch])
+    breaks = jnp.concatenate([crossing, turn, jnp.abs(pinch)])
     same = jnp.abs(breaks[:, None] - breaks) < _SAME * aperture
     found &= ~jnp.any(np.tri(found.size, k=-1, dtype=bool) & same & found, axis=1)
     chosen = jnp.argsort(~found)[:_BREAKS]
@@ -133,13 +142,13 @@ def ring_breaks(
     ring = jnp.append(jnp.clip(breaks, 0.0, aperture), jnp.stack([0.0 * aperture, aperture]))
     order = jnp.argsort(ring)
 
+    turns = slice(crossing.size, crossing.size + turn.size)
+
     def in_order(of_turns: Array) -> Array:
-        every = jnp.append(jnp.zeros(crossing.size, of_turns.dtype), of_turns)
+        every = jnp.zeros(found.size, of_turns.dtype).at[turns].set(of_turns)
         return jnp.append(every[chosen], jnp.zeros(2, of_turns.dtype))[order]
 
-    return Breaks(
-        ring[order], in_order(is_turn & found[crossing.size :]), in_order(tau), in_order(drift)
-    )
+    return Breaks(ring[order], in_order(found[turns]), in_order(tau), in_order(drift))
 
 
 def _lit_rings(
@@ -168,7 +177,7 @@ def _turns(
 
     Whether each candidate is one, its ring, its tau, and the drift of the arc that opens there.
 
-    Newton's method in two variables, from the best sample in each part of a grid.
+    Newton's method in two variables, from the cells of a grid that seem to contain a turn.
 
     Args:
         rays: rays by ring and tau.
@@ -184,18 +193,17 @@ def _turns(
 
         return jax.jvp(along, (place[1],), (jnp.ones_like(place[1]),))
 
-    share = (np.arange(_RINGS) + 0.5) / _RINGS
-    tau = (np.arange(_TURNS) + 0.5) / _TURNS
-    grid = jnp.stack(jnp.meshgrid(share, tau, indexing="ij"))
-    value, slope = limits(grid)
-    first, second = value[_FIRST], jnp.where(_TOUCHES[:, None, None], slope[_FIRST], value[_SECOND])
-    miss = jnp.maximum(jnp.maximum(jnp.abs(first), jnp.abs(second)), jnp.max(value, axis=0))
-    parts = miss.reshape(_FIRST.size, _PARTS, -1)  # ring and tau together on the last axis
-    best = jnp.argmin(parts, axis=-1)
-    row = (best // _TURNS + np.arange(0, _RINGS, _RINGS // _PARTS)).ravel()
-    column = (best % _TURNS).ravel()
-    which = np.arange(row.size)
-    first_limit, second_limit, touches = (np.repeat(x, _PARTS) for x in (_FIRST, _SECOND, _TOUCHES))
+    sides = np.linspace(0.0, 1.0, _RINGS + 1), np.linspace(0.0, 1.0, _TURNS + 1)
+    value, slope = limits(jnp.stack(jnp.meshgrid(*map(jnp.asarray, sides), indexing="ij")))
+    place = _cell_roots(
+        value[_FIRST],
+        jnp.where(_TOUCHES[:, None, None], slope[_FIRST], value[_SECOND]),
+        jnp.max(value, axis=0),
+    )
+    which = np.arange(place.shape[1])
+    first_limit, second_limit, touches = (
+        np.repeat(x, _STARTS) for x in (_FIRST, _SECOND, _TOUCHES)
+    )
 
     def values(place):
         value, slope = limits(place)
@@ -222,12 +230,50 @@ def _turns(
         drift = jnp.where(touches, second, 0.5 * (second - a_ring / _nonzero(a_tau)))
         return place, is_turn, drift
 
-    place = lax.stop_gradient(jnp.stack([jnp.asarray(share)[row], jnp.asarray(tau)[column]]))
+    place = lax.stop_gradient(place)
     place = lax.fori_loop(0, _STEPS, lambda _, place: step(place)[0], place)
     # Only the last step is differentiated; it gives the implicit function's derivative.
     place, is_turn, drift = step(lax.stop_gradient(place))
     ring, per_share = jax.jvp(ring_at, (place[0],), (jnp.ones_like(place[0]),))
     return is_turn, ring, *lax.stop_gradient((place[1], drift / _nonzero(per_share)))
+
+
+def _cell_roots(
+    first: Float[Array, "kinds n m"], second: Float[Array, "kinds n m"], excess: Float[Array, "n m"]
+) -> Float[Array, "2 starts"]:
+    """Common zeros of two functions by linear interpolation in the cells of a grid on [0, 1]².
+
+    Of each kind, those that lie nearest to the middles of their cells, among lit cells.
+    """
+
+    def corners(values):
+        return values[..., :-1, :-1], values[..., 1:, :-1], values[..., :-1, 1:], values[..., 1:, 1:]
+
+    def plane(values):
+        """Value in the middle of each cell, and its slopes per cell."""
+        a, b, c, d = corners(values)
+        return 0.25 * (a + b + c + d), 0.5 * (b + d - a - c), 0.5 * (c + d - a - b)
+
+    (a, a_ring, a_tau), (b, b_ring, b_tau) = plane(first), plane(second)
+    determinant = _nonzero(a_ring * b_tau - a_tau * b_ring)
+    ring = -(b_tau * a - a_tau * b) / determinant
+    tau = -(a_ring * b - b_ring * a) / determinant
+    corner = jnp.stack(corners(excess))
+    lit = 2.0 * jnp.min(corner, axis=0) < jnp.max(corner, axis=0)
+    away = jnp.where(lit, jnp.maximum(jnp.abs(ring), jnp.abs(tau)), jnp.inf)
+    rows, columns = lit.shape
+    away = away.reshape(len(away), -1)
+    chosen = jnp.argsort(away, axis=1)[:, :_STARTS]
+    ring, tau = (
+        jnp.clip(jnp.take_along_axis(x.reshape(away.shape), chosen, axis=1), -1.0, 1.0)
+        for x in (ring, tau)
+    )
+    return jnp.stack(
+        [
+            ((chosen // columns + 0.5 + ring) / rows).ravel(),
+            jnp.clip((chosen % columns + 0.5 + tau) / columns, 0.0, 1.0).ravel(),
+        ]
+    )
 
 
 def _nonzero(x: Array) -> Array:
