@@ -24,7 +24,7 @@ from optics.lens import GlueLens
 from optics.lens_trace import BackwardRays, trace_backwards
 
 _RINGS = 6  # Gauss-Legendre nodes between two breaks
-_CELLS = 10  # cells of the scan along half a ring, in each of three stretches
+_CELLS = 9  # cells of the scan along half a ring, in each of three stretches
 _ARC = 5  # Gauss-Legendre nodes on an arc
 _BATCH = 64  # wall points per call, few enough to stay in the cache
 

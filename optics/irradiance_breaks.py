@@ -116,7 +116,8 @@ def ring_breaks(
     outer = jnp.maximum(inner, outer)
 
     # Off the meridian rings are lit that are dark on it, where the edge bends away from a ring.
-    low, high = _lit_rings(rays, spread(0.0 * aperture, end, _COARSE), inner, outer)
+    ring = spread(0.0 * aperture, end, _COARSE)
+    low, high, innermost, outermost = _lit_rings(rays, ring, inner, outer)
 
     def ring_at(share):
         return place(angle(low) + (angle(high) - angle(low)) * share)
@@ -124,24 +125,25 @@ def ring_breaks(
     is_turn, turn, tau, drift = _turns(rays, ring_at)
     # A lit part off the meridian may lack turns, if it reaches the rim.
     inner, outer = jnp.where(outer > inner, jnp.stack([inner, outer]), jnp.stack([low, high]))
-    first = jnp.minimum(inner, jnp.min(jnp.where(is_turn, turn, inner)))
-    last = jnp.maximum(outer, jnp.max(jnp.where(is_turn, turn, outer)))
-    # Few of the candidates exist. Unused breaks divide the range evenly in the angle.
+    first = jnp.minimum(innermost, jnp.minimum(inner, jnp.min(jnp.where(is_turn, turn, inner))))
+    last = jnp.maximum(outermost, jnp.maximum(outer, jnp.max(jnp.where(is_turn, turn, outer))))
     # Where the lit part is nearly pinched off, its arcs change their form within few rings.
     middle = jnp.where(values[1:-1] < 0.0, values[1:-1], -jnp.inf)
     middle = jnp.where((middle >= values[:-2]) & (middle > values[2:]), middle, -jnp.inf)
-    highest = jnp.argsort(-middle)[:_PINCHES]
+    highest = _smallest(-middle, _PINCHES)
     pinch, is_pinch = lax.stop_gradient(x[1:-1][highest]), middle[highest] > -jnp.inf
-    found = jnp.concatenate([found, is_turn, is_pinch])
-    breaks = jnp.concatenate([crossing, turn, jnp.abs(pinch)])
+    # Few of the candidates exist. Unused breaks halve the widest intervals.
+    bounds = lax.stop_gradient(jnp.stack([first, last]))
+    found = jnp.concatenate([found, is_turn, (bounds > 0.0) & (bounds < aperture), is_pinch])
+    breaks = jnp.concatenate([crossing, turn, bounds, jnp.abs(pinch)])
     same = jnp.abs(breaks[:, None] - breaks) < _SAME * aperture
     found &= ~jnp.any(np.tri(found.size, k=-1, dtype=bool) & same & found, axis=1)
     chosen = jnp.argsort(~found)[:_BREAKS]
     used = found[chosen]
-    breaks = jnp.where(used, breaks[chosen], spread(first, last, _BREAKS))
+    divided = _divided(angle(jnp.where(used, breaks[chosen], first)), used)
+    breaks = jnp.where(used, breaks[chosen], place(divided))
     ring = jnp.append(jnp.clip(breaks, 0.0, aperture), jnp.stack([0.0 * aperture, aperture]))
     order = jnp.argsort(ring)
-
     turns = slice(crossing.size, crossing.size + turn.size)
 
     def in_order(of_turns: Array) -> Array:
@@ -151,10 +153,28 @@ def ring_breaks(
     return Breaks(ring[order], in_order(found[turns]), in_order(tau), in_order(drift))
 
 
+def _divided(breaks: Float[Array, "breaks"], used: Bool[Array, "breaks"]) -> Array:
+    """The breaks, with unused ones in the middles of the widest intervals; without derivatives."""
+    breaks = lax.stop_gradient(breaks)
+    for number in range(_BREAKS):
+        after = jnp.min(jnp.where(breaks > breaks[:, None], breaks, jnp.inf), axis=1)
+        width = jnp.where(after < jnp.inf, after - breaks, 0.0)
+        widest = jnp.argmax(width)
+        middle = breaks[widest] + 0.5 * width[widest]
+        breaks = breaks.at[number].set(jnp.where(used[number], breaks[number], middle))
+    return breaks
+
+
 def _lit_rings(
     rays: RingRays, ring: Float[Array, "rings"], inner: Array, outer: Array
-) -> tuple[Array, Array]:
-    """Bounds of the rings that may be lit: from a scan of whole rings, and of the meridian."""
+) -> tuple[Array, Array, Array, Array]:
+    """Bounds of the rings that may be lit, and of those seen lit, from a scan of whole rings.
+
+    Args:
+        rays: rays by ring and tau.
+        ring: rings to scan.
+        inner, outer: bounds of the rings lit on the meridian; equal if none is.
+    """
     tau = np.linspace(0.0, 1.0, _COARSE_TURNS)[:, None]
     darkness = jnp.min(rays(ring, jnp.broadcast_to(tau, (tau.size, ring.size))).excess, axis=0)
     # The lit part may begin between the samples, or lie between two of them.
@@ -164,10 +184,13 @@ def _lit_rings(
     low = jnp.min(jnp.where(lit, before, ring[-1]))
     high = jnp.max(jnp.where(lit, after, ring[0]))
     any_lit = outer > inner
-    return (
-        lax.stop_gradient(jnp.where(any_lit, jnp.minimum(low, inner), low)),
-        lax.stop_gradient(jnp.where(any_lit, jnp.maximum(high, outer), high)),
+    low, high = (
+        jnp.where(any_lit, jnp.minimum(low, inner), low),
+        jnp.where(any_lit, jnp.maximum(high, outer), high),
     )
+    innermost = jnp.min(jnp.where(darkness < 0.0, ring, high))
+    outermost = jnp.max(jnp.where(darkness < 0.0, ring, low))
+    return lax.stop_gradient((low, high, innermost, outermost))
 
 
 def _turns(
@@ -263,7 +286,7 @@ def _cell_roots(
     away = jnp.where(lit, jnp.maximum(jnp.abs(ring), jnp.abs(tau)), jnp.inf)
     rows, columns = lit.shape
     away = away.reshape(len(away), -1)
-    chosen = jnp.argsort(away, axis=1)[:, :_STARTS]
+    chosen = _smallest(away, _STARTS)
     ring, tau = (
         jnp.clip(jnp.take_along_axis(x.reshape(away.shape), chosen, axis=1), -1.0, 1.0)
         for x in (ring, tau)
@@ -274,6 +297,15 @@ def _cell_roots(
             jnp.clip((chosen % columns + 0.5 + tau) / columns, 0.0, 1.0).ravel(),
         ]
     )
+
+
+def _smallest(values: Float[Array, "*batch n"], count: int) -> Array:
+    """Indices of the smallest values; sorting all of them would cost a fourth of the quadrature."""
+    chosen = []
+    for _ in range(count):
+        chosen.append(jnp.argmin(values, axis=-1, keepdims=True))
+        values = jnp.where(np.arange(values.shape[-1]) == chosen[-1], jnp.inf, values)
+    return jnp.concatenate(chosen, axis=-1)
 
 
 def _nonzero(x: Array) -> Array:

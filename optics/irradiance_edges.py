@@ -12,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 _STEPS = 6  # Newton or bisection steps towards a boundary
-_APPROACHES = 3  # pairs of steps towards an extremum
+_APPROACHES = 2  # pairs of steps towards an extremum
 
 Excess = Callable[[Array], Array]
 
@@ -75,26 +75,28 @@ def approach_extremes(
         Positions and values of all samples, without derivatives.
     """
     x, values = lax.stop_gradient((x, values))
-    number = np.arange(len(x)).reshape(-1, *(1 for _ in values.shape[1:]))
+    inner = np.arange(1, len(x) - 1).reshape(-1, *(1 for _ in values.shape[1:]))
     sign = jnp.where(values[1:-1] < 0.0, -1.0, 1.0)
     here, before, after = (sign * v for v in (values[1:-1], values[:-2], values[2:]))
     reach = jnp.where(
         (here <= before) & (here < after), here - 0.5 * jnp.maximum(before, after), jnp.inf
     )
+    moves = []
     for _ in range(count):
-        chosen = jnp.argmin(reach, axis=0, keepdims=True)
-        moves = (number[1:-1] == chosen + 1) & (reach < 0.0)
-        reach = jnp.where(number[1:-1] == chosen + 1, jnp.inf, reach)
+        moves.append((inner == 1 + jnp.argmin(reach, axis=0)) & (reach < 0.0))
+        reach = jnp.where(moves[-1], jnp.inf, reach)
 
-        def pick(of_samples, moves=moves):
-            # A gather would be slow in XLA.
-            return jnp.sum(jnp.where(moves, of_samples, 0.0), axis=0)
+    def pick(of_samples):
+        # A gather would be slow in XLA.
+        return jnp.stack([jnp.sum(jnp.where(move, of_samples, 0.0), axis=0) for move in moves])
 
-        place = _extremum(excess, pick(x[:-2]), pick(x[2:]), pick(sign))
-        at = excess(place)
-        closer = moves & (pick(sign) * at < pick(here))
-        x = x.at[1:-1].set(jnp.where(closer, place, x[1:-1]))
-        values = values.at[1:-1].set(jnp.where(closer, at, values[1:-1]))
+    place = _extremum(excess, pick(x[:-2]), pick(x[2:]), pick(sign))
+    at = excess(place)
+    closer = pick(sign) * at < pick(here)
+    for number, move in enumerate(moves):
+        move &= closer[number]
+        x = x.at[1:-1].set(jnp.where(move, place[number], x[1:-1]))
+        values = values.at[1:-1].set(jnp.where(move, at[number], values[1:-1]))
     return lax.stop_gradient((x, values))
 
 
