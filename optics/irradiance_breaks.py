@@ -140,7 +140,9 @@ def ring_breaks(
     found &= ~jnp.any(np.tri(found.size, k=-1, dtype=bool) & same & found, axis=1)
     chosen = jnp.argsort(~found)[:_BREAKS]
     used = found[chosen]
-    divided = _divided(angle(jnp.where(used, breaks[chosen], first)), used)
+    ends = lax.stop_gradient(angle(bounds))
+    divided = lax.stop_gradient(jnp.where(used, angle(breaks[chosen]), ends[0]))
+    divided = _divided(divided, used, ends)
     breaks = jnp.where(used, breaks[chosen], place(divided))
     ring = jnp.append(jnp.clip(breaks, 0.0, aperture), jnp.stack([0.0 * aperture, aperture]))
     order = jnp.argsort(ring)
@@ -153,16 +155,18 @@ def ring_breaks(
     return Breaks(ring[order], in_order(found[turns]), in_order(tau), in_order(drift))
 
 
-def _divided(breaks: Float[Array, "breaks"], used: Bool[Array, "breaks"]) -> Array:
+def _divided(breaks: Float[Array, "breaks"], used: Bool[Array, "breaks"], ends: Array) -> Array:
     """The breaks, with unused ones in the middles of the widest intervals; without derivatives."""
-    breaks = lax.stop_gradient(breaks)
-    for number in range(_BREAKS):
-        after = jnp.min(jnp.where(breaks > breaks[:, None], breaks, jnp.inf), axis=1)
-        width = jnp.where(after < jnp.inf, after - breaks, 0.0)
+
+    def halve(number, breaks):
+        every = jnp.append(breaks, ends)
+        after = jnp.min(jnp.where(every > every[:, None], every, jnp.inf), axis=1)
+        width = jnp.where(after < jnp.inf, after - every, 0.0)
         widest = jnp.argmax(width)
-        middle = breaks[widest] + 0.5 * width[widest]
-        breaks = breaks.at[number].set(jnp.where(used[number], breaks[number], middle))
-    return breaks
+        middle = every[widest] + 0.5 * width[widest]
+        return jnp.where((np.arange(_BREAKS) == number) & ~used, middle, breaks)
+
+    return lax.fori_loop(0, _BREAKS, halve, breaks)
 
 
 def _lit_rings(

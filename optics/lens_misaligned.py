@@ -47,7 +47,7 @@ def misaligned_vector_irradiance(
     The integral of `vector_irradiance` as a sum over an even grid of directions from the wall point
     to the cap, over the lit part only. A cell that an edge of the lit part crosses counts by its
     lit share, so the sum needs no form of that part: it may have holes and several pieces. The
-    error is 3e-4 of the peak, 1e-5 of the flux through a plane.
+    error falls with the square of the grid's step and is 3e-4 of the peak, mostly 3e-5.
 
     Args:
         misaligned: the lens.

@@ -191,13 +191,10 @@ def test_no_light_of_a_hundred_lenses_is_lost():
             expected = np.array([irradiance(lens, medium, r, distance) for r in radius])
             _, axial = field(lens, medium, radius, distance)
             profile.append(np.max(np.abs(axial - expected)) / expected.max())
-    checks = (("flux", np.array(lost), 1e-4), ("profile", np.array(profile), 1e-3))
-    for name, error, limit in checks:
-        beyond = np.mean(error > limit)
-        print(f"\n{name}: {beyond:.1%} of planes beyond {limit:g}, worst {error.max():.1e}")
-        # A narrow second arc of a ring is missed now and then, at one radius in a thousand.
-        assert beyond <= 0.03
-    assert max(lost) < 1e-3 and max(profile) < 1e-2
+    for name, error, limit in (("flux", lost, 1e-4), ("profile", profile, 1e-3)):
+        beyond = [f"{e:.1e}" for e in error if e > limit]
+        print(f"\n{name}: worst {max(error):.1e}, {len(beyond)} of {len(error)} beyond {limit:g}")
+        assert not beyond
 
 
 @pytest.mark.parametrize("medium", [AIR, VITREOUS])
