@@ -19,7 +19,13 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from optics.irradiance_breaks import Breaks, ring_breaks
-from optics.irradiance_edges import Excess, approach_extremes, implicit_root, scan_boundaries, settle
+from optics.irradiance_edges import (
+    Excess,
+    approach_extremes,
+    implicit_root,
+    scan_boundaries,
+    settle,
+)
 from optics.lens import GlueLens
 from optics.lens_trace import BackwardRays, trace_backwards
 

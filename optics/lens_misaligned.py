@@ -131,7 +131,7 @@ def _trace(misaligned: MisalignedLens, medium_index, point, places: Float[Array,
     cos_medium = jnp.sum(out * normal, axis=-1)
     facing = cos_medium > 0.0
     # Light paths are reversible: trace the ray from the wall into the glue and reverse it.
-    inside, transmittance, passes = refract(
+    inside, transmittance, _ = refract(
         direction=-jnp.where(facing[..., None], out, normal),
         normal=-normal,
         index_incident=medium_index,
