@@ -15,7 +15,9 @@ from calibration.command.goodness import (
     runs_probability,
     verdict,
 )
-from calibration.pixels import Misfit
+from calibration.command.models import MODELS
+from calibration.command.remedies import Fault, remedy
+from calibration.pixels import Criterion, Failure, Misfit
 
 
 @pytest.mark.parametrize(("positive", "negative"), [(4, 4), (3, 6), (1, 5), (5, 4)])
@@ -91,9 +93,53 @@ def test_a_refusal_has_three_lines_whatever_is_wrong():
     assert (
         wrong == "not a good fit: the solver did not converge; it hit a bound: k = 0; and 5 more."
     )
-    for word in ("--lens", "--free", "--prior", "--model lens"):
-        assert word in remedy
+    assert "--free" in remedy and "at its bound" in remedy
     assert "c.html" in details
+
+
+def failed(criterion: Criterion) -> dict[str, Any]:
+    return {"converged": False, "failed": Failure(criterion, "12 of at most 3")}
+
+
+LARGE = {"misfit": Misfit(0.03, 1e-9, True, 17.0, "the core is darker"), "residuals": {}}
+
+
+@pytest.mark.parametrize(
+    ("model", "change", "tries"),
+    [
+        ("lens", failed(Criterion.STEPS), ["--lens FILE", "nearer"]),
+        ("image", failed(Criterion.STEPS), ["--free", "--prior"]),
+        ("plane", {"converged": False}, ["--robust", "--model cone"]),
+        ("lens", failed(Criterion.FIRST_ROUND), ["core, aperture and rim", "even wall"]),
+        ("lens", failed(Criterion.TABLES), ["--free", "distances at which the spot is sharpest"]),
+        ("lens", {"bounds": ("sag = 0 mm",)}, ["--prior", "at its bound"]),
+        ("sphere", {"bounds": ("eccentricity = 0",)}, ["--model cone"]),
+        ("cone", {"undetermined": ("b is not determined",)}, ["--prior", "--free"]),
+        ("cone", {"chi_squared_per_degree": 2.1}, ["--model lens", "scale"]),
+        ("plane", {"residuals": {"size": np.linspace(-1, 1, 40)}}, ["--model cone", "--robust"]),
+        ("cone", {"residuals": {"size": np.linspace(-1, 1, 40)}}, ["--model lens", "even wall"]),
+        ("image", LARGE, ["--model lens", "spread"]),
+        ("lens", LARGE, ["spread", "even wall", "off centre"]),
+    ],
+)
+def test_a_refusal_says_what_to_try_for_its_criterion(model, change, tries):
+    (doubt,) = found = good(**change)
+    wrong, remedy, _ = refusal(found, model=model, report=Path("c.html")).splitlines()
+    assert doubt.reason in wrong
+    for words in tries:
+        assert words in remedy
+
+
+def test_every_fault_has_a_remedy_with_options_that_the_model_has():
+    for fault, model in itertools.product(Fault, MODELS):
+        said = remedy(fault, model=model)
+        assert "--lens" not in said or model == "lens"
+        assert "--robust" not in said or model in ("plane", "sphere")
+        assert not re.search("--(free|prior)", said) or model in ("cone", "image", "lens")
+        assert f"--model {model}" not in said
+    # Each has one for the models that can have it; only harmless faults need none.
+    for fault in Fault:
+        assert any(remedy(fault, model=model) for model in MODELS) != fault.harmless
 
 
 @pytest.mark.parametrize(("degrees", "noise_explains"), [(40, True), (400, False)])

@@ -33,7 +33,8 @@ from calibration.pixels.model import (
     wall_pixels,
 )
 from calibration.pixels.parameters import check_names
-from calibration.pixels.table import Grid, LensTable, lens_table
+from calibration.pixels.table import Grid, LensTable
+from calibration.pixels.table_samples import lens_table
 from estimator import Stack, read_stack
 from estimator.image import Response
 from scenes import Renderer, Scene, render_stack

@@ -77,10 +77,11 @@ def _report(title: str, fit: ImageFit, wall_s: float, cpu_s: float) -> None:
         cells = f"{true:.6g}", f"{value:.6g}", f"{sigma:.2g}", f"{(value - true) / sigma:+.2f}"
         made.add_row(name, *cells)
     pixels = np.count_nonzero(fit.sides)
+    ending = fit.failed.reason if fit.failed else "converged"
     show(
         made,
         f"{pixels:,} pixels as {fit.degrees_of_freedom:,} data; chi squared per datum "
-        f"{fit.chi_squared_per_dof:.3f}; {fit.failed or 'converged'}; {wall_s:.0f} s, "
+        f"{fit.chi_squared_per_dof:.3f}; {ending}; {wall_s:.0f} s, "
         f"{cpu_s:.0f} s of CPU with compilation, load {os.getloadavg()[0]:.1f} on "
         f"{os.cpu_count()} cores (limit of the full run: {_LIMIT_S} s)",
     )

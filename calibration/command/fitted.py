@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from calibration.pixels import Misfit
+from calibration.pixels import Failure, Misfit
 from calibration.recordings import Recording
 from calibration.solvers import excess_variance
 from calibration.spots import Loss, Prior
@@ -75,7 +75,7 @@ class Fitted:
         values: the calibration file's parameters.
         covariance: covariance of `values`, enlarged by the misfit.
         converged: whether the solvers converged.
-        failed: the criterion of convergence that is not met, with its value, if that is known.
+        failed: the criterion of convergence that a fit to pixels does not meet; None if it does.
         bounds: bounds that the fit reached, in words.
         undetermined: parameters that the data do not determine, in words.
         chi_squared: None if the noise was estimated from the residuals.
@@ -98,7 +98,7 @@ class Fitted:
     recordings: Sequence[Recording]
     used: int
     degrees_of_freedom: int
-    failed: str = ""
+    failed: Failure | None = None
     chi_squared: float | None = None
     bounds: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()

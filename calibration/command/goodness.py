@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from enum import Enum
 from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from calibration.pixels import Misfit
+from calibration.command.remedies import OF_CRITERION, Fault, remedy
+from calibration.pixels import Failure, Misfit
 from calibration.solvers import accepted_range
 from estimator.files import QUANTITIES
 
@@ -33,17 +33,6 @@ SIGNIFICANCE = 0.01
 _SHOWN = 2  # reasons in an error message; the report lists all
 
 
-class Fault(Enum):
-    """What can be wrong with a fit. The value says what to try."""
-
-    NOT_CONVERGED = "start nearer (--lens), or fit fewer parameters (--free)"
-    BOUND = "fit fewer parameters (--free), or record longer withdrawals"
-    UNDETERMINED = "fit fewer parameters (--free), or add what you know of them (--prior)"
-    OVERSTATED_NOISE = "nothing; the values are right and only their errors are too large"
-    STATED_MISFIT = "nothing; the standard errors contain it"
-    MISFIT = "{other_model}a recording of an even wall with nothing in front of it"
-
-
 class Doubt(NamedTuple):
     """A fault of a fit and the reason in words."""
 
@@ -53,13 +42,13 @@ class Doubt(NamedTuple):
     @property
     def harmless(self) -> bool:
         """Whether the values are right within their errors."""
-        return self.fault in (Fault.OVERSTATED_NOISE, Fault.STATED_MISFIT)
+        return self.fault.harmless
 
 
 def doubts(
     *,
     converged: bool,
-    failed: str = "",
+    failed: Failure | None = None,
     bounds: tuple[str, ...],
     undetermined: tuple[str, ...],
     chi_squared_per_degree: float | None,
@@ -71,7 +60,7 @@ def doubts(
 
     Args:
         converged: whether the solver converged.
-        failed: the criterion of convergence that is not met, with its value, if that is known.
+        failed: the criterion of convergence that a fit to pixels does not meet; None if it does.
         bounds: bounds that the fit reached, in words.
         undetermined: parameters that the data do not determine, in words.
         chi_squared_per_degree: None if the noise was estimated from the residuals themselves.
@@ -79,8 +68,10 @@ def doubts(
         misfit: of a fit to pixels; None for a fit to spots.
         residuals: of a fit to spots, by name, ordered so that a misfit affects neighbours alike.
     """
-    why = "the solver did not converge" + (f": {failed}" if failed else "")
-    found = [] if converged else [Doubt(Fault.NOT_CONVERGED, why)]
+    found: list[Doubt] = []
+    if not converged:
+        why = "the solver did not converge" + (f": {failed.reason}" if failed else "")
+        found.append(Doubt(OF_CRITERION[failed.criterion] if failed else Fault.STEPS, why))
     found += [Doubt(Fault.BOUND, f"it hit a bound: {bound}") for bound in bounds]
     found += [
         Doubt(Fault.UNDETERMINED, f"the data do not determine all parameters: {direction}")
@@ -96,7 +87,7 @@ def doubts(
             f"the residuals of {', '.join(structured)} have structure (runs test: probability "
             f"{min(chances.values()):.1g}, level {level:.2g})"
         )
-        found.append(Doubt(Fault.MISFIT, why))
+        found.append(Doubt(Fault.STRUCTURE, why))
     return found
 
 
@@ -113,7 +104,7 @@ def _of_chi_squared(value: float, degrees: int, misfit: Misfit | None) -> list[D
             return []
         if value > MOST_CHI_SQUARED:
             why = f"{beyond} and above the limit of {MOST_CHI_SQUARED:g}"
-            return [Doubt(Fault.MISFIT, f"{why}: the residuals are larger than the noise")]
+            return [Doubt(Fault.LARGE_RESIDUALS, f"{why}: the residuals are larger than the noise")]
         why = f"{beyond}, so the standard errors are enlarged {math.sqrt(value):.3g} times"
         return [Doubt(Fault.STATED_MISFIT, why)]
     if not misfit.structured and value <= max(high, 1 + _KNOWN_VARIANCE):
@@ -138,13 +129,10 @@ def verdict(found: Sequence[Doubt]) -> str:
 
 def refusal(found: Sequence[Doubt], *, model: str, report: Path) -> str:
     """The error message, in three lines: what is wrong, what to try, where the details are."""
-    # The lens is the most general model. If it does not fit, only a better recording helps.
-    others = {"lens": "", "cone": "--model lens, or ", "image": "--model lens, or "}
-    other_model = others.get(model, "--model cone, or ")
     reasons = [doubt.reason for doubt in found]
     more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
-    remedies = dict.fromkeys(doubt.fault.value for doubt in found if not doubt.harmless)
-    tries = "; ".join(remedies).format(other_model=other_model)
+    remedies = (remedy(doubt.fault, model=model) for doubt in found if not doubt.harmless)
+    tries = "; ".join(list(dict.fromkeys(filter(None, remedies)))[:_SHOWN])
     return (
         f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}.\n"
         f"Try {tries}.\n"

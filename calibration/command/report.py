@@ -16,7 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calibration.command.fitted import Fitted, PixelResiduals
-from calibration.command.goodness import SIGNIFICANCE, Doubt, Fault, runs_probability
+from calibration.command.goodness import SIGNIFICANCE, Doubt, runs_probability
+from calibration.command.remedies import Fault
 from calibration.recordings import Recording
 from calibration.solvers import accepted_range, correlations
 from estimator.files import QUANTITIES, in_figure

@@ -8,10 +8,12 @@ lens        Conversion between a glue lens and fit parameters
 misfit      What the model leaves in the residuals, and how much it may bias the fit
 model       Radiance of the wall lit by a cone or a lens, as a differentiable function
 parameters  Names, units and valid ranges of the parameters
+lens_light  The table of a lens's light in a running fit: when it is computed anew, how finely
 selection   Which pixels a fit uses: those the beam reaches and a ring around them
 solver      The steps of the fit, from blurred frames to all pixels
 squares     Squares of pixels that are fitted as one datum where a lens's light is smooth
-table       Vector irradiance of a lens and its derivatives on a small grid
+table       The light of a lens on a grid, to first order in its parameters
+table_samples  Samples of this table by quadrature, denser at edges
 """
 
 import lazy_loader

@@ -3,6 +3,8 @@ from .data import read_footage as read_footage
 from .fit import fit_footage as fit_footage
 from .fit import fit_image as fit_image
 from .fit import lens_start as lens_start
+from .image_fit import Criterion as Criterion
+from .image_fit import Failure as Failure
 from .image_fit import ImageFit as ImageFit
 from .misfit import Misfit as Misfit
 from .parameters import CONE as CONE

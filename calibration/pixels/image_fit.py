@@ -3,11 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum, auto
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from calibration.pixels.misfit import Misfit
+
+
+class Criterion(Enum):
+    """What a fit must meet to have converged."""
+
+    STEPS = auto()
+    """A further step would hardly lower chi squared."""
+    FIRST_ROUND = auto()
+    """After the first round the model has most of the light."""
+    TABLES = auto()
+    """Two tables of a lens's light lead to the same result."""
+
+
+class Failure(NamedTuple):
+    """The criterion of convergence that a fit does not meet, and the reason with its value."""
+
+    criterion: Criterion
+    reason: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,7 +44,7 @@ class ImageFit:
         tips: tips of the frames, mm, eye frame.
         axis: unit vector along the beam from the tip towards the wall, eye frame.
         undetermined: parameters that neither data nor priors determine, in words; may be empty.
-        failed: the criterion of convergence that the fit does not meet, with its value; or "".
+        failed: the criterion of convergence that the fit does not meet; None if it converged.
         numerical_inflation: largest factor by which numerical errors of the lens's light enlarge a
             standard error; contained in `covariance`.
         residuals: light minus model over sigma, frames x h x w; NaN for pixels not fitted. Pixels
@@ -41,7 +61,7 @@ class ImageFit:
     tips: Float[np.ndarray, "frames 3"]
     axis: Float[np.ndarray, "3"]
     undetermined: tuple[str, ...]
-    failed: str
+    failed: Failure | None
     numerical_inflation: float
     residuals: Float[np.ndarray, "frames h w"]
     sides: UInt8[np.ndarray, "frames h w"]
@@ -49,7 +69,7 @@ class ImageFit:
     @property
     def converged(self) -> bool:
         """Whether the fit meets its criterion of convergence."""
-        return not self.failed
+        return self.failed is None
 
     @property
     def chi_squared_per_dof(self) -> float:

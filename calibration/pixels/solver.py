@@ -33,11 +33,13 @@ from calibration.pixels.chunks import (
     values_at,
 )
 from calibration.pixels.data import Footage
-from calibration.pixels.image_fit import ImageFit
+from calibration.pixels.image_fit import Criterion, Failure, ImageFit
+from calibration.pixels.lens_light import NEAREST_MM, LensLight
 from calibration.pixels.misfit import Pixels, found_misfit
-from calibration.pixels.parameters import DEFAULTS, LENS, NUISANCES, possible
+from calibration.pixels.parameters import DEFAULTS, NUISANCES, possible
 from calibration.pixels.selection import bright_spot, chosen_chunks
-from calibration.pixels.table import LensTable, lens_table
+from calibration.pixels.squares import residual_frames
+from calibration.pixels.table import LensTable
 from calibration.solvers import Minimum, NormalEquations, covariance_and_lost, minimise
 from calibration.spots import Prior, phantom_wall
 from optics import InputError
@@ -47,16 +49,11 @@ _BLURS = (1 / 4, 1 / 12, 1 / 36)
 """Blurs of the first fits, relative to the spot's radius; the last fits have no blur."""
 _ROUNDS = 2
 """Rounds of the fit to all pixels. Each selects pixels and computes noise from the last result."""
-_NEAREST_MM = {"cone": 0.03, "lens": 0.3}
+_NEAREST_MM = {"cone": 0.03, "lens": NEAREST_MM}
 """Least distance from the tip's plane. Nearer, the rim touches or the lens's table is invalid."""
-_REACH = {True: 1.6, False: 1.05}
-"""Size of a lens's table over the light's envelope, for coarse and for full fits."""
 _MOST_OF_TABLE = 10.0
 """Largest difference of two tables' results, in standard errors. The covariance contains it, but a
 larger one is not only noise."""
-_HALVINGS = {True: 1, False: 5}
-"""Most halvings of the cells of a lens's table, for coarse and for full fits. Three are too few in
-vitreous, where a lens can make a sharp image of its core: errors of a tenth of the peak."""
 _EXACT = 1e-6
 """Sigma of the constraint that fitted exposures equal the reported ones on average."""
 _SETTLED = {"cone": 1e-3, "lens": 0.04}
@@ -88,8 +85,6 @@ class Solver:
     ) -> None:
         self.footage, self.source, self.exposures = footage, source, exposures
         self.progress = progress
-        self.table: LensTable | None = None
-        self.coarse = True
         self.of_table: np.ndarray | None = None
         self.names = (*free, *(name for name in NUISANCES if name not in free))
         self.frames = len(footage.readings)
@@ -134,6 +129,7 @@ class Solver:
             names=self.names,
             kind=footage.kind,
         )
+        self.lens = LensLight(footage, self.names) if source == "lens" else None
 
     def _size(self, name: str, value: float) -> float:
         """Scale of a parameter; with it, the damping affects all parameters equally."""
@@ -165,11 +161,11 @@ class Solver:
             signal = sum(float(np.sum((c.light * c.weight) ** 2)) for c in self.chunks)
             misfit = math.sqrt(max(found.at.cost - self._pixels, 0.0) / signal)
             if self.source == "lens" and misfit > _HOPELESS:
-                return self._result(
-                    found,
+                why = (
                     f"after the first round the lens misses {100 * misfit:.2g} % of the light; "
-                    f"{100 * _HOPELESS:g} % are allowed",
+                    f"{100 * _HOPELESS:g} % are allowed"
                 )
+                return self._result(found, Failure(Criterion.FIRST_ROUND, why))
         self._choose(x)
         return self._result(*self._settled(x))
 
@@ -177,7 +173,7 @@ class Solver:
     def _pixels(self) -> int:
         return sum(int(np.count_nonzero(chunk.weight > 0)) for chunk in self.chunks)
 
-    def _settled(self, x: np.ndarray) -> tuple[Minimum, str]:
+    def _settled(self, x: np.ndarray) -> tuple[Minimum, Failure | None]:
         """Iterate until a lens's table is exact at the minimum; say why if it never is.
 
         Within a minimisation the table is linear in the lens's parameters. Each new table corrects
@@ -189,24 +185,26 @@ class Solver:
         while True:
             found = minimise(self._sums, x, tolerance=_SETTLED[self.source])
             if not found.converged:
-                return found, (
+                why = (
                     f"after {found.steps} steps another one would lower chi squared by "
                     f"{found.gain:.2g}; {_SETTLED[self.source]:g} is allowed"
                 )
+                return found, Failure(Criterion.STEPS, why)
             steps.append(found.x - x)
             x = found.x
             if self.source == "cone" or not found.steps:
-                return found, ""
+                return found, None
             lengths = [self._in_sigmas(step, found) for step in steps[-2:]]
             if len(steps) > 2 and lengths[1] > lengths[0] / 2:
                 last = np.stack(steps[-2:])
                 self.of_table = last.T @ last / 2
                 if max(lengths) < _MOST_OF_TABLE:
-                    return found, ""
-                return found, (
+                    return found, None
+                why = (
                     f"the last two tables of the lens's light differ by {max(lengths):.1f} "
                     f"standard errors of the result; {_MOST_OF_TABLE:g} are allowed"
                 )
+                return found, Failure(Criterion.TABLES, why)
             self._tabulate(x)
 
     def _in_sigmas(self, step: np.ndarray, found: Minimum) -> float:
@@ -214,8 +212,7 @@ class Solver:
 
     def _choose(self, x: np.ndarray, *, blur: float | None = None, stride: int = 1) -> None:
         """Select pixels for the current parameters; without a blur, all pixels."""
-        self.coarse = blur is not None
-        self._tabulate(x)
+        self._tabulate(x, coarse=blur is not None)
         self.problem = eqx.tree_at(
             lambda problem: problem.blur,
             self.problem,
@@ -231,6 +228,13 @@ class Solver:
             stride=stride,
             nearest=_NEAREST_MM[self.source],
         )
+        if self._pixels <= x.size:
+            raise InputError(
+                f"{self._pixels} pixels or squares of pixels are usable; a fit of {x.size} "
+                f"parameters needs more. The others are black, saturated, hidden, or nearer than "
+                f"{_NEAREST_MM[self.source]} mm to the tip. Change the exposure or withdraw "
+                "farther."
+            )
 
     def _bright_enough(self, x: np.ndarray) -> np.ndarray:
         """Set sensitivity and illumination by linear least squares, with all else fixed."""
@@ -262,27 +266,21 @@ class Solver:
         values = values_at(self.problem, jnp.asarray(x[: len(self.names)]))
         return {name: float(value) for name, value in values.items()}
 
-    def _tabulate(self, x: np.ndarray) -> None:
+    @property
+    def table(self) -> LensTable | None:
+        """The lens's light at the current table's parameters; None for a cone."""
+        return None if self.lens is None else self.lens.table
+
+    def _tabulate(self, x: np.ndarray, *, coarse: bool = False) -> None:
         """Compute the lens's light anew at x."""
-        if self.source == "cone":
-            return
-        values = self._values(x)
-        gone = self.footage.readings + values["touch"]
-        self.table = lens_table(
-            {name: values[name] for name in LENS},
-            tuple(name for name in self.names if name in LENS),
-            medium_index=self.footage.medium_index,
-            # The wall is oblique, so parts of it are nearer and farther than on the axis.
-            nearest=max(_NEAREST_MM["lens"], gone.min() - 1.0),
-            farthest=gone.max() + 1.0,
-            reach=_REACH[self.coarse],
-            halvings=_HALVINGS[self.coarse],
-        )
+        if self.lens is not None:
+            self.lens.tabulate(self._values(x), coarse=coarse)
 
     def _tabulated_sums(self, x: np.ndarray) -> NormalEquations:
-        """`_sums` with a new table at x, because far from the solution the light is not linear."""
-        if possible(self._values(x)):
-            self._tabulate(x)
+        """`_sums` with a new table at x if the lens is too far from the last one's."""
+        values = self._values(x)
+        if self.lens is not None and possible(values):
+            self.lens.follow(values)
         return self._sums(x)
 
     def _sums(self, x: np.ndarray) -> NormalEquations:
@@ -350,7 +348,7 @@ class Solver:
                 slopes[p + frame] = own[p]
             yield Pixels(frame, u, v, direct, light, weight, residual, slopes)
 
-    def _result(self, found: Minimum, failed: str = "") -> ImageFit:
+    def _result(self, found: Minimum, failed: Failure | None = None) -> ImageFit:
         exposures = [f"exposure of frame {frame}" for frame in range(self.frames)]
         names = (*self.names, *exposures[: self.frames * self.exposures])
         over = dict(zip(names[len(self.names) :], 1.0 + found.x[len(self.names) :], strict=True))
@@ -373,18 +371,8 @@ class Solver:
         size = np.append(np.asarray(self.problem.size), np.ones(len(over)))
         covariance = covariance * np.outer(size, size)
         errors = np.sqrt(np.diag(covariance)).tolist()
-        residuals = np.full(self.footage.light.shape, np.nan, np.float32)
-        sides = np.zeros(residuals.shape, np.uint8)
-        for chunk, part in zip(self.chunks, self._parts(found.x), strict=True):
-            real = chunk.weight > 0
-            off = -np.asarray(part.residuals)[real]
-            frame, side = int(chunk.frame), chunk.sides[real].astype(int)
-            u, v = (chunk.pixels[real] - 0.5 * (side[:, None] - 1)).round().astype(int).T
-            for k in np.unique(side):
-                own = side == k
-                for dv, du in np.ndindex(k, k):
-                    residuals[frame, v[own] + dv, u[own] + du] = off[own]
-                    sides[frame, v[own] + dv, u[own] + du] = k
+        offs = [part.residuals for part in self._parts(found.x)]
+        residuals, sides = residual_frames(self.footage.light.shape, self.chunks, offs)
         tips, axis = poses(self.problem, every, self.footage.readings)
         return ImageFit(
             parameters={n: (every[n], error) for n, error in zip(names, errors, strict=True)},

@@ -8,13 +8,13 @@ the frame's border.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt8
 from scipy import ndimage
 
 from calibration.pixels.chunks import CHUNK, Chunk, Problem, View, look
@@ -210,6 +210,29 @@ class SquareChooser:
         if not self.guess:
             usable &= footage.noise.is_clear(light)
         return _Squares(corners, light, usable), view
+
+
+def residual_frames(
+    shape: tuple[int, ...], chunks: Iterable[Chunk], offs: Iterable[Array]
+) -> tuple[Float[np.ndarray, "frames h w"], UInt8[np.ndarray, "frames h w"]]:
+    """Residuals (light minus model) and sides of the squares as frames; NaN and 0 elsewhere.
+
+    Args:
+        shape: frames, height and width.
+        chunks: the fitted squares.
+        offs: model minus light over sigma of each chunk.
+    """
+    residuals, sides = np.full(shape, np.nan, np.float32), np.zeros(shape, np.uint8)
+    for chunk, own in zip(chunks, offs, strict=True):
+        real = chunk.weight > 0
+        off, frame, side = -np.asarray(own)[real], int(chunk.frame), chunk.sides[real].astype(int)
+        u, v = (chunk.pixels[real] - 0.5 * (side[:, None] - 1)).round().astype(int).T
+        for k in np.unique(side):
+            one = side == k
+            for dv, du in np.ndindex(k, k):
+                residuals[frame, v[one] + dv, u[one] + du] = off[one]
+                sides[frame, v[one] + dv, u[one] + du] = k
+    return residuals, sides
 
 
 def _means(image: np.ndarray, side: int) -> Float[np.ndarray, "rows columns"]:

@@ -1,0 +1,73 @@
+"""The table of a lens's light in a running fit: when it is computed anew, and how finely."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from calibration.pixels.data import Footage
+from calibration.pixels.parameters import LENS
+from calibration.pixels.table import LensTable
+from calibration.pixels.table_samples import halvings_for, lens_table
+
+NEAREST_MM = 0.3
+"""Least distance from the tip's plane at which a table is valid."""
+_MARGIN_MM = 1.0  # the wall is oblique, so parts of it are nearer and farther than on the axis
+_REACH = {True: 1.6, False: 1.05}
+"""Size of a table over the light's envelope, for coarse and for exact tables."""
+_FINEST_PX = 1.0
+"""Least width of a table's cells, in pixels. The model averages over pixels."""
+_FAR = 0.01
+"""Relative change of a lens's parameter beyond which a table, linear in it, is computed anew."""
+
+
+class LensLight:
+    """The light of a fit's lens, to first order around the parameters of its last table.
+
+    Args:
+        footage: the frames.
+        names: names of the fit's free parameters.
+    """
+
+    def __init__(self, footage: Footage, names: tuple[str, ...]) -> None:
+        self.footage = footage
+        self.free = tuple(name for name in names if name in LENS)
+        self.table: LensTable | None = None
+        self._coarse = True
+        self._at: dict[str, float] = {}
+        self._halvings: int | None = None
+
+    def tabulate(self, values: Mapping[str, float], *, coarse: bool) -> None:
+        """Compute the table at these values of all parameters, unless it is the last one."""
+        at = {name: values[name] for name in (*LENS, "touch")}
+        if (at, coarse) == (self._at, self._coarse):
+            return
+        gone = self.footage.readings + values["touch"]
+        lens = {name: values[name] for name in LENS}
+        medium_index, farthest = self.footage.medium_index, float(gone.max() + _MARGIN_MM)
+        if self._halvings is None:
+            # The same for the whole fit: tables of one shape need one compilation.
+            self._halvings = halvings_for(
+                lens,
+                medium_index=medium_index,
+                farthest=farthest,
+                finest=_FINEST_PX * self.footage.microscope.scale_mm_px,
+            )
+        self.table = lens_table(
+            lens,
+            self.free,
+            medium_index=medium_index,
+            nearest=max(NEAREST_MM, gone.min() - _MARGIN_MM),
+            farthest=farthest,
+            reach=_REACH[coarse],
+            halvings=self._halvings,
+            coarse=coarse,
+        )
+        self._at, self._coarse = at, coarse
+
+    def follow(self, values: Mapping[str, float]) -> None:
+        """Compute the table anew if a free parameter of the lens has changed by much."""
+        moved = (
+            abs(values[name] - self._at[name]) > _FAR * abs(self._at[name]) for name in self.free
+        )
+        if any(moved):
+            self.tabulate(values, coarse=self._coarse)

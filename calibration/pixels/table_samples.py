@@ -1,0 +1,200 @@
+"""Samples of a lens's light and of its derivatives, by quadrature.
+
+Quadrature at every pixel would take minutes per frame. A grid over the visible distances and radii
+takes seconds, including the derivatives with respect to the lens's parameters. Its samples are
+denser at edges of the light, as in `optics.irradiance_table`: in its focal plane a lens makes a
+sharp image of its core.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import binary_dilation
+
+import optics
+from calibration.pixels.lens import lens_of
+from calibration.pixels.table import Grid, LensTable
+
+_ROWS, _COLUMNS = 24, 48  # cells of the first grid, for which all samples are computed
+_TOLERANCE = {True: 1e-2, False: 1e-3}
+"""Of a row's peak, for coarse and for exact tables; cells with a larger error of the spline are
+halved again."""
+_COARSE_LEVELS = 2
+"""How often a coarse table's cells are halved by quadrature; then the spline gives all samples."""
+_MOST_HALVINGS = 5
+_BATCH = 64  # points per call, few enough to stay in the cache, as in optics.irradiance
+
+
+def halvings_for(
+    values: Mapping[str, float], *, medium_index: float, farthest: float, finest: float
+) -> int:
+    """How often the first grid's cells must be halved to be no wider than `finest` everywhere.
+
+    Args:
+        values: all `PARAMETERS`.
+        medium_index: n0.
+        farthest: largest visible distance, mm. There the cells are widest.
+        finest: mm on the wall. What is smaller than a pixel's part is not visible.
+    """
+    envelope = float(optics.LensField(lens_of(values), medium_index).envelope(farthest))
+    return int(np.clip(math.ceil(math.log2(envelope / _COLUMNS / finest)), 1, _MOST_HALVINGS))
+
+
+def lens_table(
+    values: Mapping[str, float],
+    free: Sequence[str],
+    *,
+    medium_index: float,
+    nearest: float,
+    farthest: float,
+    reach: float,
+    halvings: int,
+    coarse: bool = False,
+) -> LensTable:
+    """Tabulate a lens and its derivatives with respect to the free parameters.
+
+    Quadrature gives all samples of a first grid. Then each grid has cells of half the size, and
+    quadrature only near samples for which the cubic spline through the previous grid is wrong. The
+    spline gives the others. The samples follow the light's edges, so a table serves its own lens
+    and small changes only.
+
+    Args:
+        values: all `PARAMETERS`.
+        free: names of the parameters to differentiate with respect to.
+        medium_index: n0.
+        nearest: least visible distance, mm.
+        farthest: largest visible distance, mm.
+        reach: size of the envelope relative to that of the given lens.
+        halvings: how often the first grid's cells are halved; the first time for all cells.
+        coarse: whether errors of a hundredth of the peak are small enough. Coarse and exact tables
+            have the same shape, so that the image model is compiled once.
+    """
+    envelope = optics.LensField(lens_of(values), medium_index).envelope
+    contact_radius = float(envelope(0.0))
+    slope = float(envelope(1.0)) - contact_radius
+    grid = Grid(reach * contact_radius, reach * slope, nearest, farthest)
+    field = _Field(values, tuple(free), medium_index, grid)
+    first = 2 if coarse else 1
+    missed = np.ones((_ROWS // first + 1, _COLUMNS // first + 1), bool)
+    samples = field(missed)
+    for level in range(halvings + first - 1):
+        guess = _halved(samples)
+        if not missed.any() or (coarse and level == _COARSE_LEVELS):
+            missed = np.zeros(guess.shape[2:], bool)
+            samples = guess
+            continue
+        wanted = np.kron(binary_dilation(missed, np.ones((3, 3))), np.ones((2, 2), bool))[:-1, :-1]
+        wanted[::2, ::2] = False
+        samples = field(wanted, guess)
+        error = np.abs(samples - guess)[0].max(axis=0)
+        missed = error > _TOLERANCE[coarse] * samples[0, 1].max(axis=1, keepdims=True)
+    return field.table(samples)
+
+
+class _Field:
+    """V e² of a lens on a grid, and its derivatives with respect to some parameters."""
+
+    def __init__(
+        self, values: Mapping[str, float], names: tuple[str, ...], medium_index: float, grid: Grid
+    ) -> None:
+        self.names, self.grid = names, grid
+        self.at = jnp.array([values[name] for name in names])
+        self.fixed = {name: jnp.asarray(value, float) for name, value in values.items()}
+        self.medium_index = jnp.asarray(medium_index, float)
+
+    def __call__(
+        self, wanted: Bool[np.ndarray, "rows columns"], known: np.ndarray | None = None
+    ) -> Float[np.ndarray, "p+1 2 rows columns"]:
+        """The known samples, with the wanted ones computed."""
+        samples = (
+            np.empty((1 + len(self.names), 2, *wanted.shape)) if known is None else known.copy()
+        )
+        row, column = np.nonzero(wanted)
+        rows, columns = wanted.shape
+        grid = self.grid
+        s = grid.nearest * (grid.farthest / grid.nearest) ** (row / (rows - 1))
+        envelope = grid.contact_radius + grid.slope * s
+        points = np.stack([envelope * column / (columns - 1), s])
+        points = np.pad(points, ((0, 0), (0, -row.size % _BATCH)), mode="edge")
+        batches = points.reshape(2, -1, _BATCH).transpose(1, 0, 2)
+
+        def evaluate(batch: np.ndarray) -> np.ndarray:
+            own = (self.names, self.at, self.fixed, self.medium_index)
+            return np.asarray(_with_slopes(*own, *batch))
+
+        # A batch is too small for several cores. The first batch runs alone, to compile only once.
+        with ThreadPoolExecutor() as pool:
+            parts = [evaluate(batches[0]), *pool.map(evaluate, batches[1:])]
+        samples[..., row, column] = np.concatenate(parts, axis=-1)[..., : row.size] * envelope**2
+        return samples
+
+    def table(self, samples: Float[np.ndarray, "p+1 2 rows columns"]) -> LensTable:
+        """The table of these samples."""
+        samples = np.moveaxis(samples, 1, -1)
+        leaves = _transmitted(self.names, self.at, self.fixed, self.medium_index)
+        return LensTable(
+            values=jnp.asarray(samples[0]),
+            slopes=jnp.asarray(samples[1:]),
+            transmitted_value=leaves[0],
+            transmitted_slopes=leaves[1:],
+            at=self.at,
+            moved=jnp.zeros(len(self.names)),
+            grid=jax.tree.map(jnp.asarray, self.grid),
+        )
+
+
+def _halved(samples: Float[np.ndarray, "p 2 n m"]) -> Float[np.ndarray, "p 2 2n-1 2m-1"]:
+    """Samples of a cubic spline through the given ones, at half their spacing."""
+    for axis in (2, 3):
+        count = samples.shape[axis]
+        samples = CubicSpline(np.arange(count), samples, axis=axis)(np.arange(2 * count - 1) / 2)
+    return samples
+
+
+@eqx.filter_jit
+def _with_slopes(
+    names: tuple[str, ...],
+    at: Float[Array, "p"],
+    fixed: dict[str, Array],
+    medium_index: Float[Array, ""],
+    radius: Float[Array, "n"],
+    distance: Float[Array, "n"],
+) -> Float[Array, "p+1 2 n"]:
+    """V at some points, followed by its derivatives."""
+
+    def field(free: Array) -> Array:
+        lens = lens_of(fixed | dict(zip(names, free, strict=True)))
+        return jnp.stack(
+            optics.vector_irradiance(
+                lens, medium_index=medium_index, radius=radius, distance=distance
+            )
+        )
+
+    return _value_and_slopes(field, at)
+
+
+@eqx.filter_jit
+def _transmitted(names, at, fixed, medium_index) -> Float[Array, "p+1"]:
+    def share(free: Array) -> Array:
+        lens = lens_of(fixed | dict(zip(names, free, strict=True)))
+        return optics.transmitted_power(lens, medium_index=medium_index)
+
+    return _value_and_slopes(share, at)
+
+
+def _value_and_slopes(function: Callable[[Array], Array], at: Float[Array, "p"]) -> Array:
+    if not at.size:
+        return function(at)[None]
+    value, slopes = jax.vmap(
+        lambda direction: jax.jvp(function, (at,), (direction,)), out_axes=(None, 0)
+    )(jnp.eye(at.size))
+    return jnp.concatenate([value[None], slopes])
