@@ -59,6 +59,9 @@ _EXACT = 1e-6
 _SETTLED = {"cone": 1e-3, "lens": 0.04}
 """A fit ends if a step would lower chi squared by less. The root is the step in standard errors:
 0.03, or 0.2 for a lens, whose table is computed with errors."""
+_NEAR = 1.0
+"""Step, in standard errors, after which a lens's table is as good as one computed at its end: what
+the table leaves out is of second order in a step far smaller than the lens."""
 _COARSELY = {"cone": 0.1, "lens": 1.0}
 """The same for the first fits."""
 
@@ -192,7 +195,7 @@ class Solver:
                 return found, Failure(Criterion.STEPS, why)
             steps.append(found.x - x)
             x = found.x
-            if self.source == "cone" or not found.steps:
+            if self.source == "cone" or self._in_sigmas(steps[-1], found) < _NEAR:
                 return found, None
             lengths = [self._in_sigmas(step, found) for step in steps[-2:]]
             if len(steps) > 2 and lengths[1] > lengths[0] / 2:
