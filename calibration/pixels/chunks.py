@@ -250,7 +250,9 @@ def _source(problem: Problem, values: Mapping[str, Array], table: LensTable | No
         own, added = values.get("blur"), problem.blur
         blurs = [blur for blur in (own, added) if blur is not None]
         blur = jnp.sqrt(sum(jnp.square(b) for b in blurs)) if blurs else None
-        return Cone(values["half_angle"], values["b"], blur, values.get("spread"))
+        # Frames that were blurred much more than the wall spreads the light show nothing of it.
+        spread = values.get("spread") if added is None else None
+        return Cone(values["half_angle"], values["b"], blur, spread)
     names = [name for name in problem.names if name in LENS]
     now = jnp.array([values[name] for name in names])
     moved = eqx.tree_at(lambda t: t.moved, table, now - table.at)
