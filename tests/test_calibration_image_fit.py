@@ -19,19 +19,11 @@ import calibration
 import optics
 from calibration.pixels import squares
 from calibration.pixels.chunks import Chunk, Problem, sums
+from calibration.pixels.cone import Cone, Edge, lit_moment, lit_part
 from calibration.pixels.data import CameraNoise, Footage, Instrument, read_footage
 from calibration.pixels.fit import fit_footage
 from calibration.pixels.lens import lens_parameters
-from calibration.pixels.model import (
-    Cone,
-    Edge,
-    Lens,
-    WallPixels,
-    lit_moment,
-    lit_part,
-    radiance,
-    wall_pixels,
-)
+from calibration.pixels.model import Lens, WallPixels, radiance, wall_pixels
 from calibration.pixels.parameters import check_names
 from calibration.pixels.table import Grid, LensTable
 from calibration.pixels.table_samples import lens_table

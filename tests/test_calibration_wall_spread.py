@@ -10,7 +10,8 @@ import pytest
 
 import calibration
 import optics
-from calibration.pixels.model import Cone, Lens, wall_pixels
+from calibration.pixels.cone import Cone
+from calibration.pixels.model import Lens, wall_pixels
 from calibration.pixels.table import Grid, LensTable
 from calibration.spots import Prior
 from estimator import Stack
