@@ -318,10 +318,10 @@ def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(
     # The fibre is not parallel to its tool, and the calibration contains the angles.
     off = np.array([0.03, -0.02, 1.0]) / math.hypot(0.03, 0.02, 1.0)
     tool, _ = Rotation.align_vectors(turn.inv().apply(axis)[None], off[None])
-    old = read_calibration(calibration)
+    old, askew = read_calibration(calibration), tmp_path / "askew.json"
     beam = {"beam_x": 0.03, "beam_y": -0.02}
     write_calibration(
-        calibration, replace(old, values={**old.values, **beam}, covariance=np.zeros((4, 4)))
+        askew, replace(old, values={**old.values, **beam}, covariance=np.zeros((4, 4)))
     )
     stamped = [
         Frame(index=k, file_name="", time_s=1.0 + k / 10, image=image)
@@ -331,10 +331,10 @@ def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(
     pose = Pose(rotation=rotation, time_s=0.9, position_mm=(0.0, 0.0, 0.0))
     write_bag(bag, frames=stamped, poses=[pose])
     quaternion = ",".join(map(repr, turn.as_quat().tolist()))
-    options = ("--calibration", calibration, "--microscope", microscope, "--model", "exact")
+    options = ("--calibration", askew, "--microscope", microscope, "--model", "exact")
     known = ("--poses", bag, f"--eye-from-robot={quaternion}")
     assert run(bag, "--out", out, *options, *known).code == 0
-    ranger = Ranger(read_calibration(calibration), read_microscope(microscope), model="exact")
+    ranger = Ranger(read_calibration(askew), read_microscope(microscope), model="exact")
     for record in read_spots(out):
         assert isinstance(record.result, Spot)
         with_axis = ranger.distance(record.result, axis=axis)
