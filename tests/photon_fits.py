@@ -23,14 +23,9 @@ from scipy import stats
 
 from calibration.command.goodness import doubts, verdict
 from calibration.pixels import ImageFit, fit_footage
-from tests.photon_stacks import (
-    Recording,
-    footage_of,
-    frames_of,
-    light_of,
-    photographs,
-    reach_of,
-)
+from optics import InputError
+from tests.photon_frames import footage_of, photographed, widened
+from tests.photon_stacks import Recording
 from tests.photons import Drop
 
 PARAMETERS = ("sag", "numerical_aperture", "sensitivity")
@@ -40,8 +35,8 @@ BORESIGHT = math.radians(3.0)
 TOUCH_MM = 0.02
 """Scatter of what a fit knows in advance; its priors have these standard deviations."""
 _SMALL: dict[str, Any] = {"frames": 10, "width": 96, "height": 72}
+"""Some 15 million photons, which take 2 to 4 s."""
 _START_OFF = 0.26
-_PHOTONS = 1 << 22
 
 _DROP = Drop(core=0.25, aperture=0.30, sag=0.07, rim=0.04, aperture_na=0.15)
 
@@ -96,15 +91,13 @@ def random_recording(seed: int) -> Recording:
         pinhole=float(rng.choice([11.5, 200.0])),
         **_SMALL,
     )
-    wide = reach_of(recording, 0.9)
-    return dataclasses.replace(recording, scale=float(np.clip(3 * wide / 72, 0.012, 0.05)))
+    return widened(recording, 0.9, rng)
 
 
 def fitted(recording: Recording, seed: int) -> tuple[ImageFit, float]:
     """Photons, photographs and a fit from a start that is 26 % off; and the fit's seconds."""
     rng = np.random.default_rng([27, seed])
-    frames = frames_of(recording, light_of(recording, count=_PHOTONS, seed=seed))
-    footage = footage_of(recording, frames, photographs(recording, frames, rng))
+    footage = footage_of(recording, photographed(recording, rng))
     drop = recording.drop
     off = 1 + _START_OFF * rng.choice([-1.0, 1.0], 2)
     start = {
@@ -166,7 +159,7 @@ def collected(
             continue
         try:
             done[name] = result(recording(), number)
-        except ValueError as error:  # a stack without a spot, or a start that cannot be
+        except InputError as error:  # a stack without a spot, or a start that cannot be
             done[name] = {"good": False, "said": str(error)}
         with file.open("a") as appended:
             appended.write(json.dumps({"name": name, **done[name]}) + "\n")
