@@ -2,9 +2,10 @@
 
     python -m tests.photon_fits coverage FILE [FITS]    random lenses, walls and media
     python -m tests.photon_fits departures FILE         light that the model does not know
+    python -m tests.photon_fits examples FILE           one lens in three larger stacks
 
 Each fit is a line of JSON in FILE. A run that was killed goes on where it ended; the table at the
-end is that of all lines. One fit takes 10 to 20 s on two idle cores, after a minute to compile.
+end is that of all lines.
 """
 
 from __future__ import annotations
@@ -41,7 +42,19 @@ _START_OFF = 0.26
 _DROP = Drop(core=0.25, aperture=0.30, sag=0.07, rim=0.04, aperture_na=0.15)
 
 
-def _departures() -> dict[str, Recording]:
+def examples() -> dict[str, Recording]:
+    """Larger recordings of one lens."""
+    air = Recording(drop=_DROP)
+    off = dataclasses.replace(air, beam_off=(math.radians(0.3), 0.0))
+    eyeball = dataclasses.replace(air, wall="eyeball", medium="vitreous", eccentricity=2.0)
+    return {
+        "plane, air, beam 0.3° off the motion": off,
+        "plane, air, beam along the motion": air,
+        "eyeball, vitreous": eyeball,
+    }
+
+
+def departures() -> dict[str, Recording]:
     """Recordings of one lens whose light is not as the model assumes, in air and in vitreous."""
     air = Recording(drop=_DROP, **_SMALL, scale=0.035)
     vitreous = dataclasses.replace(air, medium="vitreous", scale=0.02)
@@ -175,13 +188,13 @@ def coverage(file: Path, fits: int) -> dict[str, dict[str, Any]]:
     return collected(file, ((str(seed), drawn(seed)) for seed in range(fits)))
 
 
-def departures(file: Path) -> dict[str, dict[str, Any]]:
-    """Fits to light that the model does not know."""
+def known(file: Path, recordings: dict[str, Recording]) -> dict[str, dict[str, Any]]:
+    """Fits of these recordings."""
 
-    def known(recording: Recording) -> Callable[[], Recording]:
+    def as_is(recording: Recording) -> Callable[[], Recording]:
         return lambda: recording
 
-    return collected(file, ((name, known(own)) for name, own in _departures().items()))
+    return collected(file, ((name, as_is(own)) for name, own in recordings.items()))
 
 
 def inside(rows: Iterable[dict[str, Any]], name: str, sigmas: float) -> tuple[int, int]:
@@ -199,8 +212,9 @@ def binomial_limits(total: int, share: float) -> tuple[int, int]:
 def main() -> None:
     """Run the program that the module's docstring describes."""
     kind, file = sys.argv[1], Path(sys.argv[2])
-    if kind == "departures":
-        for name, row in departures(file).items():
+    if kind != "coverage":
+        recordings = {"departures": departures, "examples": examples}[kind]()
+        for name, row in known(file, recordings).items():
             print(_line(name, row))
         return
     rows = coverage(file, int(sys.argv[3]) if len(sys.argv) > 3 else 200)
@@ -219,7 +233,9 @@ def _line(name: str, row: dict[str, Any]) -> str:
     if "chi_squared" not in row:
         return f"{name}: {row['said']}"
     errors = ", ".join(
-        f"{own} {100 * row[own][0]:+.3f} ± {100 * row[own][1]:.3f} %" for own in PARAMETERS
+        f"{own} {100 * row[own][0]:+.3f} ± {100 * row[own][1]:.3f} % "
+        f"({row[own][0] / row[own][1]:+.1f})"
+        for own in PARAMETERS
     )
     return (
         f"{name}: {'good' if row['good'] else 'NOT GOOD'}, {errors}, "

@@ -59,12 +59,20 @@ class Frames:
 
 
 class View:
-    """What the camera of a recording counts, frame by frame."""
+    """What the camera of a recording counts, frame by frame.
 
-    def __init__(self, recording: Recording, rng: np.random.Generator) -> None:
+    Args:
+        recording: its lens, wall, microscope and camera.
+        rng: for the photons.
+        beam: unit vector along the light.
+        centre: principal point, px.
+    """
+
+    def __init__(
+        self, recording: Recording, rng: np.random.Generator, beam: np.ndarray, centre: np.ndarray
+    ) -> None:
         self.recording, self.rng = recording, rng
-        self.where = poses(recording)
-        self.centre = principal_point(recording, self.where)
+        self.beam, self.centre = beam, centre
         v, u = np.mgrid[: recording.height, : recording.width]
         points, _ = seen_wall(recording, u, v, self.centre)
         self.largest = _MARGIN * float(self._pixels_per_area(np.moveaxis(points, -1, 0)).max())
@@ -136,8 +144,8 @@ class View:
         even = rng.random((4, number), dtype=np.float32)
         x, y, slope_x, slope_y, weight, _ = photons(own.drop, INDEX[own.medium], even)
         kept = rng.random(weight.size, dtype=np.float32) < weight
-        first, second = (way.astype(np.float32) for way in perpendiculars(self.where.beam))
-        beam = self.where.beam.astype(np.float32)[:, None]
+        first, second = (way.astype(np.float32) for way in perpendiculars(self.beam))
+        beam = self.beam.astype(np.float32)[:, None]
         start = (
             tip.astype(np.float32)[:, None] + np.outer(first, x[kept]) + np.outer(second, y[kept])
         )
@@ -182,15 +190,17 @@ class View:
 
 def photographed(recording: Recording, rng: np.random.Generator) -> Frames:
     """8-bit frames with three channels: electrons, read noise, black level, rounding."""
-    own, view = recording, View(recording, rng)
+    own, where = recording, poses(recording)
+    centre = principal_point(own, where)
+    view = View(own, rng, where.beam, centre)
     images, exposures = [], []
-    for tip in view.where.tips:
+    for tip in where.tips:
         exposures.append(view.exposure_s(tip))
         electrons = view.electrons(tip, exposures[-1])
         electrons = electrons + own.read_noise * rng.standard_normal(electrons.shape)
         level = own.black + (255 - own.black) * electrons / own.full_well
         images.append(np.clip(np.rint(level), 0, 255).astype(np.uint8))
-    return Frames(np.array(images), np.array(exposures), view.centre, view.where)
+    return Frames(np.array(images), np.array(exposures), centre, where)
 
 
 def widened(recording: Recording, part: float, rng: np.random.Generator) -> Recording:
