@@ -198,8 +198,8 @@ def known(file: Path, recordings: dict[str, Recording]) -> dict[str, dict[str, A
 
 
 def inside(rows: Iterable[dict[str, Any]], name: str, sigmas: float) -> tuple[int, int]:
-    """Number of accepted fits with an error below some standard errors, and their total."""
-    z = [abs(row[name][0] / row[name][1]) for row in rows if row["good"]]
+    """Number of fits with an error below some standard errors, and the number of all with one."""
+    z = [abs(row[name][0] / row[name][1]) for row in rows if name in row]
     return sum(value < sigmas for value in z), len(z)
 
 
@@ -220,13 +220,17 @@ def main() -> None:
     rows = coverage(file, int(sys.argv[3]) if len(sys.argv) > 3 else 200)
     for name, row in rows.items():
         print(_line(name, row))
-    print(f"{sum(row['good'] for row in rows.values())} of {len(rows)} fits were accepted.")
-    for name in PARAMETERS:
-        for sigmas in (1.0, 1.96, 3.0):
-            count, total = inside(rows.values(), name, sigmas)
-            share = math.erf(sigmas / math.sqrt(2))
-            low, high = binomial_limits(total, share)
-            print(f"{name}: |z| < {sigmas}: {count} of {total} ({low} to {high} are expected)")
+    accepted = [row for row in rows.values() if row["good"]]
+    print(f"{len(accepted)} of {len(rows)} fits were accepted.")
+    for title, own in (("accepted", accepted), ("all", list(rows.values()))):
+        for name in PARAMETERS:
+            for sigmas in (1.0, 1.96, 3.0):
+                count, total = inside(own, name, sigmas)
+                low, high = binomial_limits(total, math.erf(sigmas / math.sqrt(2)))
+                print(
+                    f"{name}: |z| < {sigmas}: {count} of {total} {title} "
+                    f"({low} to {high} are expected)"
+                )
 
 
 def _line(name: str, row: dict[str, Any]) -> str:

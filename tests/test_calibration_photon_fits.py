@@ -50,13 +50,14 @@ def results(request):
 @pytest.mark.slow  # an hour or more on two cores
 def test_intervals_contain_the_lens_as_often_as_they_say(results):
     rows = coverage(results("coverage"), FITS)
-    assert sum(row["good"] for row in rows.values()) > 0.9 * FITS
+    accepted = [row for row in rows.values() if row["good"]]
+    assert len(accepted) > 0.9 * FITS
     for name in PARAMETERS:
         for sigmas in (1.0, 1.959964):
-            count, total = inside(rows.values(), name, sigmas)
+            count, total = inside(accepted, name, sigmas)
             low, high = binomial_limits(total, math.erf(sigmas / math.sqrt(2)))
             assert low <= count <= high, f"{name}: {count} of {total} within {sigmas} sigma"
-        count, total = inside(rows.values(), name, 3.0)
+        count, total = inside(accepted, name, 3.0)
         assert count >= 0.99 * total, f"{name}: {count} of {total} within 3 sigma"
 
 
