@@ -14,6 +14,7 @@ half_maximum       The contour where direct irradiance on the wall is half of it
 indirect           Light that a Lambertian eyeball scatters back onto its own wall
 input_error        The error that says a value from outside is wrong, and values in its text
 input_files        Reads text and TOML that anyone may have written
+input_model        Formats of files as pydantic models, and what is wrong with a content
 irradiance         Vector irradiance of a glue lens at a wall point, by quadrature
 irradiance_breaks  Rings of a cap at which its lit part changes its form
 irradiance_edges   Boundaries between lit and dark along a scan
@@ -29,9 +30,10 @@ profile            Spot radius behind a lens: half maximum, isophote, equivalent
 refraction         Refraction and Fresnel transmission at a smooth boundary between two media
 spread_contour     The spot's contours on a wall that spreads light, for labels
 square_spot        The spot of a beam perpendicular to the wall, and its image, in closed form
-surface            The walls: a plane with any normal, and the eyeball's sphere
+surface            The walls: a plane with any normal, the eyeball's sphere, and an ellipsoid
 truth              The true parameters of a beam's spot, for labels
 vector             Operations on three-vectors by components
+viewing/           The eye's own optics and the lenses through which a surgeon looks
 wall_spread        The point-spread on a wall that scatters light sideways before it leaves
 """
 

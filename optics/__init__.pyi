@@ -4,6 +4,7 @@ from .beam import beam_through_trocar as beam_through_trocar
 from .beam import contact_distance as contact_distance
 from .beam import perpendicular_frame as perpendicular_frame
 from .beam import slope as slope
+from .camera import Camera as Camera
 from .camera import Microscope as Microscope
 from .camera import microscope as microscope
 from .camera import microscope_from_camera_matrix as microscope_from_camera_matrix
@@ -39,6 +40,8 @@ from .input_files import read_data as read_data
 from .input_files import read_text as read_text
 from .input_files import read_toml as read_toml
 from .input_files import toml_in as toml_in
+from .input_model import Strict as Strict
+from .input_model import validated as validated
 from .irradiance import vector_irradiance as vector_irradiance
 from .irradiance_lookup import IrradianceTable as IrradianceTable
 from .irradiance_lookup import LensField as LensField
@@ -74,6 +77,7 @@ from .profile import effective_cone as effective_cone
 from .profile import half_maximum_radius as half_maximum_radius
 from .profile import isophote_radius as isophote_radius
 from .refraction import MEDIA as MEDIA
+from .refraction import refract as refract
 from .spread_contour import SpreadSpot as SpreadSpot
 from .spread_contour import lit_share as lit_share
 from .spread_contour import spread_contours as spread_contours
@@ -87,6 +91,7 @@ from .square_spot import stereographic_semi_axis as stereographic_semi_axis
 from .surface import BEHIND as BEHIND
 from .surface import HIT as HIT
 from .surface import MISS as MISS
+from .surface import Ellipsoid as Ellipsoid
 from .surface import Intersection as Intersection
 from .surface import Plane as Plane
 from .surface import Sphere as Sphere
@@ -95,6 +100,7 @@ from .surface import WallFrame as WallFrame
 from .surface import pole_plane as pole_plane
 from .truth import SpotTruth as SpotTruth
 from .truth import spot_truth as spot_truth
+from .vector import components as components
 from .wall_spread import enclosed as enclosed
 from .wall_spread import spread_mixture as spread_mixture
 from .wall_spread import spread_nodes as spread_nodes

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,19 @@ from optics.input_error import InputError
 from optics.vector import components
 
 _UNDISTORT_STEPS = 12
+
+
+class Camera(Protocol):
+    """What projects points of the eye: a `Microscope`, or a `PathCamera` of `optics.viewing`."""
+
+    @property
+    def scale(self) -> Float[Array, ""]:
+        """Delta, mm per px at the pole."""
+        ...
+
+    def project(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
+        """Image of points, px."""
+        ...
 
 
 class Microscope(eqx.Module):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from optics.beam import Beam, generator_angles
-from optics.camera import Microscope
+from optics.camera import Camera
 from optics.ellipse import Ellipse, ellipse_of_contour
 from optics.surface import Intersection, Surface
 
@@ -30,14 +30,14 @@ def cone_contour(beam: Beam, surface: Surface, *, points: int = CONTOUR_POINTS) 
 
 
 def spot_contour(
-    beam: Beam, surface: Surface, microscope: Microscope, *, points: int = CONTOUR_POINTS
+    beam: Beam, surface: Surface, microscope: Camera, *, points: int = CONTOUR_POINTS
 ) -> Float[Array, "n 2"]:
     """Image of the spot's edge, px."""
     return microscope.project(cone_contour(beam, surface, points=points).point)
 
 
 def spot_ellipse(
-    beam: Beam, surface: Surface, microscope: Microscope, *, points: int = CONTOUR_POINTS
+    beam: Beam, surface: Surface, microscope: Camera, *, points: int = CONTOUR_POINTS
 ) -> Ellipse:
     """Ellipse of the image of the spot's edge, px: the `exact` model, forward."""
     return ellipse_of_contour(spot_contour(beam, surface, microscope, points=points))

@@ -9,7 +9,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, ScalarLike
 
 from optics.beam import beam_at_spot
-from optics.camera import Microscope
+from optics.camera import Camera
 from optics.contour import spot_ellipse
 from optics.surface import Surface
 
@@ -20,7 +20,7 @@ _MOST_STEPS = 12
 
 def exact_semi_minor(
     surface: Surface,
-    microscope: Microscope,
+    microscope: Camera,
     *,
     distance: ScalarLike,
     eccentricity: ScalarLike,
@@ -46,7 +46,7 @@ def exact_semi_minor(
 
 def exact_distance(
     surface: Surface,
-    microscope: Microscope,
+    microscope: Camera,
     *,
     semi_minor_px: ScalarLike,
     eccentricity: ScalarLike,

@@ -72,18 +72,19 @@ def refract(
     Args:
         direction: **d**, unit vectors of the incident light.
         normal: **n**, unit normals with **d**·**n** > 0.
-        index_incident: refractive index before the boundary.
+        index_incident: refractive index before the boundary; one, or one for each ray.
         index_transmitted: refractive index behind it.
 
     Returns:
         Unit directions behind the boundary, Fresnel transmittance, and whether the light passes.
         Under total internal reflection the direction is along the boundary.
     """
-    ratio = jnp.asarray(index_incident) / index_transmitted
     cos_incident = jnp.sum(direction * normal, axis=-1)
+    ratio = jnp.broadcast_to(jnp.asarray(index_incident) / index_transmitted, cos_incident.shape)
     passes = jnp.square(ratio) * (1.0 - jnp.square(cos_incident)) < 1.0
     cos_transmitted = refracted_cosine(cos_incident=cos_incident, index_ratio=ratio)
-    bent = ratio * direction + (cos_transmitted - ratio * cos_incident)[..., None] * normal
+    along = cos_transmitted - ratio * cos_incident
+    bent = ratio[..., None] * direction + along[..., None] * normal
     bent = bent / jnp.linalg.norm(bent, axis=-1, keepdims=True)
     transmittance = fresnel_transmittance(
         cos_incident=cos_incident,

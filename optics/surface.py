@@ -1,17 +1,20 @@
-"""The walls: a plane with any normal, and the eyeball's sphere."""
+"""The walls: a plane with any normal, the eyeball's sphere, and an ellipsoid."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 
-from optics.vector import dot, ray_point
+from optics.vector import components, dot, ray_point
 
 HIT, MISS, BEHIND = 0, 1, 2
 """Status of an intersection: the wall is ahead, is not met, or is behind the origin."""
+
+_BISECTIONS = 60
 
 
 class Intersection(NamedTuple):
@@ -119,18 +122,129 @@ class Plane(eqx.Module):
         vertical = jnp.array([0.0, 0.0, 1.0])
         foot = jnp.asarray(eccentricity) * radial
         drop = jnp.dot(self.point - foot, self.inward) / jnp.dot(vertical, self.inward)
-        tangent = radial - vertical * jnp.dot(radial, self.inward) / jnp.dot(vertical, self.inward)
-        meridional = tangent / jnp.linalg.norm(tangent)
-        return WallFrame(
-            foot + drop * vertical, -self.inward, meridional, jnp.cross(self.inward, meridional)
-        )
+        return _frame(foot + drop * vertical, self.inward, radial)
 
     def nearest_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """Distance from a point to the plane, mm; negative behind it."""
         return jnp.dot(point - self.point, self.inward)
 
 
-Surface = Sphere | Plane
+class Ellipsoid(eqx.Module):
+    """A retina with three semi-axes, seen from inside; it may be turned about its centre.
+
+    The microscope's axis meets it at the pole, (0, 0, -semi_axes[2]): a turned or shifted ellipsoid
+    is raised or lowered to have its pole there.
+
+    Attributes:
+        semi_axes: along the ellipsoid's own x, y and z, mm.
+        centre: eye frame, mm.
+        turn: rotation matrix from the ellipsoid's own frame to the eye frame.
+    """
+
+    semi_axes: Float[Array, "3"]
+    centre: Float[Array, "3"]
+    turn: Float[Array, "3 3"]
+
+    def __init__(
+        self,
+        semi_axes: Float[ArrayLike, "3"],
+        *,
+        shift: tuple[ScalarLike, ScalarLike] = (0.0, 0.0),
+        tilt: ScalarLike = 0.0,
+        tilt_azimuth: ScalarLike = 0.0,
+    ) -> None:
+        """Place the ellipsoid.
+
+        Args:
+            semi_axes: x, y and z, mm.
+            shift: of the centre across the microscope's axis, mm.
+            tilt: angle between the ellipsoid's z and the microscope's axis, rad.
+            tilt_azimuth: azimuth of the direction in which its z leans, rad.
+        """
+        self.semi_axes = jnp.asarray(semi_axes, float)
+        self.turn = _leaning(jnp.asarray(tilt, float), jnp.asarray(tilt_azimuth, float))
+        aside = jnp.stack([*(jnp.asarray(s, float) for s in shift), jnp.zeros(())])
+        self.centre = aside
+        # The axis from the height of the centre down to the wall.
+        below = self.intersect(jnp.zeros(3), jnp.array([0.0, 0.0, -1.0])).distance
+        self.centre = aside + jnp.array([0.0, 0.0, 1.0]) * (below - self.semi_axes[2])
+
+    def intersect(
+        self, origin: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"]
+    ) -> Intersection:
+        """Far intersection of rays with the ellipsoid, where they leave the eye."""
+        # In the ellipsoid's own frame, divided by the semi-axes, it is the unit sphere.
+        starts, steps = self._unit(origin - self.centre), self._unit(direction)
+        squared, along = dot(steps, steps), dot(starts, steps)
+        discriminant = along**2 - squared * (dot(starts, starts) - 1.0)
+        meets = discriminant > 0
+        root = jnp.sqrt(jnp.where(meets, discriminant, 1.0))
+        distance = (root - along) / squared
+        point = ray_point(origin, direction, distance)
+        status = jnp.where(meets, jnp.where(distance > 0, HIT, BEHIND), MISS)
+        return Intersection(distance, point, self._inward(point), status)
+
+    def frame_at(self, *, eccentricity: ScalarLike, azimuth: ScalarLike) -> WallFrame:
+        """Frame at the wall point with the given distance from the axis (mm) and azimuth (rad)."""
+        angle = jnp.asarray(azimuth, float)
+        radial = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
+        down = jnp.array([0.0, 0.0, -1.0])
+        hit = self.intersect(jnp.asarray(eccentricity) * radial, down)
+        return _frame(hit.point, hit.normal, radial)
+
+    def nearest_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from a point inside the eye to the nearest wall point, mm.
+
+        The foot of the perpendicular, x = a^2 p / (a^2 + t), solves |x / a| = 1 for t < 0 (Eberly
+        2013, "Distance from a point to an ellipsoid"); the root is found by bisection.
+        """
+        own = self.turn.T @ (point - self.centre)
+        squares = jnp.square(self.semi_axes)
+
+        def foot(t: Float[Array, ""]) -> Float[Array, "3"]:
+            return squares * own / (squares + t)
+
+        def halved(_: int, bounds: tuple[Float[Array, ""], Float[Array, ""]]):
+            low, high = bounds
+            middle = (low + high) / 2
+            outside = jnp.sum(jnp.square(foot(middle) / self.semi_axes)) > 1.0
+            return jnp.where(outside, middle, low), jnp.where(outside, high, middle)
+
+        lowest = -jnp.min(squares)
+        bounds = jax.lax.fori_loop(0, _BISECTIONS, halved, (lowest, jnp.zeros(())))
+        return jnp.linalg.norm(foot(bounds[1]) - own)
+
+    def _unit(self, vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+        x, y, z = components(vectors)
+        rows = zip(self.turn.T, self.semi_axes, strict=True)
+        return jnp.stack([(r[0] * x + r[1] * y + r[2] * z) / a for r, a in rows], axis=-1)
+
+    def _inward(self, point: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+        x, y, z = components(self._unit(point - self.centre))
+        own = [-u / a for u, a in zip((x, y, z), self.semi_axes, strict=True)]
+        turned = jnp.stack([sum(row[k] * own[k] for k in range(3)) for row in self.turn], axis=-1)
+        return turned / jnp.linalg.norm(turned, axis=-1, keepdims=True)
+
+
+Surface = Sphere | Plane | Ellipsoid
+
+
+def _frame(
+    origin: Float[Array, "3"], inward: Float[Array, "3"], radial: Float[Array, "3"]
+) -> WallFrame:
+    """Frame of a wall whose eccentricity grows along `radial`."""
+    vertical = jnp.array([0.0, 0.0, 1.0])
+    tangent = radial - vertical * jnp.dot(radial, inward) / jnp.dot(vertical, inward)
+    meridional = tangent / jnp.linalg.norm(tangent)
+    return WallFrame(origin, -inward, meridional, jnp.cross(inward, meridional))
+
+
+def _leaning(tilt: Float[Array, ""], azimuth: Float[Array, ""]) -> Float[Array, "3 3"]:
+    """Rotation that tilts z towards an azimuth (Rodrigues)."""
+    sin_a, cos_a = jnp.sin(azimuth), jnp.cos(azimuth)
+    zero = jnp.zeros(())
+    k = jnp.array([[zero, zero, cos_a], [zero, zero, sin_a], [-cos_a, -sin_a, zero]])
+    return jnp.eye(3) + jnp.sin(tilt) * k + (1.0 - jnp.cos(tilt)) * (k @ k)
 
 
 def pole_plane(

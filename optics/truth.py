@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 
 from optics.beam import Beam
-from optics.camera import Microscope
+from optics.camera import Camera
 from optics.contour import cone_contour
 from optics.ellipse import Ellipse, ellipse_of_contour
 from optics.half_maximum import half_maximum_contour
@@ -60,7 +60,7 @@ class SpotTruth(NamedTuple):
 
 def spot_truth(
     surface: Surface,
-    microscope: Microscope,
+    microscope: Camera,
     table: IrradianceTable | None,
     *,
     tip: Float[ArrayLike, "n 3"],
@@ -96,7 +96,7 @@ def spot_truth(
 @eqx.filter_jit
 def _truth(
     surface: Surface,
-    microscope: Microscope,
+    microscope: Camera,
     table: IrradianceTable | None,
     poses: Float[Array, "n 6"],
     cone: tuple[Float[Array, ""], Float[Array, ""]],

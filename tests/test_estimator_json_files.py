@@ -7,8 +7,8 @@ from typing import Annotated
 import pytest
 from pydantic import Field
 
-from estimator.files.json_files import Strict, object_in, validated
-from optics import check_schema, read_text
+from estimator.files.json_files import object_in
+from optics import Strict, check_schema, read_text, validated
 
 
 class Eye(Strict):

@@ -104,6 +104,17 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
         [3.0, 4.0, 60.0, 50.0, 0.3, 1e-4, 1e-4, 1e-4, 1e-4, 1e-6],
     ),
     "microscope": of(optics.microscope, {"scale": SCALE, "pinhole_height": 90.0}, eye_radius=R_EYE),
+    "refract": (
+        lambda x: flat(
+            optics.refract(
+                direction=x[:3] / jnp.linalg.norm(x[:3]),
+                normal=x[3:6] / jnp.linalg.norm(x[3:6]),
+                index_incident=x[6],
+                index_transmitted=x[7],
+            )
+        ),
+        [0.3, -0.2, 1.0, 0.1, 0.1, 1.0, 1.0, 1.49],
+    ),
     "beam_at_spot": (lambda x: flat(beam(x)), AT_BEAM),
     "beam_through_trocar": (
         lambda x: flat(
@@ -278,6 +289,7 @@ SLOW: dict[str, tuple[Callable, list[float]]] = {
     ),
 }
 ELSEWHERE = {
+    "components": "an unpacking",
     "irradiance_table": "test_optics_irradiance_table: accuracy of look-ups and derivatives",
     "misaligned_vector_irradiance": "test_optics_lens_misaligned: derivative in the offset",
     "effective_cone": "test_optics_irradiance_table: the slope's derivative by the lens",

@@ -5,8 +5,7 @@ calibration       Calibration file: JSON with a model's fitted parameters, their
 csv_files         Reads CSV files that anyone may have written, row by row
 image_files       Decodes image files that anyone may have written, with a limit of pixels
 inside            Names of files that come from a file: they must stay within its folder
-json_files        Reads JSON that anyone may have written, and checks it against a pydantic
-                  model
+json_files        Reads JSON that anyone may have written
 manifest          Manifest of a folder: size and SHA-256 of every file in it, and what differs
                   from that
 microscope        Microscope files: the stack's microscope.json, or a camera calibration of OpenCV

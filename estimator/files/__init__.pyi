@@ -7,9 +7,7 @@ from .image_files import decoded_image as decoded_image
 from .image_files import read_image as read_image
 from .inside import FOLDER_NAME as FOLDER_NAME
 from .inside import inside as inside
-from .json_files import Strict as Strict
 from .json_files import object_in as object_in
-from .json_files import validated as validated
 from .manifest import MANIFEST as MANIFEST
 from .manifest import Fingerprint as Fingerprint
 from .manifest import differences as differences

@@ -27,11 +27,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AllowInfNan, ConfigDict, Field
 
-from estimator.files.json_files import Strict, object_in, validated
+from estimator.files.json_files import object_in
 from estimator.files.model_parameters import BEAM, CalibrationError, check_parameters, quantity
 from estimator.files.poses import Vector
 from estimator.files.whole_files import written_whole
-from optics import check_schema, in_file, read_text, shortened
+from optics import Strict, check_schema, in_file, read_text, shortened, validated
 
 SCHEMA = 2
 HISTORY = {

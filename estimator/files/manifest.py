@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from estimator.files.json_files import Strict, object_in, validated
+from estimator.files.json_files import object_in
 from estimator.files.whole_files import written_whole
-from optics import check_schema, in_file, read_text
+from optics import Strict, check_schema, in_file, read_text, validated
 
 MANIFEST = "manifest.json"
 HISTORY = {1: "the format of eyespot 0.1"}

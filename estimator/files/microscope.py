@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import ConfigDict, Field, PlainValidator
 
-from estimator.files.json_files import Strict, object_in, validated
+from estimator.files.json_files import object_in
 from estimator.files.opencv import opencv_camera
 from estimator.image import Camera, Response
-from optics import InputError, check_schema, in_file, read_text
+from optics import InputError, Strict, check_schema, in_file, read_text, validated
 
 if TYPE_CHECKING:
     import optics

@@ -28,9 +28,18 @@ from pydantic import Strict as StrictType
 from estimator.files.csv_files import csv_rows, number_in
 from estimator.files.image_files import read_image
 from estimator.files.inside import inside
-from estimator.files.json_files import Strict, object_in, validated
+from estimator.files.json_files import object_in
 from estimator.files.manifest import MANIFEST, Fingerprint, differences, read_manifest
-from optics import InputError, check_schema, in_file, read_text, read_toml, shortened
+from optics import (
+    InputError,
+    Strict,
+    check_schema,
+    in_file,
+    read_text,
+    read_toml,
+    shortened,
+    validated,
+)
 
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}

@@ -35,7 +35,7 @@ class Geometry:
         self.scene = scene
 
     @cached_property
-    def wall(self) -> optics.Surface:
+    def wall(self) -> optics.Sphere | optics.Plane:
         """The phantom's wall."""
         phantom = self.scene.phantom
         if phantom.kind == "eyeball":

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field
 
 from estimator import Stack, read_stack
-from estimator.files import FOLDER_NAME, Strict, inside, object_in, validated
-from optics import InputError, check_schema, in_file, read_text
+from estimator.files import FOLDER_NAME, inside, object_in
+from optics import InputError, Strict, check_schema, in_file, read_text, validated
 
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}

@@ -1,0 +1,218 @@
+"""Viewing paths: what lies between the microscope and the retina, as one list of elements."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float, Int, ScalarLike
+
+from optics import InputError
+from optics.viewing.conic import Conic
+from optics.viewing.eye import Eye
+from optics.viewing.medium import Medium
+from optics.viewing.trace import Element, Iris, Refracting, ThinLens, trace
+from optics.viewing.viewing_lens import ContactLens, ViewingLens
+
+FORMS = ("phakic", "aphakic", "pseudophakic")
+"""What is behind the iris: the crystalline lens, nothing, or an artificial lens."""
+
+DILATED_MM = 3.5
+"""Radius of a dilated pupil: 7 mm across, as in surgery."""
+
+_IMPLANT_INDEX, _IMPLANT_THICKNESS_MM = 1.55, 0.8
+"""An artificial lens of hydrophobic acrylic, with faces of equal curvature (assumed), in the middle
+of the crystalline lens's place (assumed). Its power is what makes the eye emmetropic."""
+_START_MM = 1.0  # above the first element; rays are straight there
+
+
+class ViewingPath(eqx.Module):
+    """Everything between the microscope and the retina, centred on the microscope's axis.
+
+    Attributes:
+        elements: in the order in which lines of sight meet them.
+        pinhole_closeness: 1/distance of the microscope's pinhole from the cornea's vertex, 1/mm;
+            0 is telecentric.
+        pole_depth: zeta of the retinal pole, mm.
+        retina_semi_axes: x, y and z of the retina's ellipsoid, mm.
+    """
+
+    elements: tuple[Element, ...]
+    pinhole_closeness: Float[Array, ""]
+    pole_depth: Float[Array, ""]
+    retina_semi_axes: Float[Array, "3"]
+
+    @property
+    def medium_index(self) -> Float[Array, ""]:
+        """Refractive index of the medium in front of the retina."""
+        return _media(self.elements)[-1].index
+
+
+class LinesOfSight(NamedTuple):
+    """Lines of sight inside the eye, in the meridional plane.
+
+    Attributes:
+        height: distance from the axis at the depth of the pole, mm; negative across the axis.
+        slope: growth of the height with the depth.
+        transmittance: of the path.
+        status: as in `TracedRays`.
+    """
+
+    height: Float[Array, "*batch"]
+    slope: Float[Array, "*batch"]
+    transmittance: Float[Array, "*batch"]
+    status: Int[Array, "*batch"]
+
+
+def viewing_path(
+    eye: Eye,
+    viewing_lens: ViewingLens | None = None,
+    *,
+    form: str = "phakic",
+    fill_index: ScalarLike | None = None,
+    pupil_radius: ScalarLike = DILATED_MM,
+    pinhole_distance: ScalarLike = 200.0,
+) -> ViewingPath:
+    """The path from a microscope through a viewing lens into an eye.
+
+    Args:
+        eye: at the wavelength of the light.
+        viewing_lens: on or above the cornea, or None.
+        form: one of `FORMS`. An aphakic eye is filled with one medium from the cornea on.
+        fill_index: refractive index of what fills the vitreous cavity; None for the eye's vitreous.
+        pupil_radius: of the iris, mm.
+        pinhole_distance: of the microscope's pinhole above the cornea's vertex, mm; may be inf.
+
+    Raises:
+        InputError: an unknown form, an index below 1, a pupil or pinhole that cannot be.
+    """
+    _check(form=form, fill_index=fill_index, radius=pupil_radius, distance=pinhole_distance)
+    fill = eye.vitreous_index if fill_index is None else jnp.asarray(fill_index, float)
+    iris = Iris(depth=eye.iris_depth, radius=jnp.asarray(pupil_radius, float))
+    front, back = eye.cornea
+    inside: tuple[Element, ...]
+    match form:
+        case "aphakic":
+            inside = (_before(back, fill), iris)
+        case "pseudophakic":
+            inside = (back, iris, *_implant(eye, fill))
+        case _:
+            inside = (back, iris, *eye.lens[:-1], _before(eye.lens[-1], fill))
+    return ViewingPath(
+        elements=(*_in_front(viewing_lens, front), front, *inside),
+        pinhole_closeness=1.0 / jnp.asarray(pinhole_distance, float),
+        pole_depth=eye.axial_length,
+        retina_semi_axes=eye.retina_semi_axes,
+    )
+
+
+def lines_of_sight(path: ViewingPath, aim: Float[Array, "*batch"]) -> LinesOfSight:
+    """Trace lines of sight from the microscope to the retina.
+
+    Args:
+        path: the viewing path.
+        aim: distance from the axis at which the line, before any refraction, would cross the plane
+            of the cornea's vertex, mm.
+    """
+    start = path.elements[0]
+    depth = start.surface.depth if isinstance(start, Refracting) else start.depth
+    depth = depth - _START_MM
+    across = jnp.zeros_like(aim)
+    origin = jnp.stack(
+        [aim * (1.0 + path.pinhole_closeness * depth), across, across + depth], axis=-1
+    )
+    direction = jnp.stack([aim * path.pinhole_closeness, across, across + 1.0], axis=-1)
+    direction = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
+    rays = trace(path.elements, origin, direction)
+    slope = rays.direction[..., 0] / rays.direction[..., 2]
+    height = rays.point[..., 0] + slope * (path.pole_depth - rays.point[..., 2])
+    return LinesOfSight(height, slope, rays.transmittance, rays.status)
+
+
+def equivalent_power(elements: tuple[Element, ...]) -> Float[Array, ""]:
+    """Paraxial power of elements in air on their front side, n'/f', 1/mm."""
+    _, slope = _parallel(elements)
+    return -_media(elements)[-1].index * slope
+
+
+def back_focus(elements: tuple[Element, ...]) -> Float[Array, ""]:
+    """Distance from the last surface's vertex to the paraxial focus of distant light, mm."""
+    height, slope = _parallel(elements)
+    return -height / slope
+
+
+def _parallel(elements: tuple[Element, ...]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Height and slope behind the last surface, per unit of height of a paraxial parallel ray.
+
+    The derivative of the trace on the axis is the paraxial trace, gradients included.
+    """
+
+    def end(height: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        start = jnp.stack([height, 0.0 * height, -100.0 + 0.0 * height])
+        rays = trace(elements, start, jnp.array([0.0, 0.0, 1.0]))
+        slope = rays.direction[0] / rays.direction[2]
+        behind = rays.point[2] - _last_depth(elements)
+        return rays.point[0] - behind * slope, slope
+
+    return jax.jvp(end, (jnp.zeros(()),), (jnp.ones(()),))[1]
+
+
+def _media(elements: tuple[Element, ...]) -> list[Medium]:
+    return [element.medium for element in elements if isinstance(element, Refracting)]
+
+
+def _last_depth(elements: tuple[Element, ...]) -> Float[Array, ""]:
+    return [e.surface.depth for e in elements if isinstance(e, Refracting)][-1]
+
+
+def _before(boundary: Refracting, index: ScalarLike) -> Refracting:
+    """The same surface in front of another medium."""
+    return Refracting(boundary.surface, Medium(index))
+
+
+def _in_front(lens: ViewingLens | None, cornea: Refracting) -> tuple[Element, ...]:
+    if lens is None:
+        return ()
+    if isinstance(lens, ContactLens):
+        front = Conic(depth=-lens.thickness, curvature=lens.front_curvature)
+        return (Refracting(front, Medium(lens.index)),)
+    return (ThinLens(depth=-lens.height, power=lens.power),)
+
+
+def _implant(eye: Eye, fill: ScalarLike) -> tuple[Refracting, Refracting]:
+    """An artificial lens that makes the eye, filled with its vitreous, emmetropic."""
+    middle = (eye.lens[0].surface.depth + eye.lens[-1].surface.depth) / 2
+    half = _IMPLANT_THICKNESS_MM / 2
+
+    def lens(curvature: Float[Array, ""], behind: ScalarLike) -> tuple[Refracting, Refracting]:
+        front = Conic(depth=middle - half, curvature=curvature)
+        back = Conic(depth=middle + half, curvature=-curvature)
+        return Refracting(front, Medium(_IMPLANT_INDEX)), Refracting(back, Medium(behind))
+
+    def defocus(curvature: Float[Array, ""], _: None) -> Float[Array, ""]:
+        elements = (*eye.cornea, *lens(curvature, eye.vitreous_index))
+        height, slope = _parallel(elements)
+        return height + slope * (eye.axial_length - _last_depth(elements))
+
+    newton: optx.AbstractRootFinder = optx.Newton(rtol=1e-12, atol=1e-12)
+    curvature = optx.root_find(defocus, newton, jnp.asarray(0.05), throw=False).value
+    return lens(curvature, fill)
+
+
+def _check(
+    *, form: str, fill_index: ScalarLike | None, radius: ScalarLike, distance: ScalarLike
+) -> None:
+    if form not in FORMS:
+        raise InputError(f"viewing_path(form=...) must be one of {', '.join(FORMS)}; got {form!r}.")
+    rules = (
+        (fill_index, lambda value: 1.0 <= value <= 4.0, "fill_index", "lie in [1, 4]", ""),
+        (radius, lambda value: value > 0.0, "pupil_radius", "be positive", " mm"),
+        (distance, lambda value: value > 0.0, "pinhole_distance", "be positive, or inf", " mm"),
+    )
+    for value, holds, name, rule, unit in rules:
+        # Traced values have no known size.
+        if value is not None and not isinstance(value, jax.core.Tracer) and not holds(value):
+            raise InputError(f"viewing_path({name}=...) must {rule}; got {value}{unit}.")
