@@ -40,6 +40,7 @@ COMMANDS = {
     "study medium": "benchmarks.studies.medium.command:medium",
     "study pose": "benchmarks.studies.pose.command:pose",
     "study eccentricity": "benchmarks.studies.eccentricity.command:eccentricity",
+    "study eye": "benchmarks.studies.eye.command:eye",
     "study dynamic": "benchmarks.studies.dynamic.command:dynamic",
 }
 """The function behind each command: its parameters are the options, its docstring is the help."""

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 import optics
 import scenes
-from benchmarks.evaluation import model_error
+from benchmarks.evaluation import coalitions, model_error, shapley_values
 from benchmarks.evaluation.model_error import Geometry, ModelError
 from benchmarks.reporting.claims import Claim
 from benchmarks.reporting.report import Data, Picture, Report, Section
@@ -35,7 +35,6 @@ from benchmarks.studies.eccentricity.findings import (
     Limit,
     Withdrawals,
 )
-from benchmarks.studies.eccentricity.shapley import coalitions, shapley_values
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -26,7 +26,7 @@ MAY_BE_IMPORTED_BY = {
     "cv2": {"estimator", "scenes"},
     "mitsuba": {"scenes"},
     "drjit": {"scenes"},
-    "optimistix": {"optics", "calibration"},
+    "optimistix": {"optics", "calibration", "benchmarks"},
     "jax": {"optics", "calibration", "benchmarks"},
     "jaxlib": {"optics", "calibration", "benchmarks"},
     "equinox": {"optics", "calibration", "benchmarks"},

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 import optics
 
-AXES = (11.4, 11.1, 10.1)  # about those of Atchison's emmetropic eye
+AXES = np.array([11.4, 11.1, 10.1])  # about those of Atchison's emmetropic eye
 TURNED = optics.Ellipsoid(AXES, shift=(0.4, -0.3), tilt=0.15, tilt_azimuth=0.8)
 
 
@@ -22,7 +22,7 @@ def rays(count):
 
 
 def test_with_equal_semi_axes_it_is_the_sphere():
-    sphere, ellipsoid = optics.Sphere(11.5), optics.Ellipsoid((11.5, 11.5, 11.5), tilt=0.3)
+    sphere, ellipsoid = optics.Sphere(11.5), optics.Ellipsoid(np.full(3, 11.5), tilt=0.3)
     ours, theirs = (wall.intersect(*rays(50)) for wall in (ellipsoid, sphere))
     for a, b in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-12)

@@ -9,6 +9,7 @@ model_figures  Labels and colours of the models, and their errors against eccent
 paper          What Zhou et al. 2020 report, as printed: Tables I and II
 photographs    Photographs of kept linear frames, taken and measured again without rendering or
                files
+shapley        Shapley values: the part of each cause in a sum, averaged over all orders
 summaries      Mean, root mean square and largest size of errors
 tracking       Spots of a rendered trial, measured in the ways that the report compares
 trials         The trials of the main job: the paper's six, and a grid over eccentricity

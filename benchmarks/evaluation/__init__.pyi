@@ -36,6 +36,8 @@ from .paper import TABLE_II as TABLE_II
 from .paper import PlaneRow as PlaneRow
 from .photographs import Photographer as Photographer
 from .photographs import Shot as Shot
+from .shapley import coalitions as coalitions
+from .shapley import shapley_values as shapley_values
 from .summaries import largest as largest
 from .summaries import mean as mean
 from .summaries import rms as rms

@@ -2,6 +2,7 @@
 
 dynamic/       The error while the tip moves
 eccentricity/  Model error against the position of the spot
+eye/           Distances through cornea, crystalline lens and the surgeon's viewing lens
 medium/        The error of a calibration in air when it is used in vitreous
 pose/          Tip and axis from one spot and from three
 static/        Spread of Tables I and II over many runs, and the causes of their error

@@ -161,17 +161,14 @@ class PathCamera(eqx.Module):
         terms = [a - b * above for a, b in zip(self.crossing, self.steepness, strict=True)]
         growth = 4.0 * squared / self.widest**2
 
-        def step(ratio: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        def step(_: int, ratio: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
             value, derivative = _series_and_slope(terms, self._place(ratio**2 * squared))
             residual = ratio * value - 1.0
             return ratio - residual / (value + growth * ratio**2 * derivative)
 
         start = 1.0 / _series_and_slope(terms, -jnp.ones_like(above))[0]
-        held = jax.lax.stop_gradient(
-            jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, ratio: step(ratio), start)
-        )
-        # Newton's step has the derivative of the solution; the second one its second derivative.
-        return step(step(held))
+        # Unrolled, the loop would take seconds to compile wherever it is used.
+        return jax.lax.fori_loop(0, _NEWTON_STEPS, step, start)
 
 
 def path_camera(path: ViewingPath, *, scale: ScalarLike, upright: bool = False) -> PathCamera:

@@ -9,7 +9,6 @@ limits    The c at which a model's error reaches a limit, for the true and for a
 rendered  The rendered part: frames, measured spots, and the effect of rendering on their size
 report    The report
 run       The computation: exact contours, rendered frames, the space of geometries
-shapley   Shapley values: the part of each cause in a sum, averaged over all orders
 space     Every model's error at scrambled Sobol points of the space of geometries
 """
 

@@ -21,11 +21,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import optics
-from benchmarks.evaluation import Geometry, place
+from benchmarks.evaluation import Geometry, coalitions, place, shapley_values
 from benchmarks.studies.eccentricity import chain
 from benchmarks.studies.eccentricity.chain import LINKS, Eye, Links
 from benchmarks.studies.eccentricity.findings import CauseShare
-from benchmarks.studies.eccentricity.shapley import coalitions, shapley_values
 from scenes import Scene
 from scenes.walls import PRESETS_MM, wall_spread
 

@@ -1,0 +1,150 @@
+"""Errors of every recipe in many eyes behind one viewing path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+import optics
+from benchmarks.studies.eye.geometry import SCALE_MM_PX, Seen, Spots, cameras, spots_through
+from benchmarks.studies.eye.recipes import (
+    Pinhole,
+    Recipe,
+    distance_by_area,
+    distance_by_closed_form,
+    distance_by_local_magnification,
+    fitted_pinhole,
+    local_factor,
+    withdrawals,
+)
+from optics.viewing import DILATED_MM, Eye, PathCamera
+
+_OPEN_MM = 50.0  # radius of a pupil that hides nothing
+_EYES_AT_ONCE = 16
+
+
+class PathErrors(NamedTuple):
+    """Errors behind one path; NaN where the optics show no whole contour.
+
+    Attributes:
+        errors: of each recipe, eyes x c x d x tilts, mm; as if the iris hid nothing.
+        fields: largest c that each eye's dilated pupil shows, mm.
+        kappas: fitted in each eye, 1/mm; the first is the schematic eye's.
+        paraxial_kappa: of the schematic eye's path, 1/mm.
+    """
+
+    errors: dict[Recipe, np.ndarray]
+    fields: np.ndarray
+    kappas: np.ndarray
+    paraxial_kappa: float
+
+
+def path_errors(path: str, eyes: Sequence[Eye], spots: Spots, *, seed: int | None) -> PathErrors:
+    """Look at spots in every eye, calibrate each, and compute distances by every recipe.
+
+    Args:
+        path: name of the viewing path.
+        eyes: groups of eyes, each with a leading axis; all groups are joined. The first eye is the
+            schematic one, which stands for all others where no calibration is made; it is
+            calibrated without noise.
+        spots: c x d x tilts.
+        seed: of the noise of the calibrations; None for none.
+    """
+    axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
+    every = _cameras(path, eyes, pupil_radius=_OPEN_MM)
+    seen, fitted = _calibrated(every, axes, _noise(seed, len(axes)), spots)
+    nominal = Pinhole(jnp.asarray(SCALE_MM_PX), fitted.kappa[0])
+    known = jax.tree.map(lambda leaf: leaf[0], every)
+    minor = np.asarray(seen.semi_axes[..., 0])
+    scale = np.asarray(fitted.scale)[:, None, None, None]
+    kappa = np.asarray(fitted.kappa)[:, None, None, None]
+    paraxial = float(known.inverse_working_distance)
+    factor = local_factor(known, np.asarray(spots.eccentricity).ravel())
+    by_fitted, by_nominal = _by_area(seen, spots, fitted, nominal)
+    distances = {
+        Recipe.SMALL_PLANE: distance_by_closed_form(
+            "small_plane", minor, spots, scale=SCALE_MM_PX, kappa=0.0
+        ),
+        Recipe.PARAXIAL: distance_by_closed_form(
+            "corrected", minor, spots, scale=SCALE_MM_PX, kappa=paraxial
+        ),
+        Recipe.LOCAL: distance_by_local_magnification(minor, factor.reshape(spots.distance.shape)),
+        Recipe.FITTED: distance_by_closed_form("corrected", minor, spots, scale=scale, kappa=kappa),
+        Recipe.AREA_SCHEMATIC: by_nominal,
+        Recipe.AREA: by_fitted,
+    }
+    truth, visible = np.asarray(spots.distance), np.asarray(seen.visible)
+    return PathErrors(
+        errors={r: np.where(visible, d - truth, np.nan) for r, d in distances.items()},
+        fields=np.asarray(_fields(_cameras(path, eyes, pupil_radius=DILATED_MM), axes)),
+        kappas=np.asarray(fitted.kappa),
+        paraxial_kappa=paraxial,
+    )
+
+
+@eqx.filter_jit
+def _calibrated(
+    every: PathCamera,
+    semi_axes: Float[Array, "n 3"],
+    noise: tuple[PRNGKeyArray, Float[Array, "n"]],
+    spots: Spots,
+) -> tuple[Seen, Pinhole]:
+    """Images of the spots in every eye, n x c x d x tilts, and the pinhole fitted there."""
+    flat, calibration = jax.tree.map(jnp.ravel, spots), withdrawals()
+    count, shape = len(flat.distance), calibration.distance.shape
+    # All spots in one batch: XLA compiles the formula once.
+    together = jax.tree.map(lambda a, b: jnp.concatenate([a, jnp.ravel(b)]), flat, calibration)
+
+    def in_one(
+        eye: tuple[PathCamera, Float[Array, "3"], tuple[PRNGKeyArray, Float[Array, ""]]],
+    ) -> tuple[Seen, Pinhole]:
+        camera, axes, (key, amount) = eye
+        images = spots_through(camera, axes, together)
+        last = jax.tree.map(lambda leaf: leaf[count:].reshape(shape + leaf.shape[1:]), images)
+        first = jax.tree.map(
+            lambda leaf: leaf[:count].reshape(spots.distance.shape + leaf.shape[1:]), images
+        )
+        return first, fitted_pinhole(last, key, amount)
+
+    return jax.lax.map(in_one, (every, semi_axes, noise), batch_size=_EYES_AT_ONCE)
+
+
+def _by_area(
+    seen: Seen, spots: Spots, fitted: Pinhole, nominal: Pinhole
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances by area with each eye's own pinhole and with one for all."""
+    shape = seen.visible.shape
+    each = [jnp.broadcast_to(leaf[:, None, None, None], shape) for leaf in fitted]
+    one = [jnp.broadcast_to(leaf, shape) for leaf in nominal]
+    pinholes = Pinhole(*(jnp.stack(pair).ravel() for pair in zip(each, one, strict=True)))
+    axes = jnp.broadcast_to(seen.semi_axes, (2, *seen.semi_axes.shape)).reshape(-1, 2)
+    every = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (2, *shape)).ravel(), spots)
+    by_fitted, by_nominal = np.asarray(distance_by_area(axes, every, pinholes)).reshape(2, *shape)
+    return by_fitted, by_nominal
+
+
+def _cameras(path: str, eyes: Sequence[Eye], *, pupil_radius: float) -> PathCamera:
+    groups = [cameras(path, group, jnp.asarray(pupil_radius)) for group in eyes]
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *groups)
+
+
+@eqx.filter_jit
+def _fields(every: PathCamera, semi_axes: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    return jax.vmap(lambda camera, axes: camera.field(optics.Ellipsoid(axes)))(every, semi_axes)
+
+
+def _noise(seed: int | None, count: int) -> tuple[PRNGKeyArray, Float[Array, "n"]]:
+    """Random keys, and the amount of noise: 1; 0 without a seed, and for the schematic eye."""
+    keys = jax.random.split(jax.random.key(seed or 0), count)
+    return keys, jnp.full(count, 0.0 if seed is None else 1.0).at[0].set(0.0)
+
+
+def together(*groups: Eye) -> Eye:
+    """Groups of eyes of one structure as one group."""
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *groups)

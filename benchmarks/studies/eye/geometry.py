@@ -1,0 +1,131 @@
+"""Images of spots on the retinas of many eyes, through viewing paths and through pinholes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+import optics
+from optics.viewing import Eye, PathCamera, load_viewing_lens, path_camera, viewing_path
+
+SCALE_MM_PX = 0.0067
+NOMINAL_RADIUS_MM = 12.0
+"""Radius of the sphere that the models assume; nobody knows the retina of the eye in front."""
+
+CONE = {"half_angle": float(np.arctan(1 / 20.0)), "apex_offset": -5.117}
+PINHOLE_ABOVE_MM = 200.0
+_POINTS = 48  # of a contour: its ellipse is within 1e-6 px of 128 points
+
+PATHS: dict[str, tuple[str, str]] = {
+    "flat, phakic": ("flat", "phakic"),
+    "flat, pseudophakic": ("flat", "pseudophakic"),
+    "flat, aphakic": ("flat", "aphakic"),
+    "wide-field 90 D, phakic": ("wide-field-90", "phakic"),
+    "wide-field 130 D, phakic": ("wide-field-130", "phakic"),
+}
+"""Viewing lens and form of each path."""
+
+
+class Spots(NamedTuple):
+    """Spots on a retina; mm and rad, arrays of one shape.
+
+    Attributes:
+        eccentricity: c, mm.
+        distance: d, mm.
+        incidence: angle against the local normal, rad.
+        incidence_azimuth: of the tilt, rad; as in `optics.beam_at_spot`.
+    """
+
+    eccentricity: Float[Array, "*batch"]
+    distance: Float[Array, "*batch"]
+    incidence: Float[Array, "*batch"]
+    incidence_azimuth: Float[Array, "*batch"]
+
+
+class Seen(NamedTuple):
+    """The images of spots.
+
+    Attributes:
+        semi_axes: semi-minor and semi-major, px.
+        visible: whether the whole contour is inside the pupil and the field.
+    """
+
+    semi_axes: Float[Array, "*batch 2"]
+    visible: Bool[Array, "*batch"]
+
+
+def grid(
+    eccentricities: np.ndarray, distances: np.ndarray, tilts_deg: tuple[tuple[float, float], ...]
+) -> Spots:
+    """All combinations; tilts are pairs of incidence and its azimuth, degrees. n x m x k each."""
+    c, d, tilt = np.meshgrid(eccentricities, distances, np.arange(len(tilts_deg)), indexing="ij")
+    incidence, azimuth = np.radians(np.asarray(tilts_deg, float)).T
+    return Spots(*map(jnp.asarray, (c, d, incidence[tilt], azimuth[tilt])))
+
+
+@eqx.filter_jit
+def cameras(path: str, eyes: Eye, pupil_radius: Float[Array, ""]) -> PathCamera:
+    """The cameras of one path into many eyes, with a leading axis."""
+    lens, form = PATHS[path]
+    viewing_lens = load_viewing_lens(lens)
+    above = getattr(viewing_lens, "thickness", getattr(viewing_lens, "height", 0.0))
+
+    def camera(eye: Eye) -> PathCamera:
+        found = viewing_path(
+            eye,
+            viewing_lens,
+            form=form,
+            pupil_radius=pupil_radius,
+            pinhole_distance=PINHOLE_ABOVE_MM + above,
+        )
+        return path_camera(found, scale=SCALE_MM_PX)
+
+    return jax.vmap(camera)(eyes)
+
+
+@eqx.filter_jit
+def spots_through(camera: PathCamera, semi_axes: Float[Array, "3"], spots: Spots) -> Seen:
+    """Spots in a row, on one eye's own retina, seen through its path."""
+    retina = optics.Ellipsoid(semi_axes)
+
+    def image(spot: Spots) -> Seen:
+        contour = _contour(retina, spot)
+        return Seen(_axes(camera, contour), jnp.all(camera.sees(contour)))
+
+    return jax.lax.map(image, spots, batch_size=64)
+
+
+def axes_through_pinhole(
+    kappa: Float[Array, ""], scale: Float[Array, ""], spot: Spots
+) -> Float[Array, "2"]:
+    """Semi-axes (px) of one spot on the nominal sphere, seen by a pinhole."""
+    microscope = optics.Microscope(
+        scale=scale,
+        inverse_working_distance=kappa,
+        pole_height=jnp.asarray(-NOMINAL_RADIUS_MM),
+        principal_point=jnp.zeros(2),
+        distortion=jnp.zeros(5),
+    )
+    return _axes(microscope, _contour(optics.Sphere(NOMINAL_RADIUS_MM), spot))
+
+
+def _contour(retina: optics.Surface, spot: Spots) -> Float[Array, "n 3"]:
+    beam = optics.beam_at_spot(
+        retina,
+        eccentricity=spot.eccentricity,
+        distance=spot.distance,
+        incidence=spot.incidence,
+        incidence_azimuth=spot.incidence_azimuth,
+        **CONE,
+    )
+    return optics.cone_contour(beam, retina, points=_POINTS).point
+
+
+def _axes(camera: optics.Camera, contour: Float[Array, "n 3"]) -> Float[Array, "2"]:
+    ellipse = optics.ellipse_of_contour(camera.project(contour))
+    return jnp.stack([ellipse.semi_minor, ellipse.semi_major])

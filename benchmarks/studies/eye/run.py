@@ -1,0 +1,79 @@
+"""`eyespot study eye`: distances through cornea, crystalline lens and viewing lens.
+
+DIR/eye_errors.csv  median and 95 % error of every recipe, by path and c
+    limits.csv      up to which c each recipe keeps 95 % of the eyes within 0.1 and 0.5 mm
+    eyes.csv        fitted pinhole and field of every eye behind every path
+    causes.csv      Shapley's share of each part of the eye
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.reporting import Request, Study
+from benchmarks.studies.eye.causes import causes
+from benchmarks.studies.eye.errors import path_errors, together
+from benchmarks.studies.eye.findings import EyeFindings
+from benchmarks.studies.eye.geometry import PATHS, grid
+from benchmarks.studies.eye.population import drawn
+from benchmarks.studies.eye.report import report
+from optics.viewing import Eye, load_eye
+
+_NM = 555.0
+_ECCENTRICITIES_MM = np.arange(0.0, 8.1, 1.0)
+_DISTANCES_MM = np.array([0.5, 2.0, 4.0, 6.0])
+_TILTS_DEG = ((0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0))
+_QUICK_DISTANCES_MM = np.array([1.0, 3.0, 5.0])
+_EYES, _QUICK_EYES = 1000, 48
+_CAUSES_EYES = 96
+_REFRACTIONS = (-10.0, -6.0, -3.0, 0.0, 4.0)
+_CAUSES_PATH = "flat, phakic"
+
+
+def run(request: Request) -> EyeFindings:
+    """Compute and report.
+
+    Args:
+        request: the arguments; of the scene only the seed is used.
+
+    Raises:
+        InputError: the folder has other files.
+    """
+    study = Study("eye", request)
+    quick = request.quick
+    random = drawn(_QUICK_EYES if quick else _EYES, study.seed)
+    distances = _QUICK_DISTANCES_MM if quick else _DISTANCES_MM
+    spots = grid(_ECCENTRICITIES_MM, distances, _TILTS_DEG)
+    navarro = _stacked([load_eye("navarro", wavelength_nm=_NM)])
+    # Eyes of one structure are one group, which is compiled once.
+    groups, gradient = [together(navarro, random.eyes())], []
+    if not quick:
+        gradient = [load_eye("liou-brennan", wavelength_nm=_NM)]
+        gradient += [load_eye("atchison", wavelength_nm=_NM, refraction_d=d) for d in _REFRACTIONS]
+        groups.append(_stacked(gradient))
+    with study.timed("errors in all eyes"):
+        paths = {path: path_errors(path, groups, spots, seed=study.seed) for path in PATHS}
+    count = len(random.values)
+    some = random._replace(values=random.values[: min(count, _CAUSES_EYES)])
+    with study.timed("causes"):
+        shares = causes(_CAUSES_PATH, some, navarro, spots, seed=study.seed)
+    names = ["navarro", *(f"random {k}" for k in range(count))]
+    if gradient:
+        names += ["liou-brennan", *(f"atchison {d:+g} D" for d in _REFRACTIONS)]
+    findings = EyeFindings(
+        scene=study.scene,
+        eccentricities=_ECCENTRICITIES_MM,
+        names=names,
+        population=count,
+        paths=paths,
+        causes=shares,
+        causes_path=_CAUSES_PATH,
+    )
+    study.publish(report, findings)
+    return findings
+
+
+def _stacked(eyes: list[Eye]) -> Eye:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *eyes)
