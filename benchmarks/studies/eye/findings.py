@@ -13,6 +13,9 @@ from benchmarks.studies.eye.recipes import Recipe
 from scenes import Scene
 
 LIMITS_MM = (0.1, 0.5)
+REFRACTIONS_D = (-10.0, -6.0, -3.0, 0.0, 4.0)
+"""Of the schematic eyes that depend on it (Atchison 2006)."""
+
 QUANTILE = 0.95
 """Share of the eyes that a recipe must serve."""
 

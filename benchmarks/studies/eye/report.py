@@ -11,6 +11,7 @@ from benchmarks.reporting import Claim, Data, Picture, Report, Section, Table
 from benchmarks.studies.eye import figures
 from benchmarks.studies.eye.findings import (
     LIMITS_MM,
+    REFRACTIONS_D,
     EyeFindings,
     EyeRow,
     Limit,
@@ -128,8 +129,31 @@ def _claims(findings: EyeFindings, limits: list[Limit]) -> Iterator[Claim]:
                 "field": row.field,
             },
         )
+    gradient = [row for row in findings.schematic_rows() if row.eye != "navarro"]
+    for path in findings.paths if gradient else ():
+        yield _gradient_lenses(path, [row for row in gradient if row.path == path])
     yield _small_plane(findings)
     yield _largest_cause(findings)
+
+
+def _gradient_lenses(path: str, rows: list[EyeRow]) -> Claim:
+    own, navarros = (
+        [getattr(row, name) for row in rows if math.isfinite(getattr(row, name))]
+        for name in ("fitted_error_mm", "schematic_error_mm")
+    )
+    return Claim(
+        name=f"other schematic eyes, {path}",
+        sentence="Through {path}, at c = 3 mm, the schematic eyes with a gradient lens (Liou and "
+        "Brennan, Atchison from {low:g} to {high:g} D) are off by up to {value:.3f} mm with their "
+        "own pinhole and the area, and by up to {navarro:.2f} mm with Navarro's pinhole.",
+        value=max(own, default=math.nan),
+        numbers={
+            "path": path,
+            "low": min(REFRACTIONS_D),
+            "high": max(REFRACTIONS_D),
+            "navarro": max(navarros, default=math.nan),
+        },
+    )
 
 
 def _small_plane(findings: EyeFindings) -> Claim:

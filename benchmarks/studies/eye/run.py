@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.reporting import Request, Study
 from benchmarks.studies.eye.causes import causes
 from benchmarks.studies.eye.errors import path_errors, together
-from benchmarks.studies.eye.findings import EyeFindings
+from benchmarks.studies.eye.findings import REFRACTIONS_D, EyeFindings
 from benchmarks.studies.eye.geometry import PATHS, grid
 from benchmarks.studies.eye.population import drawn
 from benchmarks.studies.eye.report import report
@@ -28,7 +28,6 @@ _TILTS_DEG = ((0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0))
 _QUICK_DISTANCES_MM = np.array([1.0, 3.0, 5.0])
 _EYES, _QUICK_EYES = 1000, 48
 _CAUSES_EYES = 96
-_REFRACTIONS = (-10.0, -6.0, -3.0, 0.0, 4.0)
 _CAUSES_PATH = "flat, phakic"
 
 
@@ -51,7 +50,7 @@ def run(request: Request) -> EyeFindings:
     groups, gradient = [together(navarro, random.eyes())], []
     if not quick:
         gradient = [load_eye("liou-brennan", wavelength_nm=_NM)]
-        gradient += [load_eye("atchison", wavelength_nm=_NM, refraction_d=d) for d in _REFRACTIONS]
+        gradient += [load_eye("atchison", wavelength_nm=_NM, refraction_d=d) for d in REFRACTIONS_D]
         groups.append(_stacked(gradient))
     with study.timed("errors in all eyes"):
         paths = {path: path_errors(path, groups, spots, seed=study.seed) for path in PATHS}
@@ -61,7 +60,7 @@ def run(request: Request) -> EyeFindings:
         shares = causes(_CAUSES_PATH, some, navarro, spots, seed=study.seed)
     names = ["navarro", *(f"random {k}" for k in range(count))]
     if gradient:
-        names += ["liou-brennan", *(f"atchison {d:+g} D" for d in _REFRACTIONS)]
+        names += ["liou-brennan", *(f"atchison {d:+g} D" for d in REFRACTIONS_D)]
     findings = EyeFindings(
         scene=study.scene,
         eccentricities=_ECCENTRICITIES_MM,
