@@ -53,23 +53,23 @@ class EyeRow(NamedTuple):
 
     path: Annotated[str, Column("path")]
     eye: Annotated[str, Column("eye")]
-    kappa_per_mm: Annotated[float, Column("fitted κ, 1/mm", 4, sign=True)]
+    kappa_per_mm: Annotated[float, Column("κ, 1/mm", 3, sign=True)]
     field_mm: Annotated[float, Column("field, mm", 2)]
-    fitted_error_mm: Annotated[float, Column("|error| at c = 3 mm, own pinhole, mm")]
-    schematic_error_mm: Annotated[float, Column("with Navarro's pinhole, mm")]
+    fitted_error_mm: Annotated[float, Column("own pinhole, mm")]
+    schematic_error_mm: Annotated[float, Column("Navarro's, mm")]
 
 
 class PathRow(NamedTuple):
     """Pinholes and fields of a path."""
 
     path: Annotated[str, Column("path")]
-    paraxial: Annotated[float, Column("paraxial κ, 1/mm", 4, sign=True)]
-    schematic: Annotated[float, Column("fitted κ, Navarro's eye", 4, sign=True)]
-    mean: Annotated[float, Column("fitted κ, mean of the eyes", 4, sign=True)]
-    deviation: Annotated[float, Column("its standard deviation", 4)]
-    field_low: Annotated[float, Column("field, 5 %, mm", 2)]
-    field: Annotated[float, Column("median", 2)]
-    field_high: Annotated[float, Column("95 %", 2)]
+    paraxial: Annotated[float, Column("paraxial κ, 1/mm", 3, sign=True)]
+    schematic: Annotated[float, Column("κ, Navarro", 3, sign=True)]
+    mean: Annotated[float, Column("κ, mean", 3, sign=True)]
+    deviation: Annotated[float, Column("σ of κ", 3)]
+    field_low: Annotated[float, Column("field, 5 %", 1)]
+    field: Annotated[float, Column("50 %", 1)]
+    field_high: Annotated[float, Column("95 %, mm", 1)]
 
 
 class Share(NamedTuple):
