@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import abstractmethod
+from typing import Self
 
 import equinox as eqx
 import jax
@@ -15,20 +16,74 @@ from optics.vector import components
 _UNDISTORT_STEPS = 12
 
 
-class Camera(Protocol):
-    """What projects points of the eye: a `Microscope`, or a `PathCamera` of `optics.viewing`."""
+class Camera(eqx.Module):
+    """What projects points of the eye: a `Microscope`, or a `PathCamera` of `optics.viewing`.
 
-    @property
-    def scale(self) -> Float[Array, ""]:
-        """Delta, mm per px at the pole."""
-        ...
+    Attributes:
+        scale: delta, mm per px at the height of the pole.
+        pole_height: Z of the retinal pole, mm.
+        principal_point: (u0, v0), px; may lie outside the window.
+    """
 
+    scale: eqx.AbstractVar[Float[Array, ""]]
+    pole_height: eqx.AbstractVar[Float[Array, ""]]
+    principal_point: eqx.AbstractVar[Float[Array, "2"]]
+
+    @abstractmethod
     def project(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
-        """Image of points, px."""
-        ...
+        """Image of points (X, Y, Z; mm, eye frame), px of the window."""
+
+    @abstractmethod
+    def ray(
+        self, pixels: Float[ArrayLike, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
+        """Line of sight of pixels (u, v), the inverse of `project`.
+
+        Returns:
+            The line's point at the pole's height, mm, and its unit direction away from the
+            microscope.
+        """
+
+    def centred_on(
+        self,
+        point: Float[Array, "3"],
+        *,
+        width: int,
+        height: int,
+        offset: tuple[float, float] = (0.0, 0.0),
+    ) -> Self:
+        """The same camera with its sensor window shifted so that `point` is in the middle.
+
+        It stays on the axis: the window is shifted, the camera is not tilted.
+
+        Args:
+            point: eye frame, mm.
+            width: width of the window, px.
+            height: height of the window, px.
+            offset: offset of the window's middle from the point's image, px.
+        """
+        middle = jnp.array([(width - 1) / 2.0, (height - 1) / 2.0])
+        shift = middle - jnp.array(offset) - self.project(point)
+        return eqx.tree_at(lambda c: c.principal_point, self, self.principal_point + shift)
+
+    def _line_of_sight(
+        self, at_pole: Float[Array, "*batch 2"], slope: Float[Array, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
+        """Point and unit direction of lines that cross the pole's height at (X, Y), mm.
+
+        Args:
+            at_pole: X and Y there.
+            slope: their growth per mm of descent.
+        """
+        height = jnp.broadcast_to(self.pole_height, (*at_pole.shape[:-1], 1))
+        direction = jnp.concatenate([slope, -jnp.ones_like(height)], axis=-1)
+        return (
+            jnp.concatenate([at_pole, height], axis=-1),
+            direction / jnp.linalg.norm(direction, axis=-1, keepdims=True),
+        )
 
 
-class Microscope(eqx.Module):
+class Microscope(Camera):
     r"""Pinhole camera on the +z axis, looking down at the retinal pole.
 
     With the reciprocal working distance $\kappa = 1/(z_F + r)$ a point (X, Y, Z) images at
@@ -101,42 +156,13 @@ class Microscope(eqx.Module):
             jnp.asarray(pixels) - self.principal_point, self.distortion, self.inverse_focal
         )
         xy = offset * jnp.array([1.0, -1.0]) * self.scale
-        height = jnp.broadcast_to(self.pole_height, (*xy.shape[:-1], 1))
-        slope = jnp.concatenate(
-            [self.inverse_working_distance * xy, -jnp.ones((*xy.shape[:-1], 1))], axis=-1
-        )
-        return (
-            jnp.concatenate([xy, height], axis=-1),
-            slope / jnp.linalg.norm(slope, axis=-1, keepdims=True),
-        )
+        return self._line_of_sight(xy, self.inverse_working_distance * xy)
 
     def camera_matrix(self) -> Float[Array, "3 3"]:
         """OpenCV's matrix K for a camera at F that looks down (x right, y down, z away), px."""
         f = 1.0 / self.inverse_focal
         (u, v), one, zero = self.principal_point, jnp.ones(()), jnp.zeros(())
         return jnp.array([[f, zero, u], [zero, f, v], [zero, zero, one]])
-
-    def centred_on(
-        self,
-        point: Float[Array, "3"],
-        *,
-        width: int,
-        height: int,
-        offset: tuple[float, float] = (0.0, 0.0),
-    ) -> Microscope:
-        """The same microscope with its sensor window shifted so that `point` is in the middle.
-
-        The pinhole stays on the axis: the window is shifted, the camera is not tilted.
-
-        Args:
-            point: eye frame, mm.
-            width: width of the window, px.
-            height: height of the window, px.
-            offset: offset of the window's middle from the point's image, px.
-        """
-        middle = jnp.array([(width - 1) / 2.0, (height - 1) / 2.0])
-        shift = middle - jnp.array(offset) - self.project(point)
-        return eqx.tree_at(lambda m: m.principal_point, self, self.principal_point + shift)
 
 
 def microscope(

@@ -6,9 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, ScalarLike
+from jaxtyping import Array, ArrayLike, Bool, Float, ScalarLike
 
-from optics import InputError, Surface, components
+from optics import Camera, InputError, Surface, components
 from optics.viewing.path import ViewingPath, lines_of_sight
 from optics.viewing.trace import SEEN, VIGNETTED
 
@@ -23,7 +23,7 @@ _SAFE = 0.98
 1.3 of what the iris lets through. Towards the edge of the field they converge slowly."""
 
 
-class PathCamera(eqx.Module):
+class PathCamera(Camera):
     r"""The microscope as it sees the eye's inside through a viewing path.
 
     The path is symmetric about the axis, so two functions of one variable describe all its lines of
@@ -89,7 +89,7 @@ class PathCamera(eqx.Module):
         return self.principal_point + jnp.stack([x * per_mm, -y * per_mm], axis=-1)
 
     def ray(
-        self, pixels: Float[Array, "*batch 2"]
+        self, pixels: Float[ArrayLike, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
         """Line of sight of pixels inside the eye, the inverse of `project`.
 
@@ -100,14 +100,10 @@ class PathCamera(eqx.Module):
             The line's point at the pole's height, mm, and its unit direction away from the
             microscope.
         """
-        offset = (jnp.asarray(pixels) - self.principal_point) / self._px_per_aim
-        x, y = offset[..., 0], -offset[..., 1]
-        place = self._place(x * x + y * y)
-        a, b = _series(self.crossing, place), _series(self.steepness, place)
-        direction = jnp.stack([b * x, b * y, -jnp.ones_like(x)], axis=-1)
-        return (
-            jnp.stack([a * x, a * y, jnp.broadcast_to(self.pole_height, x.shape)], axis=-1),
-            direction / jnp.linalg.norm(direction, axis=-1, keepdims=True),
+        aim = self._aim(pixels)
+        place = self._place(jnp.sum(aim * aim, axis=-1, keepdims=True))
+        return self._line_of_sight(
+            _series(self.crossing, place) * aim, _series(self.steepness, place) * aim
         )
 
     def sees(self, points: Float[Array, "*batch 3"]) -> Bool[Array, "*batch"]:
@@ -119,30 +115,18 @@ class PathCamera(eqx.Module):
 
     def transmittance(self, pixels: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
         """Fraction of the light of pixels that passes the surfaces; 0 behind the iris."""
-        offset = (jnp.asarray(pixels) - self.principal_point) / self._px_per_aim
-        t2 = jnp.sum(offset * offset, axis=-1)
+        t2 = jnp.sum(jnp.square(self._aim(pixels)), axis=-1)
         visible = t2 <= jnp.minimum(self.widest, self.pupil) ** 2
         return jnp.where(visible, _series(self.passing, self._place(t2)), 0.0)
-
-    def centred_on(
-        self,
-        point: Float[Array, "3"],
-        *,
-        width: int,
-        height: int,
-        offset: tuple[float, float] = (0.0, 0.0),
-    ) -> PathCamera:
-        """The same camera with its window shifted so that `point` is in the middle.
-
-        Args: as for `Microscope.centred_on`.
-        """
-        middle = jnp.array([(width - 1) / 2.0, (height - 1) / 2.0])
-        shift = middle - jnp.array(offset) - self.project(point)
-        return eqx.tree_at(lambda c: c.principal_point, self, self.principal_point + shift)
 
     @property
     def _px_per_aim(self) -> Float[Array, ""]:
         return self.orientation * jnp.abs(self.magnification) / self.scale
+
+    def _aim(self, pixels: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Where lines of sight aim, (x, y), mm; their distance from the axis is t."""
+        offset = (jnp.asarray(pixels) - self.principal_point) / self._px_per_aim
+        return offset * jnp.array([1.0, -1.0])
 
     def _place(self, t2: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Argument of the series, in [-1, 1]; 1 outside the field."""
