@@ -143,15 +143,7 @@ class Microscope(Camera):
     def ray(
         self, pixels: Float[ArrayLike, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
-        """Line of sight of pixels, the inverse of `project`.
-
-        Args:
-            pixels: (u, v) in px.
-
-        Returns:
-            The line's point at the pole's height, mm, and its unit direction away from the
-            microscope.
-        """
+        """Line of sight of pixels, as `Camera.ray` describes it."""
         offset = _undistort(
             jnp.asarray(pixels) - self.principal_point, self.distortion, self.inverse_focal
         )

@@ -12,6 +12,7 @@ import optics
 from optics.emission import transmitted_power
 from optics.irradiance_lookup import LensField
 from tests.lens_quadrature import irradiance
+from tests.random_lenses import random_lens
 
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49
 DOME, FLAT = optics.load_lens("dome"), optics.load_lens("paper-candidate")
@@ -134,23 +135,6 @@ def test_a_core_narrower_than_the_cap_sends_light_where_brute_force_says(
     np.testing.assert_allclose(axial, expected, rtol=0, atol=1e-3 * max(expected))
 
 
-def random_lens(seed):
-    """A lens from the whole range of drops, and a medium."""
-    rng = np.random.default_rng(seed)
-    aperture = rng.uniform(0.2, 0.35)
-    core = rng.uniform(0.15, min(0.3, aperture))
-    sag, rim = rng.uniform(0.001, aperture), rng.uniform(0.0, 0.4)
-    lens = optics.glue_lens(
-        core_radius=core,
-        aperture_radius=aperture,
-        sag=sag,
-        glue_length=sag + rim,
-        glue_index=rng.uniform(1.45, 1.55),
-        numerical_aperture=rng.uniform(0.05, 0.3),
-    )
-    return lens, (AIR, VITREOUS)[seed % 2]
-
-
 def adaptive_flux(light, distance, tolerance):
     """Flux through a plane square to the axis, with panels that shrink at caustics."""
     x, weight = nodes(-1.0, 1.0, 8)
@@ -182,7 +166,7 @@ def adaptive_flux(light, distance, tolerance):
 def test_no_light_of_a_hundred_lenses_is_lost():
     lost, profile = [], []
     for seed in range(1000, 1100):
-        lens, medium = random_lens(seed)
+        lens, medium = random_lens(np.random.default_rng(seed)), (AIR, VITREOUS)[seed % 2]
         light = LensField(lens, medium)
         power = float(transmitted_power(lens, medium_index=medium))
         for distance in (0.1, 0.5, 2.0):
@@ -249,7 +233,7 @@ def photons(lens, medium, count, seed):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_photons_of_random_lenses_land_where_the_field_says(seed):
-    lens, medium = random_lens(seed)
+    lens, medium = random_lens(np.random.default_rng(seed)), (AIR, VITREOUS)[seed % 2]
     count, distance = 400_000, (0.1, 0.4, 2.0)[seed % 3]
     point, out, weight = photons(lens, medium, count, seed)
     path = (distance - point[:, 2]) / out[:, 2]

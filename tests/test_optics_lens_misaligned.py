@@ -10,6 +10,7 @@ from optics.emission import emitted_rays
 from optics.irradiance_lookup import LensField
 from optics.lens_misaligned import MisalignedLens, misaligned_vector_irradiance
 from tests.lens_quadrature import misaligned_irradiance
+from tests.random_lenses import random_lens
 
 AIR, VITREOUS = 1.0, 1.336
 
@@ -35,17 +36,7 @@ def test_without_misalignment_it_is_the_symmetric_lens():
 def random_end(seed):
     """A lens from the whole range of drops with its core off centre and its light tilted."""
     rng = np.random.default_rng(seed)
-    aperture = rng.uniform(0.2, 0.35)
-    core = rng.uniform(0.15, min(0.3, aperture)) - 0.03
-    sag, rim = rng.uniform(0.001, aperture), rng.uniform(0.0, 0.4)
-    lens = optics.glue_lens(
-        core_radius=core,
-        aperture_radius=aperture,
-        sag=sag,
-        glue_length=sag + rim,
-        glue_index=rng.uniform(1.45, 1.55),
-        numerical_aperture=rng.uniform(0.05, 0.3),
-    )
+    lens = random_lens(rng, margin=0.03)
     return lens, (AIR, VITREOUS)[seed % 2], rng.uniform(-0.02, 0.02, 2), rng.uniform(-0.06, 0.06, 2)
 
 

@@ -91,15 +91,7 @@ class PathCamera(Camera):
     def ray(
         self, pixels: Float[ArrayLike, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
-        """Line of sight of pixels inside the eye, the inverse of `project`.
-
-        Args:
-            pixels: (u, v) in px.
-
-        Returns:
-            The line's point at the pole's height, mm, and its unit direction away from the
-            microscope.
-        """
+        """Line of sight of pixels inside the eye, as `Camera.ray` describes it."""
         aim = self._aim(pixels)
         place = self._place(jnp.sum(aim * aim, axis=-1, keepdims=True))
         return self._line_of_sight(
