@@ -12,6 +12,8 @@ from estimator.detector.levels import Levels
 from estimator.detector.tuning import RAYS, Saturated
 from estimator.detector.unwrap import Patch
 
+_ROUNDING = math.sqrt(np.finfo(float).eps)  # leaves half of the digits
+
 
 def hidden_edge(
     patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels, reach: float
@@ -80,8 +82,12 @@ def _flank(
         if np.abs(step).max() < Saturated.SMALLEST_STEP:
             break
     information = jacobian.T @ jacobian
-    if not np.trace(information) > np.finfo(float).eps:
-        raise np.linalg.LinAlgError  # no light is left on the flank, and its inverse may overflow
+    size = np.sqrt(np.diag(information))
+    # No light is left on the flank, or it is so short that rounding decides on the inverse.
+    if not size.min() > _ROUNDING:
+        raise np.linalg.LinAlgError
+    if not np.linalg.eigvalsh(information / np.outer(size, size))[0] > _ROUNDING:
+        raise np.linalg.LinAlgError
     noise = float(residual @ residual) / (x.size - 3)
     return fitted, noise * np.linalg.inv(information)
 
