@@ -62,7 +62,7 @@ def refine_sharp(
         & (gain < Refine.BRIGHTEST_GAIN)
         & (np.abs(offsets) < reach)
     )
-    plain = rough[band.inliers]
+    plain = rough[found]
     typical = float(np.partition(plain, plain.size // 2)[plain.size // 2])
     smooth = rough < Sharp.ROUGH * max(typical, 1e-5 * levels.amplitude**2)
     fitted = robust_step(
