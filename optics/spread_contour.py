@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 
 from optics.beam import Beam, generator_angles, perpendicular_frame
-from optics.camera import Microscope
+from optics.camera import Camera
 from optics.contour import CONTOUR_POINTS, cone_contour
 from optics.ellipse import Ellipse, ellipse_of_contour
 from optics.half_maximum import half_maximum_contour
@@ -41,7 +41,7 @@ class SpreadSpot(NamedTuple):
 @eqx.filter_jit
 def spread_spots(
     surface: Surface,
-    microscope: Microscope,
+    microscope: Camera,
     table: IrradianceTable | None,
     beams: Beam,
     length: ScalarLike,

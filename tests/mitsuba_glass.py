@@ -97,10 +97,8 @@ def conic_mesh(
 def outside_camera(
     path: viewing.ViewingPath, camera: viewing.PathCamera, *, width: int, height: int, spp: int
 ) -> dict[str, Any]:
-    """Mitsuba's pinhole at the microscope's, with the pixels of a path camera.
-
-    The principal point must be the middle of the image.
-    """
+    """Mitsuba's pinhole at the microscope's, with the pixels of a path camera."""
+    u0, v0 = np.asarray(camera.principal_point).tolist()
     distance = 1.0 / float(path.pinhole_closeness)
     mm_per_px = float(camera.scale) / abs(float(camera.magnification))  # on the cornea's vertex
     above = retinal_pole(path) + float(path.pole_depth) + distance
@@ -108,6 +106,8 @@ def outside_camera(
         "type": "perspective",
         "fov": 2 * np.degrees(np.arctan(width * mm_per_px / 2 / distance)),
         "fov_axis": "x",
+        "principal_point_offset_x": 0.5 - (u0 + 0.5) / width,
+        "principal_point_offset_y": 0.5 - (v0 + 0.5) / height,
         "far_clip": 1e4,
         "to_world": mi.ScalarTransform4f().look_at(
             origin=[0.0, 0.0, above], target=[0.0, 0.0, 0.0], up=[0.0, 1.0, 0.0]

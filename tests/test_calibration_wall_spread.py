@@ -51,6 +51,7 @@ def test_the_image_of_a_cone_is_a_spread_disc(length, limit):
     # One row of pixels through the spot's middle.
     u = jnp.arange(0.0, 96.0)
     pixels = jnp.stack([u, jnp.full(96, 47.5)], axis=-1)
+    assert isinstance(world.microscope, optics.Microscope)
     wall = wall_pixels(pixels, microscope=world.microscope, surface=world.wall)
     cone = Cone(jnp.asarray(HALF_ANGLE), jnp.asarray(B), None, jnp.asarray(length))
     found = np.asarray(cone.irradiance(wall, tip=beam.tip, axis=beam.axis))
@@ -85,6 +86,7 @@ def test_the_image_of_a_lens_is_its_light_averaged_over_the_wall():
         world.wall, eccentricity=0.0, distance=2.0, incidence=0.5, half_angle=0.05, apex_offset=B
     )
     pixels = jnp.array([[47.5, 47.5], [59.0, 54.0], [69.0, 44.0], [79.0, 48.0]])
+    assert isinstance(world.microscope, optics.Microscope)
     wall = wall_pixels(pixels, microscope=world.microscope, surface=world.wall)
     pose = {"tip": beam.tip, "axis": beam.axis}
     found = Lens(table, jnp.asarray(length)).irradiance(wall, **pose)

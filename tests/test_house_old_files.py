@@ -25,7 +25,7 @@ from estimator.files import (
 )
 from optics import InputError
 from scenes.description import load_scene
-from scenes.description.settings import Scene
+from scenes.description.scene import Scene
 
 OLD = Path(__file__).with_name("files-0.1")
 STACK = OLD / "small-v1" / "train" / "0000"

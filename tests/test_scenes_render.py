@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import optics
 from estimator import Spot, SubpixelSettings, TrackState, measure, read_stack
 from optics import InputError
 from scenes import (
@@ -221,6 +222,7 @@ def test_labels_of_a_distorting_microscope_are_those_of_opencv(height):
         microscope={"pinhole_height_mm": height, "distortion": LENS},
     )
     microscope = World(settings).microscope
+    assert isinstance(microscope, optics.Microscope)
     points = np.asarray(World(settings).truth.origin)
     # OpenCV's camera: x right, y down, z away, at the pinhole.
     seen = (points - [0.0, 0.0, height]) * [1.0, -1.0, -1.0]

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
@@ -81,6 +81,8 @@ class FrameLabels:
         spread_cone_*, spread_half_max_*: the same two after the wall has spread the light, in
             green: where half of the light of a point comes from inside the cone's edge, and half
             of the spread light's peak. NaN, and not in the file, if the wall does not spread it.
+        red_shift_*, blue_shift_*: where red and blue show O, against green; NaN, and not in the
+            file, for a pinhole.
         visible_fraction: part of the half-maximum contour that the camera sees.
         speed_mm_s: of the tip in the middle of the exposure.
         saturated_fraction: part of the mask's pixels with a channel at full scale.
@@ -127,11 +129,17 @@ class FrameLabels:
     spread_half_max_semi_major_px: float = math.nan
     spread_half_max_semi_minor_px: float = math.nan
     spread_half_max_angle_rad: float = math.nan
+    red_shift_x_px: float = math.nan
+    red_shift_y_px: float = math.nan
+    blue_shift_x_px: float = math.nan
+    blue_shift_y_px: float = math.nan
 
     def row(self) -> dict[str, Any]:
-        """The fields of a line; a wall without spread has none of the spread's."""
-        unspread = math.isnan(self.spread_cone_x_px)
-        return {n: v for n, v in vars(self).items() if not (unspread and n.startswith("spread_"))}
+        """The fields of a line, without those that this scene does not have."""
+        return {n: v for n, v in vars(self).items() if not (n in _OPTIONAL and math.isnan(v))}
+
+
+_OPTIONAL = {field.name for field in fields(FrameLabels) if field.default is not MISSING}
 
 
 @dataclass(frozen=True)
@@ -267,7 +275,7 @@ class _AnyRow(Strict):
 
 
 _COLUMNS: dict[str, Any] = {
-    name: (kind, math.nan if name.startswith("spread_") else ...)
+    name: (kind, math.nan if name in _OPTIONAL else ...)
     for name, kind in get_type_hints(FrameLabels, include_extras=True).items()
 }
 _Row = create_model("_Row", __base__=_AnyRow, **_COLUMNS)

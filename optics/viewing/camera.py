@@ -71,7 +71,7 @@ class PathCamera(Camera):
     def field(self, surface: Surface) -> Float[Array, ""]:
         """Largest eccentricity c on a wall that the microscope sees, mm."""
         edge = jnp.stack([jnp.minimum(self.widest, self.pupil), jnp.zeros(())])
-        point, direction = self.ray(self.principal_point + edge * self._px_per_aim)
+        point, direction = self.ray(self.principal_point + edge * self.px_per_aim)
         hit = surface.intersect(point, direction).point
         return jnp.hypot(hit[0], hit[1])
 
@@ -85,7 +85,7 @@ class PathCamera(Camera):
             (u, v) in px of the window. Points outside the field have values without meaning.
         """
         x, y, z = components(points)
-        per_mm = self._aim_per_mm(x * x + y * y, z - self.pole_height) * self._px_per_aim
+        per_mm = self._aim_per_mm(x * x + y * y, z - self.pole_height) * self.px_per_aim
         return self.principal_point + jnp.stack([x * per_mm, -y * per_mm], axis=-1)
 
     def ray(
@@ -111,13 +111,22 @@ class PathCamera(Camera):
         visible = t2 <= jnp.minimum(self.widest, self.pupil) ** 2
         return jnp.where(visible, _series(self.passing, self._place(t2)), 0.0)
 
+    def on_sensor_of(self, other: PathCamera) -> PathCamera:
+        """This camera with the sensor of another: a line of sight's aim decides on its pixel.
+
+        Colours share a sensor, but not delta.
+        """
+        scale = other.scale * jnp.abs(self.magnification / other.magnification)
+        return eqx.tree_at(lambda c: c.scale, self, scale)
+
     @property
-    def _px_per_aim(self) -> Float[Array, ""]:
+    def px_per_aim(self) -> Float[Array, ""]:
+        """Pixels per mm of t; negative if the image is turned upright."""
         return self.orientation * jnp.abs(self.magnification) / self.scale
 
     def _aim(self, pixels: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Where lines of sight aim, (x, y), mm; their distance from the axis is t."""
-        offset = (jnp.asarray(pixels) - self.principal_point) / self._px_per_aim
+        offset = (jnp.asarray(pixels) - self.principal_point) / self.px_per_aim
         return offset * jnp.array([1.0, -1.0])
 
     def _place(self, t2: Float[Array, "*batch"]) -> Float[Array, "*batch"]:

@@ -27,6 +27,11 @@ class ContactLens(eqx.Module):
     thickness: Float[Array, ""]
     index: Float[Array, ""]
 
+    @property
+    def above_cornea(self) -> Float[Array, ""]:
+        """Height of its front above the cornea's vertex, mm."""
+        return self.thickness
+
 
 class WideFieldLens(eqx.Module):
     """An ideal thin lens above the cornea; it inverts the image.
@@ -38,6 +43,11 @@ class WideFieldLens(eqx.Module):
 
     power: Float[Array, ""]
     height: Float[Array, ""]
+
+    @property
+    def above_cornea(self) -> Float[Array, ""]:
+        """Height above the cornea's vertex, mm."""
+        return self.height
 
 
 ViewingLens = ContactLens | WideFieldLens

@@ -1,10 +1,12 @@
 """The scene file: its keys, their validation, and how it is read and written.
 
-camera_settings  The table [camera]
-command          The commands `eyespot scene init` and `scene schema`, and options for scenes
-motion_settings  The tables [motion] and [clocks]
-scene_file       Scene files (TOML): reading, changing, writing, template and JSON schema
-settings         All other tables, and the rules that a whole scene must meet
+camera_settings   The table [camera]
+command           The commands `eyespot scene init` and `scene schema`, and options for scenes
+motion_settings   The tables [motion] and [clocks]
+scene             A whole scene, and the rules that its tables must meet together
+scene_file        Scene files (TOML): reading, changing, writing, template and JSON schema
+settings          All other tables
+viewing_settings  The table [viewing]
 """
 
 import lazy_loader

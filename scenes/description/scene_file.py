@@ -12,7 +12,9 @@ from pydantic import BaseModel, ValidationError
 
 from optics import InputError, at_most_three, check_schema, in_file, read_toml, shortened, toml_in
 from scenes.description.motion_settings import MOTIONS, UNNAMED
-from scenes.description.settings import Scene, SceneError
+from scenes.description.scene import Scene
+from scenes.description.settings import SceneError
+from scenes.description.viewing_settings import OF_THE_RETINA
 
 HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
 """What changed with each version of the format that is read."""
@@ -47,6 +49,9 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
         SceneError: a key is unknown, or the changed scene is invalid.
     """
     content = scene.model_dump(mode="json", by_alias=True)
+    if any(key.startswith("viewing.") for key in changes):
+        # An eye brings its own retina.
+        content["phantom"] = {k: v for k, v in content["phantom"].items() if k not in OF_THE_RETINA}
     for key, value in changes.items():
         content = _merged(content, _nested(key.split("."), value))
     return _validated(content, "the changed scene")

@@ -1,15 +1,13 @@
-"""The settings of a scene: every key with its unit and default, validated before rendering."""
+"""The tables of a scene file: every key with its unit and default."""
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal
 
-from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AllowInfNan, BaseModel, ConfigDict, Field
 
 from optics import InputError
-from scenes.description.camera_settings import CameraSettings
-from scenes.description.motion_settings import Angle, Clocks, Motion, Positive, Seed, Withdrawal
+from scenes.description.motion_settings import Angle, Positive, Seed
 
 GAUGE_DIAMETER_MM = {20: 0.91, 23: 0.64, 25: 0.51}
 """Outer diameter of vitrectomy instruments by gauge, mm."""
@@ -25,6 +23,7 @@ Place = Annotated[float, Field(ge=-1e4, le=1e4)]
 Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Coefficient = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Spread = Annotated[float, Field(ge=1e-4, le=1)]
+_Ratio = Annotated[float, Field(ge=0.5, le=2)]
 FileName = Annotated[str, Field(max_length=4096)]
 
 
@@ -40,13 +39,22 @@ class Phantom(_Settings):
         11.5,
         ge=0.1,
         le=1000,
-        description="r, radius of the eyeball. The plane passes through its pole.",
+        description="r, radius of the eyeball, or its semi-axis along Z. The plane passes through "
+        "its pole.",
+    )
+    stretch: tuple[_Ratio, _Ratio] = Field(
+        (1.0, 1.0),
+        description="Semi-axes of the eyeball along X and Y, over radius_mm; (1, 1) is a sphere.",
+    )
+    shift_mm: tuple[Place, Place] = Field(
+        (0.0, 0.0),
+        description="Shift of a stretched eyeball across the axis, X and Y.",
     )
     tilt_deg: float = Field(
-        0.0, ge=0, lt=60, description="Tilt of the plane phantom about the pole."
+        0.0, ge=0, lt=60, description="Tilt of the plane phantom, or of a stretched eyeball."
     )
     tilt_azimuth_deg: Angle = Field(
-        0.0, description="Direction in which the plane's normal leans; 0: +X, 90: +Y."
+        0.0, description="Direction in which the plane's normal or the eyeball's Z leans; 0: +X."
     )
     pupil_radius_mm: Length = Field(
         0.0, description="Radius of the opening of the eyeball; 0: closed eyeball."
@@ -90,6 +98,19 @@ class Phantom(_Settings):
         description="Light that the eyeball scatters back onto its wall. Tracing it takes seconds "
         "per frame and includes the instrument's shadow and the wall's picture.",
     )
+
+    @property
+    def stretched(self) -> bool:
+        """Whether the eyeball is an ellipsoid."""
+        return self.kind == "eyeball" and self.stretch != (1.0, 1.0)
+
+    @property
+    def mean_radius_mm(self) -> float:
+        """Radius of the sphere that has the eyeball's area (Thomsen 2004, within 1.1 %)."""
+        a, b = self.stretch
+        p = 1.6075
+        mean = ((a * b) ** p + a**p + b**p) / 3
+        return self.radius_mm * mean ** (0.5 / p)
 
 
 class SourceSettings(_Settings):
@@ -243,94 +264,3 @@ class Exposures(_Settings):
         False,
         description="Also keep noise-free frames, so that other exposures need no new rendering.",
     )
-
-
-class Scene(_Settings):
-    """One trial: all settings that an image stack depends on."""
-
-    schema_version: Literal[1] = Field(1, alias="schema")
-    seed: Seed = Field(0, description="Random seed of the camera noise.")
-    phantom: Phantom = Phantom()
-    source: SourceSettings = SourceSettings()
-    spot: SpotSettings = SpotSettings()
-    motion: Motion = Withdrawal()
-    clocks: Clocks = Clocks()
-    instrument: Instrument = Instrument()
-    second_tool: SecondTool = SecondTool()
-    microscope: MicroscopeSettings = MicroscopeSettings()
-    camera: CameraSettings = CameraSettings()
-    exposures: Exposures = Exposures()
-
-    @property
-    def approximations(self) -> list[str]:
-        """What is only approximate in the images of this scene, one sentence each."""
-        phantom, found = self.phantom, []
-        if phantom.coat != "none" and self.source.kind == "lens":
-            found.append("highlights are computed for the mean direction of the lens's light")
-        if phantom.coat != "none" and phantom.kind == "eyeball":
-            if phantom.indirect == "closed form":
-                found.append("indirect light is computed for a wall without coat")
-        return found
-
-    @model_validator(mode="after")
-    def _is_possible(self) -> Scene:
-        r, c = self.phantom.radius_mm, self.spot.eccentricity_mm
-        if c >= r:
-            raise InputError(
-                f"spot.eccentricity_mm must be smaller than phantom.radius_mm; got {c:g} mm with "
-                f"radius {r:g} mm. Lower eccentricity_mm."
-            )
-        if abs(self.microscope.pinhole_height_mm + r) < r * 0.5:
-            raise InputError(
-                f"microscope.pinhole_height_mm must lie {r / 2:g} mm or more (half a radius) above "
-                f"or below the retina, which is at {-r:g} mm; got "
-                f"{self.microscope.pinhole_height_mm:g} mm. Raise or lower it."
-            )
-        if math.isinf(self.microscope.pinhole_height_mm) and any(self.microscope.distortion):
-            raise InputError(
-                "microscope.distortion is measured in focal lengths, and a telecentric "
-                f"microscope has none; got {list(self.microscope.distortion)} with "
-                "pinhole_height_mm = inf. Set it to zeros or lower pinhole_height_mm."
-            )
-        if self.phantom.wall == "image" and not self.phantom.wall_image:
-            raise InputError(
-                "phantom.wall = 'image' needs phantom.wall_image. Set it to the path of the image."
-            )
-        traced = self.source.kind == "photons" or self.phantom.indirect == "traced"
-        if self.phantom.spread != "none" and traced:
-            raise InputError(
-                "phantom.spread does not apply to traced light; got spread "
-                f"{self.phantom.spread!r} with source.kind {self.source.kind!r} and indirect "
-                f"{self.phantom.indirect!r}. Set spread = 'none', or the other two to 'lens' and "
-                "'closed form'."
-            )
-        if self.phantom.pupil_radius_mm and self.phantom.kind == "plane":
-            raise InputError(
-                "phantom.pupil_radius_mm applies to the eyeball phantom only; got "
-                f"{self.phantom.pupil_radius_mm:g} mm with kind 'plane'. Set it to 0."
-            )
-        if self.phantom.pupil_radius_mm >= r:
-            raise InputError(
-                "phantom.pupil_radius_mm must be smaller than phantom.radius_mm; got "
-                f"{self.phantom.pupil_radius_mm:g} mm with radius {r:g} mm. Lower it."
-            )
-        if self.second_tool.visible and math.hypot(*self.second_tool.tip_mm) >= r:
-            raise InputError(
-                f"second_tool.tip_mm must lie inside the eye of radius {r:g} mm; got "
-                f"{list(self.second_tool.tip_mm)}, {math.hypot(*self.second_tool.tip_mm):.2f} mm "
-                "from its centre. Move it."
-            )
-        if self.phantom.kind == "eyeball":
-            if self.phantom.tilt_deg:
-                raise InputError(
-                    "phantom.tilt_deg applies to the plane phantom only; got "
-                    f"{self.phantom.tilt_deg:g} deg with kind 'eyeball'. Set it to 0 or choose "
-                    "kind = 'plane'."
-                )
-        elif math.radians(self.phantom.tilt_deg + self.spot.incidence_deg) >= math.pi / 2:
-            raise InputError(
-                "phantom.tilt_deg + spot.incidence_deg must be below 90; got "
-                f"{self.phantom.tilt_deg:g} + {self.spot.incidence_deg:g} deg, so the beam may "
-                "miss the plane. Lower one of them."
-            )
-        return self

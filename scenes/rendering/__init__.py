@@ -1,9 +1,11 @@
 """Rendering with Mitsuba: from a scene to linear frames.
 
 build           The Mitsuba dictionary of a scene, and how the tip is moved in it
+coaxial         How the microscope's coaxial light thins out behind a viewing path
 differentiable  Images by photons, with derivatives by the lens and its pose
 glass           Images by photons through the lens as glass, without its irradiance table
 images          Noise-free images for any pose of the tip
+path_sensor     Mitsuba plugin: the microscope behind a viewing path
 photons         The glue lens as glass, through which Mitsuba traces photons
 pixels          Renders a subset of the pixels, sampled on a regular grid
 placement       Rigid transforms and the wall of a Mitsuba scene

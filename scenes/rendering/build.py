@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 import mitsuba as mi
 import numpy as np
 
+import optics
+import scenes.rendering.path_sensor
 import scenes.rendering.plugins
 import scenes.rendering.sensor  # noqa: F401
 from optics import InputError
+from optics.viewing import PathCamera
 from scenes.description import GAUGE_DIAMETER_MM, Scene
+from scenes.rendering.coaxial import coaxial_falloff
 from scenes.rendering.placement import rigid_transform
 from scenes.rendering.wall import wall
 from scenes.world import World
@@ -62,13 +68,21 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
             "bounces": _traced_bounces(world),
             "uniform": mi.ScalarColor3f(uniform + ambient),
             "coaxial": scene.microscope.illumination_mw_mm2 if coaxial else 0.0,
-            "pinhole_height": scene.microscope.pinhole_height_mm,
+            **_coaxial_light(world),
             "pole_height": -scene.phantom.radius_mm,
             "pupil_height": _pupil_height(scene),
             "wall_curvature": 1 / scene.phantom.radius_mm if eyeball else 0.0,
             **{f"spread_{colour}": float(s) for colour, s in zip("rgb", spread, strict=True)},
         },
     }
+
+
+def _coaxial_light(world: World) -> dict[str, Any]:
+    """The pinhole that the light comes from; or how it thins out behind a viewing path."""
+    if not isinstance(world.microscope, PathCamera):
+        return {"pinhole_height": world.scene.microscope.pinhole_height_mm}
+    coefficients, furthest = coaxial_falloff(world.microscope, world.wall)
+    return {"falloff": json.dumps(coefficients.tolist()), "falloff_scale": furthest}
 
 
 def _pupil_height(scene: Scene) -> float:
@@ -183,20 +197,34 @@ def _rods(*rods: tuple[str, float, float, float, float]) -> dict[str, Any]:
 
 
 def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
-    scene, microscope = world.scene, world.microscope
+    scene, camera = world.scene, world.microscope
     # Mitsuba's pixel i covers [i, i + 1), so its centre is at i + 0.5.
-    u0, v0 = np.asarray(microscope.principal_point) + 0.5
-    names = ("k1", "k2", "p1", "p2", "k3")
-    return {
-        "type": "eyespot_microscope",
+    u0, v0 = np.asarray(camera.principal_point) + 0.5
+    common = {
         "film": _film(scene),
         "sampler": sampler,
-        "scale": scene.microscope.scale_mm_px,
-        "inverse_working_distance": float(microscope.inverse_working_distance),
         "pole_height": -scene.phantom.radius_mm,
         "principal_point": mi.ScalarPoint2f(u0, v0),
         "entry_height": _inside_the_eye(world),
         "vignetting": scene.microscope.vignetting,
+    }
+    if isinstance(camera, PathCamera):
+        # As text, because Mitsuba tries to read a list or an array as a colour.
+        series = np.stack([camera.crossing, camera.steepness, camera.passing])
+        return {
+            "type": "eyespot_path",
+            **common,
+            "series": json.dumps(series.tolist()),
+            "px_per_aim": float(camera.px_per_aim),
+            "widest": float(camera.widest),
+            "pupil": float(jnp.minimum(camera.pupil, camera.widest)),
+        }
+    names = ("k1", "k2", "p1", "p2", "k3")
+    return {
+        "type": "eyespot_microscope",
+        **common,
+        "scale": scene.microscope.scale_mm_px,
+        "inverse_working_distance": float(camera.inverse_working_distance),
         "aperture_slope": _aperture_slope(scene),
         "focus_height": scene.microscope.focus_mm - scene.phantom.radius_mm,
         **dict(zip(names, scene.microscope.distortion, strict=True)),
@@ -233,12 +261,13 @@ def _inside_the_eye(world: World) -> float:
     scene = world.scene
     settings, r = scene.microscope, scene.phantom.radius_mm
     # Lines of sight that meet in a pinhole above the wall start below it.
-    above = -r < settings.pinhole_height_mm < math.inf
+    above = -r < settings.pinhole_height_mm < math.inf and not scene.viewing.through_an_eye
     highest = settings.pinhole_height_mm if above else 3 * r
     if scene.phantom.kind == "plane":
         return highest
-    border = world.window_border
-    point, direction = (np.asarray(a) for a in world.microscope.ray(border))
+    if scene.phantom.stretched or scene.viewing.through_an_eye:
+        return _entry_of_window(world)
+    point, direction = (np.asarray(a) for a in world.microscope.ray(world.window_border))
     if slope := _aperture_slope(scene):
         # The outermost lines of sight of a thin lens; they cross the central ones at the focus.
         aside = slope * np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
@@ -256,3 +285,26 @@ def _inside_the_eye(world: World) -> float:
         )
     entry = point[:, 2] + (along - np.sqrt(chord)) * direction[:, 2]
     return min(float(entry.min()) - 1e-3 * r, highest - _NEAR_MM)
+
+
+def _entry_of_window(world: World) -> float:
+    """The lowest height at which the window's lines of sight enter the eyeball, less a margin.
+
+    Lines outside the field of a viewing path do not count.
+    """
+    wall, camera, settings = world.wall, world.microscope, world.scene.microscope
+    u = jnp.linspace(-0.5, settings.width_px - 0.5, 65)
+    v = jnp.linspace(-0.5, settings.height_px - 0.5, 65)
+    pixels = jnp.stack(jnp.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    point, direction = camera.ray(pixels)
+    inside = wall.intersect(point, direction)
+    seen = inside.status != optics.MISS  # the lines begin below the wall
+    if isinstance(camera, PathCamera):
+        seen &= camera.sees(inside.point)
+    if not seen.any():
+        raise InputError(
+            f"the window of {settings.width_px} x {settings.height_px} px looks past the eyeball. "
+            "Lower spot.eccentricity_mm or microscope.window_offset_px."
+        )
+    entry = wall.intersect(inside.point[seen], -direction[seen]).point[:, 2]
+    return float(entry.min()) - 1e-3 * world.scene.phantom.radius_mm

@@ -5,6 +5,8 @@ Import after `load_mitsuba`: the base classes exist only once a variant is set.
 
 from __future__ import annotations
 
+import functools
+import json
 import math
 
 import drjit as dr
@@ -157,7 +159,11 @@ class SpotIntegrator(mi.SamplingIntegrator):
         super().__init__(props)
         self.uniform = mi.Color3f(props["uniform"])
         self.coaxial = mi.Float(props["coaxial"])
-        self.pinhole_height = float(props["pinhole_height"])
+        if "falloff" in props:
+            self.falloff = json.loads(props["falloff"])
+            self.falloff_scale = props["falloff_scale"]
+        else:
+            self.falloff, self.pinhole_height = [], float(props["pinhole_height"])
         self.pole_height = float(props["pole_height"])
         self.pupil_height = float(props["pupil_height"])
         self.direct, self.bounces = props["direct"], int(props["bounces"])
@@ -259,6 +265,10 @@ class SpotIntegrator(mi.SamplingIntegrator):
 
     def _falloff(self, si):
         """Irradiance of the coaxial light relative to the pole, without cosines."""
+        if self.falloff:
+            place = (dr.square(si.p.x) + dr.square(si.p.y)) / self.falloff_scale**2
+            inside = dr.minimum(place, 1)
+            return functools.reduce(lambda sum_, c: sum_ * inside + c, reversed(self.falloff))
         if math.isinf(self.pinhole_height):
             return mi.Float(1)
         reach = self.pinhole_height - self.pole_height

@@ -32,6 +32,7 @@ class Reach(NamedTuple):
         centre: centre of the wall in each tile, n x 3, mm.
         radius: radius around it that contains the tile's wall and rays, n, mm.
         sight: directions of the rays, n x 3, unit vectors.
+        widening: growth of that radius per mm along the rays towards the camera.
         tile: index of each pixel's tile, H x W.
         always: whether a tile changes in every pose, n.
     """
@@ -41,6 +42,7 @@ class Reach(NamedTuple):
     centre: np.ndarray
     radius: np.ndarray
     sight: np.ndarray
+    widening: np.ndarray
     tile: np.ndarray
     always: np.ndarray
 
@@ -89,9 +91,15 @@ class Reach(NamedTuple):
             # Along the wall, light reaches as far sideways and, on a steep wall, as far ahead.
             further = _SPREAD_REACH * world.wall_spread.max()
             envelope = envelope[0] + further * (1 + envelope[1]), envelope[1]
-        towards = sight[:-1, :-1].reshape(-1, 3)
         return cls(
-            world.scene, envelope, centre.reshape(-1, 3), radius.ravel(), towards, tile, always
+            world.scene,
+            envelope,
+            centre.reshape(-1, 3),
+            radius.ravel(),
+            sight[:-1, :-1].reshape(-1, 3),
+            _widening(four, sight),
+            tile,
+            always,
         )
 
     def pixels(self, *, tip: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -120,4 +128,19 @@ class Reach(NamedTuple):
         square = np.maximum(np.sum(across * across, axis=1), 1e-12)
         behind = np.clip(np.sum(apart * across, axis=1) / square, start, end)
         nearest = np.linalg.norm(apart - behind[:, None] * across, axis=1)
-        return np.asarray(nearest <= thickness + self.radius)
+        away = np.linalg.norm(offset + behind[:, None] * axis, axis=1)
+        return np.asarray(nearest <= thickness + self.radius + self.widening * away)
+
+
+def _widening(corners: np.ndarray, sight: np.ndarray) -> np.ndarray:
+    """Growth of the tiles per mm towards the camera, n; 0 where the rays converge there.
+
+    Args:
+        corners: where the four rays of each tile meet the wall, 4 x rows x columns x 3, mm.
+        sight: directions of all rays, (rows + 1) x (columns + 1) x 3.
+    """
+    four = np.stack([sight[:-1, :-1], sight[:-1, 1:], sight[1:, :-1], sight[1:, 1:]])
+    aside, turned = corners - corners.mean(axis=0), four - four.mean(axis=0)
+    apart = np.linalg.norm(aside, axis=-1)
+    growth = -np.sum(aside * turned, axis=-1) / np.maximum(apart, 1e-9)
+    return np.maximum(growth.max(axis=0), 0.0).ravel()

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from scenes.description import Scene
@@ -127,8 +128,8 @@ class Renderer:
         times = self.world.times[frame] + exposure_s * np.array([-0.5, 0.0, 0.5])
         tip, axis = self.world.motion.at(times)
         scale, camera = self.scene.microscope.scale_mm_px, self.world.microscope
-        depth = 1 - float(camera.inverse_working_distance) * (tip[:, 2] - float(camera.pole_height))
-        tip_px = np.linalg.norm(np.diff(tip[:, :2] / (scale * depth[:, None]), axis=0), axis=1)
+        tip_image = np.asarray(camera.project(jnp.asarray(tip)))
+        tip_px = np.linalg.norm(np.diff(tip_image, axis=0), axis=1)
         # O moves with the tip, and with the turning axis times d. The spot also changes its size.
         steps, turns, beam = np.diff(tip, axis=0), np.diff(axis, axis=0), axis[1]
         aside = steps + float(self.world.truth.distance[frame]) * turns

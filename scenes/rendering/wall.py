@@ -10,6 +10,7 @@ import numpy as np
 
 import optics
 from scenes.description import Phantom, Scene
+from scenes.rendering.ellipsoid import ellipsoid_mesh
 from scenes.rendering.placement import rigid_transform
 from scenes.walls import PICTURE_MM, PICTURE_PX, wall_picture
 from scenes.world import World
@@ -18,16 +19,16 @@ _COATS = {"wet": (optics.MEDIA["water"], 0.05), "glossy": (1.5, 0.2)}
 """Refractive index, and Beckmann's roughness (an assumption)."""
 
 
-def wall(world: World) -> dict[str, Any]:
-    """Mitsuba's dictionary of the wall. Call it after `load_mitsuba`."""
+def wall(world: World) -> Any:
+    """The wall, as `mi.load_dict` takes it in a scene. Call it after `load_mitsuba`."""
     import mitsuba as mi
 
     scene = world.scene
     if scene.phantom.wall == "uniform":
         reflectance = {"type": "rgb", "value": scene.phantom.reflectance}
     else:
-        on_wall = _on_sphere if scene.phantom.kind == "eyeball" else wall_picture
-        texture = on_wall(scene.phantom)
+        round_wall = scene.phantom.kind == "eyeball" and not scene.phantom.stretched
+        texture = (_on_sphere if round_wall else wall_picture)(scene.phantom)
         reflectance = {
             "type": "bitmap",
             # Row 0 of the map is at +Y, but Mitsuba puts row 0 at v = 0.
@@ -45,6 +46,8 @@ def wall(world: World) -> dict[str, Any]:
             "to_world": mi.ScalarTransform4f(place @ half),
             "bsdf": surface,
         }
+    if isinstance(world.wall, optics.Ellipsoid):
+        return ellipsoid_mesh(world.wall, surface)
     if "bitmap" in reflectance:
         reflectance["to_uv"] = _longitude_latitude_to_uv(radius=scene.phantom.radius_mm)
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -13,6 +14,7 @@ import numpy as np
 
 import optics
 from estimator.files import Stack, StackWriter, fingerprint, read_stack, require_space
+from optics.viewing import PathCamera
 from scenes.description import Scene
 from scenes.rendering import LinearFrame, Renderer
 from scenes.stacks.photography import Photography, file_name
@@ -149,9 +151,10 @@ def _photograph(
 def _files(scene: Scene) -> dict[str, dict[str, Any]]:
     """Fingerprints of the files that a scene refers to; they decide whether a run can continue."""
     image = scene.phantom.wall_image if scene.phantom.wall == "image" else ""
-    lens = scene.source.lens if scene.source.lens.endswith(".toml") else ""
+    data = (scene.source.lens, scene.viewing.eye, scene.viewing.lens)
+    own = [name for name in data if name.endswith(".toml")]
     poses = getattr(scene.motion, "file", "")
-    return {name: fingerprint(Path(name)) for name in (image, lens, poses) if name}
+    return {name: fingerprint(Path(name)) for name in (image, *own, poses) if name}
 
 
 def dumped(scene: Scene) -> dict[str, Any]:
@@ -163,19 +166,66 @@ def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
     """Content of microscope.json; a telecentric microscope has no camera matrix."""
     scene, camera = world.scene, world.microscope
     settings = scene.microscope
-    telecentric = float(camera.inverse_working_distance) == 0.0
     return {
         "width_px": settings.width_px,
         "height_px": settings.height_px,
-        "camera_matrix": None if telecentric else np.asarray(camera.camera_matrix()).tolist(),
-        "distortion": np.asarray(camera.distortion).tolist(),
+        "camera_matrix": _camera_matrix(camera),
+        "distortion": list(settings.distortion),
         "scale_mm_px": settings.scale_mm_px,
         "principal_point_px": np.asarray(camera.principal_point).tolist(),
-        "pinhole_height_mm": None if telecentric else settings.pinhole_height_mm,
+        "pinhole_height_mm": _pinhole_height(scene, camera),
         "eye_radius_mm": scene.phantom.radius_mm,
         "response": scene.camera.response,
         "paper_exposure_s": fixed_exposure_s,
         "plane_normal": _plane_normal(world.wall),
+        **_viewing_path(camera),
+        **_retina(scene, world.wall),
+    }
+
+
+def _camera_matrix(camera: optics.Camera) -> list[list[float]] | None:
+    if not isinstance(camera, optics.Microscope) or not camera.inverse_working_distance:
+        return None
+    matrix: list[list[float]] = np.asarray(camera.camera_matrix()).tolist()
+    return matrix
+
+
+def _pinhole_height(scene: Scene, camera: optics.Camera) -> float | None:
+    """z_F, of a viewing path that of the paraxial pinhole; None if telecentric."""
+    if isinstance(camera, PathCamera):
+        return float(1.0 / camera.inverse_working_distance) - scene.phantom.radius_mm
+    height = scene.microscope.pinhole_height_mm
+    return height if math.isfinite(height) else None
+
+
+def _viewing_path(camera: optics.Camera) -> dict[str, object]:
+    if not isinstance(camera, PathCamera):
+        return {}
+    pupil = float(camera.pupil)
+    return {
+        "viewing_path": {
+            "crossing": np.asarray(camera.crossing).tolist(),
+            "steepness_per_mm": np.asarray(camera.steepness).tolist(),
+            "transmittance": np.asarray(camera.passing).tolist(),
+            "widest_mm": float(camera.widest),
+            "pupil_mm": pupil if math.isfinite(pupil) else None,
+            "orientation": float(camera.orientation),
+        }
+    }
+
+
+def _retina(scene: Scene, wall: optics.Surface) -> dict[str, object]:
+    if not isinstance(wall, optics.Ellipsoid):
+        return {}
+    phantom = scene.phantom
+    placed = {
+        "retina_tilt_deg": phantom.tilt_deg,
+        "retina_tilt_azimuth_deg": phantom.tilt_azimuth_deg,
+        "retina_shift_mm": list(phantom.shift_mm) if any(phantom.shift_mm) else None,
+    }
+    return {
+        "retina_semi_axes_mm": np.asarray(wall.semi_axes).tolist(),
+        **{key: value for key, value in placed.items() if value},
     }
 
 

@@ -9,5 +9,6 @@ from .motion import kinematics as kinematics
 from .motion import longest_exposure as longest_exposure
 from .photometry import paper_exposure as paper_exposure
 from .photometry import uniform_irradiance as uniform_irradiance
+from .view import colour_cameras as colour_cameras
 from .world import Cone as Cone
 from .world import World as World

@@ -6,10 +6,14 @@ import math
 from functools import cached_property
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 import optics
 from scenes.description import Scene
+from scenes.world.view import SceneCamera, bare_camera
+
+_RIM_POINTS = 64
 
 
 class Aim(NamedTuple):
@@ -35,16 +39,20 @@ class Geometry:
         self.scene = scene
 
     @cached_property
-    def wall(self) -> optics.Sphere | optics.Plane:
+    def wall(self) -> optics.Surface:
         """The phantom's wall."""
         phantom = self.scene.phantom
-        if phantom.kind == "eyeball":
-            return optics.Sphere(phantom.radius_mm)
-        return optics.pole_plane(
-            eye_radius=phantom.radius_mm,
-            tilt=math.radians(phantom.tilt_deg),
-            tilt_azimuth=math.radians(phantom.tilt_azimuth_deg),
-        )
+        radius = phantom.radius_mm
+        tilt, towards = math.radians(phantom.tilt_deg), math.radians(phantom.tilt_azimuth_deg)
+        if phantom.kind == "plane":
+            return optics.pole_plane(eye_radius=radius, tilt=tilt, tilt_azimuth=towards)
+        if phantom.stretched:
+            x, y = phantom.stretch
+            semi_axes = radius * np.array([x, y, 1.0])
+            return optics.Ellipsoid(
+                semi_axes, shift=phantom.shift_mm, tilt=tilt, tilt_azimuth=towards
+            )
+        return optics.Sphere(radius)
 
     @cached_property
     def spot_frame(self) -> optics.WallFrame:
@@ -73,24 +81,29 @@ class Geometry:
     @cached_property
     def contact_distance(self) -> float:
         """d = |SO| at which the rim of the fibre touches the wall at [spot], mm."""
-        contact = optics.contact_distance(
-            self.wall,
-            incidence=math.radians(self.scene.spot.incidence_deg),
-            rim_radius=self.scene.instrument.fibre_diameter_mm / 2,
-        )
-        return float(contact)
+        rim = self.scene.instrument.fibre_diameter_mm / 2
+        incidence = math.radians(self.scene.spot.incidence_deg)
+        if isinstance(self.wall, optics.Ellipsoid):
+            return self._contact_with_ellipsoid(rim)
+        return float(optics.contact_distance(self.wall, incidence=incidence, rim_radius=rim))
+
+    def _contact_with_ellipsoid(self, rim: float) -> float:
+        """The first point of the rim that meets the wall when it moves along the axis."""
+        spot, axis = self.aim
+        points = spot + rim * circle_across(axis)
+        behind = jnp.asarray(points - self.scene.phantom.radius_mm * axis)
+        hit = self.wall.intersect(behind, jnp.broadcast_to(axis, behind.shape))
+        return self.scene.phantom.radius_mm - float(hit.distance.min())
 
     @cached_property
-    def microscope(self) -> optics.Microscope:
-        """The microscope, with its window centred on [spot]."""
+    def microscope(self) -> SceneCamera:
+        """The microscope, with its window centred on [spot].
+
+        Raises:
+            SceneError: it sees nothing useful through [viewing].
+        """
         settings = self.scene.microscope
-        camera = optics.microscope(
-            scale=settings.scale_mm_px,
-            pinhole_height=settings.pinhole_height_mm,
-            eye_radius=self.scene.phantom.radius_mm,
-            distortion=settings.distortion,
-        )
-        return camera.centred_on(
+        return bare_camera(self.scene, self.wall).centred_on(
             self.spot_frame.origin,
             width=settings.width_px,
             height=settings.height_px,
@@ -108,3 +121,10 @@ class Geometry:
             [np.stack([u, end * level], axis=1) for end in (v[0], v[-1])]
             + [np.stack([end * upright, v], axis=1) for end in (u[0], u[-1])]
         )
+
+
+def circle_across(axis: np.ndarray) -> np.ndarray:
+    """Unit vectors across axes, ... x 64 x 3: the directions to the points of a tip's rim."""
+    angle = 2 * np.pi * np.arange(_RIM_POINTS) / _RIM_POINTS
+    first, second = (np.asarray(v)[..., None, :] for v in optics.perpendicular_frame(axis))
+    return np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+import optics
 from scenes.world.world import World
 
 
@@ -24,7 +25,6 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
         return np.asarray(column)[frame].tolist()
 
     c = at(spots.eccentricity)
-    eyeball = scene.phantom.kind == "eyeball"
     labels: dict[str, Any] = {
         "frame": frame,
         "time_s": at(world.times),
@@ -32,7 +32,7 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
         "nearest_mm": at(spots.nearest),
         "c_mm": c,
         "azimuth_rad": at(spots.azimuth),
-        "phi_rad": math.asin(c / scene.phantom.radius_mm) if eyeball else 0.0,
+        "phi_rad": _phi(world, c=c, azimuth=at(spots.azimuth)),
         "incidence_rad": at(spots.incidence),
         "incidence_azimuth_rad": at(spots.incidence_azimuth),
         "tip_mm": tuple(at(spots.beam.tip)),
@@ -42,6 +42,10 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
         "medium": scene.source.medium,
         "seed": scene.seed,
     }
+    if (shifts := world.colour_shifts) is not None:
+        for colour, shift in zip(("red", "blue"), shifts[:, frame], strict=True):
+            x, y = shift.tolist()
+            labels |= {f"{colour}_shift_x_px": x, f"{colour}_shift_y_px": y}
     ellipses = {"cone": spots.cone, "half_max": spots.half_max}
     if (spread := world.spread_spots) is not None:
         ellipses |= {"spread_cone": spread.cone, "spread_half_max": spread.half_max}
@@ -55,3 +59,14 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
             f"{kind}_angle_rad": at(ellipse.angle),
         }
     return labels
+
+
+def _phi(world: World, *, c: float, azimuth: float) -> float:
+    """Angle between the local normal and the microscope's axis; of a plane 0 by convention."""
+    wall = world.wall
+    if isinstance(wall, optics.Sphere):
+        return math.asin(c / float(wall.radius))
+    if isinstance(wall, optics.Plane):
+        return 0.0
+    x, y, z = np.asarray(wall.frame_at(eccentricity=c, azimuth=azimuth).outward).tolist()
+    return math.atan2(math.hypot(x, y), -z)

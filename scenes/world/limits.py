@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import numpy as np
 
 import optics
+from optics.viewing import PathCamera
 from scenes.description import SceneError
-from scenes.world.geometry import Geometry
+from scenes.world.geometry import Geometry, circle_across
 
 _UNDISTORTED_PX = 1e-3
 """Largest error of projection that is accepted: a fiftieth of the labels' accuracy."""
@@ -40,6 +42,9 @@ def check_poses(
         aside = np.linalg.norm(tip - ahead[:, None] * axis, axis=1)
         clearance = float(wall.radius) - np.hypot(ahead, aside + rim)
         leaving = ahead < 0
+    elif isinstance(wall, optics.Ellipsoid):
+        clearance = _clearance(wall, tip, axis, rim)
+        leaving = np.sum(tip * axis, axis=1) < 0
     else:
         inward = np.asarray(wall.inward)
         square = axis @ inward
@@ -74,7 +79,9 @@ def check_window(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray)
         SceneError: the spot leaves the window; the message gives the first time, the extent of the
             spot and what to change. Or the distortion folds the image.
     """
-    _check_distortion(geometry)
+    camera = geometry.microscope
+    if isinstance(camera, optics.Microscope):
+        _check_distortion(geometry, camera)
     settings = geometry.scene.microscope
     width, height = settings.width_px, settings.height_px
     inside = (contours >= 0) & (contours <= (width - 1, height - 1))  # false for NaN too
@@ -89,12 +96,50 @@ def check_window(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray)
     )
 
 
-def _check_distortion(geometry: Geometry) -> None:
+def check_view(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray) -> None:
+    """Refuse a scene in which the iris, or a lens's edge, hides a part of the spot.
+
+    Args:
+        geometry: the geometry of the scene.
+        times: n times, s.
+        contours: points of the spot's contour on the wall, n x points x 3, mm.
+
+    Raises:
+        SceneError: a part is hidden; the message gives the first time and what to change.
+    """
+    camera = geometry.microscope
+    if not isinstance(camera, PathCamera):
+        return
+    seen = np.asarray(camera.sees(jnp.asarray(contours)))
+    if seen.all():
+        return
+    first = int(np.argmin(seen.all(axis=1)))
+    reach = np.hypot(contours[first, :, 0], contours[first, :, 1]).max()
+    viewing = geometry.scene.viewing
+    raise SceneError(
+        f"at {times[first]:.3f} s a part of the spot is hidden: a pupil of {viewing.pupil_mm:g} mm "
+        f"shows c <= {float(camera.field(geometry.wall)):.2f} mm through viewing.lens "
+        f"{viewing.lens!r}, and the spot reaches {reach:.2f} mm. Lower spot.eccentricity_mm, or "
+        "raise viewing.pupil_mm."
+    )
+
+
+def _clearance(wall: optics.Ellipsoid, tip: np.ndarray, axis: np.ndarray, rim: float) -> np.ndarray:
+    """Distance of the rim from an ellipsoid to first order, n, mm; negative in the wall."""
+    turn, semi_axes = np.asarray(wall.turn), np.asarray(wall.semi_axes)
+    points = tip[:, None] + rim * circle_across(axis) - np.asarray(wall.centre)
+    own = points @ turn / semi_axes
+    square = np.sum(own * own, axis=-1)
+    growth = 2 * np.linalg.norm(own / semi_axes, axis=-1)  # of the square, per mm
+    return np.min((1 - square) / np.maximum(growth, 1e-9), axis=1)
+
+
+def _check_distortion(geometry: Geometry, camera: optics.Microscope) -> None:
     """Refuse a distortion with which a pixel of the window sees two points of the wall, or none."""
     distortion = geometry.scene.microscope.distortion
     if not any(distortion):
         return
-    camera, edge = geometry.microscope, geometry.window_border
+    edge = geometry.window_border
     point, _ = camera.ray(edge)
     error = np.abs(np.asarray(camera.project(point)) - edge).max()
     # `not <` includes NaN: where the image is folded, the inverse does not converge.

@@ -33,7 +33,7 @@ def uniform_irradiance(world: World) -> np.ndarray:
         optics.indirect_irradiance(
             flux=share * scene.source.power_mw,
             reflectance=world.wall_colour,
-            eye_radius=scene.phantom.radius_mm,
+            eye_radius=scene.phantom.mean_radius_mm,
             pupil_radius=scene.phantom.pupil_radius_mm,
         )
     )

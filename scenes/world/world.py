@@ -12,8 +12,9 @@ import optics
 from scenes.walls import wall_colour, wall_spread
 from scenes.world.geometry import Geometry
 from scenes.world.light_cache import LensLight, lens_light
-from scenes.world.limits import check_poses, check_window
+from scenes.world.limits import check_poses, check_view, check_window
 from scenes.world.motion import Trajectory, frame_times, trajectory
+from scenes.world.view import colour_cameras, colour_shifts
 
 _CALIBRATED_RANGE_MM = (0.5, 6.0)
 """Distances over which the effective cone of a lens is fitted; as in the paper's trials."""
@@ -109,8 +110,16 @@ class World(Geometry):
             half_angle=self.cone.half_angle,
             apex_offset=self.cone.apex_offset,
         )
+        check_view(self, times=self.times, contours=np.asarray(truth.contour))
         check_window(self, times=self.times, contours=np.asarray(truth.contour_px))
         return truth
+
+    @cached_property
+    def colour_shifts(self) -> np.ndarray | None:
+        """Centres of the spots in red and blue against green, 2 x n x 2, px; None by a pinhole."""
+        if not self.scene.viewing.through_an_eye:
+            return None
+        return colour_shifts(colour_cameras(self.scene, self.wall), np.asarray(self.truth.origin))
 
     @cached_property
     def spread_spots(self) -> optics.SpreadSpot | None:

@@ -1,0 +1,193 @@
+"""A whole scene: its tables, and the rules that they must meet together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from optics import InputError
+from scenes.description.camera_settings import CameraSettings
+from scenes.description.motion_settings import Clocks, Motion, Seed, Withdrawal
+from scenes.description.settings import (
+    Exposures,
+    Instrument,
+    MicroscopeSettings,
+    Phantom,
+    SecondTool,
+    SourceSettings,
+    SpotSettings,
+)
+from scenes.description.viewing_settings import Viewing, retina_of
+
+
+class Scene(BaseModel):
+    """One trial: all settings that an image stack depends on."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    schema_version: Literal[1] = Field(1, alias="schema")
+    seed: Seed = Field(0, description="Random seed of the camera noise.")
+    phantom: Phantom = Phantom()
+    source: SourceSettings = SourceSettings()
+    spot: SpotSettings = SpotSettings()
+    motion: Motion = Withdrawal()
+    clocks: Clocks = Clocks()
+    instrument: Instrument = Instrument()
+    second_tool: SecondTool = SecondTool()
+    microscope: MicroscopeSettings = MicroscopeSettings()
+    viewing: Viewing = Viewing()
+    camera: CameraSettings = CameraSettings()
+    exposures: Exposures = Exposures()
+
+    @property
+    def approximations(self) -> list[str]:
+        """What is only approximate in the images of this scene, one sentence each."""
+        phantom, found = self.phantom, []
+        if phantom.coat != "none" and self.source.kind == "lens":
+            found.append("highlights are computed for the mean direction of the lens's light")
+        if phantom.coat != "none" and phantom.kind == "eyeball":
+            if phantom.indirect == "closed form":
+                found.append("indirect light is computed for a wall without coat")
+        if phantom.stretched and phantom.indirect == "closed form":
+            found.append("indirect light is computed for a sphere of the eyeball's area")
+        if self.viewing.through_an_eye:
+            found.append("all colours are seen along green's lines of sight")
+        return found
+
+    @model_validator(mode="before")
+    @classmethod
+    def _eye_brings_its_retina(cls, content: Any) -> Any:
+        """Fill [phantom] with the retina of [viewing]'s eye; refuse one that contradicts it."""
+        if not isinstance(content, Mapping):
+            return content
+        viewing, phantom = content.get("viewing", {}), content.get("phantom", {})
+        if isinstance(viewing, Viewing):
+            viewing = viewing.model_dump()
+        if isinstance(phantom, Phantom):
+            phantom = phantom.model_dump(exclude_unset=True)
+        if not (isinstance(viewing, Mapping) and isinstance(phantom, Mapping)):
+            return content
+        if viewing.get("eye", "none") == "none" or not _readable(viewing):
+            return content
+        retina = retina_of(dict(viewing))
+        for key, own in retina.items():
+            said = phantom.get(key, own)
+            if not np.allclose(said, own, rtol=1e-6):
+                raise InputError(
+                    f"phantom.{key} contradicts the eye {viewing['eye']!r}, whose retina has "
+                    f"{key} {own}; got {said}. Remove it, or choose another eye."
+                )
+        return {**content, "phantom": {**phantom, **retina}}
+
+    @model_validator(mode="after")
+    def _looks_through_what_it_can(self) -> Scene:
+        if not self.viewing.through_an_eye:
+            if self.viewing.lens != "none":
+                raise InputError(
+                    f"viewing.lens needs an eye behind it; got lens {self.viewing.lens!r} with eye "
+                    "'none'. Set viewing.eye, for example to navarro."
+                )
+            return self
+        for wanted, key, got in (
+            (self.phantom.kind == "eyeball", "phantom.kind = 'eyeball'", self.phantom.kind),
+            (
+                not any(self.microscope.distortion),
+                "microscope.distortion = zeros",
+                list(self.microscope.distortion),
+            ),
+            (
+                self.microscope.numerical_aperture == 0,
+                "microscope.numerical_aperture = 0",
+                self.microscope.numerical_aperture,
+            ),
+            (self.source.kind != "photons", "source.kind = 'lens' or 'cone'", self.source.kind),
+        ):
+            if not wanted:
+                raise InputError(
+                    f"viewing.eye = {self.viewing.eye!r} needs {key}; got {got!r}. Set it, or "
+                    "viewing.eye = 'none'."
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Scene:
+        r, c = self.phantom.radius_mm, self.spot.eccentricity_mm
+        narrowest = r * min(1.0, *self.phantom.stretch)
+        if c >= narrowest:
+            raise InputError(
+                "spot.eccentricity_mm must be smaller than the eyeball's radius; got "
+                f"{c:g} mm with radius {narrowest:g} mm. Lower eccentricity_mm."
+            )
+        if abs(self.microscope.pinhole_height_mm + r) < r * 0.5:
+            raise InputError(
+                f"microscope.pinhole_height_mm must lie {r / 2:g} mm or more (half a radius) above "
+                f"or below the retina, which is at {-r:g} mm; got "
+                f"{self.microscope.pinhole_height_mm:g} mm. Raise or lower it."
+            )
+        if math.isinf(self.microscope.pinhole_height_mm) and any(self.microscope.distortion):
+            raise InputError(
+                "microscope.distortion is measured in focal lengths, and a telecentric "
+                f"microscope has none; got {list(self.microscope.distortion)} with "
+                "pinhole_height_mm = inf. Set it to zeros or lower pinhole_height_mm."
+            )
+        if self.phantom.wall == "image" and not self.phantom.wall_image:
+            raise InputError(
+                "phantom.wall = 'image' needs phantom.wall_image. Set it to the path of the image."
+            )
+        traced = self.source.kind == "photons" or self.phantom.indirect == "traced"
+        if self.phantom.spread != "none" and traced:
+            raise InputError(
+                "phantom.spread does not apply to traced light; got spread "
+                f"{self.phantom.spread!r} with source.kind {self.source.kind!r} and indirect "
+                f"{self.phantom.indirect!r}. Set spread = 'none', or the other two to 'lens' and "
+                "'closed form'."
+            )
+        if self.phantom.pupil_radius_mm and self.phantom.kind == "plane":
+            raise InputError(
+                "phantom.pupil_radius_mm applies to the eyeball phantom only; got "
+                f"{self.phantom.pupil_radius_mm:g} mm with kind 'plane'. Set it to 0."
+            )
+        if self.phantom.pupil_radius_mm >= r:
+            raise InputError(
+                "phantom.pupil_radius_mm must be smaller than phantom.radius_mm; got "
+                f"{self.phantom.pupil_radius_mm:g} mm with radius {r:g} mm. Lower it."
+            )
+        if self.second_tool.visible and math.hypot(*self.second_tool.tip_mm) >= r:
+            raise InputError(
+                f"second_tool.tip_mm must lie inside the eye of radius {r:g} mm; got "
+                f"{list(self.second_tool.tip_mm)}, {math.hypot(*self.second_tool.tip_mm):.2f} mm "
+                "from its centre. Move it."
+            )
+        if self.phantom.kind == "eyeball":
+            if not self.phantom.stretched and (self.phantom.tilt_deg or any(self.phantom.shift_mm)):
+                raise InputError(
+                    "phantom.tilt_deg and shift_mm apply to a plane or a stretched eyeball; got "
+                    f"{self.phantom.tilt_deg:g} deg and {list(self.phantom.shift_mm)} mm with a "
+                    "sphere. Set them to 0, or choose kind = 'plane'."
+                )
+            if self.phantom.stretched and self.phantom.spread != "none":
+                raise InputError(
+                    "phantom.spread does not apply to a stretched eyeball; got spread "
+                    f"{self.phantom.spread!r} with stretch {list(self.phantom.stretch)}. Set "
+                    "spread = 'none'."
+                )
+        elif math.radians(self.phantom.tilt_deg + self.spot.incidence_deg) >= math.pi / 2:
+            raise InputError(
+                "phantom.tilt_deg + spot.incidence_deg must be below 90; got "
+                f"{self.phantom.tilt_deg:g} + {self.spot.incidence_deg:g} deg, so the beam may "
+                "miss the plane. Lower one of them."
+            )
+        return self
+
+
+def _readable(viewing: Mapping[str, Any]) -> bool:
+    """Whether [viewing] has the types that its validation will accept."""
+    try:
+        Viewing.model_validate(viewing)
+    except ValidationError:
+        return False
+    return True

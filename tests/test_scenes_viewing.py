@@ -1,0 +1,154 @@
+"""Scenes seen through viewing lenses and the eye's own optics."""
+
+import importlib.resources
+
+import numpy as np
+import pytest
+
+import optics
+import scenes
+from scenes.rendering import Renderer
+from scenes.world import World
+
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
+SMALL = {"width_px": 96, "height_px": 72, "scale_mm_px": 0.04, "pinhole_height_mm": 200.0}
+STILL = {"start_mm": 2.0, "travel_mm": 1.0, "frames": 1}
+
+
+def looked_at(viewing, *, phantom=None, microscope=None, **tables):
+    """A dark, even wall that a cone lights, without an instrument, behind vitreous."""
+    content = {
+        "phantom": {"wall": "uniform", "reflectance": 1e-3, "indirect": "off"} | (phantom or {}),
+        "source": {"kind": "cone", "medium": "vitreous"},
+        "spot": {"eccentricity_mm": 2.0, "azimuth_deg": 30.0},
+        "motion": STILL,
+        "instrument": {"visible": False},
+        "microscope": SMALL | {"illumination_mw_mm2": 0.0} | (microscope or {}),
+        "viewing": viewing,
+    }
+    return scenes.Scene.model_validate(content | tables)
+
+
+def eye_file(folder, *, index):
+    """Navarro's eye with one index everywhere."""
+    text = (importlib.resources.files("optics.viewing") / "eyes" / "navarro.toml").read_text()
+    head, _, _ = text.partition("[indices]")
+    path = folder / "even.toml"
+    path.write_text(
+        f"{head}[indices]\nwavelength_nm = [550.0]\ncornea = [{index}]\naqueous = [{index}]\n"
+        f"lens = [[{index}]]\nvitreous = [{index}]\n"
+    )
+    return str(path)
+
+
+def test_an_eye_without_refraction_is_a_pinhole(tmp_path):
+    lit = {"illumination_mw_mm2": 0.05}
+    through = looked_at({"eye": eye_file(tmp_path, index=1.0), "pupil_mm": 50.0}, microscope=lit)
+    pinhole = looked_at({}, phantom={"radius_mm": through.phantom.radius_mm}, microscope=lit)
+    images = [Renderer(scene).render(0).radiance for scene in (through, pinhole)]
+    truths = [World(scene).truth.half_max for scene in (through, pinhole)]
+    # The height of the pinhole counts from the eyeball's centre in both.
+    np.testing.assert_allclose(truths[0].centre, truths[1].centre, atol=1e-6)
+    np.testing.assert_allclose(truths[0].semi_minor, truths[1].semi_minor, atol=1e-6)
+    different = np.abs(images[0] - images[1]).max(axis=-1) > 1e-3 * images[1].max()
+    # float32 moves lines of sight by some 1e-6 mm, across the spot's edge in few samples. The light
+    # from the microscope is even before the eye instead of over angles: 1.5 (3/200)^2 = 3e-4.
+    assert np.count_nonzero(different) < 5
+
+
+@pytest.mark.parametrize(
+    "viewing, scale",
+    [
+        ({"eye": "navarro", "lens": "flat"}, 0.01),
+        ({"eye": "atchison", "refraction_d": -6.0, "lens": "wide-field-90"}, 0.01),
+    ],
+)
+def test_labels_are_those_of_the_image(viewing, scale):
+    finer = {"scale_mm_px": scale, "samples": 1, "width_px": 192, "height_px": 144}
+    scene = looked_at(viewing, microscope=finer, spot={"eccentricity_mm": 3.0, "azimuth_deg": 30.0})
+    renderer = Renderer(scene)
+    lit = renderer.render(0).radiance[..., 1] > 0.0  # whether the light reaches a pixel's centre
+    v, u = np.nonzero(lit)
+    spread = np.linalg.eigvalsh(np.cov(np.stack([u, v]), bias=True))
+    ellipse = renderer.world.truth.cone
+    expected = [float(ellipse.semi_minor[0]), float(ellipse.semi_major[0])]
+    # A uniform ellipse has the variance a^2/4 along an axis. Along an edge of some 200 pixels
+    # counting them errs by 0.3 px each, so by 0.3 / sqrt(200) = 0.02 px in all.
+    np.testing.assert_allclose(2 * np.sqrt(spread), expected, atol=0.06)
+    np.testing.assert_allclose([u.mean(), v.mean()], ellipse.centre[0], atol=0.06)
+
+
+def test_a_spot_that_touches_an_ellipsoid_touches_it_with_its_rim():
+    scene = looked_at(
+        {"eye": "atchison", "refraction_d": -8.0, "lens": "flat"}, motion={"frames": 1}
+    )
+    world = World(scene)
+    ((tip,), (axis,)) = world.motion.at(np.zeros(1))
+    rim = scene.instrument.fibre_diameter_mm / 2
+    angle = np.linspace(0, 2 * np.pi, 400)
+    across = [np.asarray(v) for v in optics.perpendicular_frame(axis)]
+    points = tip + rim * (np.cos(angle)[:, None] * across[0] + np.sin(angle)[:, None] * across[1])
+    x, y = scene.phantom.stretch
+    level = np.linalg.norm(points / (scene.phantom.radius_mm * np.array([x, y, 1.0])), axis=1)
+    # 64 points of the rim miss the lowest by 0.25 (2 pi / 128)^2 / 2 = 3e-4 mm at most.
+    assert level.max() == pytest.approx(1.0, abs=5e-5)
+
+
+def test_phi_is_the_angle_of_the_local_normal():
+    scene = looked_at({"eye": "atchison", "lens": "flat"}, spot={"eccentricity_mm": 3.0})
+    r, (x, _) = scene.phantom.radius_mm, scene.phantom.stretch
+    slope = 3.0 / (r * x) ** 2 / (np.sqrt(1 - (3.0 / (r * x)) ** 2) / r)
+    labels = scenes.world.spot_labels(World(scene), 0)
+    assert labels["phi_rad"] == pytest.approx(np.arctan(slope), abs=1e-12)
+
+
+def test_colours_are_shifted_apart_as_the_indices_are():
+    """Blue is bent more: behind a contact lens the eye magnifies it less, so c looks smaller."""
+    world = World(looked_at({"eye": "navarro", "lens": "flat"}))
+    assert world.colour_shifts is not None
+    red, blue = world.colour_shifts[:, 0]
+    outward = np.array([np.cos(np.pi / 6), -np.sin(np.pi / 6)])  # v grows towards -Y
+    assert red @ outward < 0 < blue @ outward
+    same = World(looked_at({"eye": "navarro", "lens": "flat", "wavelengths_nm": [550.0] * 3}))
+    assert same.colour_shifts is not None
+    np.testing.assert_allclose(same.colour_shifts, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "viewing, changes, said",
+    [
+        ({"eye": "navarro"}, {}, r"sees only c <= 0\.1\d mm: the fundus lies near infinity\. Set"),
+        (
+            {"eye": "navarro", "lens": "flat"},
+            {"spot": {"eccentricity_mm": 4.0}},
+            r"hidden: a pupil of 7 mm shows c <= 3\.88 mm .* reaches 4\.\d\d mm\. Lower",
+        ),
+        ({"eye": "nobody"}, {}, "no such file. Known names: atchison, liou-brennan, navarro"),
+        ({"eye": "navarro", "lens": "round"}, {}, "no such file. Known names: biconcave, flat"),
+        ({"lens": "flat"}, {}, "viewing.lens needs an eye behind it"),
+        (
+            {"eye": "navarro", "lens": "flat"},
+            {"phantom": {"radius_mm": 11.5}},
+            r"phantom\.radius_mm contradicts the eye 'navarro', .* 12\.0; got 11\.5\. Remove it",
+        ),
+        (
+            {"eye": "navarro", "lens": "flat"},
+            {"microscope": {"pinhole_height_mm": 11.5}},
+            r"must lie above the viewing lens and the cornea, at 14\.9 mm; got 11\.5 mm",
+        ),
+        (
+            {"eye": "navarro", "lens": "flat"},
+            {"microscope": {"numerical_aperture": 0.1}},
+            r"needs microscope\.numerical_aperture = 0; got 0\.1",
+        ),
+        (
+            {"eye": "atchison", "lens": "flat", "refraction_d": 9.0},
+            {},
+            r"refraction_d must lie in \[-10, 4\] D; got 9 D",
+        ),
+    ],
+)
+def test_what_cannot_be_seen_is_refused_with_a_remedy(viewing, changes, said):
+    with pytest.raises(ValueError, match=said):
+        World(looked_at(viewing, **changes)).check()
