@@ -30,7 +30,7 @@ class Camera(eqx.Module):
     principal_point: eqx.AbstractVar[Float[Array, "2"]]
 
     @abstractmethod
-    def project(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
+    def project(self, points: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
         """Image of points (X, Y, Z; mm, eye frame), px of the window."""
 
     @abstractmethod
@@ -126,7 +126,7 @@ class Microscope(Camera):
         """(z_F - Z)/(z_F + r): 1 at the pole, 0 or less for invisible points."""
         return 1.0 - self.inverse_working_distance * (points[..., 2] - self.pole_height)
 
-    def project(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
+    def project(self, points: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
         """Image of points of the eye frame.
 
         Args:
@@ -135,6 +135,7 @@ class Microscope(Camera):
         Returns:
             (u, v) in px of the window.
         """
+        points = jnp.asarray(points)
         x, y, _ = components(points)
         per_mm = 1.0 / (self.scale * self.depth(points))
         offset = jnp.stack([x * per_mm, -y * per_mm], axis=-1)

@@ -16,6 +16,9 @@ _NEAREST, _FARTHEST = 0.01, 24.0
 _ROWS, _COLUMNS = 48, 96  # cells of the first grid, for which all points are computed
 _DOUBLINGS = 4
 _TOLERANCE = 3e-4  # of the row's peak; points with a larger interpolation error are refined
+_BESIDE = 1e-9
+"""Cells before a sample at which the next cell begins. Many points lie on a sample, and XLA may
+compute their place twice with different rounding, so rounding must not decide on the cell there."""
 
 
 class LensField(eqx.Module):
@@ -115,8 +118,8 @@ def _look_up(table: IrradianceTable, radius: Array, distance: Array) -> tuple[Ar
     y = jnp.log(jnp.clip(distance, table.nearest, table.farthest) / table.nearest)
     column = jnp.clip(x, 0.0, 1.0) * (columns - 1)
     row = y / jnp.log(table.farthest / table.nearest) * (rows - 1)
-    j = jnp.clip(column.astype(int), 0, columns - 2)
-    i = jnp.clip(row.astype(int), 0, rows - 2)
+    j = jnp.clip((column - _BESIDE).astype(int), 0, columns - 2)
+    i = jnp.clip((row - _BESIDE).astype(int), 0, rows - 2)
     across, along = (column - j)[..., None], (row - i)[..., None]
     near = table.values[i, j] * (1.0 - across) + table.values[i, j + 1] * across
     far = table.values[i + 1, j] * (1.0 - across) + table.values[i + 1, j + 1] * across

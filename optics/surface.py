@@ -62,9 +62,10 @@ class Sphere(eqx.Module):
         self.radius = jnp.asarray(radius, float)
 
     def intersect(
-        self, origin: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"]
+        self, origin: Float[ArrayLike, "*batch 3"], direction: Float[ArrayLike, "*batch 3"]
     ) -> Intersection:
         """Far intersection of rays with the sphere, where they leave the eye."""
+        origin, direction = jnp.asarray(origin), jnp.asarray(direction)
         along = dot(origin, direction)
         discriminant = along**2 + self.radius**2 - dot(origin, origin)
         meets = discriminant > 0
@@ -104,9 +105,10 @@ class Plane(eqx.Module):
         self.point, self.inward = jnp.asarray(point, float), jnp.asarray(inward, float)
 
     def intersect(
-        self, origin: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"]
+        self, origin: Float[ArrayLike, "*batch 3"], direction: Float[ArrayLike, "*batch 3"]
     ) -> Intersection:
         """Intersection of rays with the plane."""
+        origin, direction = jnp.asarray(origin), jnp.asarray(direction)
         approach = -dot(direction, self.inward)
         parallel = approach == 0
         height = dot(origin - self.point, self.inward)
@@ -170,9 +172,10 @@ class Ellipsoid(eqx.Module):
         self.centre = aside + jnp.array([0.0, 0.0, 1.0]) * (below - self.semi_axes[2])
 
     def intersect(
-        self, origin: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"]
+        self, origin: Float[ArrayLike, "*batch 3"], direction: Float[ArrayLike, "*batch 3"]
     ) -> Intersection:
         """Far intersection of rays with the ellipsoid, where they leave the eye."""
+        origin, direction = jnp.asarray(origin), jnp.asarray(direction)
         # In the ellipsoid's own frame, divided by the semi-axes, it is the unit sphere.
         starts, steps = self._unit(origin - self.centre), self._unit(direction)
         squared, along = dot(steps, steps), dot(starts, steps)

@@ -1,6 +1,7 @@
 """The eye's own optics and the surgeon's lenses between the microscope and the retina.
 
 camera        The microscope behind a viewing path: from a wall point to its pixel and back
+coaxial       How the microscope's coaxial light thins out on the wall behind a path
 conic         Conic surfaces of revolution about the microscope's axis
 data_file     Reads the files of eyes and viewing lenses
 eye           Eyes: cornea, iris, crystalline lens and retina at one wavelength

@@ -1,5 +1,6 @@
 from .camera import PathCamera as PathCamera
 from .camera import path_camera as path_camera
+from .coaxial import coaxial_falloff as coaxial_falloff
 from .conic import Conic as Conic
 from .eye import Eye as Eye
 from .eye import eye_names as eye_names

@@ -75,7 +75,7 @@ class PathCamera(Camera):
         hit = surface.intersect(point, direction).point
         return jnp.hypot(hit[0], hit[1])
 
-    def project(self, points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
+    def project(self, points: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
         """Image of points inside the eye.
 
         Args:
@@ -84,7 +84,7 @@ class PathCamera(Camera):
         Returns:
             (u, v) in px of the window. Points outside the field have values without meaning.
         """
-        x, y, z = components(points)
+        x, y, z = components(jnp.asarray(points))
         per_mm = self._aim_per_mm(x * x + y * y, z - self.pole_height) * self.px_per_aim
         return self.principal_point + jnp.stack([x * per_mm, -y * per_mm], axis=-1)
 
@@ -98,14 +98,14 @@ class PathCamera(Camera):
             _series(self.crossing, place) * aim, _series(self.steepness, place) * aim
         )
 
-    def sees(self, points: Float[Array, "*batch 3"]) -> Bool[Array, "*batch"]:
+    def sees(self, points: Float[ArrayLike, "*batch 3"]) -> Bool[Array, "*batch"]:
         """Whether points lie inside the field and the iris does not hide them."""
-        x, y, z = components(points)
+        x, y, z = components(jnp.asarray(points))
         squared = x * x + y * y
         t2 = self._aim_per_mm(squared, z - self.pole_height) ** 2 * squared
         return t2 <= jnp.minimum(self.widest, self.pupil) ** 2
 
-    def transmittance(self, pixels: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+    def transmittance(self, pixels: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch"]:
         """Fraction of the light of pixels that passes the surfaces; 0 behind the iris."""
         t2 = jnp.sum(jnp.square(self._aim(pixels)), axis=-1)
         visible = t2 <= jnp.minimum(self.widest, self.pupil) ** 2

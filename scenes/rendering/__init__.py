@@ -1,8 +1,8 @@
 """Rendering with Mitsuba: from a scene to linear frames.
 
 build           The Mitsuba dictionary of a scene, and how the tip is moved in it
-coaxial         How the microscope's coaxial light thins out behind a viewing path
 differentiable  Images by photons, with derivatives by the lens and its pose
+ellipsoid       A stretched eyeball as a mesh
 glass           Images by photons through the lens as glass, without its irradiance table
 images          Noise-free images for any pose of the tip
 path_sensor     Mitsuba plugin: the microscope behind a viewing path

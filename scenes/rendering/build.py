@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import jax.numpy as jnp
 import mitsuba as mi
 import numpy as np
 
@@ -16,9 +15,8 @@ import scenes.rendering.path_sensor
 import scenes.rendering.plugins
 import scenes.rendering.sensor  # noqa: F401
 from optics import InputError
-from optics.viewing import PathCamera
+from optics.viewing import PathCamera, coaxial_falloff
 from scenes.description import GAUGE_DIAMETER_MM, Scene
-from scenes.rendering.coaxial import coaxial_falloff
 from scenes.rendering.placement import rigid_transform
 from scenes.rendering.wall import wall
 from scenes.world import World
@@ -217,7 +215,7 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
             "series": json.dumps(series.tolist()),
             "px_per_aim": float(camera.px_per_aim),
             "widest": float(camera.widest),
-            "pupil": float(jnp.minimum(camera.pupil, camera.widest)),
+            "pupil": min(float(camera.pupil), float(camera.widest)),
         }
     names = ("k1", "k2", "p1", "p2", "k3")
     return {
@@ -293,9 +291,9 @@ def _entry_of_window(world: World) -> float:
     Lines outside the field of a viewing path do not count.
     """
     wall, camera, settings = world.wall, world.microscope, world.scene.microscope
-    u = jnp.linspace(-0.5, settings.width_px - 0.5, 65)
-    v = jnp.linspace(-0.5, settings.height_px - 0.5, 65)
-    pixels = jnp.stack(jnp.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    u = np.linspace(-0.5, settings.width_px - 0.5, 65)
+    v = np.linspace(-0.5, settings.height_px - 0.5, 65)
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     point, direction = camera.ray(pixels)
     inside = wall.intersect(point, direction)
     seen = inside.status != optics.MISS  # the lines begin below the wall

@@ -266,8 +266,7 @@ class SpotIntegrator(mi.SamplingIntegrator):
     def _falloff(self, si):
         """Irradiance of the coaxial light relative to the pole, without cosines."""
         if self.falloff:
-            place = (dr.square(si.p.x) + dr.square(si.p.y)) / self.falloff_scale**2
-            inside = dr.minimum(place, 1)
+            inside = dr.clip((si.p.z - self.pole_height) / self.falloff_scale, 0, 1)
             return functools.reduce(lambda sum_, c: sum_ * inside + c, reversed(self.falloff))
         if math.isinf(self.pinhole_height):
             return mi.Float(1)

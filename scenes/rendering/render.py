@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from scenes.description import Scene
@@ -128,7 +127,7 @@ class Renderer:
         times = self.world.times[frame] + exposure_s * np.array([-0.5, 0.0, 0.5])
         tip, axis = self.world.motion.at(times)
         scale, camera = self.scene.microscope.scale_mm_px, self.world.microscope
-        tip_image = np.asarray(camera.project(jnp.asarray(tip)))
+        tip_image = np.asarray(camera.project(tip))
         tip_px = np.linalg.norm(np.diff(tip_image, axis=0), axis=1)
         # O moves with the tip, and with the turning axis times d. The spot also changes its size.
         steps, turns, beam = np.diff(tip, axis=0), np.diff(axis, axis=0), axis[1]

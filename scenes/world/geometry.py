@@ -6,7 +6,6 @@ import math
 from functools import cached_property
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 import optics
@@ -91,8 +90,8 @@ class Geometry:
         """The first point of the rim that meets the wall when it moves along the axis."""
         spot, axis = self.aim
         points = spot + rim * circle_across(axis)
-        behind = jnp.asarray(points - self.scene.phantom.radius_mm * axis)
-        hit = self.wall.intersect(behind, jnp.broadcast_to(axis, behind.shape))
+        behind = points - self.scene.phantom.radius_mm * axis
+        hit = self.wall.intersect(behind, np.broadcast_to(axis, behind.shape))
         return self.scene.phantom.radius_mm - float(hit.distance.min())
 
     @cached_property

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
 
 import optics
@@ -110,7 +109,7 @@ def check_view(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray) -
     camera = geometry.microscope
     if not isinstance(camera, PathCamera):
         return
-    seen = np.asarray(camera.sees(jnp.asarray(contours)))
+    seen = np.asarray(camera.sees(contours))
     if seen.all():
         return
     first = int(np.argmin(seen.all(axis=1)))

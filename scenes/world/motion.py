@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -189,8 +188,8 @@ def _scan(geometry: Geometry, motion: Scan) -> PosesAt:
         else:
             place = spot + path * along
             if isinstance(wall, optics.Ellipsoid):
-                inside = jnp.asarray(place - float(wall.semi_axes[2]) * outward)
-                place = np.asarray(wall.intersect(inside, jnp.asarray(outward)).point)
+                inside = place - float(wall.semi_axes[2]) * outward
+                place = np.asarray(wall.intersect(inside, outward).point)
         pointing = _unit((place - spot) / motion.trocar_mm + axis)
         return Poses(place - motion.distance_mm * pointing, pointing)
 

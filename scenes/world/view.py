@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
 
 import optics
@@ -88,5 +87,5 @@ def colour_shifts(cameras: tuple[PathCamera, ...], points: np.ndarray) -> np.nda
         cameras: for red, green and blue.
         points: on the wall, n x 3, mm.
     """
-    red, green, blue = (np.asarray(camera.project(jnp.asarray(points))) for camera in cameras)
+    red, green, blue = (np.asarray(camera.project(points)) for camera in cameras)
     return np.stack([red - green, blue - green])
