@@ -92,14 +92,15 @@ def trace_backwards(
 
     face_squared = crossing_squared((lens.glue_length - depth) * per_forward)
     rim_squared = crossing_squared((lens.sag - depth) * per_forward)
+    # A ray from behind the cap carries nothing; Fresnel's formula has no negative cosines.
+    facing = jnp.maximum(cos_medium, 0.0)
     transmittance = fresnel_transmittance(
-        cos_incident=cos_medium,
+        cos_incident=facing,
         cos_transmitted=cos_glue,
         index_incident=medium_index,
         index_transmitted=lens.glue_index,
     )
     radiance = lens.radiance(face_radius_squared=face_squared, sine_squared=sine_squared)
-    facing = jnp.maximum(cos_medium, 0.0)
     per_area = radiance * transmittance * jnp.square(ratio) * facing / (normal_s * length_squared)
     out_meridian = (radius - cap_radius * cos) * per_length
     return BackwardRays(

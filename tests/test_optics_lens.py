@@ -213,6 +213,22 @@ def test_a_ray_traced_forwards_is_found_again_backwards():
     np.testing.assert_allclose(back.face, np.sum(points**2, axis=1) / core**2 - 1, atol=1e-12)
 
 
+def test_no_light_comes_through_the_cap_from_behind():
+    # In a medium of the glue's index the two cosines of such a ray cancel: 0/0 but for rounding.
+    rng = np.random.default_rng(0)
+    back = trace_backwards(
+        lens(),
+        medium_index=GLUE,
+        radius=rng.uniform(0.0, 0.5, 10_000),
+        distance=rng.uniform(0.001, 0.1, 10_000),
+        cap_radius=rng.uniform(0.0, 0.25, 10_000),
+        haversine=rng.uniform(0.0, 1.0, 10_000),
+    )
+    behind = np.asarray(back.drop) >= 0.0
+    assert 0.2 < np.mean(behind) < 1.0
+    assert np.all(np.isfinite(back.axial)) and np.all(np.isfinite(back.lateral))
+
+
 @pytest.mark.parametrize("medium", [AIR, VITREOUS])
 def test_power_of_the_flat_end_is_the_fresnel_integral(medium):
     flat = lens(sag=0.0, glue_length=0.0, numerical_aperture=0.5)
