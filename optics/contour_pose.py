@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, ScalarLike
 
-from optics.camera import Microscope
+from optics.camera import Camera
 from optics.pose import (
     BeamPose,
     DirectionPrior,
@@ -39,7 +39,7 @@ _HELD = 1e-7
 def pose_from_contour(
     contour: Float[Array, "n 2"],
     surface: Surface,
-    microscope: Microscope,
+    microscope: Camera,
     *,
     half_angle: ScalarLike,
     apex_offset: ScalarLike,
@@ -66,7 +66,7 @@ def pose_from_contour(
 def tip_from_contour(
     contour: Float[Array, "n 2"],
     surface: Surface,
-    microscope: Microscope,
+    microscope: Camera,
     *,
     axis: Float[Array, "3"],
     half_angle: ScalarLike,

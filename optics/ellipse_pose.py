@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, ScalarLike
 
 from optics.beam import Beam, generator_angles
-from optics.camera import Microscope
+from optics.camera import Camera
 from optics.contour import spot_contour
 from optics.ellipse import Ellipse, ellipse_points
 from optics.mismatch import ellipse_mismatch, mismatch_covariance
@@ -35,7 +35,7 @@ _POINTS = 32
 def pose_from_ellipse(
     ellipse: Ellipse,
     surface: Surface,
-    microscope: Microscope,
+    microscope: Camera,
     *,
     covariance: Float[Array, "5 5"],
     half_angle: ScalarLike,

@@ -253,3 +253,82 @@ def test_nonsense_in_a_ros_file_is_refused(written, old, new, told):
 def test_what_is_no_microscope_file_is_refused(written, content):
     with pytest.raises(MicroscopeFileError):
         read_microscope(written(content, ".yaml"), **EYE)
+
+
+def through_a_path(**changed):
+    """Of a line of sight that aims at t and crosses the pole's height at (0.9 - 0.005 t²) t mm."""
+    series = {
+        "crossing": [0.81, -0.09],  # 0.9 at t = 0, 0.72 at t = 6
+        "steepness_per_mm": [-0.027, 0.027],
+        "transmittance": [0.95, 0.0],
+        "widest_mm": 6.0,
+        "pupil_mm": None,
+        "orientation": -1.0,
+    }
+    # kappa = b(0)/a(0) = -0.054/0.9 = -0.06/mm.
+    return ours(
+        **{
+            "camera_matrix": None,
+            "eye_radius_mm": 10.0,
+            "pinhole_height_mm": 1 / -0.06 - 10.0,
+            "viewing_path": series,
+            "retina_semi_axes_mm": [12.0, 11.0, 10.0],
+        }
+        | changed
+    )
+
+
+def path_with(**changed):
+    return {"viewing_path": through_a_path()["viewing_path"] | changed}
+
+
+def test_a_viewing_path_projects_as_its_series_say(written):
+    microscope = read_microscope(written(through_a_path()))
+    camera = microscope.ideal_microscope()
+    t, above = 3.0, 2.0  # mm
+    a, b = 0.9 - 0.005 * t**2, -0.054 * (1 - t**2 / 36)
+    # One pixel shows 0.0067 mm on the axis, where t = 0.9 mm; the image is inverted.
+    expected = np.array([900.0, -300.0]) - np.array([t * 0.9 / 0.0067, 0.0])
+    seen = camera.project(jnp.array([t * (a - b * above), 0.0, -10.0 + above]))
+    np.testing.assert_allclose(seen, expected, atol=1e-6)
+    assert float(microscope.pinhole().inverse_working_distance) == pytest.approx(-0.06)
+    assert microscope.camera() is None
+
+
+def test_a_retina_is_an_ellipsoid_through_the_pole(written):
+    tilted = through_a_path(retina_tilt_deg=5.0, retina_shift_mm=[0.2, -0.1])
+    for content in (through_a_path(), tilted):
+        wall = read_microscope(written(content)).wall()
+        assert isinstance(wall, optics.Ellipsoid)
+        met = wall.intersect(jnp.array([0.0, 0.0, 5.0]), jnp.array([0.0, 0.0, -1.0]))
+        np.testing.assert_allclose(met.point, jnp.array([0.0, 0.0, -10.0]), atol=1e-12)
+    # Untilted, its semi-axes are where they are said to be.
+    side = read_microscope(written(through_a_path())).wall()
+    met = side.intersect(jnp.zeros(3), jnp.eye(3)[:2])
+    np.testing.assert_allclose(met.distance, jnp.array([12.0, 11.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (path_with(crossing=[0.9]), "equally many coefficients.*not 1, 2 and 2"),
+        (path_with(crossing=[]), "viewing_path.crossing"),
+        (path_with(crossing=[0.9, 0.9]), "crossing that is not 0 on the axis"),
+        (path_with(crossing=[0.81, math.nan]), "viewing_path.crossing.1 must be"),
+        (path_with(widest_mm=0.0), "viewing_path.widest_mm must be above 0"),
+        (path_with(pupil_mm=-1.0), "viewing_path.pupil_mm must be above 0"),
+        (path_with(orientation=0.5), "viewing_path.orientation must be 1 .* or -1"),
+        (path_with(iris=3.0), "missing or unknown: viewing_path.iris"),
+        ({"camera_matrix": ours()["camera_matrix"]}, "camera_matrix must be null"),
+        ({"distortion": [0.1, 0, 0, 0, 0]}, "distortion must be 0 with a viewing_path"),
+        ({"pinhole_height_mm": 200.0}, "viewing_path says -0.06/mm"),
+        ({"eye_radius_mm": 10.5, "pinhole_height_mm": 1 / -0.06 - 10.5}, "semi-axis along z"),
+        ({"retina_semi_axes_mm": [12.0, 11.0]}, "retina_semi_axes_mm"),
+        ({"retina_semi_axes_mm": [12.0, -11.0, 10.0]}, "retina_semi_axes_mm.1 must be above 0"),
+        ({"retina_shift_mm": [11.0, 0.0]}, "retina_shift_mm must be less than 11 mm"),
+        ({"plane_normal": [0.0, 0.0, 1.0]}, "describe two walls"),
+    ],
+)
+def test_a_path_that_contradicts_itself_is_refused(written, changed, said):
+    with pytest.raises(MicroscopeFileError, match=said):
+        read_microscope(written(through_a_path(**changed)))

@@ -40,6 +40,7 @@ FROM_SPOT_TO_DISTANCE = {
     "estimator/distance/lens_range.py",
     "estimator/distance/ranger.py",
     "estimator/files/microscope.py",
+    "estimator/files/viewing.py",
 }
 
 

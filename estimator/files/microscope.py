@@ -16,6 +16,7 @@ from pydantic import ConfigDict, Field, PlainValidator
 
 from estimator.files.json_files import object_in
 from estimator.files.opencv import opencv_camera
+from estimator.files.viewing import Length, PathSeries, Retina
 from estimator.image import Camera, Response
 from optics import InputError, Strict, check_schema, in_file, read_text, validated
 
@@ -66,6 +67,9 @@ class MicroscopeFile:
         paper_exposure_s: exposure time of the stack's frames of fixed exposure; None if unknown.
         plane_normal: of a plane wall through the pole, a unit vector towards the microscope; None
             if the wall is the eyeball.
+        viewing_path: what lies between the microscope and the retina; `pinhole_height_mm` is then
+            that of its paraxial pinhole. None for a pinhole.
+        retina: shape of the eyeball; None for a sphere of `eye_radius_mm`.
     """
 
     width_px: int
@@ -79,6 +83,8 @@ class MicroscopeFile:
     response: Response = field(default_factory=Response)
     paper_exposure_s: float | None = None
     plane_normal: tuple[float, float, float] | None = None
+    viewing_path: PathSeries | None = None
+    retina: Retina | None = None
 
     def __post_init__(self) -> None:
         """Reject what no microscope can have."""
@@ -113,7 +119,9 @@ class MicroscopeFile:
         import optics
 
         if self.plane_normal is None:
-            return optics.Sphere(self.eye_radius_mm)
+            return (
+                optics.Sphere(self.eye_radius_mm) if self.retina is None else self.retina.surface()
+            )
         pole = np.array([0.0, 0.0, -self.eye_radius_mm])
         return optics.Plane(point=pole, inward=np.array(self.plane_normal))
 
@@ -123,8 +131,19 @@ class MicroscopeFile:
             return None
         return Camera(matrix=self.camera_matrix, distortion=self.distortion)
 
-    def ideal_microscope(self) -> optics.Microscope:
-        """The pinhole without distortion, in whose image undistorted spots lie. Loads JAX."""
+    def ideal_microscope(self) -> optics.Camera:
+        """The camera without distortion, in whose image undistorted spots lie. Loads JAX."""
+        path = self.viewing_path
+        if path is None:
+            return self.pinhole()
+        return path.camera(
+            scale_mm_px=self.scale_mm_px,
+            principal_point_px=self.principal_point_px,
+            eye_radius_mm=self.eye_radius_mm,
+        )
+
+    def pinhole(self) -> optics.Microscope:
+        """The pinhole without distortion, of a viewing path the paraxial one. Loads JAX."""
         import optics
 
         return optics.microscope(
@@ -226,20 +245,30 @@ class _PinholeFile(Strict):
     response: Annotated[Response, PlainValidator(_curve)]
     paper_exposure_s: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
     plane_normal: Annotated[np.ndarray, _numbers(3)] | None = None
+    viewing_path: None = None
+    retina_semi_axes_mm: Annotated[list[Length], Field(min_length=3, max_length=3)] | None = None
+    retina_tilt_deg: Annotated[float, Field(gt=-90, lt=90)] = 0.0
+    retina_tilt_azimuth_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+    retina_shift_mm: Annotated[list[_Millimetres], Field(min_length=2, max_length=2)] | None = None
 
 
 class _TelecentricFile(_PinholeFile):
     camera_matrix: None = None  # type: ignore[assignment]
 
 
+class _PathFile(_TelecentricFile):
+    viewing_path: PathSeries  # type: ignore[assignment]
+
+
 def _ours(content: dict[str, Any]) -> MicroscopeFile:
     check_schema(content["schema"], HISTORY, remedy="Restore the file, or render again.")
     telecentric = content.get("pinhole_height_mm") is None
+    through_path = content.get("viewing_path") is not None
     file = validated(
-        _TelecentricFile if telecentric else _PinholeFile,
+        _PathFile if through_path else _TelecentricFile if telecentric else _PinholeFile,
         content,
-        remedy="Restore the key. Without pinhole_height_mm a microscope is telecentric, and its "
-        "camera_matrix is null.",
+        remedy="Restore the key. With a viewing_path, or without pinhole_height_mm (a telecentric "
+        "microscope), camera_matrix is null.",
     )
     height = file.pinhole_height_mm
     microscope = MicroscopeFile(
@@ -254,8 +283,11 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
         response=file.response,
         paper_exposure_s=file.paper_exposure_s,
         plane_normal=None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
+        viewing_path=file.viewing_path,
+        retina=_retina(file),
     )
     _agrees_with_its_matrix(microscope)
+    _agrees_with_its_eye(microscope)
     return microscope
 
 
@@ -272,6 +304,47 @@ def _agrees_with_its_matrix(microscope: MicroscopeFile) -> None:
             f"camera_matrix has (fx, fy, cx, cy) = {_listed(said)} px, but (pinhole_height_mm + "
             f"eye_radius_mm)/scale_mm_px and principal_point_px say {_listed(implied)} px. Change "
             "both alike."
+        )
+
+
+def _retina(file: _PinholeFile) -> Retina | None:
+    if file.retina_semi_axes_mm is None:
+        return None
+    return Retina(
+        semi_axes_mm=tuple(file.retina_semi_axes_mm),
+        tilt_deg=file.retina_tilt_deg,
+        tilt_azimuth_deg=file.retina_tilt_azimuth_deg,
+        shift_mm=tuple(file.retina_shift_mm or (0.0, 0.0)),
+    )
+
+
+def _agrees_with_its_eye(microscope: MicroscopeFile) -> None:
+    """Refuse a viewing path or a retina that contradicts another number of the file."""
+    path, retina = microscope.viewing_path, microscope.retina
+    if path is not None:
+        if microscope.distortion.any():
+            raise MicroscopeFileError(
+                "distortion must be 0 with a viewing_path, which contains the lenses' distortion; "
+                f"got {microscope.distortion.tolist()}. Undistort the images first."
+            )
+        said, implied = microscope.inverse_working_distance, path.inverse_working_distance
+        if not math.isclose(said, implied, rel_tol=_SAME, abs_tol=_SAME):
+            raise MicroscopeFileError(
+                f"pinhole_height_mm and eye_radius_mm say 1/(z_F + r) = {said:.6g}/mm, but "
+                f"viewing_path says {implied:.6g}/mm on the axis. Change both alike."
+            )
+    if retina is not None and microscope.plane_normal is not None:
+        raise MicroscopeFileError(
+            f"plane_normal {microscope.plane_normal} and retina_semi_axes_mm "
+            f"{list(retina.semi_axes_mm)} describe two walls. Remove one."
+        )
+    if retina is not None and not math.isclose(
+        retina.semi_axes_mm[2], microscope.eye_radius_mm, rel_tol=_SAME
+    ):
+        raise MicroscopeFileError(
+            f"eye_radius_mm must be the semi-axis along z of retina_semi_axes_mm, "
+            f"{retina.semi_axes_mm[2]:g} mm; got {microscope.eye_radius_mm:g} mm. Change both "
+            "alike."
         )
 
 
