@@ -6,7 +6,8 @@ camera             Pinhole microscope at any height: above the retina, at infini
 cholesky           Solver of small positive definite systems, for whole batches
 contour            The exact spot: intersection of cone and wall, projected and fitted
 contour_pose       Tip and axis of the beam from the image of the spot's edge
-distance           Model `exact`: distance from the semi-minor axis of the exact contour
+distance           Distance from the exact contour: by its semi-minor axis, or by its area for
+                   a known axis
 ellipse            The ellipse of a contour, with one definition for labels, models and fits
 ellipse_pose       Tip and axis of the beam from a measured ellipse
 emission           Rays from the core's face through the cap, and the power they carry

@@ -13,6 +13,7 @@ from .contour import spot_contour as spot_contour
 from .contour import spot_ellipse as spot_ellipse
 from .contour_pose import pose_from_contour as pose_from_contour
 from .contour_pose import tip_from_contour as tip_from_contour
+from .distance import distance_by_area as distance_by_area
 from .distance import exact_distance as exact_distance
 from .distance import exact_semi_minor as exact_semi_minor
 from .ellipse import Ellipse as Ellipse

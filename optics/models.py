@@ -25,7 +25,7 @@ CLOSED_FORMS = ("planar", "small_plane", "corrected", "stereographic")
 """Names of the models of `closed_form_distance`."""
 
 MODELS = (*CLOSED_FORMS, "exact")
-"""Names of all models on the command line, in files and in code."""
+"""Names of the models that need one semi-axis of the spot; `area` needs both."""
 
 
 def closed_form_distance(

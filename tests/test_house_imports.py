@@ -36,6 +36,7 @@ MAY_BE_IMPORTED_BY = {
 
 # Where a spot becomes a distance; the microscope is what the others see the eye through.
 FROM_SPOT_TO_DISTANCE = {
+    "estimator/distance/area.py",
     "estimator/distance/cone_pose.py",
     "estimator/distance/lens_range.py",
     "estimator/distance/ranger.py",

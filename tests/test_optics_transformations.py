@@ -225,6 +225,16 @@ SLOW: dict[str, tuple[Callable, list[float]]] = {
         {name: value for name, value in BEAM.items() if name != "distance"}
         | {"semi_minor_px": 60.0},
     ),
+    "distance_by_area": (
+        lambda x: optics.distance_by_area(
+            optics.ellipse_of_contour(x[0] * CLEAN),
+            WALL,
+            camera(),
+            axis=optics.beam_at_spot(WALL, **BEAM).axis,
+            **POSE_CONE,
+        ),
+        [1.0],
+    ),
     "half_maximum_contour": (
         lambda x: flat(optics.half_maximum_contour(TENT, beam(x), WALL, points=8)),
         AT_BEAM,

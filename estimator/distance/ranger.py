@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.detector import Ellipse, spot_shape
+from estimator.distance.area import AreaDistances
 from estimator.distance.cone_pose import UNKNOWN_SIGMA_PX, ConePoses
 from estimator.distance.lens_range import distance_from_lens, lens_curve
 from estimator.distance.range import Range
+from estimator.distance.view import calibrated_view
 from estimator.files import CONE_MODELS, MODELS, Calibration, MicroscopeFile
 from estimator.image import Spot
 from optics import InputError
@@ -30,12 +31,14 @@ class Ranger:
 
     - planar: d = delta k e1' + b (Zhou et al. 2020, eq. 7).
     - small_plane: the paper's model of the eyeball (eq. 11).
-    - corrected: with the right first-order factor for the pinhole's height.
+    - corrected: with the right first-order factor for the pinhole's height, or for the viewing
+      path that the microscope file describes.
     - stereographic: exact for a pinhole on the sphere (z_F = r) and a square beam.
     - exact: tip and axis of the cone that leaves the spot's ellipse on the wall. Loads JAX.
+    - area: the exact spot with the ellipse's centre and area, for the robot's axis. Loads JAX.
     - lens: by size, shape and brightness against the light of a glue lens. Loads JAX.
 
-    The closed forms are of the wall that they were derived for; exact and lens take the
+    The closed forms are of the wall that they were derived for; exact, area and lens take the
     microscope's.
     """
 
@@ -53,7 +56,7 @@ class Ranger:
 
         Args:
             calibration: its `scale`, `eye_radius` and `inverse_working_distance`, if it has them,
-                go before the microscope's.
+                go before the microscope's; a pinhole also before its viewing path and retina.
             microscope: the spots lie in its undistorted image.
             model: one of `MODELS`; by default the calibration's. All models of a cone share k
                 (or half_angle) and b.
@@ -66,15 +69,9 @@ class Ranger:
         """
         own = calibration.values
         self.calibration = calibration
-        self.microscope = microscope
-        eye = self._eye(own)
-        kappa, radius = (float(eye[name]) for name in ("inverse_working_distance", "eye_radius"))
-        self.microscope = replace(
-            microscope,
-            scale_mm_px=float(eye["scale"]),
-            eye_radius_mm=radius,
-            pinhole_height_mm=1.0 / kappa - radius if kappa else math.inf,
-        )
+        self.microscope = view = calibrated_view(microscope, own)
+        through_path = view.viewing_path is not None
+        self._path: Any = (view.ideal_microscope(), view.wall()) if through_path else None
         self.model = calibration.model if model is None else model
         self.eccentricity_mm = eccentricity_mm
         self._check()
@@ -82,9 +79,12 @@ class Ranger:
             self._poses = ConePoses(
                 self.microscope, half_angle=float(np.arctan(1 / _slope(own))), apex_offset=own["b"]
             )
+        elif self.model == "area":
+            self._areas = AreaDistances(calibration, microscope)
         elif self.model == "lens":
             plane = microscope.plane_normal is not None
-            self._curve = lens_curve(calibration, wall_curvature=0.0 if plane else 1.0 / radius)
+            curvature = 0.0 if plane else 1.0 / self.microscope.eye_radius_mm
+            self._curve = lens_curve(calibration, wall_curvature=curvature)
 
     def distance(
         self,
@@ -100,7 +100,7 @@ class Ranger:
         Args:
             spot: from `measure`, in the undistorted image.
             axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame;
-                `exact` weighs it against the ellipse.
+                `exact` weighs it against the ellipse, `area` needs it.
             axis_sigma_rad: standard deviation of the axis across itself.
             frame: in which the spot was measured; `lens` reads the profile's shape from it.
             exposure_s: of the frame; `lens` with a calibrated `brightness` uses the peak's, too.
@@ -111,6 +111,10 @@ class Ranger:
         direction = None if axis is None else _unit(axis)
         if self.model == "exact":
             return self._exact(spot, direction, axis_sigma_rad)
+        if self.model == "area":
+            if direction is None:
+                return Range(distance_mm=math.nan, sigma_mm=math.nan)
+            return self._areas.of(spot, axis=direction, axis_sigma_rad=axis_sigma_rad)
         if self.model == "lens":
             return self._lens(spot, frame, exposure_s)
         return self._closed_form(self.model, spot, spot.covariance)
@@ -141,8 +145,6 @@ class Ranger:
 
     def _closed_form(self, model: str, spot: Spot, spot_covariance: np.ndarray) -> Range:
         """Distance by a closed form, its sigma propagated by central differences."""
-        import optics
-
         names, values = zip(*self.calibration.values.items(), strict=True)
         base = np.array([spot.x_px, spot.y_px, spot.semi_minor_px, *values])
         steps = np.diag(_STEP * np.maximum(np.abs(base), 1.0))
@@ -153,15 +155,8 @@ class Ranger:
         eye = self._eye(quantities)
         # A spot larger than the sphere gives NaN, which is flagged.
         with np.errstate(invalid="ignore"):
-            distances = np.asarray(
-                optics.closed_form_distance(
-                    model,
-                    semi_minor_px=semi_minor,
-                    eccentricity=self._eccentricity(eye, x, y),
-                    k=_slope(quantities),
-                    b=quantities["b"],
-                    **eye,
-                )
+            distances = self._distances(
+                model, eye, x, y, semi_minor_px=semi_minor, k=_slope(quantities), b=quantities["b"]
             )
         up, down = distances[1:].reshape(2, -1)
         gradient = (up - down) / (2 * np.diag(steps))
@@ -182,14 +177,67 @@ class Ranger:
             "inverse_working_distance": calibrated.get("inverse_working_distance", own),
         }
 
-    def _eccentricity(self, eye: Mapping[str, Numbers], x: Numbers, y: Numbers) -> Numbers:
-        """c; the models that need it are of the eyeball."""
+    def _on_wall(
+        self, eye: Mapping[str, Numbers], x: np.ndarray, y: np.ndarray, *, plane: bool
+    ) -> np.ndarray:
+        """Wall points that pixels see, (3, n), mm; NaN off the wall.
+
+        Args:
+            eye: from `_eye`.
+            x: px.
+            y: px.
+            plane: whether the wall may be the microscope's plane; else it is the eyeball.
+        """
         import optics
 
-        if self.eccentricity_mm is not None:
-            return self.eccentricity_mm
         u, v = self.microscope.principal_point_px
-        return np.hypot(*optics.eyeball_point(right_px=x - u, down_px=y - v, **eye)[:2])
+        seen: Any = {"right_px": x - u, "down_px": y - v, **eye}
+        normal = self.microscope.plane_normal
+        if plane and normal is not None:
+            return np.asarray(optics.plane_point(**seen, normal=normal))
+        if self._path is None:
+            return np.asarray(optics.eyeball_point(**seen))
+        from optics.viewing import wall_point
+
+        # A line of sight is given by the offset in mm.
+        own = eye["scale"] / self.microscope.scale_mm_px
+        pixels = np.stack([u + own * (x - u), v + own * (y - v)], axis=-1)
+        camera, wall = self._path
+        return np.asarray(wall_point(camera, wall, pixels)).T
+
+    def _distances(
+        self,
+        model: str,
+        eye: Mapping[str, Numbers],
+        x: np.ndarray,
+        y: np.ndarray,
+        *,
+        semi_minor_px: np.ndarray,
+        k: Numbers,
+        b: np.ndarray,
+    ) -> np.ndarray:
+        """The closed form at the spot's place."""
+        import optics
+
+        line: Any = {"k": k, "b": b}
+        at_x, at_y, _ = self._on_wall(eye, x, y, plane=False)
+        c = np.hypot(at_x, at_y) if self.eccentricity_mm is None else self.eccentricity_mm
+        if model != "corrected" or self._path is None:
+            return np.asarray(
+                optics.closed_form_distance(
+                    model, semi_minor_px=semi_minor_px, eccentricity=c, **line, **eye
+                )
+            )
+        from optics.viewing import local_magnification
+
+        camera, wall = self._path
+        magnification = local_magnification(
+            camera, wall, eccentricity=c, azimuth=np.arctan2(at_y, at_x)
+        )
+        radius = eye["scale"] * semi_minor_px / np.asarray(magnification)[:, 1]
+        return np.asarray(
+            optics.sphere_distance(spot_radius=radius, eye_radius=eye["eye_radius"], **line)
+        )
 
     def _exact(self, spot: Spot, axis: np.ndarray | None, axis_sigma_rad: float) -> Range:
         """The pose whose cone leaves the spot's ellipse on the wall."""
@@ -248,20 +296,11 @@ class Ranger:
 
     def _axes_on_wall(self, spot: Spot) -> np.ndarray:
         """The spot's semi-axes on the wall, mm, to first order in its size; NaN off the wall."""
-        import optics
-
         # A pixel's step along u, and one along v.
         x = spot.x_px + np.array([0.5, -0.5, 0.0, 0.0])
         y = spot.y_px + np.array([0.0, 0.0, 0.5, -0.5])
-        u, v = self.microscope.principal_point_px
-        seen: Any = {"right_px": x - u, "down_px": y - v, **self._eye({})}
-        normal = self.microscope.plane_normal
         with np.errstate(invalid="ignore"):
-            points = np.asarray(
-                optics.eyeball_point(**seen)
-                if normal is None
-                else optics.plane_point(**seen, normal=normal)
-            )
+            points = self._on_wall(self._eye({}), x, y, plane=True)
         per_px = points[:, [0, 2]] - points[:, [1, 3]]
         if np.isnan(per_px).any():
             return np.full(2, math.nan)

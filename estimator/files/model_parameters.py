@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from optics import InputError, shortened
 
-CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact")
+CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact", "area")
 """Models of a sharp cone: each can use a calibration that was fitted with another of them."""
 MODELS = (*CONE_MODELS, "lens")
 

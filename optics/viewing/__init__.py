@@ -1,15 +1,16 @@
 """The eye's own optics and the surgeon's lenses between the microscope and the retina.
 
-camera        The microscope behind a viewing path: from a wall point to its pixel and back
-coaxial       How the microscope's coaxial light thins out on the wall behind a path
-conic         Conic surfaces of revolution about the microscope's axis
-data_file     Reads the files of eyes and viewing lenses
-eye           Eyes: cornea, iris, crystalline lens and retina at one wavelength
-eye_file      The format of eye files
-medium        Media of one index, or with the gradient of a crystalline lens
-path          Viewing paths: what lies between the microscope and the retina
-trace         Rays traced from the microscope through a path into the eye
-viewing_lens  Contact lenses and wide-field lenses
+camera         The microscope behind a viewing path: from a wall point to its pixel and back
+coaxial        How the microscope's coaxial light thins out on the wall behind a path
+conic          Conic surfaces of revolution about the microscope's axis
+data_file      Reads the files of eyes and viewing lenses
+eye            Eyes: cornea, iris, crystalline lens and retina at one wavelength
+eye_file       The format of eye files
+magnification  What a pixel sees on the wall, and the local magnification there
+medium         Media of one index, or with the gradient of a crystalline lens
+path           Viewing paths: what lies between the microscope and the retina
+trace          Rays traced from the microscope through a path into the eye
+viewing_lens   Contact lenses and wide-field lenses
 """
 
 import lazy_loader

@@ -5,6 +5,8 @@ from .conic import Conic as Conic
 from .eye import Eye as Eye
 from .eye import eye_names as eye_names
 from .eye import load_eye as load_eye
+from .magnification import local_magnification as local_magnification
+from .magnification import wall_point as wall_point
 from .medium import Medium as Medium
 from .path import DILATED_MM as DILATED_MM
 from .path import FORMS as FORMS

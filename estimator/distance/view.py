@@ -1,0 +1,34 @@
+"""The microscope and the eye as a calibration describes them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from estimator.files import MicroscopeFile
+
+
+def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> MicroscopeFile:
+    """The microscope file with a calibration's own numbers in it.
+
+    A calibrated pinhole replaces a viewing path, and the wall is then the sphere that it was fitted
+    with.
+
+    Args:
+        microscope: as the file describes it.
+        values: of the calibration: `scale`, `eye_radius` and `inverse_working_distance`, if it has
+            them, replace the microscope's.
+    """
+    radius = values.get("eye_radius", microscope.eye_radius_mm)
+    own = 1.0 / (microscope.pinhole_height_mm + radius)
+    kappa = values.get("inverse_working_distance", own)
+    fitted = "inverse_working_distance" in values
+    return replace(
+        microscope,
+        scale_mm_px=float(values.get("scale", microscope.scale_mm_px)),
+        eye_radius_mm=float(radius),
+        pinhole_height_mm=float(1.0 / kappa - radius) if kappa else math.inf,
+        viewing_path=None if fitted else microscope.viewing_path,
+        retina=None if fitted or "eye_radius" in values else microscope.retina,
+    )
