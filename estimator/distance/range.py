@@ -12,7 +12,8 @@ class RangeFlag(Enum):
     """Why a distance is doubtful.
 
     AMBIGUOUS: other distances (`Range.others_mm`) explain the spot equally well. OUT_OF_RANGE: the
-    model has no such spot (the distance is NaN), or only with the tip behind the wall (it is
+    model has no such spot, or needs an axis that the robot did not report (the distance is NaN),
+    or it has one only with the tip behind the wall (it is
     negative).
     """
 

@@ -112,7 +112,10 @@ class Ranger:
         if self.model == "exact":
             return self._exact(spot, direction, axis_sigma_rad)
         if self.model == "area":
-            if direction is None:
+            x, y = np.array([spot.x_px]), np.array([spot.y_px])
+            with np.errstate(invalid="ignore"):
+                off = np.isnan(self._on_wall(self._eye({}), x, y, plane=True)).any()
+            if direction is None or off:
                 return Range(distance_mm=math.nan, sigma_mm=math.nan)
             return self._areas.of(spot, axis=direction, axis_sigma_rad=axis_sigma_rad)
         if self.model == "lens":

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _Series = Annotated[
     list[Annotated[float, Field(ge=-1e12, le=1e12)]], Field(min_length=1, max_length=1000)
 ]
+_NEGLIGIBLE_MM = 1e-7  # 2e-5 px
 Length = Annotated[float, Field(gt=0, le=1e6)]
 """A positive number of mm."""
 
@@ -76,17 +77,24 @@ class PathSeries(Strict):
 
         # Arrays: for plain numbers JAX would compile every time.
         array: Any = np.array
+        # The time to compile a pose grows with the terms.
+        terms = max(self._terms(self.crossing), self._terms(self.steepness_per_mm))
         return PathCamera(
             scale=array(scale_mm_px),
             principal_point=array(principal_point_px),
             pole_height=array(-eye_radius_mm),
-            crossing=array(self.crossing),
-            steepness=array(self.steepness_per_mm),
+            crossing=array(self.crossing[:terms]),
+            steepness=array(self.steepness_per_mm[:terms]),
             passing=array(self.transmittance),
             widest=array(self.widest_mm),
             pupil=array(math.inf if self.pupil_mm is None else self.pupil_mm),
             orientation=array(self.orientation),
         )
+
+    def _terms(self, series: list[float]) -> int:
+        """Number of terms without which a line of sight moves by more than 1e-7 mm."""
+        beyond = np.cumsum(np.abs(series[::-1]))[::-1] * self.widest_mm
+        return max(int(np.sum(beyond > _NEGLIGIBLE_MM)), 1)
 
 
 def _on_axis(series: list[float]) -> float:

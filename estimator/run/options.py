@@ -119,9 +119,9 @@ class Options(BaseModel):
     eye_from_robot: Annotated[Quaternion | None, BeforeValidator(_turn), _Text("QX,QY,QZ,QW")] = (
         Field(
             None,
-            description="Rotation (unit quaternion) from the poses' frame to the eye's. The model "
-            "exact then takes the beam's axis from the tool's +z axis, or from beam_x and beam_y "
-            "of the calibration.",
+            description="Rotation (unit quaternion) from the poses' frame to the eye's. The models "
+            "exact and area then take the beam's axis from the tool's +z axis, or from beam_x and "
+            "beam_y of the calibration.",
         )
     )
 
@@ -174,6 +174,12 @@ class Options(BaseModel):
                 microscope,
                 model=self.model,
                 eccentricity_mm=self.eccentricity_mm,
+            )
+        if ranger is not None and ranger.model == "area" and self.eye_from_robot is None:
+            raise InputError(
+                "the model area needs the robot's axis, so it needs eye_from_robot: the rotation "
+                "from the poses' frame to the eye's (0,0,0,1 for none). Give it with the poses, or "
+                "take the model exact."
             )
         return Reader(
             settings,

@@ -62,8 +62,8 @@ class Reader:
         ranger: computes the distances of spots; None for none.
         exposure_s: of all frames; None takes each frame's own.
         eye_from_robot: unit quaternion that turns the poses' frame into the eye's; with it the
-            model `exact` takes the beam's axis from the tool's +z, or from the beam's direction in
-            the tool's frame if the calibration contains it.
+            models `exact` and `area` take the beam's axis from the tool's +z, or from the beam's
+            direction in the tool's frame if the calibration contains it.
     """
 
     def __init__(
