@@ -3,6 +3,7 @@
 arguments     Command-line text converted to values: priors, rotation, log books
 command       The options of `eyespot fit`
 cone_model    Model cone: the exact geometry fitted to the spots' ellipses
+eye_model     Model eye: how an unknown eye shows the spots of a known cone
 fitted        The choices and the result that all models share
 fitting       A whole fit, from recordings to a report, a table and a calibration file
 goodness      Checks of a fit: convergence, bounds, chi squared, runs of residuals

@@ -27,10 +27,11 @@ def fit(
         ),
     ],
     model: Annotated[
-        Literal["auto", "cone", "plane", "sphere", "image", "lens"],
+        Literal["auto", "cone", "eye", "plane", "sphere", "image", "lens"],
         typer.Option(
             help="Model to fit; auto chooses cone or lens by how sharp the spots' edges are. "
-            "Fitted to spots: cone, the exact geometry; plane, the paper's line through planes; "
+            "Fitted to spots: cone, the exact geometry; eye, how an unknown eye and its viewing "
+            "lens show a cone that is known (--cone); plane, the paper's line through planes; "
             "sphere, the paper's eccentricity of one eyeball, beside planes. Fitted to all pixels "
             "of one stack: image, a cone; lens, a glue lens."
         ),
@@ -67,6 +68,14 @@ def fit(
             metavar="NAME",
             help="Preset or lens file to start the model lens from, within 30 % (default: guessed "
             "from the spots).",
+        ),
+    ] = None,
+    cone: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Calibration of the same fibre in the same medium, made on a phantom, for the "
+            "model eye.",
         ),
     ] = None,
     microscope: Annotated[
@@ -126,6 +135,7 @@ def fit(
         priors=prior or (),
         robust=robust,
         lens=lens,
+        cone=cone,
         microscope=microscope,
         poses=poses or (),
         phantoms=phantom or (),

@@ -12,7 +12,7 @@ from calibration.command.fitted import Choices, Fitted
 from calibration.command.goodness import bounds_hit
 from calibration.recordings import Recording
 from calibration.solvers import excess_variance
-from calibration.spots import fit_cone, fit_plane
+from calibration.spots import ConeFit, fit_cone, fit_plane
 from estimator.files import BEAM
 from optics import InputError
 
@@ -22,15 +22,7 @@ _MISMATCHES = ("position along", "position across", "size", "elongation", "direc
 
 def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit the exact geometry to planes and eyeballs together."""
-    if choices.loss != "squares":
-        raise InputError("--robust works with the models plane and sphere only. Leave it out.")
-    for recording in recordings:
-        if not np.isfinite(recording.trial.covariances).all():
-            raise InputError(
-                f"{recording.name} has spots without standard deviations, as the literal mode "
-                "writes them. The model cone weights spots by these. Track in the sub-pixel mode, "
-                "or use --model plane."
-            )
+    check_spots(recordings, choices)
     free = choices.free or ("half_angle", "b")
     for name in {"half_angle", "b"} - set(free):
         raise InputError(f"--free must contain half_angle and b; {name} is missing. Add it.")
@@ -50,11 +42,33 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
     }
     fit = fit_cone(
         [recording.trial for recording in recordings],
-        microscope.ideal_microscope(),
+        microscope.pinhole(),
         start=start,
         free=free,
         priors={name: prior for name, prior in choices.priors.items() if name != "touch"},
     )
+    return fitted_cone(fit, recordings, calibration_model="exact")
+
+
+def check_spots(recordings: Sequence[Recording], choices: Choices) -> None:
+    """Refuse what a fit of the exact geometry cannot use.
+
+    Raises:
+        InputError: another loss, or spots without standard deviations.
+    """
+    if choices.loss != "squares":
+        raise InputError("--robust works with the models plane and sphere only. Leave it out.")
+    for recording in recordings:
+        if not np.isfinite(recording.trial.covariances).all():
+            raise InputError(
+                f"{recording.name} has spots without standard deviations, as the literal mode "
+                "writes them. The exact geometry weights spots by these. Track in the sub-pixel "
+                "mode, or use --model plane."
+            )
+
+
+def fitted_cone(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model: str) -> Fitted:
+    """The result of `fit_cone` in the form that all models share."""
     kept = [i for i, name in enumerate(fit.free) if name not in ("tilt_x", "tilt_y")]
     values = {fit.free[i]: fit.values[fit.free[i]] for i in kept}
     covariance = fit.covariance[np.ix_(kept, kept)]
@@ -78,7 +92,7 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
     ]
     residuals = np.concatenate(fit.residuals)
     return Fitted(
-        calibration_model="exact",
+        calibration_model=calibration_model,
         values=values,
         covariance=grown * covariance,
         converged=fit.converged,

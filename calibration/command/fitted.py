@@ -14,6 +14,7 @@ from calibration.pixels import Failure, Misfit
 from calibration.recordings import Recording
 from calibration.solvers import excess_variance
 from calibration.spots import Loss, Prior
+from estimator.files import Calibration
 
 
 class Choices(NamedTuple):
@@ -25,6 +26,7 @@ class Choices(NamedTuple):
         loss: loss function of the paper's fits.
         exposure: which exposure to use if the stack has several.
         lens: preset's name or file from which the model lens starts; may be empty.
+        cone: calibration of the cone, for the model eye.
     """
 
     free: tuple[str, ...] | None
@@ -32,6 +34,7 @@ class Choices(NamedTuple):
     loss: Loss
     exposure: str | None = None
     lens: str = ""
+    cone: Calibration | None = None
 
 
 class Curve(NamedTuple):

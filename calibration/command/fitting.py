@@ -24,7 +24,13 @@ from calibration.command.result_table import result_table
 from calibration.pixels import NUISANCES
 from calibration.recordings import LogBook, Recording, is_stack, read_recording
 from calibration.spots import Prior
-from estimator.files import Calibration, require_space, write_calibration, written_whole
+from estimator.files import (
+    Calibration,
+    read_calibration,
+    require_space,
+    write_calibration,
+    written_whole,
+)
 from estimator.run import progress
 from optics import InputError
 
@@ -42,6 +48,7 @@ def run(
     priors: Sequence[str] = (),
     robust: bool = False,
     lens: str | None = None,
+    cone: Path | None = None,
     microscope: Path | None = None,
     poses: Sequence[Path] = (),
     phantoms: Sequence[str] = (),
@@ -61,6 +68,7 @@ def run(
         priors: "name=mean,sigma" for free parameters, or for `touch`, each trial's first distance.
         robust: find outliers and fit without them (models plane and sphere).
         lens: preset or file from which the model lens starts, see `optics.load_lens`.
+        cone: calibration file of the cone, for the model eye.
         microscope: microscope file for sources other than stacks, see `read_microscope`.
         poses: pose files for sources other than stacks, in order; a bag may contain its own.
         phantoms: "plane" or "eyeball", one for each source other than a stack, or one for all.
@@ -87,6 +95,7 @@ def run(
                 loss="huber" if robust else "squares",
                 exposure=exposure,
                 lens=lens or "",
+                cone=None if cone is None else read_calibration(cone),
             )
             if model == AUTO and lens:
                 model = "lens"
@@ -196,6 +205,8 @@ def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:
     _check_names(chosen, choices)
     if choices.lens and model != "lens":
         raise InputError("--lens works with --model lens only. Leave it out.")
+    if choices.cone is not None and model != "eye":
+        raise InputError("--cone works with --model eye only. Leave it out.")
     if chosen.of_pixels and (others or sources != 1):
         raise InputError(
             f"--model {model} fits the pixels of one stack; got {sources} sources, of which "

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.command.cone_model import fit_cone_to_spots
+from calibration.command.eye_model import EYE, fit_eye
 from calibration.command.fitted import Choices, Fitted
 from calibration.command.paper_models import fit_planes, fit_sphere
 from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_lens
@@ -49,6 +50,7 @@ MODELS = {
     "plane": Model(fit_planes),
     "sphere": Model(fit_sphere),
     "cone": Model(fit_cone_to_spots),
+    "eye": Model(fit_eye, EYE, EYE),
     "image": Model(fit_image_of_cone, known_names("cone"), FREE["cone"], of_pixels=True),
     "lens": Model(fit_image_of_lens, known_names("lens"), FREE["lens"], of_pixels=True),
 }

@@ -40,11 +40,17 @@ _EVEN = "an even wall with nothing in front of it"
 _SPREAD = "spread in --free, if the wall spreads light"
 _CONE = "--model cone, which fits the exact geometry"
 _LENS = "--model lens, if the spot's edge is soft"
+_PLACES = "withdrawals at other places, one within 1 mm of the axis and one beyond 3 mm"
+_ROBOT = (
+    "to check that --eye-from-robot is right to a degree, that the eye did not turn, and that "
+    "--cone belongs to this fibre; or leave out the withdrawal farthest from the axis"
+)
 
 _REMEDIES: dict[Fault, dict[str, str]] = {
     Fault.STEPS: {
         "": f"--robust, which leaves out outliers, or {_CONE}",
         "cone": f"{_FEWER}, or {_PRIOR} for those that are free",
+        "eye": _PLACES,
         "image": f"{_FEWER}, or {_PRIOR} for those that are free",
         "lens": f"a lens to start from that is nearer to yours (--lens FILE), or {_FEWER}",
     },
@@ -59,12 +65,14 @@ _REMEDIES: dict[Fault, dict[str, str]] = {
     Fault.BOUND: {
         "": f"{_CONE}, or recordings at other distances from the wall",
         "cone": f"{_PRIOR} for the parameter at its bound, or a longer withdrawal",
+        "eye": _PLACES,
         "image": f"{_PRIOR} for the parameter at its bound, or a longer withdrawal",
         "lens": f"{_PRIOR} for the parameter at its bound, or fit without it (--free)",
     },
     Fault.UNDETERMINED: {
         "": f"{_CONE}, and recordings at other places and distances",
         "cone": f"{_PRIOR} for one of them, or fit without it (--free)",
+        "eye": _PLACES,
         "image": f"{_PRIOR} for one of them, or fit without it (--free)",
         "lens": f"{_PRIOR} for one of them, or fit without it (--free)",
     },
@@ -72,10 +80,12 @@ _REMEDIES: dict[Fault, dict[str, str]] = {
         "": f"--robust, which leaves out outliers, or {_CONE}",
         "cone": f"{_LENS}, or the microscope's scale and the eye's radius, which may be wrong, in "
         "--free",
+        "eye": _ROBOT,
     },
     Fault.STRUCTURE: {
         "": f"{_CONE}, or --robust, which leaves out outliers",
         "cone": f"{_LENS}, or a recording of {_EVEN}",
+        "eye": _ROBOT,
     },
     Fault.MISFIT: {
         "image": f"{_LENS}, {_SPREAD}, or a recording of {_EVEN}",

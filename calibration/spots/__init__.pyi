@@ -1,5 +1,6 @@
 from .cone_fit import PARAMETERS as PARAMETERS
 from .cone_fit import ConeFit as ConeFit
+from .cone_fit import JointPrior as JointPrior
 from .cone_fit import fit_cone as fit_cone
 from .cone_trials import BORESIGHT_SIGMA as BORESIGHT_SIGMA
 from .cone_trials import ConeTrial as ConeTrial

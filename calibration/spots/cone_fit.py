@@ -46,8 +46,23 @@ The focal length is 1/(scale inverse_working_distance) px; the pinhole's height 
 1/inverse_working_distance - eye_radius.
 """
 
+
+class JointPrior(NamedTuple):
+    """Prior knowledge of several parameters whose errors are correlated.
+
+    Attributes:
+        mean: by name, in the parameters' units.
+        covariance: in the same order.
+    """
+
+    mean: Mapping[str, float]
+    covariance: Float[np.ndarray, "n n"]
+
+
 _SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1}
 """Scales of parameters that may be zero; the scale of the others is their value."""
+_LEAST_PRIOR = 1e-6
+"""Least standard deviation of a joint prior, relative: 1e-5 mm of a distance of 10 mm."""
 
 
 class ConeFit(NamedTuple):
@@ -118,8 +133,10 @@ def fit_cone(
     start: Mapping[str, float],
     free: Sequence[str] = ("half_angle", "b"),
     priors: Mapping[str, Prior] | None = None,
+    joint_prior: JointPrior | None = None,
     lean_sigma: float = np.radians(1.0),
     boresight_sigma: float = BORESIGHT_SIGMA,
+    size_sigmas: Sequence[float] | None = None,
 ) -> ConeFit:
     """Fit the exact contour to the ellipses of all trials at once.
 
@@ -131,8 +148,11 @@ def fit_cone(
             optionally those that replace the microscope's, and the plane's tilt (default 0).
         free: names of `PARAMETERS` to fit.
         priors: priors of free parameters.
+        joint_prior: of other free parameters, such as a cone that was calibrated before.
         lean_sigma: standard deviation of the robot's directions, rad.
         boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.
+        size_sigmas: standard deviation of the part by which the microscope's model misses the size
+            of each trial's spots; None if it is a pinhole.
 
     Raises:
         InputError: an unknown name, or no trial.
@@ -151,14 +171,14 @@ def fit_cone(
     fixed = known | {"tilt_x": 0.0, "tilt_y": 0.0} | dict(start)
     # With these scales, the damping affects all parameters equally.
     sizes = np.array([_SIZES.get(name) or abs(fixed[name]) for name in free])
-    held = [(priors or {}).get(name) if name in free else None for name in PARAMETERS]
+    prior_means, prior_weights = _priors(free, priors or {}, joint_prior)
     groups = [
-        Group.of(trials, kind, lean_sigma, boresight_sigma)
+        Group.of(trials, kind, lean_sigma, boresight_sigma, size_sigmas or [0.0] * len(trials))
         for kind in sorted({trial.kind for trial in trials})
     ]
     # Nuisances are deviations from their expected values, in standard deviations.
     begin = jnp.zeros(len(free) + len(NUISANCES) * len(trials))
-    priors_held = sum(prior is not None for prior in held)
+    priors_held = int(np.sum(prior_weights.any(axis=1)))
     count = sum(group.data for group in groups) + priors_held + HELD * len(trials)
     # Arrays replace names here, so that one compilation is valid for all choices of equal number.
     solution, spot, spot_slopes = _solve(
@@ -167,8 +187,8 @@ def fit_cone(
         microscope,
         jnp.array([fixed[name] for name in PARAMETERS]),
         jnp.array([[name == own for own in free] for name in PARAMETERS]) * sizes,
-        jnp.array([prior.mean if prior else 0.0 for prior in held]),
-        jnp.array([1.0 / prior.sigma if prior else 0.0 for prior in held]),
+        jnp.asarray(prior_means),
+        jnp.asarray(prior_weights),
         jnp.asarray(count),
     )
     information = np.asarray(solution.information)
@@ -218,6 +238,24 @@ def fit_cone(
     )
 
 
+def _priors(
+    free: Sequence[str], priors: Mapping[str, Prior], joint: JointPrior | None
+) -> tuple[Float[np.ndarray, "q"], Float[np.ndarray, "q q"]]:
+    """Means, and the matrix that turns deviations into independent ones of variance 1."""
+    means, weights = np.zeros(len(PARAMETERS)), np.zeros((len(PARAMETERS),) * 2)
+    for name in free:
+        if name in priors:
+            at = PARAMETERS.index(name)
+            means[at], weights[at, at] = priors[name].mean, 1.0 / priors[name].sigma
+    if joint is not None:
+        rows = [PARAMETERS.index(name) for name in joint.mean]
+        means[rows] = list(joint.mean.values())
+        # A calibration may state no error.
+        least = np.diag(np.square(_LEAST_PRIOR * means[rows]))
+        weights[np.ix_(rows, rows)] = np.linalg.inv(np.linalg.cholesky(joint.covariance + least))
+    return means, weights
+
+
 def _carried_on(
     covariance: Float[np.ndarray, "x x"], slopes: Float[np.ndarray, "trials 2 x"]
 ) -> Float[np.ndarray, "trials 2 2"]:
@@ -261,7 +299,7 @@ def _solve(
     fixed: Float[Array, "q"],
     steps: Float[Array, "q f"],
     prior_means: Float[Array, "q"],
-    prior_weights: Float[Array, "q"],
+    prior_weights: Float[Array, "q q"],
     count: Array,
 ) -> tuple[Solution, Float[Array, "trials 2"], Float[Array, "trials 2 x"]]:
     """The solution, and the spots of all trials with their derivatives, in the groups' order.
@@ -285,7 +323,7 @@ def _solve(
 
     def residual(x: Array) -> Array:
         parameters, values, camera, nuisances = unpacked(x)
-        parts = [prior_weights * (parameters - prior_means)]
+        parts = [prior_weights @ (parameters - prior_means)]
         for group, own in zip(groups, nuisances, strict=True):
             parts.append(misfit(group, camera, values, own))
         return jnp.concatenate(parts)

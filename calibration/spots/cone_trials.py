@@ -5,7 +5,8 @@ the direction of the motion and of the tool, but not the position of the wall. T
 not exactly parallel to the tool. So each trial has seven nuisances: the distance at reading 0
 (`touch`; the rim meets the wall before the centre does), the spot's position in the image at
 reading 0 (two), the rotation of the robot against the eye (`lean`, two), and the angle of the beam
-from the tool's axis (`boresight`, two).
+from the tool's axis (`boresight`, two). An eighth is the part by which the camera's model misses
+the spot's size at the trial's place (`size`).
 """
 
 from __future__ import annotations
@@ -23,9 +24,18 @@ from jaxtyping import Array, Float, ScalarLike
 
 import optics
 
-NUISANCES = ("touch", "u", "v", "lean", "lean_sideways", "boresight", "boresight_sideways")
+NUISANCES = (
+    "touch",
+    "u",
+    "v",
+    "lean",
+    "lean_sideways",
+    "boresight",
+    "boresight_sideways",
+    "size",
+)
 """Nuisances of each trial: the position in px, the others in units of their priors' sigma."""
-HELD = 5
+HELD = 6
 """Number of nuisances that have a prior; the position has none."""
 BORESIGHT_SIGMA = math.radians(3.0)
 """Standard deviation of the beam's angle from the tool's axis, rad. A fibre of 0.5 mm in a tube
@@ -119,6 +129,7 @@ class Group(eqx.Module):
     touch_sigmas: Float[Array, "trials"]
     lean_sigma: Float[Array, ""]
     boresight_sigma: Float[Array, ""]
+    size_sigmas: Float[Array, "trials"]
     kind: str = eqx.field(static=True)
     data: int = eqx.field(static=True)
     numbers: tuple[int, ...] = eqx.field(static=True)
@@ -135,6 +146,7 @@ class Group(eqx.Module):
         kind: str,
         lean_sigma: float,
         boresight_sigma: float,
+        size_sigmas: Sequence[float],
     ) -> Group:
         """The trials on one kind of wall."""
         numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
@@ -170,6 +182,7 @@ class Group(eqx.Module):
             touch_sigmas=jnp.array([t.touch.sigma for t in trials]),
             lean_sigma=jnp.asarray(lean_sigma),
             boresight_sigma=jnp.asarray(boresight_sigma),
+            size_sigmas=jnp.array([size_sigmas[n] for n in numbers]),
             kind=kind,
             data=5 * int(frames.sum()),
             numbers=numbers,
@@ -180,7 +193,7 @@ def spots(
     group: Group,
     camera: optics.Microscope,
     values: Mapping[str, ScalarLike],
-    nuisances: Float[Array, "trials 7"],
+    nuisances: Float[Array, "trials 8"],
 ) -> Float[Array, "trials 3"]:
     """The point of the wall that the beam meets at reading 0 in each trial, mm."""
     wall = _wall(group, values)
@@ -204,15 +217,16 @@ def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
     wall = _wall(group, values)
 
     def of_trial(
-        ellipses, whitening, readings, motion, axis, principal_point, spot, touch, nuisance
+        ellipses, whitening, readings, motion, axis, principal_point, spot, touch, size, nuisance
     ):
         view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
         away, aim = beam_directions(
             motion=motion,
             axis=axis,
             lean=group.lean_sigma * nuisance[3:5],
-            boresight=group.boresight_sigma * nuisance[5:],
+            boresight=group.boresight_sigma * nuisance[5:7],
         )
+        larger = size * nuisance[7]
         touching = spot - touch * aim
 
         def of_frame(ellipse, whiten, reading):
@@ -223,7 +237,8 @@ def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
                 apex_offset=values["b"],
             )
             contour = optics.spot_contour(beam, wall, view, points=_POINTS)
-            return whiten @ optics.ellipse_mismatch(contour, ellipse)
+            # Its third term is the relative difference in size.
+            return whiten @ optics.ellipse_mismatch(contour, ellipse).at[2].add(larger)
 
         frames = jax.vmap(of_frame)(ellipses, whitening, readings)
         # The spot's position in the image has no prior.
@@ -239,6 +254,7 @@ def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
             group.principal_points,
             spots(group, camera, values, nuisances),
             group.touch_means + group.touch_sigmas * nuisances[:, 0],
+            group.size_sigmas,
             nuisances,
         )
     )

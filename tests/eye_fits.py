@@ -1,0 +1,281 @@
+"""Many random eyes calibrated as at the table, and distances read with each calibration.
+
+    python -m tests.eye_fits 200
+
+Withdrawals at three eccentricities through an unknown eye and a viewing lens, by a robot whose axis
+errs by half a degree and whose touches err by 0.05 mm; then spots elsewhere in the same eye. The
+spots come from rays traced through the surfaces of each eye onto its own ellipsoidal retina. The
+fit knows none of these.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+import optics
+from benchmarks.studies.eye.geometry import cameras
+from benchmarks.studies.eye.population import drawn
+from calibration.command.eye_model import fit_eye
+from calibration.command.fitted import Choices, Fitted
+from calibration.recordings import Recording
+from calibration.spots import ConeTrial, Prior
+from estimator import Spot
+from estimator.distance import Ranger
+from estimator.files import Calibration, MicroscopeFile
+from optics.viewing import PathCamera
+
+HALF_ANGLE, B = math.atan(1 / 20), -5.117
+CONE_SIGMA = np.array([5e-4 * HALF_ANGLE, 0.005])
+"""Of a calibration on phantoms (docs/findings.md: 0.05 %, 0.004 mm)."""
+SIGMA_PX = 0.05
+AXIS_SIGMA, TOUCH = math.radians(0.5), Prior(0.12, 0.05)
+WITHDRAWN_C_MM = (0.5, 1.5, 3.0)
+READ_C_MM = (1.0, 2.0, 3.0)
+DISTANCES = np.linspace(TOUCH.mean, 5.0, 12)
+TILT = math.radians(25.0)
+
+MICROSCOPE = MicroscopeFile(
+    width_px=640,
+    height_px=480,
+    camera_matrix=None,
+    distortion=np.zeros(5),
+    scale_mm_px=0.0065,
+    principal_point_px=(0.0, 0.0),
+    pinhole_height_mm=200.0,
+    eye_radius_mm=11.5,
+)
+"""What the table knows of the microscope: a pinhole far above, and a scale that is 3 % off."""
+
+
+class Read(NamedTuple):
+    """What one eye gives.
+
+    Attributes:
+        errors: of the distances read at `READ_C_MM`, mm.
+        sigmas: their standard deviations as stated, mm.
+        kappa: fitted, 1/mm.
+        kappa_sigma: its standard error as stated.
+        best_kappa: fitted to the same withdrawals without any error or prior of the retina.
+        good: chi squared per degree of freedom.
+    """
+
+    errors: np.ndarray
+    sigmas: np.ndarray
+    kappa: float
+    kappa_sigma: float
+    best_kappa: float
+    good: float
+
+
+@eqx.filter_jit
+def _seen(camera, semi_axes, places):
+    """Ellipses and axes of beams at (c, azimuth, incidence, its azimuth, d)."""
+    retina = optics.Ellipsoid(semi_axes)
+
+    def one(place):
+        c, azimuth, incidence, towards, d = place
+        beam = optics.beam_at_spot(
+            retina,
+            eccentricity=c,
+            azimuth=azimuth,
+            incidence=incidence,
+            incidence_azimuth=towards,
+            distance=d,
+            half_angle=HALF_ANGLE,
+            apex_offset=B,
+        )
+        ellipse = optics.spot_ellipse(beam, retina, camera, points=48)
+        return jnp.array(
+            [*ellipse.centre, ellipse.semi_major, ellipse.semi_minor, ellipse.angle]
+        ), beam.axis
+
+    return jax.lax.map(one, places)
+
+
+def covariance(ellipse: np.ndarray) -> np.ndarray:
+    """White noise of 0.05 px on centre and axes; the angle's noise moves the contour as far."""
+    sigma = np.full(5, SIGMA_PX)
+    sigma[4] /= max(ellipse[2] - ellipse[3], SIGMA_PX)
+    return np.diag(sigma**2)
+
+
+def turned(axis: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """The axis turned along its two perpendiculars, rad."""
+    found = axis + by @ np.stack([np.asarray(v) for v in optics.perpendicular_frame(axis)])
+    return found / np.linalg.norm(found)
+
+
+def recording(
+    ellipses: np.ndarray, axis: np.ndarray, noise: np.random.Generator, errors: float
+) -> Recording:
+    """A withdrawal as the table records it; `errors` 0 leaves out every error."""
+    covariances = np.stack([covariance(row) for row in ellipses])
+    sigma = np.sqrt(np.einsum("nii->ni", covariances))
+    seen = ellipses + errors * sigma * noise.standard_normal(ellipses.shape)
+    touched = TOUCH.mean + errors * TOUCH.sigma * noise.standard_normal()
+    told = turned(axis, errors * AXIS_SIGMA * noise.standard_normal(2))
+    return Recording(
+        name="withdrawal",
+        source=Path("withdrawal"),
+        trial=ConeTrial(
+            ellipses=optics.Ellipse(*map(jnp.asarray, (seen[:, :2], *seen[:, 2:].T))),
+            covariances=covariances,
+            # The tip started at `touched`, and the fit believes in `TOUCH`.
+            readings=DISTANCES - touched,
+            axis=told,
+            principal_point=np.zeros(2),
+            touch=TOUCH,
+            kind="eyeball",
+        ),
+        tilt=(0.0, 0.0),
+        across=np.eye(3)[:2],
+        frames=len(ellipses),
+        microscope=MICROSCOPE,
+        medium="vitreous",
+        fibre_radius_mm=0.25,
+        relative_edge_width=np.zeros(len(ellipses)),
+        sha256="0" * 64,
+    )
+
+
+def calibration(values: dict[str, float], matrix: np.ndarray, model: str) -> Calibration:
+    """In vitreous."""
+    return Calibration(
+        model=model,
+        values=values,
+        covariance=matrix,
+        medium="vitreous",
+        medium_index=1.336,
+        fitted_on="random eyes",
+        data_sha256="0" * 64,
+        software="tests.eye_fits",
+    )
+
+
+def fitted(
+    trials: list[Recording], cone: np.ndarray, priors: dict[str, Prior] | None = None
+) -> Fitted:
+    """The calibration of an eye with a cone (half_angle, b) that was calibrated before."""
+    values = {"half_angle": float(cone[0]), "b": float(cone[1])}
+    known = calibration(values, np.diag(CONE_SIGMA**2), "exact")
+    return fit_eye(trials, Choices(free=None, priors=priors or {}, loss="squares", cone=known))
+
+
+def eyes(count: int, *, seed: int, path: str):
+    """Cameras and retinas of random eyes behind one path; the pupil hides nothing."""
+    group = drawn(count, seed).eyes()
+    every = cameras(path, group, jnp.asarray(50.0))
+    for n in range(count):
+        yield jax.tree.map(lambda leaf, n=n: leaf[n], every), group.retina_semi_axes[n]
+
+
+def calibrated_eyes(count: int, *, seed: int = 0, path: str = "flat, phakic") -> list[Read]:
+    """Calibrate random eyes and read distances in them."""
+    return [
+        _calibrated(camera, semi_axes, np.random.default_rng([seed, n]))
+        for n, (camera, semi_axes) in enumerate(eyes(count, seed=seed, path=path))
+    ]
+
+
+def _calibrated(camera: PathCamera, semi_axes: Array, noise: np.random.Generator) -> Read:
+    withdrawn = [
+        (c, azimuth, TILT, towards, d)
+        for c, azimuth, towards in zip(
+            WITHDRAWN_C_MM, *(2 * np.pi * noise.random((2, 3))), strict=True
+        )
+        for d in DISTANCES
+    ]
+    read = [
+        (c, azimuth, TILT * tilt, towards, 0.5 + 4.5 * d)
+        for c, azimuth, towards, tilt, d in zip(
+            READ_C_MM,
+            *(2 * np.pi * noise.random((2, 3))),
+            *noise.random((2, 3)),
+            strict=True,
+        )
+    ]
+    ellipses, axes = map(np.asarray, _seen(camera, semi_axes, jnp.array(withdrawn + read)))
+
+    def trials(errors: float) -> list[Recording]:
+        return [
+            recording(ellipses[k : k + DISTANCES.size], axes[k], noise, errors)
+            for k in range(0, len(withdrawn), DISTANCES.size)
+        ]
+
+    cone = np.array([HALF_ANGLE, B])
+    best = fitted(trials(0.0), cone, {"eye_radius": Prior(13.0, 100.0)})
+    fit = fitted(trials(1.0), cone + CONE_SIGMA * noise.standard_normal(2))
+    own = calibration(fit.values, fit.covariance, fit.calibration_model)
+    ranger = Ranger(own, MICROSCOPE)
+    ranges = [
+        ranger.distance(
+            measured(ellipse, noise),
+            axis=turned(axis, AXIS_SIGMA * noise.standard_normal(2)),
+            axis_sigma_rad=AXIS_SIGMA,
+        )
+        for ellipse, axis in zip(ellipses[len(withdrawn) :], axes[len(withdrawn) :], strict=True)
+    ]
+    return Read(
+        errors=np.array([r.distance_mm for r in ranges]) - [row[-1] for row in read],
+        sigmas=np.array([r.sigma_mm for r in ranges]),
+        kappa=fit.values["inverse_working_distance"],
+        kappa_sigma=own.sigma("inverse_working_distance"),
+        best_kappa=best.values["inverse_working_distance"],
+        good=(fit.chi_squared or math.nan) / fit.degrees_of_freedom,
+    )
+
+
+def measured(ellipse: np.ndarray, noise: np.random.Generator) -> Spot:
+    """A spot with noise."""
+    matrix = covariance(ellipse)
+    x, y, major, minor, angle = ellipse + np.sqrt(np.diag(matrix)) * noise.standard_normal(5)
+    return Spot(
+        x_px=x,
+        y_px=y,
+        semi_major_px=major,
+        semi_minor_px=minor,
+        angle_rad=angle,
+        covariance=matrix,
+        edge_width_px=1.0,
+        coverage=1.0,
+        inlier_fraction=1.0,
+        saturated=0.0,
+    )
+
+
+def pulls(found: list[Read]) -> dict[str, np.ndarray]:
+    """Errors over stated standard deviations, by what was measured; eyes in order."""
+    rows = np.array([read.errors / read.sigmas for read in found])
+    kappa = [(read.kappa - read.best_kappa) / read.kappa_sigma for read in found]
+    names = [f"d at c = {c:g} mm" for c in READ_C_MM]
+    return dict(zip(names, rows.T, strict=True)) | {"kappa": np.array(kappa)}
+
+
+def main() -> None:
+    """Print coverage and errors for each viewing path."""
+    count = int(sys.argv[1])
+    for path in ("flat, phakic", "flat, aphakic"):
+        found = calibrated_eyes(count, path=path)
+        good = [read.good for read in found]
+        print(f"{path}: {count} eyes, chi squared/n {np.median(good):.2f}, at most {max(good):.2f}")
+        for name, pull in pulls(found).items():
+            inside = [100 * np.mean(np.abs(pull) < z) for z in (1.0, 1.959964)]
+            print(f"  {name}: {inside[0]:.1f} % within sigma, {inside[1]:.1f} % within 1.96 sigma")
+        errors = np.abs([read.errors for read in found])
+        sigmas = np.median([read.sigmas for read in found], axis=0)
+        for c, column, sigma in zip(READ_C_MM, errors.T, sigmas, strict=True):
+            half, most = np.quantile(column, [0.5, 0.95])
+            print(f"  c = {c:g} mm: |error| {half:.3f} (95 %: {most:.3f}) mm, sigma {sigma:.3f} mm")
+
+
+if __name__ == "__main__":
+    main()
