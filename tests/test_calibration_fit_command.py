@@ -334,7 +334,7 @@ def test_the_eccentricity_that_was_rendered_is_found(stacks):
     recordings = [read_recording(stack) for stack in stacks]
     fit = fit_cone(
         [recording.trial for recording in recordings],
-        recordings[0].microscope.ideal_microscope(),
+        recordings[0].microscope.pinhole(),
         start={"half_angle": 1.3 / K, "b": 0.7 * B},
     )
     # Asked of rendered cones with camera noise: within 0.01 mm.

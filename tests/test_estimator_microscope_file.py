@@ -62,7 +62,7 @@ def test_a_telecentric_microscope_has_no_matrix(written):
     microscope = read_microscope(written(ours(camera_matrix=None, pinhole_height_mm=None)))
     assert math.isinf(microscope.pinhole_height_mm)
     assert microscope.camera() is None
-    assert float(microscope.ideal_microscope().inverse_working_distance) == 0.0
+    assert float(microscope.pinhole().inverse_working_distance) == 0.0
 
 
 def test_a_pinhole_behind_the_retina_is_read_with_its_negative_focal_length(written):

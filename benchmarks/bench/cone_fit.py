@@ -47,7 +47,7 @@ def run(*, full: bool) -> None:
         recordings = [read_recording(stack.folder) for stack in stacks]
     fit = calibration.fit_cone(
         [recording.trial for recording in recordings],
-        recordings[0].microscope.ideal_microscope(),
+        recordings[0].microscope.pinhole(),
         start=_START,
     )
     show(

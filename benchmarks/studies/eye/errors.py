@@ -66,7 +66,7 @@ def path_errors(path: str, eyes: Sequence[Eye], spots: Spots, *, seed: int | Non
     kappa = np.asarray(fitted.kappa)[:, None, None, None]
     paraxial = float(known.inverse_working_distance)
     factor = local_factor(known, np.asarray(spots.eccentricity).ravel())
-    by_fitted, by_nominal = _by_area(seen, spots, fitted, nominal)
+    by_fitted, by_nominal = _by_area(seen, fitted, nominal)
     distances = {
         Recipe.SMALL_PLANE: distance_by_closed_form(
             "small_plane", minor, spots, scale=SCALE_MM_PX, kappa=0.0
@@ -115,17 +115,16 @@ def _calibrated(
     return jax.lax.map(in_one, (every, semi_axes, noise), batch_size=_EYES_AT_ONCE)
 
 
-def _by_area(
-    seen: Seen, spots: Spots, fitted: Pinhole, nominal: Pinhole
-) -> tuple[np.ndarray, np.ndarray]:
+def _by_area(seen: Seen, fitted: Pinhole, nominal: Pinhole) -> tuple[np.ndarray, np.ndarray]:
     """Distances by area with each eye's own pinhole and with one for all."""
     shape = seen.visible.shape
     each = [jnp.broadcast_to(leaf[:, None, None, None], shape) for leaf in fitted]
     one = [jnp.broadcast_to(leaf, shape) for leaf in nominal]
     pinholes = Pinhole(*(jnp.stack(pair).ravel() for pair in zip(each, one, strict=True)))
-    axes = jnp.broadcast_to(seen.semi_axes, (2, *seen.semi_axes.shape)).reshape(-1, 2)
-    every = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (2, *shape)).ravel(), spots)
-    by_fitted, by_nominal = np.asarray(distance_by_area(axes, every, pinholes)).reshape(2, *shape)
+    twice = jax.tree.map(
+        lambda leaf: jnp.stack([leaf, leaf]).reshape(-1, *leaf.shape[len(shape) :]), seen
+    )
+    by_fitted, by_nominal = np.asarray(distance_by_area(twice, pinholes)).reshape(2, *shape)
     return by_fitted, by_nominal
 
 

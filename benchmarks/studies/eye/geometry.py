@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -51,11 +52,15 @@ class Seen(NamedTuple):
     """The images of spots.
 
     Attributes:
+        centre: of the ellipses, px.
         semi_axes: semi-minor and semi-major, px.
+        axis: unit vectors of the beams.
         visible: whether the whole contour is inside the pupil and the field.
     """
 
+    centre: Float[Array, "*batch 2"]
     semi_axes: Float[Array, "*batch 2"]
+    axis: Float[Array, "*batch 3"]
     visible: Bool[Array, "*batch"]
 
 
@@ -93,39 +98,52 @@ def spots_through(camera: PathCamera, semi_axes: Float[Array, "3"], spots: Spots
     """Spots in a row, on one eye's own retina, seen through its path."""
     retina = optics.Ellipsoid(semi_axes)
 
-    def image(spot: Spots) -> Seen:
-        contour = _contour(retina, spot)
-        return Seen(_axes(camera, contour), jnp.all(camera.sees(contour)))
+    def one(spot: Spots) -> Seen:
+        return image(camera, retina, spot, sees=camera.sees)
 
-    return jax.lax.map(image, spots, batch_size=64)
-
-
-def axes_through_pinhole(
-    kappa: Float[Array, ""], scale: Float[Array, ""], spot: Spots
-) -> Float[Array, "2"]:
-    """Semi-axes (px) of one spot on the nominal sphere, seen by a pinhole."""
-    microscope = optics.Microscope(
-        scale=scale,
-        inverse_working_distance=kappa,
-        pole_height=jnp.asarray(-NOMINAL_RADIUS_MM),
-        principal_point=jnp.zeros(2),
-        distortion=jnp.zeros(5),
-    )
-    return _axes(microscope, _contour(optics.Sphere(NOMINAL_RADIUS_MM), spot))
+    return jax.lax.map(one, spots, batch_size=64)
 
 
-def _contour(retina: optics.Surface, spot: Spots) -> Float[Array, "n 3"]:
+def image(
+    camera: optics.Camera,
+    wall: optics.Surface,
+    spot: Spots,
+    *,
+    sees: Callable[[Float[Array, "n 3"]], Bool[Array, "n"]] = lambda _: jnp.ones((), bool),
+) -> Seen:
+    """One spot on a wall.
+
+    Args:
+        camera: by which it is seen.
+        wall: on which it lies.
+        spot: one.
+        sees: which points of the wall are not hidden.
+    """
     beam = optics.beam_at_spot(
-        retina,
+        wall,
         eccentricity=spot.eccentricity,
         distance=spot.distance,
         incidence=spot.incidence,
         incidence_azimuth=spot.incidence_azimuth,
         **CONE,
     )
-    return optics.cone_contour(beam, retina, points=_POINTS).point
-
-
-def _axes(camera: optics.Camera, contour: Float[Array, "n 3"]) -> Float[Array, "2"]:
+    contour = optics.cone_contour(beam, wall, points=_POINTS).point
     ellipse = optics.ellipse_of_contour(camera.project(contour))
-    return jnp.stack([ellipse.semi_minor, ellipse.semi_major])
+    axes = jnp.stack([ellipse.semi_minor, ellipse.semi_major])
+    return Seen(ellipse.centre, axes, beam.axis, jnp.all(sees(contour)))
+
+
+def pinhole_microscope(kappa: Float[Array, ""], scale: Float[Array, ""]) -> optics.Microscope:
+    """A pinhole over the nominal sphere."""
+    return optics.Microscope(
+        scale=scale,
+        inverse_working_distance=kappa,
+        pole_height=jnp.asarray(-NOMINAL_RADIUS_MM),
+        principal_point=jnp.zeros(2),
+        distortion=jnp.zeros(5),
+    )
+
+
+def through_pinhole(kappa: Float[Array, ""], scale: Float[Array, ""], spot: Spots) -> Seen:
+    """One spot on the nominal sphere, seen by a pinhole."""
+    return image(pinhole_microscope(kappa, scale), optics.Sphere(NOMINAL_RADIUS_MM), spot)

@@ -19,18 +19,17 @@ from benchmarks.studies.eye.geometry import (
     SCALE_MM_PX,
     Seen,
     Spots,
-    axes_through_pinhole,
     grid,
+    pinhole_microscope,
+    through_pinhole,
 )
-from optics.viewing import PathCamera
+from optics.viewing import PathCamera, local_magnification
 
 _SIGMA_PX = 0.1
 """Standard deviation of a measured semi-axis; the sub-pixel mode's RMS on textured walls is 0.05 to
 0.1 px (`eyespot validate`)."""
 _TOUCH_MM = 0.05
 """Standard deviation of the distance at which a withdrawal starts: the operator's touch."""
-_STEPS = 6
-"""Each step of the distance leaves about 5 % of its error: 6 steps leave 1e-7 mm."""
 
 WITHDRAWALS_C_MM = (0.5, 1.5, 3.0)
 _WITHDRAWALS = grid(np.array(WITHDRAWALS_C_MM), np.linspace(1.0, 5.0, 9), ((25.0, 90.0),))
@@ -98,7 +97,7 @@ def fitted_pinhole(seen: Seen, key: PRNGKeyArray, noise: Float[Array, ""]) -> Pi
         scale, kappa, offsets = SCALE_MM_PX * jnp.exp(unknown[0]), unknown[1], unknown[2:]
         moved = spots._replace(distance=spots.distance + offsets[of])
         flat = jax.tree.map(jnp.ravel, moved)
-        expected = jax.vmap(lambda s: axes_through_pinhole(kappa, scale, s))(flat)
+        expected = jax.vmap(lambda s: through_pinhole(kappa, scale, s).semi_axes)(flat)
         image = weight * (expected.reshape(measured.shape) - measured)
         return jnp.concatenate([jnp.ravel(image), offsets / _TOUCH_MM])
 
@@ -110,25 +109,27 @@ def fitted_pinhole(seen: Seen, key: PRNGKeyArray, noise: Float[Array, ""]) -> Pi
 
 
 @eqx.filter_jit
-def distance_by_area(
-    semi_axes: Float[Array, "n 2"], spots: Spots, pinhole: Pinhole
-) -> Float[Array, "n"]:
-    """Distances at which exact spots, each seen by its pinhole, have the measured areas, mm."""
-    apex = CONE["apex_offset"]
+def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[Array, "n"]:
+    """Distances at which exact spots on the nominal sphere have the measured centres and areas, mm.
 
-    def one(axes: Float[Array, "2"], spot: Spots, pinhole: Pinhole) -> Float[Array, ""]:
-        size = jnp.sqrt(axes[0] * axes[1])
+    Each spot is seen by its own pinhole; the robot knows the beams' axes.
 
-        def step(_: int, distance: Float[Array, ""]) -> Float[Array, ""]:
-            seen = axes_through_pinhole(
-                pinhole.kappa, pinhole.scale, spot._replace(distance=distance)
-            )
-            return apex + (distance - apex) * size / jnp.sqrt(seen[0] * seen[1])
+    Args:
+        seen: images of n spots.
+        pinhole: n pinholes.
+    """
 
-        start = apex + pinhole.scale * size / jnp.tan(CONE["half_angle"])
-        return jax.lax.fori_loop(0, _STEPS, step, start)
+    def one(seen: Seen, pinhole: Pinhole) -> Float[Array, ""]:
+        minor, major = seen.semi_axes
+        return optics.distance_by_area(
+            optics.Ellipse(seen.centre, major, minor, jnp.zeros(())),
+            optics.Sphere(NOMINAL_RADIUS_MM),
+            pinhole_microscope(pinhole.kappa, pinhole.scale),
+            axis=seen.axis,
+            **CONE,
+        )
 
-    return jax.lax.map(lambda given: one(*given), (semi_axes, spots, pinhole), batch_size=1024)
+    return jax.lax.map(lambda given: one(*given), (seen, pinhole), batch_size=1024)
 
 
 def distance_by_closed_form(
@@ -168,17 +169,5 @@ def distance_by_local_magnification(semi_minor: np.ndarray, factor: np.ndarray) 
 
 def local_factor(camera: PathCamera, eccentricity: np.ndarray) -> np.ndarray:
     """1/min(h/c, dh/ds): mm on the wall per mm of a small spot's semi-minor image, by c."""
-    return np.asarray(_local_factor(camera, jnp.asarray(eccentricity)))
-
-
-@eqx.filter_jit
-def _local_factor(camera: PathCamera, eccentricity: Float[Array, "n"]) -> Float[Array, "n"]:
     wall = optics.Sphere(NOMINAL_RADIUS_MM)
-
-    def factor(c: Float[Array, ""]) -> Float[Array, ""]:
-        frame = wall.frame_at(eccentricity=c, azimuth=0.0)
-        image = jax.jacfwd(camera.project)(frame.origin) * SCALE_MM_PX
-        across, along = (jnp.linalg.norm(image @ t) for t in (frame.azimuthal, frame.meridional))
-        return 1.0 / jnp.minimum(across, along)
-
-    return jax.vmap(factor)(eccentricity)
+    return 1.0 / np.asarray(local_magnification(camera, wall, eccentricity=eccentricity))[..., 1]

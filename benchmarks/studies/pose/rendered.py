@@ -166,7 +166,7 @@ def _errors(
 ) -> list[PoseError]:
     """Errors with each kind of prior, all from the same spots."""
     microscope = ranger.microscope
-    surface, view = optics.Sphere(microscope.eye_radius_mm), microscope.ideal_microscope()
+    surface, view = optics.Sphere(microscope.eye_radius_mm), microscope.pinhole()
     # The noise of each of n = 128 points that gives a circle's semi-axis this standard error. The
     # semi-axis is the sum of two independent terms of the radius, of 1 and of cos 2t, whose
     # variances are 1/n and 2/n of the noise's.
