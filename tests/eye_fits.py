@@ -234,10 +234,11 @@ def _calibrated(camera: PathCamera, semi_axes: Array, noise: np.random.Generator
     )
 
 
-def measured(ellipse: np.ndarray, noise: np.random.Generator) -> Spot:
-    """A spot with noise."""
+def measured(ellipse: np.ndarray, noise: np.random.Generator, *, errors: float = 1.0) -> Spot:
+    """A spot; `errors` 0 leaves out the noise."""
     matrix = covariance(ellipse)
-    x, y, major, minor, angle = ellipse + np.sqrt(np.diag(matrix)) * noise.standard_normal(5)
+    shift = errors * np.sqrt(np.diag(matrix)) * noise.standard_normal(5)
+    x, y, major, minor, angle = (ellipse + shift).tolist()
     return Spot(
         x_px=x,
         y_px=y,
