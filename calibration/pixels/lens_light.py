@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+from jaxtyping import Float
+
 from calibration.pixels.data import Footage
 from calibration.pixels.parameters import LENS
 from calibration.pixels.table import LensTable
@@ -18,8 +21,9 @@ _FINEST_PX = 0.25
 """Least width of a table's cells, in pixels. The model averages over pixels, but cells of a whole
 pixel blur a sharp image of the core: they bias NA by a standard error on counted photons (seed 1 of
 `tests.photon_fits coverage`), where 0.25 and 0.12 px agree within 0.2."""
-_FAR = 0.01
-"""Relative change of a lens's parameter beyond which a table, linear in it, is computed anew."""
+_FAR = {True: 0.05, False: 0.01}
+"""Relative change of a lens's parameter beyond which a table, linear in it, is computed anew, for
+coarse and for exact tables. What is left out is of second order, less than the tables' errors."""
 
 
 class LensLight:
@@ -68,8 +72,10 @@ class LensLight:
 
     def follow(self, values: Mapping[str, float]) -> None:
         """Compute the table anew if a free parameter of the lens has changed by much."""
-        moved = (
-            abs(values[name] - self._at[name]) > _FAR * abs(self._at[name]) for name in self.free
-        )
-        if any(moved):
+        at = np.array([self._at[name] for name in self.free])
+        if np.any(np.abs(self.moved(values)) > _FAR[self._coarse] * np.abs(at)):
             self.tabulate(values, coarse=self._coarse)
+
+    def moved(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:
+        """Differences of the lens's free parameters from those of the table."""
+        return np.array([values[name] - self._at[name] for name in self.free])

@@ -24,13 +24,9 @@ from jaxtyping import Array, Float, ScalarLike
 import optics
 from calibration.pixels.table import LensTable
 
-_STEPS = (np.arange(4) + 0.5) / 4 - 0.5
-_NODES = np.array([(u, v) for u in _STEPS for v in _STEPS])
-"""Points of a pixel over which the lens's light is averaged, px from its centre.
-
-Four by four: the edge of a sharp image of the core is finer than a pixel, and two by two miss its
-mean by enough to bias NA by 2.5 standard errors on counted photons (seeds 3 and 4 of
-`tests.photon_fits coverage`)."""
+_GAUSS = 3
+"""Gauss nodes on each side of a pixel. With two, the mean of a pixel that a sharp edge cuts is off
+by 0.4 % of the step (RMS), with three by 0.1 %."""
 _SPREAD_RINGS, _SPREAD_DIRECTIONS = 4, 8  # of a lens's light, which is smooth
 
 
@@ -155,7 +151,7 @@ class Lens(eqx.Module):
     def irradiance(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        """E = -n · V (see `optics.vector_irradiance`), a pixel's mean by Gauss quadrature."""
+        """Light that enters a pixel's patch of the wall, by the patch's area."""
         if self.spread is None:
             return self._direct(wall, tip=tip, axis=axis)
         first = wall.right / jnp.linalg.norm(wall.right, axis=-1, keepdims=True)
@@ -173,14 +169,16 @@ class Lens(eqx.Module):
     def _direct(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        u, v = (node[:, None, None] for node in _NODES.T)
+        """The line integral around each patch (see `table`)."""
+        u, v, du, dv = (part[:, None, None] for part in _border())
         offset = wall.point + u * wall.right + v * wall.down - tip
-        normal = wall.normal + u * wall.bend_right + v * wall.bend_down
-        along, lateral = dot(offset, axis), off_axis_part(offset, axis)
-        off_axis = jnp.sqrt(dot(lateral, lateral) + 1e-24)
-        v_lateral, v_axial = self.table(radius=off_axis, distance=along)
-        across = dot(lateral, normal) / off_axis
-        return -jnp.mean(v_lateral * across + v_axial * dot(normal, axis), axis=0)
+        lateral = off_axis_part(offset, axis)
+        radius = jnp.sqrt(dot(lateral, lateral) + 1e-24)
+        mean = self.table(radius=radius, distance=dot(offset, axis))
+        swept = dot(jnp.cross(axis, lateral), du * wall.right + dv * wall.down)
+        # right x down points out of the eye, against the inward normal.
+        area = -dot(wall.normal, jnp.cross(wall.right, wall.down))
+        return 0.5 * jnp.sum(mean * swept, axis=0) / area
 
     def lit(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
@@ -191,6 +189,16 @@ class Lens(eqx.Module):
     def emitted(self) -> Float[Array, ""]:
         """Fraction of the power that leaves the cap."""
         return self.table.transmitted()
+
+
+def _border() -> Float[np.ndarray, "4 nodes"]:
+    """Nodes (u, v) around a pixel, px from its centre, and their steps (du, dv) with weights."""
+    node, weight = (part / 2 for part in np.polynomial.legendre.leggauss(_GAUSS))
+    right = np.stack([np.full(_GAUSS, 0.5), node, 0 * node, weight])
+    # A quarter turn leads from each side to the next.
+    turn = np.kron(np.eye(2), [[0.0, -1.0], [1.0, 0.0]])
+    sides = [np.linalg.matrix_power(turn, k) @ right for k in range(4)]
+    return np.concatenate(sides, axis=1)
 
 
 def off_axis_part(offset: Array, axis: Array) -> Array:

@@ -151,12 +151,14 @@ class Solver:
             coarse = [0.0]
             # Squares of a quarter of the spot's radius, as the first blur of a cone.
             strides = [2 ** int(np.clip(math.log2(_BLURS[0] * self.radius_px), 0, 4))]
+        self._tabulate(x, coarse=True)
         self._choose(x, blur=coarse[0], stride=strides[0])
         x = self._bright_enough(x)
         for blur, stride in zip(coarse, strides, strict=True):
             self._choose(x, blur=blur, stride=stride)
             found = minimise(self._tabulated_sums, x, tolerance=_COARSELY[self.source])
             x = found.x
+        self._tabulate(x)
         for _ in range(_ROUNDS - 1):
             self._choose(x)
             found = minimise(self._tabulated_sums, x, tolerance=_COARSELY[self.source])
@@ -169,6 +171,8 @@ class Solver:
                     f"{100 * _HOPELESS:g} % are allowed"
                 )
                 return self._result(found, Failure(Criterion.FIRST_ROUND, why))
+            if self._from_table(found) >= _NEAR:
+                self._tabulate(x)
         self._choose(x)
         return self._result(*self._settled(x))
 
@@ -195,7 +199,7 @@ class Solver:
                 return found, Failure(Criterion.STEPS, why)
             steps.append(found.x - x)
             x = found.x
-            if self.source == "cone" or self._in_sigmas(steps[-1], found) < _NEAR:
+            if self._from_table(found) < _NEAR:
                 return found, None
             lengths = [self._in_sigmas(step, found) for step in steps[-2:]]
             if len(steps) > 2 and lengths[1] > lengths[0] / 2:
@@ -210,12 +214,20 @@ class Solver:
                 return found, Failure(Criterion.TABLES, why)
             self._tabulate(x)
 
+    def _from_table(self, found: Minimum) -> float:
+        """Distance of the lens from that of the last table, in standard errors; 0 for a cone."""
+        if self.lens is None or not self.lens.free:
+            return 0.0
+        own = [self.names.index(name) for name in self.lens.free]
+        step = self.lens.moved(self._values(found.x)) / np.asarray(self.problem.size)[own]
+        covariance = np.linalg.pinv(found.at.information, rcond=1e-12)[np.ix_(own, own)]
+        return float(np.sqrt(step @ np.linalg.pinv(covariance) @ step))
+
     def _in_sigmas(self, step: np.ndarray, found: Minimum) -> float:
         return float(np.sqrt(step @ found.at.information @ step))
 
     def _choose(self, x: np.ndarray, *, blur: float | None = None, stride: int = 1) -> None:
         """Select pixels for the current parameters; without a blur, all pixels."""
-        self._tabulate(x, coarse=blur is not None)
         self.problem = eqx.tree_at(
             lambda problem: problem.blur,
             self.problem,

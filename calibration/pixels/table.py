@@ -1,4 +1,14 @@
-"""The light of a lens on a grid: its vector irradiance, to first order in the lens's parameters."""
+r"""The light of a lens on a grid, to first order in the lens's parameters.
+
+The vector irradiance V has no sources between the lens and the wall, and it is symmetric about the
+beam. So the light through any patch is a line integral around its border (Stokes' stream function),
+
+$$ \Phi = \tfrac12 \oint M(\rho, s)\,\mathbf u \cdot (\boldsymbol\rho \times d\mathbf l),
+   \qquad M = \frac{1}{\pi\rho^2} \int_0^\rho V_s\,2\pi\rho'\,d\rho', $$
+
+with the mean M of V_s over the disc of radius rho around the beam u. M is continuous where V jumps,
+as at a sharp image of the core, and no light is lost between patches.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +35,9 @@ class Grid(NamedTuple):
 
 
 class LensTable(eqx.Module):
-    """Vector irradiance, to first order in the lens's parameters, cubic between samples.
+    """Mean light within a radius, to first order in the lens's parameters, cubic between samples.
 
-    Rows are uniform in ln s, columns in rho / e(s); samples are V e(s)², as in
-    `optics.IrradianceTable`.
+    Rows are uniform in ln s, columns in rho / e(s), with the envelope e(s); samples are M e(s)².
 
     Attributes:
         values: samples at the parameters `at`.
@@ -40,8 +49,8 @@ class LensTable(eqx.Module):
         grid: positions of the samples.
     """
 
-    values: Float[Array, "rows columns 2"]
-    slopes: Float[Array, "p rows columns 2"]
+    values: Float[Array, "rows columns"]
+    slopes: Float[Array, "p rows columns"]
     transmitted_value: Float[Array, ""]
     transmitted_slopes: Float[Array, "p"]
     at: Float[Array, "p"]
@@ -50,23 +59,18 @@ class LensTable(eqx.Module):
 
     def __call__(
         self, *, radius: Float[Array, "*n"], distance: Float[Array, "*n"]
-    ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-        """V_rho and V_s, 1/mm² per unit power; 0 outside the envelope and behind the tip."""
-        rows, columns, _ = self.values.shape
+    ) -> Float[Array, "*n"]:
+        """M, 1/mm² per unit power; 0 behind the tip."""
+        rows, columns = self.values.shape
         envelope = self.grid.contact_radius + self.grid.slope * distance
         x = radius / envelope
         reached = jnp.clip(distance, self.grid.nearest, self.grid.farthest)
         y = jnp.log(reached / self.grid.nearest) / jnp.log(self.grid.farthest / self.grid.nearest)
-        lateral, axial = _interpolated(
-            self.values,
-            self.slopes,
-            self.moved,
-            y * (rows - 1),
-            jnp.clip(x, 0.0, 1.0) * (columns - 1),
-        )
-        lit = (x <= 1.0) & (distance > 0.0)
-        scale = jnp.where(lit, 1.0 / jnp.square(envelope), 0.0)
-        return scale * lateral, scale * axial
+        column = jnp.clip(x, 0.0, 1.0) * (columns - 1)
+        mean = _interpolated(self.values, self.slopes, self.moved, y * (rows - 1), column)
+        # A disc that is larger than the envelope has all the light too.
+        scale = jnp.square(envelope * jnp.maximum(x, 1.0))
+        return jnp.where(distance > 0.0, mean / scale, 0.0)
 
     def transmitted(self) -> Float[Array, ""]:
         """Fraction of the power that leaves the cap."""
@@ -75,13 +79,13 @@ class LensTable(eqx.Module):
 
 @jax.custom_jvp
 def _interpolated(
-    values: Float[Array, "rows columns 2"],
-    slopes: Float[Array, "p rows columns 2"],
+    values: Float[Array, "rows columns"],
+    slopes: Float[Array, "p rows columns"],
     moved: Float[Array, "p"],
     row: Float[Array, "*n"],
     column: Float[Array, "*n"],
-) -> Float[Array, "2 *n"]:
-    """The two components at positions between samples."""
+) -> Float[Array, "*n"]:
+    """The mean light at positions between samples."""
     return _at(values, slopes, moved, row, column, gradient=False)[0]
 
 
@@ -99,29 +103,25 @@ def _interpolated_slope(primals, tangents):
 
 def _at(
     values: Array, slopes: Array, moved: Array, row: Array, column: Array, *, gradient: bool
-) -> list[Float[Array, "2 *n"]]:
-    """The two components, and with `gradient` their derivatives by row, column and `moved`."""
-    rows, columns, _ = values.shape
+) -> list[Float[Array, "*n"]]:
+    """The mean light, and with `gradient` its derivatives by row, column and `moved`."""
+    rows, columns = values.shape
     i, down, steps_down = _taps(row, rows)
     j, across, steps_across = _taps(column, columns)
-    found: list[list[Array]] = []
-    for part in range(2):
-        sums: list[Any] = [0.0] * (3 + len(slopes))
-        for r in range(4):
-            for c in range(4):
-                # One gather per tap, because XLA is slow on a CPU for an axis of length two.
-                at = (i + r) * columns + j + c
-                own = [field[..., part].ravel()[at] for field in slopes]
-                light = values[..., part].ravel()[at]
-                light += sum(moved[k] * field for k, field in enumerate(own))
-                weight = down[r] * across[c]
-                added = [weight * light]
-                if gradient:
-                    added += [steps_down[r] * across[c] * light, down[r] * steps_across[c] * light]
-                    added += [weight * field for field in own]
-                sums = [old + new for old, new in zip(sums, added, strict=False)]
-        found.append(sums)
-    return [jnp.stack(pair) for pair in zip(*found, strict=True)]
+    found: list[Any] = [0.0] * (3 + len(slopes))
+    for r in range(4):
+        for c in range(4):
+            at = (i + r) * columns + j + c
+            own = [field.ravel()[at] for field in slopes]
+            light = values.ravel()[at]
+            light += sum(moved[k] * field for k, field in enumerate(own))
+            weight = down[r] * across[c]
+            added = [weight * light]
+            if gradient:
+                added += [steps_down[r] * across[c] * light, down[r] * steps_across[c] * light]
+                added += [weight * field for field in own]
+            found = [old + new for old, new in zip(found, added, strict=False)]
+    return found
 
 
 def _taps(place: Array, count: int) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:

@@ -24,13 +24,13 @@ import optics
 from calibration.pixels.lens import lens_of
 from calibration.pixels.table import Grid, LensTable
 
-_ROWS, _COLUMNS = 24, 48  # cells of the first grid, for which all samples are computed
-_TOLERANCE = {True: 1e-2, False: 1e-3}
+_ROWS, _COLUMNS = 12, 24  # cells of the first grid; all samples of it and the next are computed
+_TOLERANCE = {True: 1e-2, False: 2e-3}
 """Of a row's peak, for coarse and for exact tables; cells with a larger error of the spline are
 halved again."""
 _COARSE_LEVELS = 2
 """How often a coarse table's cells are halved by quadrature; then the spline gives all samples."""
-_MOST_HALVINGS = 5
+_MOST_HALVINGS = 6
 _BATCH = 64  # points per call, few enough to stay in the cache, as in optics.irradiance
 
 
@@ -46,7 +46,7 @@ def halvings_for(
         finest: mm on the wall. What is smaller than a pixel's part is not visible.
     """
     envelope = float(optics.LensField(lens_of(values), medium_index).envelope(farthest))
-    return int(np.clip(math.ceil(math.log2(envelope / _COLUMNS / finest)), 1, _MOST_HALVINGS))
+    return int(np.clip(math.ceil(math.log2(envelope / _COLUMNS / finest)), 2, _MOST_HALVINGS))
 
 
 def lens_table(
@@ -83,25 +83,24 @@ def lens_table(
     slope = float(envelope(1.0)) - contact_radius
     grid = Grid(reach * contact_radius, reach * slope, nearest, farthest)
     field = _Field(values, tuple(free), medium_index, grid)
-    first = 2 if coarse else 1
-    missed = np.ones((_ROWS // first + 1, _COLUMNS // first + 1), bool)
+    missed = np.ones((_ROWS + 1, _COLUMNS + 1), bool)
     samples = field(missed)
-    for level in range(halvings + first - 1):
+    for level in range(halvings):
         guess = _halved(samples)
         if not missed.any() or (coarse and level == _COARSE_LEVELS):
-            missed = np.zeros(guess.shape[2:], bool)
+            missed = np.zeros(guess.shape[1:], bool)
             samples = guess
             continue
         wanted = np.kron(binary_dilation(missed, np.ones((3, 3))), np.ones((2, 2), bool))[:-1, :-1]
         wanted[::2, ::2] = False
         samples = field(wanted, guess)
-        error = np.abs(samples - guess)[0].max(axis=0)
-        missed = error > _TOLERANCE[coarse] * samples[0, 1].max(axis=1, keepdims=True)
+        error = np.abs(samples - guess)[0]
+        missed = error > _TOLERANCE[coarse] * samples[0].max(axis=1, keepdims=True)
     return field.table(samples)
 
 
 class _Field:
-    """V e² of a lens on a grid, and its derivatives with respect to some parameters."""
+    """V_s e² of a lens on a grid, and its derivatives with respect to some parameters."""
 
     def __init__(
         self, values: Mapping[str, float], names: tuple[str, ...], medium_index: float, grid: Grid
@@ -113,11 +112,9 @@ class _Field:
 
     def __call__(
         self, wanted: Bool[np.ndarray, "rows columns"], known: np.ndarray | None = None
-    ) -> Float[np.ndarray, "p+1 2 rows columns"]:
+    ) -> Float[np.ndarray, "p+1 rows columns"]:
         """The known samples, with the wanted ones computed."""
-        samples = (
-            np.empty((1 + len(self.names), 2, *wanted.shape)) if known is None else known.copy()
-        )
+        samples = np.empty((1 + len(self.names), *wanted.shape)) if known is None else known.copy()
         row, column = np.nonzero(wanted)
         rows, columns = wanted.shape
         grid = self.grid
@@ -137,13 +134,13 @@ class _Field:
         samples[..., row, column] = np.concatenate(parts, axis=-1)[..., : row.size] * envelope**2
         return samples
 
-    def table(self, samples: Float[np.ndarray, "p+1 2 rows columns"]) -> LensTable:
+    def table(self, samples: Float[np.ndarray, "p+1 rows columns"]) -> LensTable:
         """The table of these samples."""
-        samples = np.moveaxis(samples, 1, -1)
         leaves = _transmitted(self.names, self.at, self.fixed, self.medium_index)
+        means = _means_within(samples, np.asarray(leaves))
         return LensTable(
-            values=jnp.asarray(samples[0]),
-            slopes=jnp.asarray(samples[1:]),
+            values=jnp.asarray(means[0]),
+            slopes=jnp.asarray(means[1:]),
             transmitted_value=leaves[0],
             transmitted_slopes=leaves[1:],
             at=self.at,
@@ -152,9 +149,27 @@ class _Field:
         )
 
 
-def _halved(samples: Float[np.ndarray, "p 2 n m"]) -> Float[np.ndarray, "p 2 2n-1 2m-1"]:
+def _means_within(
+    samples: Float[np.ndarray, "p+1 rows columns"], transmitted: Float[np.ndarray, "p+1"]
+) -> Float[np.ndarray, "p+1 rows columns"]:
+    """Means of V_s e² over the discs within each column's radius.
+
+    The integral over all columns is known: it is the transmitted power. What a row lacks of it is
+    given to the cells in which the spline and the trapezoidal rule disagree. These are cells with a
+    step, and the samples show its place only to a part of the cell.
+    """
+    x = np.linspace(0.0, 1.0, samples.shape[-1])
+    rings = 2.0 * x * samples
+    parts = np.diff(CubicSpline(x, rings, axis=-1).antiderivative()(x), axis=-1)
+    doubt = np.abs(parts - 0.5 * (rings[..., 1:] + rings[..., :-1]) * x[1]) + 1e-300
+    rest = transmitted[:, None, None] / np.pi - parts.sum(axis=-1, keepdims=True)
+    parts += rest * doubt / doubt.sum(axis=-1, keepdims=True)
+    return np.concatenate([samples[..., :1], np.cumsum(parts, axis=-1) / x[1:] ** 2], axis=-1)
+
+
+def _halved(samples: Float[np.ndarray, "p n m"]) -> Float[np.ndarray, "p 2n-1 2m-1"]:
     """Samples of a cubic spline through the given ones, at half their spacing."""
-    for axis in (2, 3):
+    for axis in (1, 2):
         count = samples.shape[axis]
         samples = CubicSpline(np.arange(count), samples, axis=axis)(np.arange(2 * count - 1) / 2)
     return samples
@@ -168,16 +183,14 @@ def _with_slopes(
     medium_index: Float[Array, ""],
     radius: Float[Array, "n"],
     distance: Float[Array, "n"],
-) -> Float[Array, "p+1 2 n"]:
-    """V at some points, followed by its derivatives."""
+) -> Float[Array, "p+1 n"]:
+    """V_s at some points, followed by its derivatives."""
 
     def field(free: Array) -> Array:
         lens = lens_of(fixed | dict(zip(names, free, strict=True)))
-        return jnp.stack(
-            optics.vector_irradiance(
-                lens, medium_index=medium_index, radius=radius, distance=distance
-            )
-        )
+        return optics.vector_irradiance(
+            lens, medium_index=medium_index, radius=radius, distance=distance
+        )[1]
 
     return _value_and_slopes(field, at)
 
