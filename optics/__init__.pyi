@@ -102,6 +102,6 @@ from .surface import pole_plane as pole_plane
 from .truth import SpotTruth as SpotTruth
 from .truth import spot_truth as spot_truth
 from .vector import components as components
+from .vector import dot as dot
 from .wall_spread import enclosed as enclosed
-from .wall_spread import spread_mixture as spread_mixture
 from .wall_spread import spread_nodes as spread_nodes

@@ -16,8 +16,8 @@ scattering 10/mm) leave it in a sharper core and a wider tail. The best L, 0.039
 of the plateau on a spot of radius 0.4 mm; the sum of two exponentials over r by Christensen &
 Burley (2015) by 3.7 %. Its core keeps the half-maximum contour where it was: the photons move that
 contour by 1.3 um, theirs moves by 1.5 um, this one by 3.8 um. So for such a wall L overstates what
-a distance loses. The exponential stays because five Gaussians and one Laguerre rule are exact
-enough for it (theirs is infinite at r = 0), and because paper's length was measured with it.
+a distance loses. The exponential stays because one Laguerre rule is exact enough for it
+(theirs is infinite at r = 0), and because paper's length was measured with it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from jaxtyping import Array, Float, ScalarLike
 from scipy.special import roots_genlaguerre
 
 _RINGS, _DIRECTIONS = 8, 16  # of the nodes of a smooth light
-_GAUSSIANS = 5
 
 
 def enclosed(radius: Float[Array, "*batch"], length: ScalarLike) -> Float[Array, "*batch"]:
@@ -54,13 +53,3 @@ def spread_nodes(
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     offsets = radii[:, None, None] * circle
     return offsets.reshape(-1, 2), np.repeat(weights / (directions * weights.sum()), directions)
-
-
-def spread_mixture() -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    r"""The kernel as a sum of Gaussians, for edges: variances along one axis in L^2, and weights.
-
-    $M = \int \Gamma_{3/2}(t)\,e^{-t (2\pi L\nu)^2}\,dt$ by Gauss-Laguerre quadrature: a Gaussian of
-    variance $2 t L^2$ for each node t.
-    """
-    nodes, weights = roots_genlaguerre(_GAUSSIANS, 0.5)
-    return 2.0 * nodes, weights / weights.sum()

@@ -11,6 +11,7 @@ misfit         What the model leaves in the residuals, and how much it may bias 
 model          Radiance of the wall lit by a cone or a lens, as a differentiable function
 parameters     Names, units and valid ranges of the parameters
 selection      Which pixels a fit uses: those the beam reaches and a ring around them
+setup          What a fit starts from: its constants, start values and priors
 solver         The steps of the fit, from blurred frames to all pixels
 squares        Squares of pixels that are fitted as one datum where a lens's light is smooth
 table          The light of a lens on a grid, to first order in its parameters

@@ -21,9 +21,9 @@ _FINEST_PX = 0.25
 """Least width of a table's cells, in pixels. The model averages over pixels, but cells of a whole
 pixel blur a sharp image of the core: they bias NA by a standard error on counted photons (seed 1 of
 `tests.photon_fits coverage`), where 0.25 and 0.12 px agree within 0.2."""
-_FAR = {True: 0.05, False: 0.01}
-"""Relative change of a lens's parameter beyond which a table, linear in it, is computed anew, for
-coarse and for exact tables. What is left out is of second order, less than the tables' errors."""
+_FAR = 0.05
+"""Relative change of a lens's parameter beyond which a table, linear in it, is computed anew while
+a fit is on its way. Its result is confirmed with a table that is much nearer."""
 
 
 class LensLight:
@@ -73,7 +73,7 @@ class LensLight:
     def follow(self, values: Mapping[str, float]) -> None:
         """Compute the table anew if a free parameter of the lens has changed by much."""
         at = np.array([self._at[name] for name in self.free])
-        if np.any(np.abs(self.moved(values)) > _FAR[self._coarse] * np.abs(at)):
+        if np.any(np.abs(self.moved(values)) > _FAR * np.abs(at)):
             self.tabulate(values, coarse=self._coarse)
 
     def moved(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:

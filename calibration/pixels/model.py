@@ -93,9 +93,10 @@ def wall_pixels(
 
     (point, normal), (right, bend_right), sight = moved((1.0, 0.0))
     _, (down, bend_down), _ = moved((0.0, 1.0))
-    across = jnp.square(microscope.inverse_working_distance) * dot(point, point, 2)
+    x, y, _ = optics.components(point)
+    across = jnp.square(microscope.inverse_working_distance) * (x**2 + y**2)
     depth = microscope.depth(point)
-    coaxial = -dot(normal, sight) / (across + jnp.square(depth))
+    coaxial = -optics.dot(normal, sight) / (across + jnp.square(depth))
     wall = WallPixels(point, normal, right, down, bend_right, bend_down, coaxial)
     if sides is None:
         return wall
@@ -138,7 +139,7 @@ def radiance(
 
 
 class Lens(eqx.Module):
-    """A glue lens, given by a table of its vector irradiance.
+    """A glue lens, given by a table of its light.
 
     Attributes:
         table: the lens's light near the parameters for which the table was computed.
@@ -173,17 +174,17 @@ class Lens(eqx.Module):
         u, v, du, dv = (part[:, None, None] for part in _border())
         offset = wall.point + u * wall.right + v * wall.down - tip
         lateral = off_axis_part(offset, axis)
-        radius = jnp.sqrt(dot(lateral, lateral) + 1e-24)
-        mean = self.table(radius=radius, distance=dot(offset, axis))
-        swept = dot(jnp.cross(axis, lateral), du * wall.right + dv * wall.down)
+        radius = jnp.sqrt(optics.dot(lateral, lateral) + 1e-24)
+        mean = self.table(radius=radius, distance=optics.dot(offset, axis))
+        swept = optics.dot(jnp.cross(axis, lateral), du * wall.right + dv * wall.down)
         # right x down points out of the eye, against the inward normal.
-        area = -dot(wall.normal, jnp.cross(wall.right, wall.down))
+        area = -optics.dot(wall.normal, jnp.cross(wall.right, wall.down))
         return 0.5 * jnp.sum(mean * swept, axis=0) / area
 
     def lit(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        """1 everywhere: a lens's light has no edge as sharp as a pixel."""
+        """1 everywhere: the irradiance contains the edges of a lens's light."""
         return jnp.ones(wall.coaxial.shape)
 
     def emitted(self) -> Float[Array, ""]:
@@ -203,9 +204,4 @@ def _border() -> Float[np.ndarray, "4 nodes"]:
 
 def off_axis_part(offset: Array, axis: Array) -> Array:
     """The part of vectors that is perpendicular to an axis."""
-    return offset - dot(offset, axis)[..., None] * axis
-
-
-def dot(a: Array, b: Array, size: int = 3) -> Array:
-    """Scalar product of the first components on the last axis, computed as in `optics.vector`."""
-    return sum((a[..., k] * b[..., k] for k in range(size)), jnp.zeros(()))
+    return offset - optics.dot(offset, axis)[..., None] * axis

@@ -21,10 +21,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import optics
 from calibration.pixels.chunks import (
     Chunk,
-    Problem,
     Sums,
     linearised,
     look,
@@ -36,15 +34,15 @@ from calibration.pixels.data import Footage
 from calibration.pixels.image_fit import Criterion, Failure, ImageFit
 from calibration.pixels.lens_light import NEAREST_MM, LensLight
 from calibration.pixels.misfit import Pixels, found_misfit
-from calibration.pixels.parameters import DEFAULTS, NUISANCES, possible
+from calibration.pixels.parameters import possible
 from calibration.pixels.selection import bright_spot, chosen_chunks
+from calibration.pixels.setup import fit_problem
 from calibration.pixels.squares import residual_frames
 from calibration.pixels.table import LensTable
 from calibration.solvers import Minimum, NormalEquations, covariance_and_lost, minimise
-from calibration.spots import Prior, phantom_wall
+from calibration.spots import Prior
 from optics import InputError
 
-_TOUCH_SIGMA_MM = 0.02
 _BLURS = (1 / 4, 1 / 12, 1 / 36)
 """Blurs of the first fits, relative to the spot's radius; the last fits have no blur."""
 _ROUNDS = 2
@@ -64,8 +62,6 @@ _NEAR = 1.0
 the table leaves out is of second order in a step far smaller than the lens."""
 _COARSELY = {"cone": 0.1, "lens": 1.0}
 """The same for the first fits."""
-
-
 _HOPELESS = 0.04
 """Part of the light, RMS, that a lens may miss after the first round: no later step mends a wall
 that is not even. Chi squared would depend on how bright the frames are."""
@@ -89,57 +85,19 @@ class Solver:
         self.footage, self.source, self.exposures = footage, source, exposures
         self.progress = progress
         self.of_table: np.ndarray | None = None
-        self.names = (*free, *(name for name in NUISANCES if name not in free))
-        self.frames = len(footage.readings)
         place, self.radius_px = bright_spot(footage)
-        file = footage.microscope
-        microscope = optics.microscope(
-            scale=file.scale_mm_px,
-            pinhole_height=file.pinhole_height_mm,
-            eye_radius=file.eye_radius_mm,
-            principal_point=file.principal_point_px,
-            distortion=tuple(file.distortion),
+        self.problem, self.priors = fit_problem(
+            footage,
+            start,
+            free,
+            priors,
+            place=place,
+            lean_sigma=lean_sigma,
+            boresight_sigma=boresight_sigma,
         )
-        surface = phantom_wall(footage.kind, eye_radius=file.eye_radius_mm)
-        normal = surface.intersect(*microscope.ray(place)).normal
-        # The rim of a tilted tip touches the wall before the centre does.
-        touch = optics.contact_distance(
-            surface,
-            incidence=jnp.arccos(-normal @ footage.axis),
-            rim_radius=footage.instrument.fibre_radius,
-        )
-        lean, boresight = Prior(0.0, lean_sigma), Prior(0.0, boresight_sigma)
-        self.priors = {
-            "touch": Prior(float(touch), _TOUCH_SIGMA_MM),
-            "lean": lean,
-            "lean_sideways": lean,
-            "boresight": boresight,
-            "boresight_sideways": boresight,
-            **priors,
-        }
-        known = dict.fromkeys(NUISANCES, 0.0) | DEFAULTS
-        known |= {"scale": file.scale_mm_px, "eye_radius": file.eye_radius_mm}
-        known |= {"u": float(place[0]), "v": float(place[1])}
-        known |= {name: prior.mean for name, prior in self.priors.items()} | dict(start)
-        self.problem = Problem(
-            first=jnp.array([known[name] for name in self.names]),
-            size=jnp.array([self._size(name, known[name]) for name in self.names]),
-            fixed={n: jnp.asarray(v, float) for n, v in known.items() if n not in self.names},
-            microscope=microscope,
-            motion=jnp.asarray(footage.motion),
-            axis=jnp.asarray(footage.axis),
-            blur=None,
-            names=self.names,
-            kind=footage.kind,
-        )
+        self.names = self.problem.names
+        self.frames = len(footage.readings)
         self.lens = LensLight(footage, self.names) if source == "lens" else None
-
-    def _size(self, name: str, value: float) -> float:
-        """Scale of a parameter; with it, the damping affects all parameters equally."""
-        if name in self.priors:
-            return self.priors[name].sigma
-        own = {"u": 1.0, "v": 1.0, "illumination": 0.01}
-        return own.get(name) or abs(value) or 1.0
 
     def run(self) -> ImageFit:
         """Fit blurred frames first, then all pixels."""

@@ -1,9 +1,9 @@
 """Squares of pixels that are fitted as one datum where a lens's light is smooth.
 
-A mean over k x k pixels has the information of its pixels if the light is nearly linear over them,
-and costs one evaluation of the model. Squares are halved, down to single pixels, until the model's
-quadrature is exact and every pixel is usable: at sharp edges, at the instrument's outline, and at
-the frame's border.
+A mean over k x k pixels has the information of its pixels if the light is nearly even over them,
+and costs one evaluation of the model. Squares are halved, down to single pixels, until that is so,
+the model's quadrature is exact and every pixel is usable: at sharp edges, at the instrument's
+outline, and at the frame's border.
 """
 
 from __future__ import annotations
