@@ -14,11 +14,14 @@ covariance $A_g = \sum_{i \in g} J_i J_i^T$. Hence two uses:
   whether every group has the same parameters, Chow 1960).
 - Standard errors: the covariance becomes $A^{-1} (A + c\,E) A^{-1}$ with
   $E = \sum_g S_g S_g^T - A$, the excess of the scores' scatter over noise (Liang and Zeger 1986).
+  It is summed over three divisions: zones and sides of the spot in halves of the time, and blocks
+  of the frame, because a wall's texture has the same place in all frames.
 """
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -37,6 +40,8 @@ _SHAPE = (len(_ZONE_NAMES), len(_SIDES))
 _HIDDEN = 4.0
 """c: the fit hides the part of a misfit that looks like its parameters. This factor makes the bias
 of every departure in tests/photon_fits.py less than twice its standard error."""
+_BLOCK_PX = 16
+"""Side of the blocks of a frame, that of the largest squares that are fitted as one datum."""
 _NEGLIGIBLE = 1e-9  # relative; smaller eigenvalues are rounding errors
 
 
@@ -101,7 +106,7 @@ def found_misfit(
     Returns:
         The misfit, and the covariance with noise and misfit.
     """
-    scores, information, tone = _cells(frames, len(covariance))
+    scores, information, tone, blocks = _cells(frames, len(covariance))
     total = information.sum(axis=(0, 1, 2))
     zones = scores.sum(axis=2), information.sum(axis=2)
     sides = scores.sum(axis=1), information.sum(axis=1)
@@ -112,7 +117,7 @@ def found_misfit(
     own = covariance[inside]
     structured = chance < CHANCE
     if structured:
-        excess = _scatter(zones[0].sum(axis=0)) + _scatter(sides[0]) - 2 * total
+        excess = _scatter(zones[0].sum(axis=0)) + _scatter(sides[0]) + _scatter(blocks) - 3 * total
         root = _root(own)
         extra = root @ excess[inside] @ root
         own = own + _HIDDEN * root @ _positive(extra) @ root
@@ -125,10 +130,17 @@ def found_misfit(
     return Misfit(share, chance, structured, inflation, where), enlarged
 
 
-def _cells(frames: Iterable[Pixels], p: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Scores, information, and (misfit x light, light²) over variance, of every cell."""
+def _cells(frames: Iterable[Pixels], p: int) -> tuple[np.ndarray, ...]:
+    """Scores, information, and (misfit x light, light²) over variance, of cells; blocks' scores."""
     by_frame = []
+    by_block: defaultdict[tuple[int, int], np.ndarray] = defaultdict(lambda: np.zeros(p))
     for own in frames:
+        places = np.stack([own.u, own.v], axis=-1) // _BLOCK_PX
+        found, block = np.unique(places, axis=0, return_inverse=True)
+        pulls = np.zeros((len(found), p))
+        np.add.at(pulls, block.ravel(), (own.slopes * own.residual).T)
+        for place, pull in zip(found, pulls, strict=True):
+            by_block[tuple(place)] += pull
         scores, information = np.zeros((*_SHAPE, p)), np.zeros((*_SHAPE, p, p))
         tone = np.zeros((*_SHAPE, 2))
         glow = np.maximum(own.direct, 0.0)
@@ -156,7 +168,7 @@ def _cells(frames: Iterable[Pixels], p: int) -> tuple[np.ndarray, np.ndarray, np
         np.stack([sum((f[k] for f in half), np.zeros(by_frame[0][k].shape)) for half in halves])
         for k in range(3)
     )
-    return scores, information, tone
+    return scores, information, tone, np.array(list(by_block.values()))
 
 
 def _chance(
