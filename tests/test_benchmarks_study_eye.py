@@ -11,14 +11,16 @@ from benchmarks.reporting import Request
 from benchmarks.studies.eye import population, recipes
 from benchmarks.studies.eye.findings import crossing
 from benchmarks.studies.eye.geometry import (
+    NOMINAL_RADIUS_MM,
     SCALE_MM_PX,
+    Pinhole,
     Spots,
     cameras,
     grid,
+    image,
     spots_through,
-    through_pinhole,
 )
-from benchmarks.studies.eye.recipes import Pinhole
+from calibration.spots import RETINA
 from optics.viewing import load_eye
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -49,26 +51,28 @@ def test_parts_left_out_are_the_mean_eye():
     assert len(set(np.asarray(eyes.axial_length).tolist())) == 1
 
 
-def seen_by(kappa, spots):
+def seen_by(pinhole, spots):
     flat = jax.tree.map(jnp.ravel, spots)
-    seen = jax.vmap(lambda s: through_pinhole(kappa, jnp.asarray(SCALE_MM_PX), s))(flat)
+    seen = jax.vmap(lambda s: image(pinhole.microscope, pinhole.wall, s))(flat)
     shape = spots.distance.shape
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), seen)
 
 
 @pytest.mark.parametrize("kappa", [-0.06, 0.02])
 def test_an_eye_that_is_a_pinhole_is_fitted_and_read_exactly(kappa):
-    """Without noise the touch's prior pulls no offset, so kappa returns to the solver's 1e-6."""
-    seen = seen_by(jnp.asarray(kappa), recipes.withdrawals())
+    """Without noise no prior pulls, so the parameters return to the solver's 1e-6."""
+    eye = Pinhole(*map(jnp.asarray, (SCALE_MM_PX, kappa, RETINA.mean)))
+    seen = seen_by(eye, recipes.withdrawals())
     found = recipes.fitted_pinhole(seen, jax.random.key(0), jnp.zeros(()))
     assert float(found.kappa) == pytest.approx(kappa, abs=1e-5)
     assert float(found.scale) == pytest.approx(SCALE_MM_PX, rel=1e-5)
+    assert float(found.radius) == pytest.approx(RETINA.mean, abs=1e-4)
 
     spots = jax.tree.map(
         jnp.ravel, grid(np.array([0.0, 3.0]), np.array([1.0, 5.0]), ((0.0, 0.0), (30.0, 40.0)))
     )
-    every = Pinhole(jnp.full(8, SCALE_MM_PX), jnp.full(8, kappa))
-    read = recipes.distance_by_area(seen_by(jnp.asarray(kappa), spots), every)
+    every = jax.tree.map(lambda leaf: jnp.full(8, leaf), eye)
+    read = recipes.distance_by_area(seen_by(eye, spots), every)
     # The ellipse of 32 points is within 1e-7 px of the other's.
     np.testing.assert_allclose(read, spots.distance, atol=1e-6)
 
@@ -90,7 +94,10 @@ def test_small_plane_errs_as_an_independent_trace_says(path, errors_mm):
     camera = cameras(path, jax.tree.map(lambda leaf: leaf[None], eye), jnp.asarray(50.0))
     seen = spots_through(jax.tree.map(lambda leaf: leaf[0], camera), eye.retina_semi_axes, flat)
     read = recipes.distance_by_closed_form(
-        "small_plane", np.asarray(seen.semi_axes[:, 0]), flat, scale=SCALE_MM_PX, kappa=0.0
+        "small_plane",
+        np.asarray(seen.semi_axes[:, 0]),
+        flat,
+        pinhole=Pinhole(*map(jnp.asarray, (SCALE_MM_PX, 0.0, NOMINAL_RADIUS_MM))),
     )
     # Printed with two decimals; a spot of 0.36 mm is not small: up to 1 % of the error.
     np.testing.assert_allclose(read - 2.0, errors_mm, atol=0.006 + 0.01 * abs(min(errors_mm)))

@@ -221,8 +221,8 @@ def test_no_light_comes_through_the_cap_from_behind():
         medium_index=GLUE,
         radius=rng.uniform(0.0, 0.5, 10_000),
         distance=rng.uniform(0.001, 0.1, 10_000),
-        cap_radius=rng.uniform(0.0, 0.25, 10_000),
-        haversine=rng.uniform(0.0, 1.0, 10_000),
+        cap_radius=jnp.asarray(rng.uniform(0.0, 0.25, 10_000)),
+        haversine=jnp.asarray(rng.uniform(0.0, 1.0, 10_000)),
     )
     behind = np.asarray(back.drop) >= 0.0
     assert 0.2 < np.mean(behind) < 1.0

@@ -10,22 +10,12 @@ import numpy as np
 from calibration.command.cone_model import check_spots, fitted_cone
 from calibration.command.fitted import Choices, Fitted
 from calibration.recordings import Recording
-from calibration.spots import JointPrior, Prior, fit_cone
+from calibration.spots import OUTLINE_PER_MM, RETINA, SIZE_PER_MM, JointPrior, fit_cone
 from estimator.files import Calibration
 from optics import InputError
 
 EYE = ("half_angle", "b", "scale", "inverse_working_distance", "eye_radius")
 """What is fitted: the cone, which is known, and the pinhole and the sphere that are not."""
-
-RETINA = Prior(13.0, 1.0)
-"""Radius of curvature of the retina, mm: a horizontal semi-axis squared over the axial one, 13.4 ±
-1.2 mm in a healthy population (Rozema et al. 2016), 12.9 mm in emmetropes (Atchison 2006)."""
-
-SIZE_PER_MM = 0.00065
-"""Part by which the best pinhole over a sphere misses the size of a spot, per mm of c.
-
-Root mean square over random eyes behind a flat contact lens, c from 0.5 to 3.5 mm, tilts of 0 and
-25 degrees. Most of it comes from the retina, which is no sphere."""
 
 
 def fit_eye(recordings: Sequence[Recording], choices: Choices) -> Fitted:
@@ -58,6 +48,7 @@ def fit_eye(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     for name in own.mean.keys() - set(free):
         raise InputError(f"--free must contain half_angle and b; {name} is missing. Add it.")
     microscope = recordings[0].microscope
+    eccentricities = np.array([_eccentricity(recording) for recording in recordings])
     fit = fit_cone(
         [recording.trial for recording in recordings],
         microscope.pinhole(),
@@ -65,7 +56,8 @@ def fit_eye(recordings: Sequence[Recording], choices: Choices) -> Fitted:
         free=free,
         priors=priors,
         joint_prior=own,
-        size_sigmas=[SIZE_PER_MM * _eccentricity(recording) for recording in recordings],
+        size_sigmas=(SIZE_PER_MM * eccentricities).tolist(),
+        outline_sigmas=(OUTLINE_PER_MM * eccentricities).tolist(),
     )
     return fitted_cone(fit, recordings, calibration_model="area")
 

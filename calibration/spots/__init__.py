@@ -2,6 +2,7 @@
 
 cone_fit      Fit of the exact geometry to measured ellipses, with nuisances per trial
 cone_trials   Data, nuisances and residuals of the exact geometry
+eye_priors    What is known of an eye and its viewing lens before they are calibrated
 lines         The paper's line d_r = delta k e1' + b for many trials at once, without errors
 plane_fit     delta k and b of one withdrawal from a plane: Table I of Zhou et al. 2020
 plane_trials  One line through several trials, with touches and the plane's tilt as nuisances

@@ -7,6 +7,9 @@ from .cone_trials import ConeTrial as ConeTrial
 from .cone_trials import Prior as Prior
 from .cone_trials import beam_directions as beam_directions
 from .cone_trials import phantom_wall as phantom_wall
+from .eye_priors import OUTLINE_PER_MM as OUTLINE_PER_MM
+from .eye_priors import RETINA as RETINA
+from .eye_priors import SIZE_PER_MM as SIZE_PER_MM
 from .lines import Lines as Lines
 from .lines import fit_lines as fit_lines
 from .plane_fit import Loss as Loss

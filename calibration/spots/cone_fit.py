@@ -137,6 +137,7 @@ def fit_cone(
     lean_sigma: float = np.radians(1.0),
     boresight_sigma: float = BORESIGHT_SIGMA,
     size_sigmas: Sequence[float] | None = None,
+    outline_sigmas: Sequence[float] | None = None,
 ) -> ConeFit:
     """Fit the exact contour to the ellipses of all trials at once.
 
@@ -152,7 +153,8 @@ def fit_cone(
         lean_sigma: standard deviation of the robot's directions, rad.
         boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.
         size_sigmas: standard deviation of the part by which the microscope's model misses the size
-            of each trial's spots; None if it is a pinhole.
+            of each trial's spots, relative; None if it is a pinhole.
+        outline_sigmas: the same for the outline of each frame's spot.
 
     Raises:
         InputError: an unknown name, or no trial.
@@ -172,8 +174,10 @@ def fit_cone(
     # With these scales, the damping affects all parameters equally.
     sizes = np.array([_SIZES.get(name) or abs(fixed[name]) for name in free])
     prior_means, prior_weights = _priors(free, priors or {}, joint_prior)
+    nothing = [0.0] * len(trials)
+    missed = size_sigmas or nothing, outline_sigmas or nothing
     groups = [
-        Group.of(trials, kind, lean_sigma, boresight_sigma, size_sigmas or [0.0] * len(trials))
+        Group.of(trials, kind, lean_sigma, boresight_sigma, *missed)
         for kind in sorted({trial.kind for trial in trials})
     ]
     # Nuisances are deviations from their expected values, in standard deviations.

@@ -147,6 +147,7 @@ class Group(eqx.Module):
         lean_sigma: float,
         boresight_sigma: float,
         size_sigmas: Sequence[float],
+        outline_sigmas: Sequence[float],
     ) -> Group:
         """The trials on one kind of wall."""
         numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
@@ -166,6 +167,8 @@ class Group(eqx.Module):
         )
         covariances = stacked([t.covariances for t in trials])
         shape = jax.vmap(jax.vmap(optics.mismatch_covariance))(ellipses, covariances)
+        missed = jnp.square(jnp.array([outline_sigmas[n] for n in numbers]))
+        shape += missed[:, None, None, None] * jnp.eye(5)
         whitening = jnp.linalg.inv(jnp.linalg.cholesky(shape))
         frames = np.array([t.readings.size for t in trials])
         real = np.arange(longest) < frames[:, None]

@@ -12,9 +12,16 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 import optics
-from benchmarks.studies.eye.geometry import SCALE_MM_PX, Seen, Spots, cameras, spots_through
-from benchmarks.studies.eye.recipes import (
+from benchmarks.studies.eye.geometry import (
+    NOMINAL_RADIUS_MM,
+    SCALE_MM_PX,
     Pinhole,
+    Seen,
+    Spots,
+    cameras,
+    spots_through,
+)
+from benchmarks.studies.eye.recipes import (
     Recipe,
     distance_by_area,
     distance_by_closed_form,
@@ -59,24 +66,24 @@ def path_errors(path: str, eyes: Sequence[Eye], spots: Spots, *, seed: int | Non
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _cameras(path, eyes, pupil_radius=_OPEN_MM)
     seen, fitted = _calibrated(every, axes, _noise(seed, len(axes)), spots)
-    nominal = Pinhole(jnp.asarray(SCALE_MM_PX), fitted.kappa[0])
+    schematic = jax.tree.map(lambda leaf: leaf[0], fitted)
     known = jax.tree.map(lambda leaf: leaf[0], every)
     minor = np.asarray(seen.semi_axes[..., 0])
-    scale = np.asarray(fitted.scale)[:, None, None, None]
-    kappa = np.asarray(fitted.kappa)[:, None, None, None]
+    own = jax.tree.map(lambda leaf: np.asarray(leaf)[:, None, None, None], fitted)
     paraxial = float(known.inverse_working_distance)
+    uncalibrated = Pinhole(*map(jnp.asarray, (SCALE_MM_PX, 0.0, NOMINAL_RADIUS_MM)))
     factor = local_factor(known, np.asarray(spots.eccentricity).ravel())
-    by_fitted, by_nominal = _by_area(seen, fitted, nominal)
+    by_fitted, by_schematic = _by_area(seen, fitted, schematic)
     distances = {
         Recipe.SMALL_PLANE: distance_by_closed_form(
-            "small_plane", minor, spots, scale=SCALE_MM_PX, kappa=0.0
+            "small_plane", minor, spots, pinhole=uncalibrated
         ),
         Recipe.PARAXIAL: distance_by_closed_form(
-            "corrected", minor, spots, scale=SCALE_MM_PX, kappa=paraxial
+            "corrected", minor, spots, pinhole=uncalibrated._replace(kappa=jnp.asarray(paraxial))
         ),
         Recipe.LOCAL: distance_by_local_magnification(minor, factor.reshape(spots.distance.shape)),
-        Recipe.FITTED: distance_by_closed_form("corrected", minor, spots, scale=scale, kappa=kappa),
-        Recipe.AREA_SCHEMATIC: by_nominal,
+        Recipe.FITTED: distance_by_closed_form("corrected", minor, spots, pinhole=own),
+        Recipe.AREA_SCHEMATIC: by_schematic,
         Recipe.AREA: by_fitted,
     }
     truth, visible = np.asarray(spots.distance), np.asarray(seen.visible)
@@ -115,17 +122,20 @@ def _calibrated(
     return jax.lax.map(in_one, (every, semi_axes, noise), batch_size=_EYES_AT_ONCE)
 
 
-def _by_area(seen: Seen, fitted: Pinhole, nominal: Pinhole) -> tuple[np.ndarray, np.ndarray]:
+def _by_area(seen: Seen, fitted: Pinhole, schematic: Pinhole) -> tuple[np.ndarray, np.ndarray]:
     """Distances by area with each eye's own pinhole and with one for all."""
     shape = seen.visible.shape
-    each = [jnp.broadcast_to(leaf[:, None, None, None], shape) for leaf in fitted]
-    one = [jnp.broadcast_to(leaf, shape) for leaf in nominal]
-    pinholes = Pinhole(*(jnp.stack(pair).ravel() for pair in zip(each, one, strict=True)))
+
+    def both(own: Array, one: Array) -> Array:
+        each = jnp.broadcast_to(own[:, None, None, None], shape)
+        return jnp.stack([each, jnp.broadcast_to(one, shape)]).ravel()
+
     twice = jax.tree.map(
         lambda leaf: jnp.stack([leaf, leaf]).reshape(-1, *leaf.shape[len(shape) :]), seen
     )
-    by_fitted, by_nominal = np.asarray(distance_by_area(twice, pinholes)).reshape(2, *shape)
-    return by_fitted, by_nominal
+    read = distance_by_area(twice, jax.tree.map(both, fitted, schematic))
+    by_fitted, by_schematic = np.asarray(read).reshape(2, *shape)
+    return by_fitted, by_schematic
 
 
 def _cameras(path: str, eyes: Sequence[Eye], *, pupil_radius: float) -> PathCamera:

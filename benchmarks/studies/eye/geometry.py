@@ -9,14 +9,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, ScalarLike
 
 import optics
 from optics.viewing import Eye, PathCamera, load_viewing_lens, path_camera, viewing_path
 
 SCALE_MM_PX = 0.0067
 NOMINAL_RADIUS_MM = 12.0
-"""Radius of the sphere that the models assume; nobody knows the retina of the eye in front."""
+"""Radius of the sphere that models assume where no eye is calibrated."""
 
 CONE = {"half_angle": float(np.arctan(1 / 20.0)), "apex_offset": -5.117}
 PINHOLE_ABOVE_MM = 200.0
@@ -64,6 +64,36 @@ class Seen(NamedTuple):
     visible: Bool[Array, "*batch"]
 
 
+class Pinhole(NamedTuple):
+    """A pinhole over a sphere, which stands for a path and its retina.
+
+    Attributes:
+        scale: delta, mm/px at the pole.
+        kappa: 1/(z_F + r), 1/mm; negative behind the retina.
+        radius: r of the sphere, mm.
+    """
+
+    scale: Float[Array, "*batch"]
+    kappa: Float[Array, "*batch"]
+    radius: Float[Array, "*batch"]
+
+    @property
+    def wall(self) -> optics.Sphere:
+        """The sphere."""
+        return optics.Sphere(self.radius)
+
+    @property
+    def microscope(self) -> optics.Microscope:
+        """The pinhole."""
+        return optics.Microscope(
+            scale=self.scale,
+            inverse_working_distance=self.kappa,
+            pole_height=-self.radius,
+            principal_point=jnp.zeros(2),
+            distortion=jnp.zeros(5),
+        )
+
+
 def grid(
     eccentricities: np.ndarray, distances: np.ndarray, tilts_deg: tuple[tuple[float, float], ...]
 ) -> Spots:
@@ -88,7 +118,8 @@ def cameras(path: str, eyes: Eye, pupil_radius: Float[Array, ""]) -> PathCamera:
             pupil_radius=pupil_radius,
             pinhole_distance=PINHOLE_ABOVE_MM + above,
         )
-        return path_camera(found, scale=SCALE_MM_PX)
+        # A robot's axes belong to an upright image, so a wide-field lens needs its inverter.
+        return path_camera(found, scale=SCALE_MM_PX, upright=True)
 
     return jax.vmap(camera)(eyes)
 
@@ -128,22 +159,28 @@ def image(
         **CONE,
     )
     contour = optics.cone_contour(beam, wall, points=_POINTS).point
-    ellipse = optics.ellipse_of_contour(camera.project(contour))
-    axes = jnp.stack([ellipse.semi_minor, ellipse.semi_major])
-    return Seen(ellipse.centre, axes, beam.axis, jnp.all(sees(contour)))
+    centre, axes = centre_and_axes(camera.project(contour))
+    return Seen(centre, axes, beam.axis, jnp.all(sees(contour)))
 
 
-def pinhole_microscope(kappa: Float[Array, ""], scale: Float[Array, ""]) -> optics.Microscope:
-    """A pinhole over the nominal sphere."""
-    return optics.Microscope(
-        scale=scale,
-        inverse_working_distance=kappa,
-        pole_height=jnp.asarray(-NOMINAL_RADIUS_MM),
-        principal_point=jnp.zeros(2),
-        distortion=jnp.zeros(5),
-    )
+def image_at(
+    pinhole: Pinhole, pixel: Float[Array, "2"], axis: Float[Array, "3"], distance: ScalarLike
+) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    """Centre and semi-axes (minor, major) of the spot whose beam meets the wall at a pixel.
+
+    Args:
+        pinhole: by which it is seen, and the wall.
+        pixel: image of the wall's point that the beam's axis meets, px.
+        axis: unit vector of the beam.
+        distance: d, mm.
+    """
+    camera, wall = pinhole.microscope, pinhole.wall
+    point = wall.intersect(*camera.ray(pixel)).point
+    beam = optics.Beam(tip=point - distance * axis, axis=axis, **CONE)
+    return centre_and_axes(camera.project(optics.cone_contour(beam, wall, points=_POINTS).point))
 
 
-def through_pinhole(kappa: Float[Array, ""], scale: Float[Array, ""], spot: Spots) -> Seen:
-    """One spot on the nominal sphere, seen by a pinhole."""
-    return image(pinhole_microscope(kappa, scale), optics.Sphere(NOMINAL_RADIUS_MM), spot)
+def centre_and_axes(contour: Float[Array, "n 2"]) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    """Centre and semi-axes (minor, major) of a contour's ellipse, px."""
+    ellipse = optics.ellipse_of_contour(contour)
+    return ellipse.centre, jnp.stack([ellipse.semi_minor, ellipse.semi_major])

@@ -31,7 +31,7 @@ def report(findings: EyeFindings) -> Report:
         "healthy adult population (Rozema et al. 2016) and in schematic eyes, seen by a microscope "
         "through a viewing lens, the cornea and the crystalline or an artificial lens. Each recipe "
         "says what has to be known of the eye. Errors are the largest over the distances and, "
-        "where tilted, over tilts of 30° in three directions; beam and c are known.",
+        "where tilted, over tilts of 30° in three directions; the beam's direction is known.",
         claims=list(_claims(findings, limits)),
         sections=[
             Section(
@@ -105,12 +105,14 @@ def report(findings: EyeFindings) -> Report:
 _RECIPES = (
     f"“{Recipe.SMALL_PLANE}” is the paper's. “{Recipe.PARAXIAL}” and “{Recipe.LOCAL}” take the "
     "pinhole or the magnification from Navarro's eye behind the same viewing lens. "
-    f"“{Recipe.FITTED}” and “{Recipe.AREA}” fit δ and κ in the eye itself, from three withdrawals "
-    f"at c = {', '.join(f'{c:g}' for c in WITHDRAWALS_C_MM)} mm with nine frames each, the robot's "
-    "axis known, 0.1 px of noise on each semi-axis and 0.05 mm on each touch. "
-    f"“{Recipe.AREA_SCHEMATIC}” uses the pinhole that this fit finds in Navarro's eye. The recipes "
-    "with “area” compare the ellipse's area with that of the exact spot on a sphere of 12 mm; the "
-    "others use the semi-minor axis and assume a perpendicular beam."
+    f"“{Recipe.FITTED}” and “{Recipe.AREA}” fit δ, κ and the radius of a sphere in the eye itself, "
+    f"from three withdrawals at c = {', '.join(f'{c:g}' for c in WITHDRAWALS_C_MM)} mm with nine "
+    "frames each, as `eyespot fit --model eye` does: the robot's axis known, 25° from the "
+    "retina's normal, away from the microscope's axis at one place and towards it at the next; "
+    "0.1 px of noise on the centre and each semi-axis and 0.05 mm on each touch. "
+    f"“{Recipe.AREA_SCHEMATIC}” uses the pinhole and the sphere that this fit finds in Navarro's "
+    "eye. The recipes with “area” look for the exact spot on the sphere that has the ellipse's "
+    "centre and area. The others use the semi-minor axis, know c and assume a perpendicular beam."
 )
 
 
