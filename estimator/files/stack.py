@@ -83,6 +83,10 @@ class FrameLabels:
             of the spread light's peak. NaN, and not in the file, if the wall does not spread it.
         red_shift_*, blue_shift_*: where red and blue show O, against green; NaN, and not in the
             file, for a pinhole.
+        view_*: shift of the image by drift and shake, which the ellipses contain; NaN, and not in
+            the file, if the view keeps still. So are the next two.
+        eye_turn_*: rotation vector of the eyeball, and with it of the wall's picture, degrees.
+        relative_power: power of the source, relative to its mean.
         visible_fraction: part of the half-maximum contour that the camera sees.
         speed_mm_s: of the tip in the middle of the exposure.
         saturated_fraction: part of the mask's pixels with a channel at full scale.
@@ -133,6 +137,12 @@ class FrameLabels:
     red_shift_y_px: float = math.nan
     blue_shift_x_px: float = math.nan
     blue_shift_y_px: float = math.nan
+    view_x_px: float = math.nan
+    view_y_px: float = math.nan
+    eye_turn_x_deg: float = math.nan
+    eye_turn_y_deg: float = math.nan
+    eye_turn_z_deg: float = math.nan
+    relative_power: float = math.nan
 
     def row(self) -> dict[str, Any]:
         """The fields of a line, without those that this scene does not have."""

@@ -6,6 +6,7 @@ motion_settings   The tables [motion] and [clocks]
 scene             A whole scene, and the rules that its tables must meet together
 scene_file        Scene files (TOML): reading, changing, writing, template and JSON schema
 settings          All other tables
+unrest_settings   The table [unrest]
 viewing_settings  The table [viewing]
 """
 

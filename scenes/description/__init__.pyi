@@ -19,4 +19,5 @@ from .settings import GAUGE_DIAMETER_MM as GAUGE_DIAMETER_MM
 from .settings import MicroscopeSettings as MicroscopeSettings
 from .settings import Phantom as Phantom
 from .settings import SceneError as SceneError
+from .unrest_settings import Unrest as Unrest
 from .viewing_settings import Viewing as Viewing

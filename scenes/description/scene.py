@@ -21,6 +21,7 @@ from scenes.description.settings import (
     SourceSettings,
     SpotSettings,
 )
+from scenes.description.unrest_settings import Unrest
 from scenes.description.viewing_settings import Viewing, retina_of
 
 
@@ -36,6 +37,7 @@ class Scene(BaseModel):
     spot: SpotSettings = SpotSettings()
     motion: Motion = Withdrawal()
     clocks: Clocks = Clocks()
+    unrest: Unrest = Unrest()
     instrument: Instrument = Instrument()
     second_tool: SecondTool = SecondTool()
     microscope: MicroscopeSettings = MicroscopeSettings()
@@ -111,6 +113,18 @@ class Scene(BaseModel):
                     f"viewing.eye = {self.viewing.eye!r} needs {key}; got {got!r}. Set it, or "
                     "viewing.eye = 'none'."
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _turns_what_it_can(self) -> Scene:
+        round_and_bare = self.phantom.kind == "eyeball" and not self.phantom.stretched
+        if self.unrest.turns and not (round_and_bare and not self.viewing.through_an_eye):
+            raise InputError(
+                "unrest.rotation_deg_s turns a spherical eyeball that is seen without [viewing]; "
+                f"got phantom.kind {self.phantom.kind!r}, stretch {list(self.phantom.stretch)} and "
+                f"viewing.eye {self.viewing.eye!r}. Set rotation_deg_s to zeros; drift_mm_s and "
+                "shake_px work with all of them."
+            )
         return self
 
     @model_validator(mode="after")

@@ -15,6 +15,7 @@ render          Linear frames: sharp ones, and the mean over an exposure (motion
 rivals          Common ways to render the same spot, for comparison
 sensor          Mitsuba plugin: the microscope
 smooth_lens     Photons behind the lens, as a smooth function of its parameters
+unrest          Moves the view and the eyeball, and changes the source's power
 wall            The wall: its shape and the picture on it
 """
 

@@ -265,7 +265,8 @@ def _inside_the_eye(world: World) -> float:
         return highest
     if scene.phantom.stretched or scene.viewing.through_an_eye:
         return _entry_of_window(world)
-    point, direction = (np.asarray(a) for a in world.microscope.ray(world.window_border))
+    borders = np.concatenate([world.window_border - view for view in _extreme_views(world)])
+    point, direction = (np.asarray(a) for a in world.microscope.ray(borders))
     if slope := _aperture_slope(scene):
         # The outermost lines of sight of a thin lens; they cross the central ones at the focus.
         aside = slope * np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
@@ -285,6 +286,15 @@ def _inside_the_eye(world: World) -> float:
     return min(float(entry.min()) - 1e-3 * r, highest - _NEAR_MM)
 
 
+def _extreme_views(world: World) -> np.ndarray:
+    """Shifts of the image between which all others lie, px."""
+    if not world.scene.unrest.shifts:
+        return np.zeros((1, 2))
+    views = world.unrest.views(world.times)
+    (left, top), (right, bottom) = views.min(axis=0), views.max(axis=0)
+    return np.array([[left, top], [left, bottom], [right, top], [right, bottom]])
+
+
 def _entry_of_window(world: World) -> float:
     """The lowest height at which the window's lines of sight enter the eyeball, less a margin.
 
@@ -294,6 +304,7 @@ def _entry_of_window(world: World) -> float:
     u = np.linspace(-0.5, settings.width_px - 0.5, 65)
     v = np.linspace(-0.5, settings.height_px - 0.5, 65)
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    pixels = np.concatenate([pixels - view for view in _extreme_views(world)])
     point, direction = camera.ray(pixels)
     inside = wall.intersect(point, direction)
     seen = inside.status != optics.MISS  # the lines begin below the wall

@@ -6,7 +6,7 @@ import numpy as np
 
 from scenes.description import Scene, SceneError
 from scenes.machine import load_mitsuba
-from scenes.world import World, uniform_irradiance
+from scenes.world import Moment, World, uniform_irradiance
 
 # Far below the eye and pointing away: the tip is not visible, and its beam lights nothing.
 _PARKED_MM, _DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
@@ -34,12 +34,14 @@ class Images:
         scene = world.scene
         _refuse_slow_light(scene, variant)
         self._mi = load_mitsuba(variant)
-        from scenes.rendering import build, reach  # Mitsuba's plugins need the variant
+        from scenes.rendering import build, reach, unrest  # Mitsuba's plugins need the variant
 
         self.world = world
-        content = build.mitsuba_dict(world, uniform=uniform_irradiance(world))
+        uniform = uniform_irradiance(world)
+        content = build.mitsuba_dict(world, uniform=uniform)
         self.mitsuba_scene = self._mi.load_dict(content)
         self._move = build.mover(scene, self.mitsuba_scene)
+        self._unsettle = unrest.unsettler(world, self.mitsuba_scene, uniform=uniform)
         self.random = (
             scene.source.kind == "photons"
             or scene.phantom.indirect == "traced"
@@ -47,25 +49,30 @@ class Images:
         )
         # Scalar variants cannot render arrays of pixels.
         self.reach = None
-        if not (self.random or variant.startswith("scalar")):
+        if scene.unrest.still and not (self.random or variant.startswith("scalar")):
             height, width = scene.microscope.height_px, scene.microscope.width_px
             self._move(_PARKED_MM, _DOWN)
             radiance, seen = self._pixels(np.arange(height * width, dtype=np.uint32))
             self._still = radiance.reshape(height, width, 3), seen.reshape(height, width)
             self.reach = reach.Reach.of(world, self.mitsuba_scene, wall=self._still[1])
 
-    def at(self, *, tip: np.ndarray, axis: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    def at(
+        self, *, tip: np.ndarray, axis: np.ndarray, seed: int, moment: Moment | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Image of one pose.
 
         Args:
             tip: mm, eye frame.
             axis: unit vector from the tip towards the wall.
             seed: random seed of light that is sampled randomly.
+            moment: what [unrest] moves; None: nothing.
 
         Returns:
             Radiance, H x W x 3, mW/(mm2 sr), and the fraction of each pixel that shows the wall.
         """
         self._move(tip, axis)
+        if moment is not None:
+            self._unsettle(moment)
         if self.reach is None:
             return self._whole_image(seed)
         radiance, wall = (still.copy() for still in self._still)

@@ -62,7 +62,8 @@ class PathSensor(mi.Sensor):
         return mi.RayDifferential3f(ray), part
 
     def traverse(self, callback):
-        """No parameter changes."""
+        """The principal point, which moves with the view."""
+        callback.put("principal_point", self.centre, mi.ParamFlags.NonDifferentiable)
 
 
 def _series(terms, place):

@@ -100,6 +100,11 @@ class LensEmitter(_PointEmitter):
         self.power = mi.Float(props["power"])
         self.glass = Glass(optics.load_lens(props["lens"]), medium_index=props["medium_index"])
 
+    def traverse(self, callback):
+        """Parameters that change when the tip moves or the power swings."""
+        super().traverse(callback)
+        callback.put("power", self.power, mi.ParamFlags.NonDifferentiable)
+
     def vector_irradiance(self, point):
         """V at a point, mW/mm2: the look-up that `optics.IrradianceTable` defines."""
         offset = point - self.tip
@@ -274,7 +279,8 @@ class SpotIntegrator(mi.SamplingIntegrator):
         return reach**2 / dr.squared_norm(si.p - mi.Point3f(0, 0, self.pinhole_height))
 
     def traverse(self, callback):
-        """No parameter changes."""
+        """The light from all sides, which changes with the source's power."""
+        callback.put("uniform", self.uniform, mi.ParamFlags.NonDifferentiable)
 
 
 def _direct(scene, si, context, active):

@@ -76,8 +76,10 @@ class Renderer:
 
     def render(self, frame: int) -> LinearFrame:
         """Sharp linear frame at the middle of its exposure."""
-        (tip,), (axis,) = self.world.motion.at(self.world.times[[frame]])
-        radiance, wall = self.images.at(tip=tip, axis=axis, seed=frame)
+        time = self.world.times[frame]
+        (tip,), (axis,) = self.world.motion.at(np.array([time]))
+        moment = self.world.unrest.at(frame, time)
+        radiance, wall = self.images.at(tip=tip, axis=axis, seed=frame, moment=moment)
         return LinearFrame(radiance, wall, self._visible_fraction(frame, wall))
 
     def exposed(self, frame: int, sharp: LinearFrame, *, exposure_s: float) -> Exposed:
@@ -113,13 +115,14 @@ class Renderer:
         self, frame: int, exposure_s: float, count: int, parts: Sequence[int]
     ) -> np.ndarray:
         """Mean radiance at the middles of some of `count` equal parts of a frame's exposure."""
-        times = exposure_s * ((np.array(parts) + 0.5) / count - 0.5)
-        poses = self.world.motion.at(self.world.times[frame] + times)
+        times = exposure_s * ((np.array(parts) + 0.5) / count - 0.5) + self.world.times[frame]
+        poses = self.world.motion.at(times)
         total = np.zeros(1)
-        for part, tip, axis in zip(parts, *poses, strict=True):
+        for part, time, tip, axis in zip(parts, times, *poses, strict=True):
             # Light that is sampled randomly needs a different seed in every sub-frame.
             seed = frame + (count + part) * self.world.times.size
-            total = total + self.images.at(tip=tip, axis=axis, seed=seed)[0]
+            moment = self.world.unrest.at(frame, time)
+            total = total + self.images.at(tip=tip, axis=axis, seed=seed, moment=moment)[0]
         return total / np.float32(len(parts))
 
     def _shift(self, frame: int, exposure_s: float) -> tuple[float, float]:
@@ -135,7 +138,14 @@ class Renderer:
         across = np.linalg.norm(aside - (aside @ beam)[:, None] * beam, axis=1)
         moved = across / math.cos(float(self.world.truth.incidence[frame]))
         grown = np.abs(steps @ beam) * math.tan(float(self.world.truth.beam.half_angle[frame]))
-        return float(np.sum(moved + grown)) / scale, float(np.sum(tip_px))
+        drift_px = exposure_s * self._unrest_px_s()
+        return float(np.sum(moved + grown)) / scale + drift_px, float(np.sum(tip_px)) + drift_px
+
+    def _unrest_px_s(self) -> float:
+        """Speed of the image by drift, and of the wall's picture by rotation, px/s."""
+        unrest, radius = self.scene.unrest, self.scene.phantom.radius_mm
+        turning = radius * math.hypot(*map(math.radians, unrest.rotation_deg_s))
+        return (math.hypot(*unrest.drift_mm_s) + turning) / self.scene.microscope.scale_mm_px
 
     def _change_over_noise(self, old: np.ndarray, new: np.ndarray, exposure_s: float) -> float:
         """Largest change of a pixel in standard deviations of the temporal noise (EMVA 1288)."""

@@ -125,7 +125,8 @@ class MicroscopeSensor(mi.Sensor):
         return ideal
 
     def traverse(self, callback):
-        """No parameter changes."""
+        """The principal point, which moves with the view."""
+        callback.put("principal_point", self.centre, mi.ParamFlags.NonDifferentiable)
 
 
 mi.register_sensor("eyespot_microscope", MicroscopeSensor)

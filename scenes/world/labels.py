@@ -46,6 +46,15 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
         for colour, shift in zip(("red", "blue"), shifts[:, frame], strict=True):
             x, y = shift.tolist()
             labels |= {f"{colour}_shift_x_px": x, f"{colour}_shift_y_px": y}
+    unrest = scene.unrest
+    moment = world.unrest.at(frame, labels["time_s"])
+    if unrest.shifts:
+        labels["view_x_px"], labels["view_y_px"] = moment.view_px.tolist()
+    if unrest.turns:
+        degrees = np.degrees(moment.turn).tolist()
+        labels |= {f"eye_turn_{k}_deg": d for k, d in zip("xyz", degrees, strict=True)}
+    if unrest.power_swing:
+        labels["relative_power"] = moment.power
     ellipses = {"cone": spots.cone, "half_max": spots.half_max}
     if (spread := world.spread_spots) is not None:
         ellipses |= {"spread_cone": spread.cone, "spread_half_max": spread.half_max}

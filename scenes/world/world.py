@@ -14,6 +14,7 @@ from scenes.world.geometry import Geometry
 from scenes.world.light_cache import LensLight, lens_light
 from scenes.world.limits import check_poses, check_view, check_window
 from scenes.world.motion import Trajectory, frame_times, trajectory
+from scenes.world.unrest import UnrestPath
 from scenes.world.view import colour_cameras, colour_shifts
 
 _CALIBRATED_RANGE_MM = (0.5, 6.0)
@@ -96,6 +97,11 @@ class World(Geometry):
         return times
 
     @cached_property
+    def unrest(self) -> UnrestPath:
+        """What else moves: the view, the eyeball, the source's power."""
+        return UnrestPath(self.scene, frames=self.times.size)
+
+    @cached_property
     def truth(self) -> optics.SpotTruth:
         """The true pose and spot in the middle of every frame's exposure.
 
@@ -109,6 +115,12 @@ class World(Geometry):
             **self.motion.at(self.times)._asdict(),
             half_angle=self.cone.half_angle,
             apex_offset=self.cone.apex_offset,
+        )
+        views = self.unrest.views(self.times)
+        truth = truth._replace(
+            cone=_shifted(truth.cone, views),
+            half_max=_shifted(truth.half_max, views),
+            contour_px=np.asarray(truth.contour_px) + views[:, None],
         )
         check_view(self, times=self.times, contours=np.asarray(truth.contour))
         check_window(self, times=self.times, contours=np.asarray(truth.contour_px))
@@ -126,8 +138,12 @@ class World(Geometry):
         """The true spots on a wall that spreads light, in green; None without spread."""
         if self.wall_spread is None:
             return None
-        return optics.spread_spots(
+        spots = optics.spread_spots(
             self.wall, self.microscope, self.table, self.truth.beam, self.wall_spread[1]
+        )
+        views = self.unrest.views(self.times)
+        return spots._replace(
+            cone=_shifted(spots.cone, views), half_max=_shifted(spots.half_max, views)
         )
 
     def check(self) -> None:
@@ -142,3 +158,8 @@ class World(Geometry):
     def speed(self) -> np.ndarray:
         """Speed of the tip in the middle of every frame's exposure, mm/s."""
         return self.motion.speed(self.times)
+
+
+def _shifted(ellipse: optics.Ellipse, views: np.ndarray) -> optics.Ellipse:
+    """Ellipses in images that are shifted by n x 2 px."""
+    return ellipse._replace(centre=np.asarray(ellipse.centre) + views)
