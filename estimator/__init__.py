@@ -4,7 +4,7 @@ detector/  From a frame to a spot: the paper's literal algorithm and sub-pixel m
 distance/  From a spot to a distance, by one of the models
 files/     The files that people exchange: formats, readers and writers
 image/     Frames, and the spot that is measured in them
-rig/       The ROS 1 node
+rig/       The node for ROS 1 and ROS 2
 run/       Reads a source to its end: `eyespot track`
 sources/   Sources of frames: stacks, images, videos, cameras, ROS bags
 """

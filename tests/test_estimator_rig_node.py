@@ -1,5 +1,7 @@
 """The rig's node: without ROS what it makes of messages, and its proof under a real ROS 1.
 
+`test_estimator_rig_ros2` has the proof under ROS 2.
+
 The proof (slow) renders a stack, writes it as a bag with the rig's topics, starts roscore, the node
 and `rosbag record`, plays the bag at the camera's 10 Hz, and compares what was recorded with the
 same frames measured offline. `tools/try-rig-node` runs it from nothing.
@@ -27,19 +29,21 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from benchmarks.bench.output import memory_mb
-from estimator import LiteralSettings, Spot, SubpixelSettings, track
-from estimator.distance.range import RangeFlag
-from estimator.distance.ranger import Ranger
-from estimator.files import Pose, PoseTrack, read_poses
-from estimator.files.calibration import Calibration, read_calibration, write_calibration
-from estimator.files.microscope import read_microscope
-from estimator.files.stack import read_stack
+from estimator import LiteralSettings, SubpixelSettings
+from estimator.distance import Ranger
+from estimator.files import read_calibration, read_microscope, read_poses
 from estimator.rig import node as rig_node
 from estimator.rig.rig import Doubt, Parameters, Rig
-from estimator.sources import write_bag
-from estimator.sources.opening import Frame, open_source
+from estimator.rig.silence import Silence
+from tests.rig_recordings import (
+    HOME,
+    calibrated,
+    frames_of,
+    measured_offline,
+    recording_of,
+    rendered_stack,
+)
 
-HOME = Path(__file__).resolve().parents[1]
 MESSAGES = get_typestore(Stores.ROS1_NOETIC).types
 
 
@@ -82,24 +86,8 @@ MICROSCOPE = """{
 }"""
 
 
-def calibrated(folder: Path, model: str) -> Path:
-    """A calibration file of the cone that default scenes have."""
-    calibration = Calibration(
-        model=model,
-        values={"k": 20.0, "b": -5.117},
-        covariance=np.diag([0.01**2, 0.005**2]),
-        medium="air",
-        medium_index=1.0,
-        fitted_on="the scene's own values",
-        data_sha256="0" * 64,
-        software="none",
-    )
-    write_calibration(folder / "calibration.json", calibration)
-    return folder / "calibration.json"
-
-
 def test_a_disc_in_an_image_message_is_read_where_it_was_drawn() -> None:
-    reading = Rig(Parameters()).output(image_message(disc(150.25, 110.5, 40.0)), 1.0)
+    reading = Rig(Parameters()).output(image_message(disc(150.25, 110.5, 40.0)), 1.0, 0)
     # Clean sub-pixel edges: the estimator's own tests hold 0.02 px; 8-bit rounding adds no more.
     assert reading.centre == pytest.approx((150.25, 110.5, 1.0), abs=0.05)
     assert reading.axes[:2] == pytest.approx((40.0, 40.0), abs=0.05)
@@ -108,7 +96,7 @@ def test_a_disc_in_an_image_message_is_read_where_it_was_drawn() -> None:
 
 
 def test_a_dark_image_is_no_spot_and_says_why() -> None:
-    reading = Rig(Parameters()).output(image_message(DARK), 1.0)
+    reading = Rig(Parameters()).output(image_message(DARK), 1.0, 0)
     np.testing.assert_equal(reading.centre, (math.nan, math.nan, 0.0))
     np.testing.assert_equal(reading.axes, (math.nan,) * 3)
     assert reading.doubt == "none_found"
@@ -118,7 +106,7 @@ def test_a_dark_image_is_no_spot_and_says_why() -> None:
 def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline() -> None:
     rig = Rig(Parameters())
     images = [disc(80, 120, 40), disc(240, 120, 40), disc(240, 120, 40)]
-    doubts = [rig.output(image_message(image), float(n)).doubt for n, image in enumerate(images)]
+    doubts = [rig.output(image_message(image), float(n), 0).doubt for n, image in enumerate(images)]
     assert doubts == ["", "ambiguous", ""]
 
 
@@ -126,7 +114,7 @@ def test_the_distance_is_in_metres(tmp_path: Path) -> None:
     microscope = tmp_path / "microscope.json"
     microscope.write_text(MICROSCOPE)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
-    reading = Rig(parameters).output(image_message(disc(159.5, 119.5, 30.0)), 1.0)
+    reading = Rig(parameters).output(image_message(disc(159.5, 119.5, 30.0)), 1.0, 0)
     # d = delta k e1' + b; an error of 0.05 px is one of 13 um.
     truth_mm = 0.0134 * 20 * 30.0 - 5.117
     assert reading.distance_m == pytest.approx(truth_mm / 1e3, abs=13e-6)
@@ -138,17 +126,47 @@ def test_a_tip_behind_the_wall_is_doubted(tmp_path: Path) -> None:
     microscope.write_text(MICROSCOPE)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
     # At contact the spot has -b/(delta k) = 19.1 px.
-    reading = Rig(parameters).output(image_message(disc(159.5, 119.5, 17.0)), 1.0)
+    reading = Rig(parameters).output(image_message(disc(159.5, 119.5, 17.0)), 1.0, 0)
     assert reading.doubt == "out_of_range"
     assert reading.distance_m < 0
 
 
 def test_the_pose_of_an_image_is_the_last_that_came_before_it() -> None:
     rig, image = Rig(Parameters()), image_message(disc(150, 110, 40))
-    assert math.isnan(pose_age_s(rig.output(image, 5.0).details))
+    assert math.isnan(pose_age_s(rig.output(image, 5.0, 0).details))
     for received_s in (4.97, 4.98, 5.01):
         rig.take_pose(pose_message(), received_s)
-    assert pose_age_s(rig.output(image, 5.0).details) == pytest.approx(0.02, abs=1e-9)
+    assert pose_age_s(rig.output(image, 5.0, 0).details) == pytest.approx(0.02, abs=1e-9)
+
+
+def test_a_recording_that_begins_anew_does_not_get_poses_of_its_first_run() -> None:
+    rig, image = Rig(Parameters()), image_message(disc(150, 110, 40))
+    for received_s in (5.00, 5.01, 1.00):  # the recording is played again
+        rig.take_pose(pose_message(), received_s)
+    assert pose_age_s(rig.output(image, 5.02, 0).details) == pytest.approx(4.02, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("types", "said"),
+    [
+        ([], "nobody publishes it"),
+        (["sensor_msgs/msg/CompressedImage"], "published as sensor_msgs/CompressedImage"),
+        (["sensor_msgs/msg/Image"], "nothing arrives"),
+    ],
+)
+def test_images_that_stop_are_reported_once_with_the_cause_and_so_is_their_return(
+    types: list[str], said: str
+) -> None:
+    now_s = 0.0
+    silence = Silence("/camera", clock=lambda: now_s)
+    changes = []
+    for now_s in np.arange(0.5, 20.0, 0.5):  # a second's call, a silence from 5 s to 10 s
+        if not 5 < now_s < 10:
+            silence.end()
+        changes.append(silence.change(lambda: types))
+    (lost, is_fault), back = filter(None, changes)
+    assert is_fault and lost.startswith("no image on /camera: ") and said in lost
+    assert back == ("images arrive on /camera.", False)
 
 
 def test_a_pose_that_is_none_is_refused() -> None:
@@ -188,13 +206,13 @@ def test_parameters_that_make_no_sense_are_named(given: dict[str, Any], told: st
 def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path: Path) -> None:
     microscope = tmp_path / "microscope.json"
     microscope.write_text(MICROSCOPE)
-    turned = Rig(Parameters(microscope=microscope)).output(image_message(DARK.T.copy()), 1.0)
+    turned = Rig(Parameters(microscope=microscope)).output(image_message(DARK.T.copy()), 1.0, 0)
     assert "240x320 px" in turned.doubt
-    outside = Rig(Parameters(start=(320.0, 10.0))).output(image_message(DARK), 1.0)
+    outside = Rig(Parameters(start=(320.0, 10.0))).output(image_message(DARK), 1.0, 0)
     assert "start (320, 10) px lies outside" in outside.doubt
     unknown = image_message(DARK)
     unknown.encoding = "jpeg"
-    third = Rig(Parameters()).output(unknown, 1.0)
+    third = Rig(Parameters()).output(unknown, 1.0, 0)
     assert "encoding" in third.doubt
     for output in (turned, outside, third):
         assert output.level is Doubt.FAILED
@@ -211,18 +229,16 @@ def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(
 
     with monkeypatch.context() as patched:
         patched.setattr("estimator.run.reader.measure", with_a_bug)
-        failed = rig.output(image, 1.0)
+        failed = rig.output(image, 1.0, 0)
     assert (failed.doubt, failed.level) == ("internal_error", Doubt.FAILED)
     assert "ZeroDivisionError: here" in caplog.text
-    assert rig.output(image, 1.1).level is Doubt.NONE
+    assert rig.output(image, 1.1, 0).level is Doubt.NONE
 
 
 def test_images_between_two_measured_ones_are_counted_as_skipped() -> None:
     rig, counts = Rig(Parameters()), []
     for number in (7, 8, 11, 11, 2, 4):  # the publisher begins again at 2
-        image = image_message(DARK)
-        image.header.seq = number
-        details = rig.output(image, 1.0).details
+        details = rig.output(image_message(DARK), 1.0, number).details
         counts.append((int(details["images"]), int(details["skipped_images"])))
     assert counts == [(1, 0), (2, 0), (3, 2), (4, 2), (5, 2), (6, 3)]
 
@@ -231,44 +247,22 @@ def test_without_ros_the_node_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setitem(sys.modules, "rospy", None)  # stands in for a machine without ROS
+    for library in ("rospy", "rclpy"):  # stands in for a machine without ROS
+        monkeypatch.setitem(sys.modules, library, None)
+    monkeypatch.delenv("ROS_VERSION", raising=False)
     with pytest.raises(SystemExit) as ended:
         rig_node.main()
     assert ended.value.code == 2
     assert "tools/install-ros" in capsys.readouterr().err
 
 
-START_S = 1_600_000_000.0  # of the recording; ROS reads 0 as no time
 PATIENCE_S = 300.0  # before what should take seconds is given up
 TOPICS = {name: f"/eyespot/{name}" for name in ("spot", "axes", "range", "status")}
-SCENE = """
-schema = 1
-seed = 5
-[source]
-kind = "cone"
-[motion]
-kind = "withdrawal"
-travel_mm = 4.0
-frames = 12
-speed_mm_s = 3.6363636363636362  # 12 frames at 10 Hz
-[microscope]
-scale_mm_px = 0.0134
-width_px = 320
-height_px = 240
-[exposures]
-kinds = ["metered"]
-"""
 
 
 @pytest.fixture(scope="module")
 def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tip that withdraws: the instrument hides the first spots, so some frames have none."""
-    folder = tmp_path_factory.mktemp("rendered")
-    (folder / "scene.toml").write_text(SCENE)
-    scene, made = str(folder / "scene.toml"), str(folder / "stack")
-    command = [sys.executable, "eyespot.py", "render", scene, "--out", made]
-    subprocess.run(command, cwd=HOME, check=True)
-    return folder / "stack"
+    return rendered_stack(tmp_path_factory.mktemp("rendered"))
 
 
 @pytest.fixture(scope="module")
@@ -277,29 +271,6 @@ def ros() -> None:
     done = subprocess.run([HOME / "tools" / "install-ros"], capture_output=True, text=True)
     if done.returncode:
         pytest.fail(f"no ROS 1 to try the node with: {done.stderr.strip()}", pytrace=False)
-
-
-def recording_of(stack: Path, bag: Path) -> list[int]:
-    """Write a stack as the rig records it: images at 10 Hz, poses at 200 Hz.
-
-    Returns:
-        The images' time stamps, ns.
-    """
-    labels = read_stack(stack).labels
-    frames = [
-        Frame(index=f.index, file_name="", time_s=START_S + f.time_s, image=f.image)
-        for f in open_source(stack)
-    ]
-    times = [row.time_s for row in labels]
-    # From a second before the first image, while clocks and topics come to life.
-    at = np.arange(times[0] - 1.0, times[-1] + 0.1, 1 / 200)
-    tips = np.transpose([np.interp(at, times, [row.tip_mm[i] for row in labels]) for i in range(3)])
-    poses = (
-        Pose.along(labels[0].axis, time_s=START_S + moment, position_mm=(x, y, z))
-        for moment, (x, y, z) in zip(at.tolist(), tips.tolist(), strict=True)
-    )
-    write_bag(bag, frames=frames, poses=poses)
-    return [round(frame.time_s * 1e9) for frame in frames]
 
 
 class RosSession:
@@ -406,32 +377,6 @@ def node_output(bag: Path, folder: Path, count: int, *parameters: str) -> dict[s
     return messages
 
 
-def measured_offline(
-    stack: Path,
-    settings: LiteralSettings | SubpixelSettings,
-    start: tuple[float, float] | None,
-    ranger: Ranger,
-    poses: PoseTrack | None,
-) -> tuple[list[list[float]], list[str]]:
-    """For each frame x, y, valid, the axes and the distance in m, and what its status says."""
-    numbers, doubts = [], []
-    frames = list(open_source(stack))
-    results = track((frame.image for frame in frames), settings, start)
-    for frame, spot in zip(frames, results, strict=True):
-        if not isinstance(spot, Spot):
-            numbers.append([math.nan, math.nan, 0.0, math.nan, math.nan, math.nan, math.nan])
-            doubts.append(spot.reason.value)
-            continue
-        known = poses.at(START_S + frame.time_s) if poses else None
-        axis = known[0].axis if known else None
-        distance = ranger.distance(spot, axis=axis, frame=frame.image)
-        ellipse = [spot.semi_major_px, spot.semi_minor_px, spot.angle_rad]
-        metres = float(np.float32(distance.distance_mm / 1e3))  # as sensor_msgs/Range holds it
-        numbers.append([spot.x_px, spot.y_px, 1.0, *ellipse, metres])
-        doubts.append("ok" if distance.flag is RangeFlag.NONE else distance.flag.value)
-    return numbers, doubts
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "start", "model", "with_axis"),
@@ -466,7 +411,7 @@ def test_under_a_real_roscore_the_node_measures_what_is_measured_offline(
 
     ranger = Ranger(read_calibration(calibration), read_microscope(microscope))
     poses = read_poses(bag) if with_axis else None
-    numbers, doubts = measured_offline(stack, settings, start, ranger, poses)
+    numbers, doubts = measured_offline(frames_of(stack), settings, start, ranger, poses)
     received = [
         [*xyz(spot.point), *xyz(axes.vector), distance.range]
         for spot, axes, distance in zip(live["spot"], live["axes"], live["range"], strict=True)

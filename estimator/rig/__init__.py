@@ -1,5 +1,9 @@
-"""The ROS 1 node.
+"""The node of the rig, for ROS 1 and ROS 2.
 
-node  ROS 1 node for the rig: microscope images in, the spot, its axes and its distance out
-rig   Measures the images of the rig: parameters, poses and images in, outputs out
+messages  An output as the messages of the node's topics
+node      The node: runs under the ROS that is there
+rig       Measures the images of the rig: parameters, poses and images in, outputs out
+ros1      The node under ROS 1
+ros2      The node under ROS 2
+silence   Notices when images stop, says why, and notices when they are back
 """

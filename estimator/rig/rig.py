@@ -1,6 +1,6 @@
 """Measures the images of the rig: parameters, poses and images in, outputs out.
 
-Nothing here needs ROS: a message is any object with its fields. `node` connects this to topics.
+Nothing here needs ROS: a message is any object with its fields, which ROS 1 and ROS 2 name alike.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node soo
 
 
 class Parameters(Options):
-    """Private parameters of the node, such as `~mode`: the options, and names of topics.
+    """Parameters of the node: the options, and names of topics, where ~ is the node's own.
 
     Attributes:
         image_topic: `sensor_msgs/Image`.
@@ -32,10 +32,10 @@ class Parameters(Options):
 
     image_topic: str = IMAGE_TOPIC
     pose_topic: str = POSE_TOPIC
-    spot_topic: str = "~spot"
-    axes_topic: str = "~axes"
-    range_topic: str = "~range"
-    status_topic: str = "~status"
+    spot_topic: str = "~/spot"
+    axes_topic: str = "~/axes"
+    range_topic: str = "~/range"
+    status_topic: str = "~/status"
 
 
 class Doubt(Enum):
@@ -53,6 +53,7 @@ class Output(NamedTuple):
         centre: x and y, px, and 1; NaN, NaN, 0 where there is no spot.
         axes: semi-major and semi-minor axis, px, and the former's angle, rad; NaN without a spot.
         distance_m: from the tip to the wall along the beam; NaN where there is none.
+        sigma_m: standard deviation of the distance; NaN where there is none.
         doubt: see `Reading.doubt`; of an image that cannot be measured the reason.
         level: FAILED if the image could not be measured, or met a bug.
         details: the rest, named and written as in the spots file, and the number of images that
@@ -62,6 +63,7 @@ class Output(NamedTuple):
     centre: tuple[float, float, float]
     axes: tuple[float, float, float]
     distance_m: float
+    sigma_m: float
     doubt: str
     level: Doubt
     details: dict[str, str]
@@ -102,17 +104,20 @@ class Rig:
             rotation=(turn.x, turn.y, turn.z, turn.w),
         )
         # Poses arrive in another thread. A tuple is replaced as a whole, never half changed.
-        self._poses = (*self._poses[1 - POSES_KEPT :], pose)
+        kept = self._poses[1 - POSES_KEPT :]
+        # A recording that begins anew sets the clock back; the older poses lie in its future.
+        self._poses = (pose,) if kept and received_s < kept[-1].time_s else (*kept, pose)
 
-    def output(self, message: Any, time_s: float) -> Output:
+    def output(self, message: Any, time_s: float, number: int) -> Output:
         """Measure an image; one that cannot be measured gives an output that says why.
 
         Args:
             message: `sensor_msgs/Image`.
             time_s: of its header, s.
+            number: that the publisher gave to the image; it counts up by one.
         """
-        self._count(message.header.seq)
-        name = f"image {message.header.seq}"
+        self._count(number)
+        name = f"image {number}"
         reading, fault = Reading(NoSpot(Reason.INTERNAL_ERROR), None, math.nan), ""
         try:
             image = frame_of_message(message)
@@ -153,6 +158,7 @@ def _output(reading: Reading, fault: str, counts: dict[str, str]) -> Output:
         centre=centre,
         axes=axes,
         distance_m=reading.distance_mm / 1e3,
+        sigma_m=reading.sigma_distance_mm / 1e3,
         doubt=doubt,
         level=level,
         details={name: repr(float(value)) for name, value in details.items()} | counts,

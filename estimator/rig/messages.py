@@ -1,0 +1,104 @@
+"""An output as the messages of the node's topics.
+
+ROS 1 and ROS 2 name these types alike. The types are those of the ROS that runs:
+`sensor_msgs/Range` has a variance since Jazzy, and a subscriber with another version of the type
+would receive nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from estimator.rig.rig import Doubt, Output, Parameters
+
+
+class Messages(NamedTuple):
+    """One for each topic of the node, or what belongs to each: its type, its publisher."""
+
+    spot: Any
+    axes: Any
+    range: Any
+    status: Any
+
+
+def topics_of(parameters: Parameters) -> Messages:
+    """The names of the topics."""
+    return Messages(
+        parameters.spot_topic,
+        parameters.axes_topic,
+        parameters.range_topic,
+        parameters.status_topic,
+    )
+
+
+def message_types() -> Messages:
+    """The types of the topics."""
+    from diagnostic_msgs import msg as diagnostic
+    from geometry_msgs import msg as geometry
+    from sensor_msgs import msg as sensor
+
+    return Messages(
+        geometry.PointStamped, geometry.Vector3Stamped, sensor.Range, diagnostic.DiagnosticArray
+    )
+
+
+def messages_of(output: Output, image: Any) -> Messages:
+    """The messages of an output.
+
+    Args:
+        output: of the rig.
+        image: `sensor_msgs/Image` that was measured; the messages get its time and its frame.
+    """
+    from geometry_msgs import msg as geometry
+    from sensor_msgs import msg as sensor
+
+    types = message_types()
+    level = {Doubt.NONE: "OK", Doubt.DOUBTFUL: "WARN", Doubt.FAILED: "ERROR"}[output.level]
+    x, y, valid = output.centre
+    major, minor, angle = output.axes
+    distance = types.range(
+        header=_header(image),
+        radiation_type=sensor.Range.INFRARED,
+        field_of_view=0.0,  # along the beam's axis
+        min_range=0.0,
+        max_range=math.inf,
+        range=output.distance_m,
+    )
+    if hasattr(distance, "variance") and not math.isnan(output.sigma_m):
+        distance.variance = output.sigma_m**2
+    return Messages(
+        spot=types.spot(header=_header(image), point=geometry.Point(x=x, y=y, z=valid)),
+        axes=types.axes(header=_header(image), vector=geometry.Vector3(x=major, y=minor, z=angle)),
+        range=distance,
+        status=_status(level, output.doubt or "ok", output.details, _header(image)),
+    )
+
+
+def silence_message(said: str, image: Any) -> Any:
+    """A status for images that have stopped.
+
+    Args:
+        said: what is wrong.
+        image: the last one that arrived.
+    """
+    return _status("STALE", said, {}, _header(image))
+
+
+def _status(level: str, said: str, details: dict[str, str], header: Any) -> Any:
+    from diagnostic_msgs import msg as diagnostic
+
+    status = diagnostic.DiagnosticStatus(
+        level=getattr(diagnostic.DiagnosticStatus, level),
+        name="eyespot",
+        message=said,
+        values=[diagnostic.KeyValue(key=key, value=value) for key, value in details.items()],
+    )
+    return diagnostic.DiagnosticArray(header=header, status=[status])
+
+
+def _header(image: Any) -> Any:
+    """A new header: ROS 1 numbers the headers that it sends."""
+    from std_msgs.msg import Header
+
+    return Header(stamp=image.header.stamp, frame_id=image.header.frame_id)
