@@ -6,6 +6,7 @@ files/     The files that people exchange: formats, readers and writers
 image/     Frames, and the spot that is measured in them
 rig/       The node for ROS 1 and ROS 2
 run/       Reads a source to its end: `eyespot track`
+viewer/    Recordings for the viewer rerun
 sources/   Sources of frames: stacks, images, videos, cameras, ROS bags
 """
 

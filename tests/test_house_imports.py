@@ -141,14 +141,19 @@ def test_the_estimator_reaches_for_optics_only_where_a_spot_becomes_a_distance()
     assert found == {(path, True) for path in FROM_SPOT_TO_DISTANCE}
 
 
-def test_scenes_take_file_formats_and_the_progress_display_from_the_estimator_and_nothing_else():
+def test_scenes_take_file_formats_progress_and_recordings_from_the_estimator_and_nothing_else():
     taken = {
         (module, name if module != "estimator.files" else "")
         for _, (module, _, _, names) in imports_of_package("scenes")
         if module.partition(".")[0] == "estimator"
         for name in names
     }
-    assert taken == {("estimator.files", ""), ("estimator.run", "progress")}
+    assert taken == {
+        ("estimator.files", ""),
+        ("estimator.run", "progress"),
+        ("estimator.viewer", "check_recording_path"),
+        ("estimator.viewer", "record_stack"),
+    }
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,10 @@
 """Frames, and the spot that is measured in them.
 
-camera  A camera's matrix and lens distortion, as OpenCV defines them
-frame   Frames: what is accepted as an image, and rectangles of it
-light   Converts frames into light: inverts the camera's response, and removes the wall's texture
-spot    The result of a measurement: a spot, or the reason why there is none
+camera   A camera's matrix and lens distortion, as OpenCV defines them
+display  Frames and spots as they are shown to people
+frame    Frames: what is accepted as an image, and rectangles of it
+light    Converts frames into light: inverts the camera's response, and removes the wall's texture
+spot     The result of a measurement: a spot, or the reason why there is none
 """
 
 import lazy_loader

@@ -1,4 +1,6 @@
 from .camera import Camera as Camera
+from .display import outline_px as outline_px
+from .display import rgb_8bit as rgb_8bit
 from .frame import Window as Window
 from .frame import checked_frame as checked_frame
 from .light import GREY as GREY

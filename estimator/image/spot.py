@@ -62,6 +62,11 @@ class Spot:
     saturated: float
 
     @property
+    def ellipse(self) -> tuple[float, ...]:
+        """Its five parameters, in the order of `PARAMETERS`, px and rad."""
+        return self.x_px, self.y_px, self.semi_major_px, self.semi_minor_px, self.angle_rad
+
+    @property
     def sigma_semi_minor_px(self) -> float:
         """Standard deviation of the semi-minor axis, px."""
         return math.sqrt(self.covariance[3, 3])

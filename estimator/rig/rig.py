@@ -6,13 +6,18 @@ Nothing here needs ROS: a message is any object with its fields, which ROS 1 and
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import Enum
 from typing import Any, NamedTuple
+
+from pydantic import Field
 
 from estimator.files import POSE_TOPIC, Pose, PoseTrack
 from estimator.image import NoSpot, Reason, Spot
 from estimator.run import Options, Reading, internal_errors
-from estimator.sources import IMAGE_TOPIC, frame_of_message
+from estimator.sources import IMAGE_TOPIC, Frame, frame_of_message
+from estimator.viewer import recording_of
 from optics import InputError
 
 POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node sooner
@@ -28,6 +33,7 @@ class Parameters(Options):
         axes_topic: `geometry_msgs/Vector3Stamped`.
         range_topic: `sensor_msgs/Range`.
         status_topic: `diagnostic_msgs/DiagnosticArray`.
+        rerun: as of `eyespot track`.
     """
 
     image_topic: str = IMAGE_TOPIC
@@ -36,6 +42,12 @@ class Parameters(Options):
     axes_topic: str = "~/axes"
     range_topic: str = "~/range"
     status_topic: str = "~/status"
+    rerun: str | None = Field(
+        None, description="A recording for the viewer rerun: a file NAME.rrd, or live."
+    )
+
+
+Show = Callable[[Frame, Reading], None]
 
 
 class Doubt(Enum):
@@ -74,14 +86,16 @@ class Rig:
 
     Args:
         parameters: of the node.
+        show: gets every image that was measured, with its reading.
 
     Raises:
         InputError: parameters or files are wrong, alone or together.
         OSError: a file cannot be read.
     """
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: Parameters, show: Show | None = None) -> None:
         self._reader = parameters.reader()
+        self._show = show
         self._poses: tuple[Pose, ...] = ()
         self._number: int | None = None  # the publisher's, of the last image
         self._measured = 0
@@ -123,6 +137,8 @@ class Rig:
             image = frame_of_message(message)
             poses = PoseTrack(self._poses)
             reading = self._reader.read(image, time_s=time_s, poses=poses, name=name)
+            if self._show is not None:
+                self._show(Frame(index=number, file_name="", time_s=time_s, image=image), reading)
         except InputError as error:
             fault = f"{error}"
         except Exception as error:
@@ -136,6 +152,27 @@ class Rig:
             self._skipped += number - self._number - 1
         self._number = number
         self._measured += 1
+
+
+@contextmanager
+def opened_rig(parameters: Parameters) -> Iterator[Rig]:
+    """The rig, and its recording, which is complete when the block ends.
+
+    Raises:
+        InputError: as `Rig`, or the recording cannot be made.
+        OSError: a file cannot be read or written.
+    """
+    if parameters.rerun is None:
+        yield Rig(parameters)
+        return
+    microscope = parameters.microscope_file()
+    with recording_of(parameters.rerun, name="rig", microscope=microscope) as recording:
+
+        def show(frame: Frame, reading: Reading) -> None:
+            recording.add_frame(frame.index, frame.time_s, frame.image)
+            recording.add_measured(reading.result, reading.range, reading.doubt)
+
+        yield Rig(parameters, show)
 
 
 def _output(reading: Reading, fault: str, counts: dict[str, str]) -> Output:

@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from estimator.rig.messages import message_types, messages_of, silence_message, topics_of
-from estimator.rig.rig import POSES_KEPT, Doubt, Parameters, Rig
+from estimator.rig.rig import POSES_KEPT, Doubt, Parameters, Rig, opened_rig
 from estimator.rig.silence import PERIOD_S, Silence
 from optics import InputError
 
@@ -27,10 +27,11 @@ def run() -> None:
     rospy = _imported_rospy()
     rospy.init_node("eyespot")
     parameters = Parameters.of(rospy.get_param("~", {}))
-    connection = Connection(Rig(parameters), parameters)
-    while not rospy.is_shutdown():
-        rospy.rostime.wallsleep(PERIOD_S)
-        connection.watch()
+    with opened_rig(parameters) as rig:
+        connection = Connection(rig, parameters)
+        while not rospy.is_shutdown():
+            rospy.rostime.wallsleep(PERIOD_S)
+            connection.watch()
 
 
 class Connection:

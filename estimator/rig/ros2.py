@@ -6,12 +6,12 @@ import threading
 from array import array
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from estimator.files import stamp_s
 from estimator.rig.messages import message_types, messages_of, silence_message, topics_of
-from estimator.rig.rig import POSES_KEPT, Doubt, Parameters, Rig
+from estimator.rig.rig import POSES_KEPT, Doubt, Parameters, Rig, opened_rig
 from estimator.rig.silence import PERIOD_S, Silence
 from optics import InputError
 
@@ -34,11 +34,10 @@ def run() -> None:
     try:
         node = rclpy.create_node("eyespot", automatically_declare_parameters_from_overrides=True)
         parameters = parameters_of(node)
-        connection = Connection(node, Rig(parameters), parameters)
-        with connection.measuring():
-            rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        with opened_rig(parameters) as rig:
+            connection = Connection(node, rig, parameters)
+            with suppress(KeyboardInterrupt, ExternalShutdownException), connection.measuring():
+                rclpy.spin(node)
     finally:
         rclpy.try_shutdown()
 

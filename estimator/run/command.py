@@ -8,8 +8,8 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from estimator.files import PoseTrack, SpotRecord
     from estimator.run.offline import Tracking
     from estimator.run.overlay import Draw
-    from estimator.run.reader import Reader
-    from estimator.sources import Source
+    from estimator.run.reader import Reader, Reading
+    from estimator.sources import Frame, Source
 
 _LEAST_LINE_BYTES = 60
 """Of a spots file's line for a frame without a spot; one with a spot is seven times as long."""
@@ -77,6 +77,14 @@ def track(
             help="Draw the spots into a video (.mp4, .avi) or a folder; must not exist.",
         ),
     ] = None,
+    rerun: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|live",
+            help="Record frames, spots, beams and distances for the viewer rerun (.rrd), or show "
+            "them in it at once.",
+        ),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the summary as one JSON object, and nothing else.")
     ] = False,
@@ -93,7 +101,7 @@ def track(
     from estimator.run.summary import summary_of, table_of
     from estimator.sources import open_source
 
-    _check_results(out, overlay)
+    _check_results(out, overlay, rerun)
     if poses is None:
         for name, value in (
             ("pose_topic", pose_topic),
@@ -113,7 +121,8 @@ def track(
         with Console(stderr=True).status("Preparing"):
             reader = chosen.reader()
         began = time.perf_counter()
-        tracking, drawn = _tracked(frames, reader, track_of_poses, overlay, write)
+        with _shown(rerun, frames, chosen) as show:
+            tracking, drawn = _tracked(frames, reader, track_of_poses, overlay, show, write)
     summary = summary_of(tracking, frames, chosen.mode, time.perf_counter() - began) | {
         "out": str(out),
         "overlay": str(drawn) if drawn else None,
@@ -131,6 +140,7 @@ def _tracked(
     reader: Reader,
     poses: PoseTrack | None,
     overlay: Path | None,
+    show: Callable[[Frame, Reading], None] | None,
     write: Callable[[SpotRecord], None],
 ) -> tuple[Tracking, Path | None]:
     """What was measured, and the overlay; None without one or if it could not be finished."""
@@ -149,7 +159,7 @@ def _tracked(
                 advance(note=f"{spots} spots")
 
             tracking = track_source(
-                frames, reader, poses=poses, draw=draw, write=write, progress=measured
+                frames, reader, poses=poses, draw=draw, show=show, write=write, progress=measured
             )
     except (InputError, OSError) as error:
         if tracking is None:
@@ -159,21 +169,51 @@ def _tracked(
     return tracking, overlay
 
 
-def _check_results(out: Path, overlay: Path | None) -> None:
+def _check_results(out: Path, overlay: Path | None, rerun: str | None) -> None:
     """Find out before the run what would fail after it."""
     from estimator.files import refuse_existing
     from estimator.run.overlay import check_overlay_path
+    from estimator.viewer import check_recording_path
 
+    if rerun is not None:
+        check_recording_path(rerun)
     if out.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{out}: a spots file is named .csv or .parquet; got {out.suffix!r}.")
     if overlay is not None:
         check_overlay_path(overlay)
-    for path in filter(None, (out, overlay)):
+    recording = None if rerun in (None, "live") else Path(rerun)
+    for path in filter(None, (out, overlay, recording)):
         refuse_existing(path)
         if not path.parent.is_dir():
             raise InputError(
                 f"{path.parent} is not a folder. Make it, or write {path.name} elsewhere."
             )
+
+
+@contextmanager
+def _shown(
+    target: str | None, frames: Source, options: Options
+) -> Iterator[Callable[[Frame, Reading], None] | None]:
+    """Records every frame with its reading and, of a stack, its labels; None for no recording."""
+    from estimator.files import read_stack
+    from estimator.viewer import recording_of
+
+    if target is None:
+        yield None
+        return
+    folder = Path(frames.name)
+    labelled = read_stack(folder).labels if (folder / "stack.toml").is_file() else ()
+    truth = {labels.file_name: labels for labels in labelled}
+    microscope = options.microscope_file()
+    with recording_of(target, name=frames.name, microscope=microscope) as recording:
+
+        def show(frame: Frame, reading: Reading) -> None:
+            recording.add_frame(frame.index, frame.time_s, frame.image)
+            recording.add_measured(reading.result, reading.range, reading.doubt)
+            if frame.file_name in truth:
+                recording.add_truth(truth[frame.file_name])
+
+        yield show
 
 
 def _overlay(

@@ -97,6 +97,7 @@ def track_source(
     *,
     poses: PoseTrack | None = None,
     draw: Draw | None = None,
+    show: Callable[[Frame, Reading], None] | None = None,
     write: Callable[[SpotRecord], None] | None = None,
     progress: Callable[[SpotRecord], None] = lambda record: None,
 ) -> Tracking:
@@ -110,6 +111,7 @@ def track_source(
         reader: new; it has not read a frame.
         poses: on the source's clock.
         draw: gets every frame with its record, see `overlay.overlay_writer`.
+        show: gets every frame with its reading, for a recording.
         write: gets every record, see `files.spots_stream`; None keeps them in `Tracking.records`,
             1 KB a frame.
         progress: gets every record once it is written.
@@ -127,6 +129,8 @@ def track_source(
             record = _record(frame, reading, reader.mode)
             if draw is not None:
                 draw(frame, record)
+            if show is not None:
+                show(frame, reading)
             write(record)
             tracking._count(record, reading.doubt)
             progress(record)

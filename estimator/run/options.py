@@ -153,20 +153,13 @@ class Options(BaseModel):
             OSError: a file cannot be read.
         """
         from estimator.distance import Ranger
-        from estimator.files import read_calibration, read_microscope
+        from estimator.files import read_calibration
         from estimator.run.reader import Reader
 
         for name, other in _NEEDS.items():
             if getattr(self, name) is not None and getattr(self, other) is None:
                 raise InputError(f"{name} has no effect without {other}. Give both, or neither.")
-        microscope = ranger = None
-        if self.microscope is not None:
-            microscope = read_microscope(
-                self.microscope,
-                pinhole_height_mm=self.pinhole_height_mm,
-                eye_radius_mm=self.eye_radius_mm,
-                plane_normal=(0.0, 0.0, 1.0) if self.wall else None,
-            )
+        microscope, ranger = self.microscope_file(), None
         settings = self._settings(microscope)
         if self.calibration is not None and microscope is not None:
             ranger = Ranger(
@@ -188,6 +181,24 @@ class Options(BaseModel):
             ranger=ranger,
             exposure_s=self.exposure_s,
             eye_from_robot=self.eye_from_robot,
+        )
+
+    def microscope_file(self) -> MicroscopeFile | None:
+        """Read the microscope file; None if none is given.
+
+        Raises:
+            InputError: it is wrong, or lacks a number that no option gives.
+            OSError: it cannot be read.
+        """
+        from estimator.files import read_microscope
+
+        if self.microscope is None:
+            return None
+        return read_microscope(
+            self.microscope,
+            pinhole_height_mm=self.pinhole_height_mm,
+            eye_radius_mm=self.eye_radius_mm,
+            plane_normal=(0.0, 0.0, 1.0) if self.wall else None,
         )
 
     def _settings(self, microscope: MicroscopeFile | None) -> LiteralSettings | SubpixelSettings:

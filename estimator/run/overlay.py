@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from estimator.files import SpotRecord, errors_named, written_whole
-from estimator.image import Camera, NoSpot, Response, Spot
+from estimator.image import Camera, NoSpot, Response, Spot, outline_px, rgb_8bit
 from estimator.sources import Frame
 from optics import InputError
 
@@ -23,7 +23,6 @@ RIG_RATE_HZ = 10.0
 
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 _VIDEO_RESERVE_BYTES = 2**23  # more than what OpenCV and FFmpeg buffer of a compressed video
-_POINTS = 180  # of an ellipse: 2 px apart at a radius of 60 px
 _SHIFT = 4  # cv2 takes fractions of a pixel as integers of 1/16 px
 _GREEN, _RED, _BLACK = (60, 255, 60), (255, 70, 70), (0, 0, 0)
 
@@ -41,7 +40,7 @@ def annotated(
         response: of the camera; its full scale becomes 255.
         camera: whose distortion was removed from the spot; it is applied again for the drawing.
     """
-    picture = _rgb_8bit(frame.image, response)
+    picture = rgb_8bit(frame.image, response)
     lines = [f"frame {record.frame}"]
     if not math.isnan(record.time_s):
         lines[0] += f"   {record.time_s:.3f} s"
@@ -165,24 +164,11 @@ def _folder(path: Path, rate_hz: float) -> Iterator[Callable[[np.ndarray], None]
     yield write
 
 
-def _rgb_8bit(image: np.ndarray, response: Response) -> np.ndarray:
-    if image.dtype != np.uint8 or response.full_scale is not None:
-        scale = 255 / response.full_scale_of(image)
-        image = np.clip(np.rint(image * scale), 0, 255).astype(np.uint8)
-    return cv2.cvtColor(image, cv2.COLOR_GRAY2RGB) if image.ndim == 2 else image.copy()
-
-
 def _draw_ellipse(picture: np.ndarray, spot: Spot, camera: Camera | None) -> None:
-    t = np.linspace(0, 2 * np.pi, _POINTS, endpoint=False)
-    along, across = spot.semi_major_px * np.cos(t), spot.semi_minor_px * np.sin(t)
-    c, s = math.cos(spot.angle_rad), math.sin(spot.angle_rad)
-    points = np.stack([spot.x_px + along * c - across * s, spot.y_px + along * s + across * c], 1)
-    centre = np.array([[spot.x_px, spot.y_px]])
-    if camera is not None:
-        points, centre = camera.all_distorted(points), camera.all_distorted(centre)
+    points, centre = outline_px(spot.ellipse, camera)
     fixed = np.rint(points * 2**_SHIFT).astype(np.int32)
     cv2.polylines(picture, [fixed], True, _GREEN, 1, cv2.LINE_AA, _SHIFT)
-    x, y = np.rint(centre[0]).astype(int).tolist()
+    x, y = np.rint(centre).astype(int).tolist()
     cv2.drawMarker(picture, (x, y), _GREEN, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
 
 

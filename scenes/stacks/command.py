@@ -16,6 +16,13 @@ def render(
         bool, typer.Option("--preview", help="Render one small frame only, into the image DIR.png.")
     ] = False,
     changes: Changes = None,
+    rerun: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|live",
+            help="Record the stack with its labels for the viewer rerun (.rrd), or show it there.",
+        ),
+    ] = None,
     variant: Annotated[
         Literal["llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb"],
         typer.Option(
@@ -29,12 +36,15 @@ def render(
     If a run was stopped, the same command continues it.
     """
     from estimator.run import progress
+    from estimator.viewer import check_recording_path, record_stack
     from scenes.description import load_scene
     from scenes.stacks.preview import write_preview
     from scenes.stacks.stack import render_stack
     from scenes.world import frame_count
 
     settings = load_scene(scene, changes or ())
+    if rerun is not None:
+        check_recording_path(rerun)
     if preview:
         # Not in the stack's folder, which exists only once the stack is complete.
         image = out.with_name(f"{out.name}.png")
@@ -44,6 +54,8 @@ def render(
     with progress("Rendering", total=frame_count(settings)) as advance:
         render_stack(settings, out, variant=variant, progress=advance)
     typer.echo(f"Wrote the stack {out}.")
+    if rerun is not None:
+        record_stack(out, rerun)
 
 
 def check(scene: SceneFile, changes: Changes = None) -> None:

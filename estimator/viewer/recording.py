@@ -1,0 +1,209 @@
+"""A recording of frames and of what was measured or is known in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from estimator.files import FrameLabels, MicroscopeFile, read_microscope, read_stack, written_whole
+from estimator.image import Camera, NoSpot, Response, Spot, outline_px, rgb_8bit
+from estimator.viewer.eyeball import log_beam, log_eyeball
+from optics import InputError
+
+if TYPE_CHECKING:
+    from estimator.distance import Range
+
+LIVE = "live"
+"""The name that shows a recording in a viewer at once instead of writing it to a file."""
+
+_MEASURED, _TRUE = (60, 255, 60), (255, 180, 40)
+_JPEG_QUALITY = 90  # a frame of 0.9 MB becomes 0.05 MB
+
+
+def check_recording_path(target: str) -> None:
+    """Raise an InputError unless a recording can be made: its name, and the package rerun."""
+    if target != LIVE and Path(target).suffix != ".rrd":
+        raise InputError(f"{target}: a recording is a file NAME.rrd, or {LIVE}. Choose one.")
+    try:
+        import rerun  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "a recording needs the package rerun-sdk: pip install 'eyespot[rerun]'."
+        ) from error
+
+
+@contextmanager
+def recording_of(
+    target: str, *, name: str, microscope: MicroscopeFile | None
+) -> Iterator[Recording]:
+    """Make a recording; a file gets its name when the block ends, whole or not at all.
+
+    Args:
+        target: a file NAME.rrd, or `LIVE`.
+        name: of what is recorded, such as a stack.
+        microscope: of the frames; without one there is no eyeball, and frames are linear.
+
+    Raises:
+        InputError: as `check_recording_path`, or something of this name exists.
+        OSError: it cannot be written.
+    """
+    check_recording_path(target)
+    import rerun
+
+    stream = rerun.RecordingStream("eyespot", recording_id=None)
+    stream.send_recording_name(name)
+    if target == LIVE:
+        stream.spawn(default_blueprint=_blueprint())
+        yield Recording(stream, microscope)
+        stream.flush()
+        return
+    with written_whole(Path(target)) as partial:
+        stream.save(partial, default_blueprint=_blueprint())
+        yield Recording(stream, microscope)
+        stream.disconnect()
+
+
+def record_stack(folder: Path, target: str) -> None:
+    """Record the frames of a stack with its labels: their true contours, tips and distances.
+
+    Args:
+        folder: of the stack; of several exposures the first is taken.
+        target: as for `recording_of`.
+
+    Raises:
+        InputError: as `recording_of`, or the stack cannot be read.
+        OSError: it cannot be written.
+    """
+    stack = read_stack(folder)
+    microscope = read_microscope(folder / "microscope.json")
+    with recording_of(target, name=folder.name, microscope=microscope) as recording:
+        for labels in stack.exposed(stack.labels[0].exposure):
+            recording.add_frame(labels.frame, labels.time_s, stack.image(labels))
+            recording.add_truth(labels)
+
+
+class Recording:
+    """Frames, contours, distances, and the beam in the eye, on the timelines `frame` and `time`.
+
+    Args:
+        stream: `rerun.RecordingStream`.
+        microscope: as for `recording_of`.
+    """
+
+    def __init__(self, stream: Any, microscope: MicroscopeFile | None) -> None:
+        self._stream = stream
+        self._response = microscope.response if microscope else Response()
+        self._camera: Camera | None = microscope.camera() if microscope else None
+        if microscope is not None:
+            log_eyeball(stream, microscope)
+
+    def add_frame(self, index: int, time_s: float, image: np.ndarray) -> None:
+        """Add a frame; what is added after it belongs to it.
+
+        Args:
+            index: of the frame.
+            time_s: of the frame; NaN if unknown.
+            image: as `rgb_8bit` takes it.
+        """
+        import rerun
+
+        self._stream.reset_time()
+        self._stream.set_time("frame", sequence=index)
+        if not math.isnan(time_s):
+            self._stream.set_time("time", duration=time_s)
+        picture = rerun.Image(rgb_8bit(image, self._response)).compress(jpeg_quality=_JPEG_QUALITY)
+        self._stream.log("microscope", picture)
+
+    def add_measured(self, result: Spot | NoSpot, distance: Range | None, doubt: str) -> None:
+        """Add what was measured in the frame: contour, distance with its σ, and pose of the tip.
+
+        The distance's lower and upper lines are one standard deviation away from it.
+
+        Args:
+            result: of the measurement.
+            distance: of the spot; None without one.
+            doubt: why there is no spot, or why the distance is doubtful; empty if all is well.
+        """
+        import rerun
+
+        log = self._stream.log
+        if isinstance(result, NoSpot):
+            log("microscope/spot", rerun.Clear(recursive=True))
+        else:
+            self._log_contour("microscope/spot", result.ellipse, _MEASURED)
+        if distance is not None and not math.isnan(distance.distance_mm):
+            log("distance/measured", rerun.Scalars(distance.distance_mm))
+        if distance is not None and not math.isnan(distance.distance_mm + distance.sigma_mm):
+            log("distance/lower", rerun.Scalars(distance.distance_mm - distance.sigma_mm))
+            log("distance/upper", rerun.Scalars(distance.distance_mm + distance.sigma_mm))
+        log("eye/measured", rerun.Clear(recursive=True))
+        if distance is not None and distance.poses:
+            pose = distance.poses[0]
+            log_beam(
+                self._stream,
+                "eye/measured",
+                tip_mm=pose.tip_mm,
+                axis=pose.axis,
+                distance_mm=pose.distance_mm,
+                colour=_MEASURED,
+            )
+        if doubt:
+            log("status", rerun.TextLog(doubt, level=rerun.TextLogLevel.WARN))
+
+    def add_truth(self, labels: FrameLabels) -> None:
+        """Add what a stack's labels say of the frame."""
+        import rerun
+
+        ellipse = (
+            labels.half_max_x_px,
+            labels.half_max_y_px,
+            labels.half_max_semi_major_px,
+            labels.half_max_semi_minor_px,
+            labels.half_max_angle_rad,
+        )
+        self._log_contour("microscope/truth", ellipse, _TRUE)
+        self._stream.log("distance/truth", rerun.Scalars(labels.d_mm))
+        log_beam(
+            self._stream,
+            "eye/truth",
+            tip_mm=np.array(labels.tip_mm),
+            axis=np.array(labels.axis),
+            distance_mm=labels.d_mm,
+            colour=_TRUE,
+        )
+
+    def _log_contour(
+        self, path: str, ellipse: Sequence[float], colour: tuple[int, int, int]
+    ) -> None:
+        import rerun
+
+        points, centre = outline_px(ellipse, self._camera)
+        # Rerun counts pixels from the corner of the first, we from its centre.
+        closed = np.concatenate([points, points[:1]]) + 0.5
+        self._stream.log(path, rerun.LineStrips2D([closed], colors=[colour]))
+        self._stream.log(f"{path}/centre", rerun.Points2D([centre + 0.5], colors=[colour]))
+
+
+def _blueprint() -> Any:
+    """The windows: microscope, eye, distance over time, and doubts."""
+    from rerun import blueprint
+
+    return blueprint.Blueprint(
+        blueprint.Vertical(
+            blueprint.Horizontal(
+                blueprint.Spatial2DView(origin="microscope", name="Microscope"),
+                blueprint.Spatial3DView(origin="eye", name="Eye, mm"),
+            ),
+            blueprint.Horizontal(
+                blueprint.TimeSeriesView(origin="distance", name="Distance, mm"),
+                blueprint.TextLogView(origin="status", name="Doubts"),
+                column_shares=[3, 1],
+            ),
+            row_shares=[3, 2],
+        )
+    )

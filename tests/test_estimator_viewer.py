@@ -1,0 +1,106 @@
+"""Recordings for the viewer rerun, read back with rerun's own reader."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+import eyespot
+from estimator import Spot
+from estimator.files import read_spots, read_stack
+from estimator.viewer import record_stack
+from tests.drawn_sets import labels_of, write_stack
+
+
+def columns_of(recording: Path) -> dict[str, dict[int, Any]]:
+    """The values of each column, by the frame that they belong to."""
+    chunk = pytest.importorskip("rerun.chunk", reason="pip install 'eyespot[rerun]'")
+    found: dict[str, dict[int, Any]] = {}
+    for part in chunk.RrdReader(recording).stream():
+        batch = part.to_record_batch()
+        if "frame" in batch.schema.names:
+            frames = batch.column("frame").to_pylist()
+            for name in batch.schema.names:
+                column = found.setdefault(f"{part.entity_path}:{name}", {})
+                column.update(zip(frames, batch.column(name).to_pylist(), strict=True))
+    return found
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    labels = [labels_of(index) for index in range(4)]
+    return write_stack(tmp_path_factory.mktemp("drawn") / "stack", labels)
+
+
+def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(
+    stack: Path, tmp_path: Path
+) -> None:
+    recording, spots = tmp_path / "a.rrd", tmp_path / "spots.csv"
+    pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
+    command = ["track", str(stack), "--out", str(spots), "--rerun", str(recording)]
+    done = CliRunner().invoke(eyespot.app, command)
+    assert done.exit_code == 0, done.output
+    columns, records = columns_of(recording), read_spots(spots)
+    for record, labels in zip(records, read_stack(stack).labels, strict=True):
+        (centre,) = columns["/microscope/spot/centre:Points2D:positions"][record.frame]
+        assert isinstance(record.result, Spot)
+        # Single precision, and rerun's corner of the first pixel is at (-0.5, -0.5).
+        np.testing.assert_allclose(np.subtract(centre, 0.5), record.result.ellipse[:2], rtol=1e-6)
+        (contour,) = columns["/microscope/spot:LineStrips2D:strips"][record.frame]
+        assert areas_px(contour) == pytest.approx(area_px(record.result.ellipse), rel=1e-3)
+        assert columns["/distance/truth:Scalars:scalars"][record.frame] == [labels.d_mm]
+        (blob,) = columns["/microscope:EncodedImage:blob"][record.frame]
+        image = np.asarray(Image.open(io.BytesIO(bytes(blob))))
+        assert image.shape == (120, 160, 3)
+
+
+def area_px(ellipse: tuple[float, ...]) -> float:
+    return np.pi * ellipse[2] * ellipse[3]
+
+
+def areas_px(contour: list[list[float]]) -> float:
+    """Area of a closed polygon; one of 180 corners lacks 2e-4 of its ellipse's."""
+    x, y = np.transpose(contour)
+    return abs(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2
+
+
+def test_the_beam_of_a_recorded_stack_ends_at_its_distance(stack: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
+    record_stack(stack, str(tmp_path / "a.rrd"))
+    columns = columns_of(tmp_path / "a.rrd")
+    for labels in read_stack(stack).labels:
+        (tip,) = columns["/eye/truth/tip:Points3D:positions"][labels.frame]
+        (beam,) = columns["/eye/truth/beam:Arrows3D:vectors"][labels.frame]
+        np.testing.assert_allclose(tip, labels.tip_mm, rtol=1e-6)
+        np.testing.assert_allclose(beam, labels.d_mm * np.array(labels.axis), atol=1e-6)
+
+
+def test_the_rings_of_the_retina_lie_on_the_eyeball() -> None:
+    from estimator.viewer.eyeball import _heights_mm
+
+    class Eye:
+        plane_normal, eye_radius_mm = None, 11.5
+
+    points = np.array([[0.0, 0.0], [3.0, 4.0]])
+    heights: Any = _heights_mm(Eye(), points)  # type: ignore[arg-type]
+    np.testing.assert_allclose(np.sum(points**2, 1) + heights**2, 11.5**2)
+    assert (heights < 0).all()
+
+
+@pytest.mark.parametrize(
+    ("target", "said"), [("a.mp4", r"NAME\.rrd, or live"), ("a.rrd", r"eyespot\[rerun\]")]
+)
+def test_a_recording_that_cannot_be_made_is_refused_before_the_run(
+    stack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str, said: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)  # stands in for a machine without it
+    with pytest.raises(ValueError, match=said):
+        record_stack(stack, str(tmp_path / target))
+    assert not list(tmp_path.iterdir())
