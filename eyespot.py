@@ -25,6 +25,7 @@ COMMANDS = {
     "validate": "benchmarks.studies.validate.command:validate",
     "render": "scenes.stacks.command:render",
     "track": "estimator.run.command:track",
+    "console": "estimator.console.command:console",
     "fit": "calibration.command.command:fit",
     "export": "benchmarks.sets.formats.command:export",
     "score": "benchmarks.sets.score.command:score",

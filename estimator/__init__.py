@@ -1,5 +1,6 @@
 """Measures the spot in microscope frames and computes its distance.
 
+console/   A page for the operator: `eyespot console`
 detector/  From a frame to a spot: the paper's literal algorithm and sub-pixel mode
 distance/  From a spot to a distance, by one of the models
 files/     The files that people exchange: formats, readers and writers

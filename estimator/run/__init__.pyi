@@ -4,9 +4,11 @@ from .interrupt import end_now as end_now
 from .interrupt import ending_on_ctrl_c as ending_on_ctrl_c
 from .offline import Ended as Ended
 from .offline import Tracking as Tracking
+from .offline import record_of as record_of
 from .offline import track_source as track_source
 from .offline import track_whole_source as track_whole_source
 from .options import Options as Options
+from .options import with_options as with_options
 from .progress_bar import Advance as Advance
 from .progress_bar import progress as progress
 from .reader import Reader as Reader

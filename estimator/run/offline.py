@@ -126,7 +126,7 @@ def track_source(
     write = write or tracking.records.append
     try:
         for frame, reading in _readings(source, reader, poses):
-            record = _record(frame, reading, reader.mode)
+            record = record_of(frame, reading, reader.mode)
             if draw is not None:
                 draw(frame, record)
             if show is not None:
@@ -194,7 +194,14 @@ def _readings(
         yield frame, reading
 
 
-def _record(frame: Frame, reading: Reading, mode: str) -> SpotRecord:
+def record_of(frame: Frame, reading: Reading, mode: str) -> SpotRecord:
+    """The line of a spots file for a frame.
+
+    Args:
+        frame: as it was measured.
+        reading: of the frame.
+        mode: of the reader.
+    """
     return SpotRecord(
         frame=frame.index,
         file_name=frame.file_name,

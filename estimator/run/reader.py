@@ -90,6 +90,16 @@ class Reader:
         if self._shape is not None:
             self._state = TrackState()
 
+    def look_at(self, x_px: float, y_px: float) -> None:
+        """Look for the spot at (x, y) px in the next frame, as for a start."""
+        self._start = (x_px, y_px)
+        self._state = TrackState(at_px=self._start)
+
+    @property
+    def expected_px(self) -> tuple[float, float] | None:
+        """Where the spot is looked for in the next frame, (x, y) px; None in the whole frame."""
+        return self._state.at_px
+
     @property
     def mode(self) -> str:
         """The spots file's `mode`."""

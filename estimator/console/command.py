@@ -1,0 +1,65 @@
+"""The command `eyespot console`."""
+
+from __future__ import annotations
+
+import secrets
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from estimator.run import Options, with_options
+from optics import InputError
+
+
+@with_options
+def console(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="Stack, folder of images, TIFF, video, ROS bag, or number of a camera.",
+        ),
+    ],
+    exposure: Annotated[
+        Literal["paper", "metered"] | None,
+        typer.Option(help="Which exposure to use if the stack has two."),
+    ] = None,
+    image_topic: Annotated[
+        str | None,
+        typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
+    ] = None,
+    folder: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where spots files are recorded.")
+    ] = Path(),
+    host: Annotated[
+        str,
+        typer.Option(help="Address to listen on; other machines can reach 0.0.0.0, with a token."),
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen on.")] = 8080,
+    **options: Any,
+) -> None:
+    """Show a source, what is measured in it, and its distance on a page in the browser.
+
+    Ctrl-C ends it.
+    """
+    from estimator.sources import open_source
+
+    try:
+        from estimator.console.page import serve
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"the console needs the package {error.name}: pip install 'eyespot[console]'."
+        ) from error
+    from estimator.console.gate import is_loopback
+
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder. Make it, or choose another one.")
+    opened = partial(open_source, source, exposure=exposure, image_topic=image_topic)
+    options["microscope"] = options["microscope"] or opened().microscope_file
+    token = None if is_loopback(host) else secrets.token_urlsafe(9)
+    print(f"The console is at http://{host}:{port}. Ctrl-C ends it.", flush=True)
+    if token is not None:
+        print(f"Other machines need this token: {token}", flush=True)
+    serve(opened, Options.of(options), folder=folder, host=host, port=port, token=token)

@@ -1,0 +1,274 @@
+"""The page: image, distance, course of the last 30 s, controls."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from nicegui import app, ui
+from starlette.responses import Response as Reply
+
+from estimator.console.advice import exposure_advice
+from estimator.console.gate import Gate
+from estimator.console.picture import svg_of
+from estimator.console.session import COURSE_S, Session, View
+from estimator.image import NoSpot
+from estimator.run import Options
+from estimator.sources import Source
+from optics import InputError
+
+_PICTURE_S, _COURSE_S = 0.04, 0.25  # how often a page looks for something new
+_STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
+
+
+def serve(
+    open_: Callable[[], Source],
+    options: Options,
+    *,
+    folder: Path,
+    host: str,
+    port: int,
+    token: str | None,
+) -> None:
+    """Serve the page until Ctrl-C.
+
+    Args:
+        open_: opens the source.
+        options: of the measurement.
+        folder: of the spots files that are recorded.
+        host: address to listen on.
+        port: to listen on.
+        token: that the page asks for; None for none.
+
+    Raises:
+        InputError: options, files or the source are wrong.
+        OSError: a file cannot be read.
+    """
+    microscope = options.microscope_file()
+    response = microscope.response if microscope else None
+    session = Session(open_, options.reader(), response=response)
+    camera = microscope.camera() if microscope else None
+
+    @app.get("/frame/{version}")
+    def frame(version: int) -> Reply:
+        # The newest, which may be newer than the one that was asked for.
+        content = session.view.jpeg() if session.view else b""
+        return Reply(content, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+    @ui.page("/")
+    def page() -> None:
+        Page(session, options, folder, lambda view: svg_of(view, camera))
+
+    app.add_middleware(Gate, token=token)
+    try:
+        ui.run(
+            host=host,
+            port=port,
+            title="eyespot",
+            dark=None,
+            reload=False,
+            show=False,
+            show_welcome_message=False,
+        )
+    finally:
+        session.close()
+
+
+class Page:
+    """One window; all windows show the same session.
+
+    Args:
+        session: that is shown.
+        options: of the measurement.
+        folder: of the spots files.
+        overlay: makes the SVG of a view.
+    """
+
+    def __init__(
+        self, session: Session, options: Options, folder: Path, overlay: Callable[[View], str]
+    ) -> None:
+        self._session, self._folder, self._overlay = session, folder, overlay
+        self._shown = -1
+        ui.add_css(_STYLE)
+        ui.keyboard(on_key=self._on_key)
+        self._dark = ui.dark_mode(None)
+        with ui.row().classes("top"):
+            ui.label("eyespot").classes("brand")
+            ui.label(session.source.name).classes("source")
+            ui.label(_calibration_of(options)).classes("note")
+            ui.space()
+            ui.label(f"mode: {session.mode}").classes("note")
+            ui.button("Light / dark", on_click=self._dark_light).props("flat dense")
+        with ui.element("main"):
+            with ui.element("section").classes("image"):
+                self._image = ui.interactive_image(
+                    on_mouse=self._on_click, events=["click"], cross=True, sanitize=False
+                )
+                self._image.props('alt="The microscope\'s image"')
+            with ui.element("section").classes("reading") as self._reading:
+                self._state = ui.label().classes("state")
+                self._distance = ui.label("– mm").classes("distance")
+                self._sigma = ui.label().classes("sigma")
+                self._reason = ui.label().classes("reason")
+                self._advice = ui.label().classes("advice")
+                self._where = ui.label().classes("note where")
+        with ui.row().classes("controls"):
+            self._play = ui.button("Pause", on_click=self._on_play)
+            if not session.source.live:
+                ui.button("◀ Step", on_click=lambda: session.step(-1)).props("outline")
+                ui.button("Step ▶", on_click=lambda: session.step(1)).props("outline")
+            ui.button("Search anew", on_click=session.search).props("outline")
+            self._record = ui.button("Record", on_click=self._on_record)
+            self._recorded = ui.label().classes("note recorded")
+            if session.source.length:
+                self._slider = ui.slider(min=0, max=session.source.length - 1).classes("scrub")
+                self._slider.on("change", lambda event: session.seek(int(event.args)))
+        self._chart = ui.echart(_chart()).classes("course")
+        ui.label(
+            "Click the image to show where the spot is. Keys: space pause, ← → step, F search anew,"
+            " R record, D light or dark."
+        ).classes("note help")
+        ui.timer(_PICTURE_S, self._update)
+        ui.timer(_COURSE_S, self._update_course)
+
+    def _update(self) -> None:
+        session, view = self._session, self._session.view
+        self._play.set_text("Play" if session.paused else "Pause")
+        self._record.set_text("Stop recording" if session.recording else "Record")
+        if session.recording:
+            self._recorded.set_text(f"{session.recording.name}: {session.recorded} frames")
+        if session.fault or view is None:
+            self._show_fault(session.fault or "waiting for the first frame")
+            if session.fault:
+                self._shown = -1
+                return
+        if view is None or view.version == self._shown:
+            return
+        self._shown = view.version
+        self._image.set_source(f"/frame/{view.version}?read={view.arrived_s:.3f}")
+        self._image.set_content(self._overlay(view))
+        self._show_reading(view)
+        if session.source.length:
+            self._slider.set_value(view.number)
+
+    def _show_fault(self, fault: str) -> None:
+        self._set_state("lost", "no image")
+        self._distance.set_text("– mm")
+        self._sigma.set_text("")
+        self._reason.set_text(fault)
+
+    def _show_reading(self, view: View) -> None:
+        reading = view.reading
+        no_spot = isinstance(reading.result, NoSpot)
+        doubt = reading.doubt.replace("_", " ")
+        kind = "lost" if no_spot else "doubtful" if doubt else "good"
+        self._set_state(kind, "no spot" if no_spot else "doubtful" if doubt else "good")
+        distance, sigma = reading.distance_mm, reading.sigma_distance_mm
+        self._distance.set_text("– mm" if math.isnan(distance) else f"{distance:.2f} mm")
+        self._sigma.set_text("" if math.isnan(sigma) else f"σ {1e3 * sigma:.0f} µm")
+        self._reason.set_text(doubt)
+        advice = exposure_advice(reading.result, view.frame.image, view.response)
+        self._advice.set_text(advice)
+        at = "" if math.isnan(view.frame.time_s) else f", {view.frame.time_s:.2f} s"
+        length = f" of {self._session.source.length}" if self._session.source.length else ""
+        self._where.set_text(f"frame {view.number + 1}{length}{at}")
+
+    def _set_state(self, kind: str, text: str) -> None:
+        self._state.set_text(text)
+        self._reading.classes(add=kind, remove=" ".join({"good", "doubtful", "lost"} - {kind}))
+
+    def _update_course(self) -> None:
+        course = self._session.course
+        now = course[-1].time_s if course else 0.0
+
+        def points(value: Callable[[Any], float]) -> list[list[float | None]]:
+            values = [(m.time_s - now, value(m)) for m in course]
+            return [[round(t, 3), None if math.isnan(y) else round(y, 4)] for t, y in values]
+
+        lines = (
+            lambda m: m.distance_mm,
+            lambda m: m.distance_mm - m.sigma_mm,
+            lambda m: m.distance_mm + m.sigma_mm,
+            lambda m: m.radius_px,
+        )
+        for series, line in zip(self._chart.options["series"], lines, strict=True):
+            series["data"] = points(line)
+        self._chart.update()
+
+    def _on_click(self, event: Any) -> None:
+        self._session.look_at(event.image_x - 0.5, event.image_y - 0.5)
+
+    def _on_play(self) -> None:
+        self._session.pause(not self._session.paused)
+
+    def _on_record(self) -> None:
+        session = self._session
+        if session.recording:
+            name, number = session.recording, session.recorded
+            session.stop_recording()
+            self._recorded.set_text(f"Wrote {name} ({number} frames).")
+            return
+        path = self._folder / time.strftime("spots-%Y%m%d-%H%M%S.csv")
+        try:
+            session.start_recording(path)
+        except (InputError, OSError) as error:
+            self._recorded.set_text(f"{error}")
+
+    def _dark_light(self) -> None:
+        self._dark.set_value(not self._dark.value)
+
+    def _on_key(self, event: Any) -> None:
+        if not event.action.keydown or event.modifiers.ctrl:
+            return
+        actions: dict[str, Callable[[], object]] = {
+            " ": self._on_play,
+            "ArrowRight": lambda: self._session.step(1),
+            "ArrowLeft": lambda: self._session.step(-1),
+            "f": self._session.search,
+            "r": self._on_record,
+            "d": self._dark_light,
+        }
+        if action := actions.get(event.key.name):
+            action()
+
+
+def _calibration_of(options: Options) -> str:
+    """The calibration that is loaded, and its age."""
+    if options.calibration is None:
+        return "no calibration: no distance"
+    days = (time.time() - options.calibration.stat().st_mtime) / 86400
+    return f"calibration {options.calibration.name}, {days:.0f} days old"
+
+
+def _chart() -> dict[str, Any]:
+    """Distance with its σ, and radius, against the seconds before now."""
+    thin = {"width": 1, "type": "dotted"}
+    line = {"type": "line", "showSymbol": False, "data": []}
+    # Readable on white and on black.
+    axis = {
+        "type": "value",
+        "axisLabel": {"color": "#888"},
+        "nameTextStyle": {"color": "#888"},
+        "splitLine": {"lineStyle": {"color": "rgba(128, 128, 128, 0.3)"}},
+    }
+    radius = axis | {"scale": True, "name": "px", "splitLine": {"show": False}}
+    return {
+        "animation": False,
+        "grid": {"left": 60, "right": 60, "top": 34, "bottom": 30},
+        "legend": {
+            "data": ["distance, mm", "radius, px"],
+            "top": 0,
+            "textStyle": {"color": "#888"},
+        },
+        "xAxis": axis | {"min": -COURSE_S, "max": 0, "name": "s"},
+        "yAxis": [axis | {"scale": True, "name": "mm"}, radius],
+        "series": [
+            {**line, "name": "distance, mm", "color": "#2a9d3f"},
+            {**line, "name": "− σ", "color": "#2a9d3f", "lineStyle": thin},
+            {**line, "name": "+ σ", "color": "#2a9d3f", "lineStyle": thin},
+            {**line, "name": "radius, px", "color": "#3b82d6", "yAxisIndex": 1},
+        ],
+    }

@@ -1,0 +1,272 @@
+"""Reads a source frame by frame in a thread of its own, and takes the operator's commands.
+
+The thread measures and publishes; nobody that looks at the results can delay it.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+
+from estimator.files import SpotRecord, spots_stream
+from estimator.image import Response, Spot, rgb_8bit
+from estimator.run import Reader, Reading, record_of
+from estimator.sources import Frame, Source
+from optics import InputError
+
+COURSE_S = 30.0
+"""How much of the past the session remembers, s."""
+
+_RIG_RATE_HZ = 10.0  # of recordings that do not know theirs
+_AGAIN_S = 1.0  # after a live source was lost
+_JPEG_QUALITY = 85
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """A frame and what was measured in it.
+
+    Attributes:
+        version: counts the views.
+        number: place of the frame in its source, from 0.
+        frame: that was measured.
+        reading: of the frame.
+        expected_px: where the spot was expected, (x, y) px; None if it was searched.
+        arrived_s: when the frame was read, s since 1970.
+        response: of the camera.
+    """
+
+    version: int
+    number: int
+    frame: Frame
+    reading: Reading
+    expected_px: tuple[float, float] | None
+    arrived_s: float
+    response: Response = field(default_factory=Response)
+
+    def jpeg(self) -> bytes:
+        """The frame as JPEG."""
+        picture = cv2.cvtColor(rgb_8bit(self.frame.image, self.response), cv2.COLOR_RGB2BGR)
+        _, content = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        return content.tobytes()
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A point of the course; NaN where nothing was measured.
+
+    Attributes:
+        time_s: of the frame, or of its arrival if the frame has no time.
+        distance_mm: measured.
+        sigma_mm: of the distance.
+        radius_px: semi-minor axis.
+    """
+
+    time_s: float
+    distance_mm: float
+    sigma_mm: float
+    radius_px: float
+
+
+class Session:
+    """A source that is read for an operator until `close`.
+
+    Args:
+        open_: opens the source; a live source is opened again after it was lost.
+        reader: new.
+        response: of the camera.
+
+    Raises:
+        InputError: the source cannot be opened.
+    """
+
+    def __init__(
+        self, open_: Callable[[], Source], reader: Reader, *, response: Response | None = None
+    ) -> None:
+        self.source = open_()
+        self._open, self._reader, self._response = open_, reader, response or Response()
+        self.view: View | None = None
+        self.fault = ""
+        """What is wrong with the source; empty if it is fine."""
+        self.paused = self.at_end = False
+        self.recording: Path | None = None
+        self.recorded = 0
+        self._course: deque[Moment] = deque()
+        self._file, self._record = ExitStack(), threading.Lock()
+        self._write: Callable[[SpotRecord], None] | None = None
+        self._wake = threading.Condition()
+        self._ended = False
+        self._steps = 0
+        self._seek: int | None = None
+        self._place: tuple[float, float] | None = None
+        self._thread = threading.Thread(target=self._run, name="session", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread and complete the spots file."""
+        self._command(_ended=True)
+        self._thread.join()
+        self.stop_recording()
+
+    @property
+    def mode(self) -> str:
+        """The reader's mode."""
+        return self._reader.mode
+
+    @property
+    def course(self) -> list[Moment]:
+        """The last `COURSE_S`, in the order of time."""
+        return list(self._course)
+
+    def pause(self, paused: bool) -> None:
+        """Stop before the next frame, or go on; a recording at its end begins anew."""
+        again = {"_seek": 0} if self.at_end and not paused else {}
+        self._command(paused=paused, **again)
+
+    def step(self, frames: int) -> None:
+        """Pause, and go on by some frames, or back in a recording."""
+        at = self.view.number if self.view else 0
+        if frames > 0:
+            self._command(paused=True, _steps=self._steps + frames)
+        elif not self.source.live:
+            self._command(paused=True, _seek=max(at + frames, 0))
+
+    def seek(self, number: int) -> None:
+        """Show a frame of a recording, by its place from 0."""
+        self._command(_seek=number)
+
+    def look_at(self, x_px: float, y_px: float) -> None:
+        """Look for the spot at a place: in the next frame, or while paused in the one shown."""
+        self._command(_place=(x_px, y_px))
+
+    def search(self) -> None:
+        """Search the next frame as a whole."""
+        self._reader.forget()
+
+    def start_recording(self, path: Path) -> None:
+        """Write a spots file of all that is measured from now on.
+
+        Raises:
+            InputError: the file exists, or has another suffix.
+            OSError: it cannot be written.
+        """
+        self.stop_recording()
+        with self._record:
+            self._write = self._file.enter_context(spots_stream(path))
+            self.recording, self.recorded = path, 0
+
+    def stop_recording(self) -> None:
+        """Complete the spots file."""
+        with self._record:
+            self._write = self.recording = None
+            self._file.close()
+
+    def _command(self, **changes: object) -> None:
+        with self._wake:
+            for name, value in changes.items():
+                setattr(self, name, value)
+            self._wake.notify()
+
+    def _run(self) -> None:
+        """Read the source; after a fault wait, and open it again if it is live."""
+        while not self._ended:
+            try:
+                self._read_source()
+            except (InputError, OSError) as error:
+                self.fault = f"{error}"
+            with self._wake:
+                if self.source.live:
+                    self._wake.wait(_AGAIN_S)
+                else:
+                    self.paused = self.at_end = True
+                    self._wake.wait_for(lambda: self._ended or self._seek is not None)
+            if self.source.live and not self._ended:
+                try:
+                    self.source = self._open()
+                except InputError as error:
+                    self.fault = f"{error}"
+
+    def _read_source(self) -> None:
+        frames, number, due = iter(self.source), 0, time.monotonic()
+        period_s = 0.0 if self.source.live else 1 / (self.source.rate_hz or _RIG_RATE_HZ)
+        while True:
+            with self._wake:
+                self._wake.wait_for(self._is_called)
+                if self._ended:
+                    return
+                seek, self._seek = self._seek, None
+                place, self._place = self._place, None
+                stays = self.paused and not self._steps and seek is None
+                self._steps -= bool(self._steps)
+            if place is not None:
+                self._reader.look_at(*place)
+                if stays and self.view is not None:
+                    self._measure(self.view.frame, self.view.number)
+                if stays:
+                    continue
+            if seek is not None:
+                self.at_end = False
+                frames, number = iter(self.source), seek
+                for _ in range(seek):
+                    next(frames, None)
+                self._reader.forget()
+                self._course.clear()
+            frame = next(frames, None)
+            if frame is None:
+                return
+            if self.source.unrelated:
+                self._reader.forget()
+            self._measure(frame, number)
+            self.fault = ""
+            number += 1
+            due = max(due + period_s, time.monotonic() - period_s)
+            with self._wake:
+                self._wake.wait_for(
+                    lambda: self._ended or self._seek is not None, due - time.monotonic()
+                )
+
+    def _is_called(self) -> bool:
+        """Whether the thread has something to do."""
+        asked = self._seek is not None or self._place is not None
+        return self._ended or not self.paused or self._steps > 0 or asked
+
+    def _measure(self, frame: Frame, number: int) -> None:
+        arrived_s, expected = time.time(), self._reader.expected_px
+        reading = self._reader.read(
+            frame.image,
+            time_s=frame.time_s,
+            exposure_s=frame.exposure_s,
+            name=f"{self.source.name}, frame {frame.index}",
+        )
+        self._remember(frame, reading, arrived_s)
+        with self._record:
+            if self._write is not None:
+                self._write(record_of(frame, reading, self.mode))
+                self.recorded += 1
+        self.view = View(
+            version=self.view.version + 1 if self.view else 0,
+            number=number,
+            frame=frame,
+            reading=reading,
+            expected_px=expected,
+            arrived_s=arrived_s,
+            response=self._response,
+        )
+
+    def _remember(self, frame: Frame, reading: Reading, arrived_s: float) -> None:
+        time_s = arrived_s if math.isnan(frame.time_s) else frame.time_s
+        spot = reading.result
+        radius = spot.semi_minor_px if isinstance(spot, Spot) else math.nan
+        if self._course and time_s < self._course[-1].time_s:
+            self._course.clear()  # the clock was set back
+        self._course.append(Moment(time_s, reading.distance_mm, reading.sigma_distance_mm, radius))
+        while self._course[0].time_s < time_s - COURSE_S:
+            self._course.popleft()

@@ -1,0 +1,54 @@
+"""A program: the console before a camera at 10 Hz that can be unplugged.
+
+    python tests/console_camera.py PORT UNPLUGGED
+
+The camera is lost while the file UNPLUGGED exists. Its image is a disc of 40 px at (150, 110) px.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+
+from estimator import Frame, Source
+from estimator.console.page import serve
+from estimator.run import Options
+from optics import InputError
+
+
+def disc() -> np.ndarray:
+    v, u = np.mgrid[:240, :320]
+    inside = np.clip(40.5 - np.hypot(u - 150, v - 110), 0, 1)
+    return np.rint(20 + 160 * inside).astype(np.uint8)
+
+
+def camera(unplugged: Path) -> Source:
+    image = disc()
+
+    def read() -> Iterator[Frame]:
+        for index in count():
+            if unplugged.exists():
+                raise InputError("the camera stopped. Check its cable.")
+            time.sleep(0.1)
+            yield Frame(index=index, file_name="", time_s=time.time(), image=image)
+
+    return Source(name="camera", read=read, live=True)
+
+
+if __name__ == "__main__":
+    port, unplugged = int(sys.argv[1]), Path(sys.argv[2])
+    with suppress(KeyboardInterrupt):
+        serve(
+            lambda: camera(unplugged),
+            Options(),
+            folder=unplugged.parent,
+            host="127.0.0.1",
+            port=port,
+            token=None,
+        )

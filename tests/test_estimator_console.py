@@ -1,0 +1,342 @@
+"""The operator's console: its session without a page, and (slow) the page in a real Chromium."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimator import Frame, Reason, Source, Spot
+from estimator.console import Session, exposure_advice
+from estimator.files import read_spots, read_stack
+from estimator.image import NoSpot, Response
+from estimator.run import Options
+from optics import InputError
+from tests.rig_recordings import HOME, calibrated, rendered_stack
+
+PATIENCE_S = 30.0
+
+
+def wait_until(done: Callable[[], Any], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < deadline, f"waited in vain: {what}"
+        time.sleep(0.02)
+
+
+def disc(radius: float, bright: int = 180) -> np.ndarray:
+    v, u = np.mgrid[:120, :160]
+    inside = np.clip(radius + 0.5 - np.hypot(u - 80, v - 60), 0, 1)
+    return np.rint(20 + (bright - 20) * inside).astype(np.uint8)
+
+
+def recording(frames: int = 20) -> Source:
+    """Discs of 20, 21, ... px at 50 Hz."""
+
+    def read() -> Iterator[Frame]:
+        for n in range(frames):
+            yield Frame(index=n, file_name="", time_s=n / 50, image=disc(20 + n))
+
+    return Source(name="discs", read=read, length=frames, rate_hz=50.0)
+
+
+@contextlib.contextmanager
+def session_of(open_: Callable[[], Source]) -> Iterator[Session]:
+    session = Session(open_, Options().reader())
+    try:
+        yield session
+    finally:
+        session.close()
+
+
+def shown(session: Session) -> tuple[int, float]:
+    """Place and radius of the frame shown."""
+    assert session.view is not None
+    spot = session.view.reading.result
+    assert isinstance(spot, Spot)
+    return session.view.number, spot.semi_minor_px
+
+
+def version_of(session: Session) -> int:
+    return session.view.version if session.view else -1
+
+
+def test_a_recording_is_paused_stepped_and_sought() -> None:
+    with session_of(recording) as session:
+        wait_until(lambda: session.at_end, "the end of the recording")
+        assert shown(session) == (19, pytest.approx(39, abs=0.05))
+        session.seek(5)
+        wait_until(lambda: shown(session)[0] == 5, "frame 5")
+        assert shown(session)[1] == pytest.approx(25, abs=0.05)
+        session.step(2)
+        wait_until(lambda: shown(session)[0] == 7, "two frames on")
+        session.step(-1)
+        wait_until(lambda: shown(session)[0] == 6, "one frame back")
+        time.sleep(0.1)  # five frames' time: it must have stayed
+        assert shown(session) == (6, pytest.approx(26, abs=0.05))
+
+
+def test_what_is_recorded_is_what_was_shown(tmp_path: Path) -> None:
+    with session_of(recording) as session:
+        wait_until(lambda: session.at_end, "the end of the recording")
+        session.start_recording(tmp_path / "spots.csv")
+        session.seek(2)
+        wait_until(lambda: shown(session)[0] == 2, "frame 2")
+        session.step(3)
+        wait_until(lambda: shown(session)[0] == 5, "frame 5")
+        session.stop_recording()
+        with pytest.raises(InputError, match="exists"):
+            session.start_recording(tmp_path / "spots.csv")
+    records = read_spots(tmp_path / "spots.csv")
+    assert [record.frame for record in records] == [2, 3, 4, 5]
+    radii = [record.result.semi_minor_px for record in records if isinstance(record.result, Spot)]
+    assert radii == pytest.approx([22, 23, 24, 25], abs=0.05)
+
+
+def test_a_camera_that_was_lost_comes_back_by_itself() -> None:
+    lost = False
+
+    def read() -> Iterator[Frame]:
+        while not lost:
+            time.sleep(0.01)
+            yield Frame(index=0, file_name="", time_s=time.time(), image=disc(30))
+        raise InputError("camera 0 stopped. Check its cable.")
+
+    with session_of(lambda: Source(name="camera 0", read=read, live=True)) as session:
+        wait_until(lambda: session.view, "a frame")
+        lost = True
+        wait_until(lambda: session.fault, "the fault")
+        assert session.fault == "camera 0 stopped. Check its cable."
+        before, lost = version_of(session), False
+        wait_until(lambda: version_of(session) > before + 3 and not session.fault, "its return")
+
+
+def test_the_course_covers_the_last_thirty_seconds() -> None:
+    def read() -> Iterator[Frame]:
+        for n in range(50):
+            yield Frame(index=n, file_name="", time_s=float(n), image=disc(30))
+
+    with session_of(lambda: Source(name="slow", read=read, rate_hz=1e3)) as session:
+        wait_until(lambda: session.at_end, "the end")
+        times = [moment.time_s for moment in session.course]
+    assert times == list(range(19, 50))
+
+
+def test_exposure_is_advised_where_light_is_lost_or_missing() -> None:
+    spot = Spot(
+        x_px=80,
+        y_px=60,
+        semi_major_px=30,
+        semi_minor_px=30,
+        angle_rad=0,
+        covariance=np.eye(5),
+        edge_width_px=1,
+        coverage=1,
+        inlier_fraction=1,
+        saturated=0.0,
+    )
+    good = exposure_advice(spot, disc(30, 180), Response())
+    assert good == ""
+    half = replace(spot, saturated=0.5)
+    assert exposure_advice(half, disc(30, 255), Response()).startswith("50% of the spot is sat")
+    # 40 of 255 is 16 %; 5 times as long makes it 80 %.
+    assert "5 times as long" in exposure_advice(spot, disc(30, 41), Response())
+    assert exposure_advice(NoSpot(Reason.NONE_FOUND), disc(30), Response()) == ""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    pytest.importorskip("nicegui", reason="pip install 'eyespot[console]'")
+    playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("apt-get install chromium")
+    with playwright.sync_playwright() as started:
+        # Chromium's own sandbox does not run as root.
+        browser = started.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@contextlib.contextmanager
+def console(*command: str, log: Path) -> Iterator[str]:
+    """A program that serves the page; its address."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    words = [sys.executable, *(word.format(port=port) for word in command)]
+    # NiceGUI starts otherwise where it sees pytest's variable.
+    environment = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            words, cwd=HOME, env=environment, stdout=output, stderr=subprocess.STDOUT
+        )
+    address = f"http://127.0.0.1:{port}/"
+    try:
+        wait_until(lambda: process.poll() is not None or answers(address), "the page")
+        assert process.poll() is None, log.read_text()
+        yield address
+        process.send_signal(signal.SIGINT)
+        process.wait(10)
+        assert "Traceback" not in log.read_text()
+    finally:
+        process.kill()
+        process.wait()
+
+
+def answers(address: str) -> bool:
+    try:
+        urllib.request.urlopen(address, timeout=5)
+    except urllib.error.HTTPError:
+        return True  # asks for a token
+    except OSError:
+        return False
+    return True
+
+
+def text(page: Any, name: str) -> str:
+    return page.locator(f".{name}").inner_text()
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return rendered_stack(tmp_path_factory.mktemp("rendered"))
+
+
+@pytest.mark.slow
+def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(
+    browser: Any, stack: Path, tmp_path: Path
+) -> None:
+    calibration = str(calibrated(tmp_path, "exact"))
+    command = ["eyespot.py", "console", str(stack), "--calibration", calibration]
+    command += ["--folder", str(tmp_path), "--port", "{port}"]
+    with console(*command, log=tmp_path / "log") as address:
+        page, other = browser.new_page(), browser.new_page()
+        for window in (page, other):
+            window.goto(address)
+        wait_until(lambda: "frame 12 of 12" in text(page, "where"), "the last frame")
+        page.keyboard.press("ArrowLeft")
+        wait_until(lambda: "frame 11 of 12" in text(page, "where"), "a step back")
+        page.keyboard.press("ArrowLeft")
+        wait_until(lambda: "frame 10 of 12" in text(page, "where"), "another step back")
+        page.keyboard.press("ArrowLeft")
+        wait_until(lambda: "frame 9 of 12" in text(page, "where"), "a third step back")
+        # A click where no spot is; then one on the spot.
+        image, box = page.locator(".image img"), page.locator(".image img").bounding_box()
+        label = read_stack(stack).labels[8]
+        scale = box["width"] / 320
+        image.click(position={"x": 8 * scale, "y": 8 * scale})
+        at = {"x": (label.half_max_x_px + 0.5) * scale, "y": (label.half_max_y_px + 0.5) * scale}
+        image.click(position=at)
+        wait_until(lambda: text(page, "state") == "good", "the spot")
+        # 0.1 px of 1 px blurred edge is 0.0134 * 20 * 0.1 = 0.027 mm; the page rounds to 0.01.
+        distance = float(text(page, "distance").split()[0])
+        assert distance == pytest.approx(label.d_mm, abs=0.032)
+        wait_until(lambda: text(other, "distance") == text(page, "distance"), "the other window")
+        assert text(other, "where") == text(page, "where")
+
+        page.keyboard.press("r")
+        wait_until(lambda: "0 frames" in text(page, "recorded"), "the recording")
+        page.keyboard.press("ArrowRight")
+        wait_until(lambda: "1 frames" in text(page, "recorded"), "a recorded frame")
+        page.keyboard.press("r")
+        wait_until(lambda: "Wrote" in text(page, "recorded"), "the end of the recording")
+        (spots,) = tmp_path.glob("spots-*.csv")
+        (record,) = read_spots(spots)
+        assert record.frame == 9
+        assert f"{record.distance_mm:.2f} mm" == text(page, "distance")
+
+        page.reload()
+        wait_until(lambda: text(page, "distance") == text(other, "distance"), "the page again")
+        assert "frame 10 of 12" in text(page, "where")
+
+
+# Seconds from the end of the exposure to each picture that was painted, for three seconds.
+LAGS = """() => new Promise(done => {
+  const lags = [], image = document.querySelector('.image img');
+  const note = () => requestAnimationFrame(() => {
+    const read = new URL(image.src).searchParams.get('read');
+    if (read) lags.push(Date.now() / 1000 - Number(read));
+  });
+  image.addEventListener('load', note);
+  setTimeout(() => { image.removeEventListener('load', note); done(lags); }, 3000);
+})"""
+
+
+@pytest.mark.slow
+def test_a_camera_is_shown_at_once_and_its_loss_and_return_are_seen(
+    browser: Any, tmp_path: Path
+) -> None:
+    unplugged = tmp_path / "unplugged"
+    with console(
+        "-m", "tests.console_camera", "{port}", str(unplugged), log=tmp_path / "log"
+    ) as address:
+        page, slow = browser.new_page(), browser.new_page()
+        for window in (page, slow):
+            window.goto(address)
+        wait_until(lambda: text(page, "state") == "good", "an image")
+        lags = page.evaluate(LAGS)
+        usual_hz = rate_of(page)
+        throttle = slow.context.new_cdp_session(slow)
+        throttle.send("Emulation.setCPUThrottlingRate", {"rate": 20})
+        rate_hz = rate_of(page)
+        print(
+            f"{len(lags)} pictures in 3 s, {1e3 * np.median(lags):.0f} ms (median),"
+            f" {1e3 * max(lags):.0f} ms (largest) after they were read; {usual_hz:.1f} frames a"
+            f" second are measured, {rate_hz:.1f} beside a browser that is 20 times slower"
+        )
+        assert len(lags) > 20
+        assert np.median(lags) < 0.150
+        # It is not slower: the margin is what other programs take from the machine.
+        assert rate_hz > 0.8 * usual_hz
+
+        unplugged.touch()
+        wait_until(lambda: text(page, "state") == "no image", "the loss")
+        assert text(page, "reason") == "the camera stopped. Check its cable."
+        unplugged.unlink()
+        wait_until(lambda: text(page, "state") == "good", "the return")
+
+
+def rate_of(page: Any) -> float:
+    """Frames that are measured in a second, of three."""
+    number, began = frame_number(page), time.monotonic()
+    time.sleep(3.0)
+    return (frame_number(page) - number) / (time.monotonic() - began)
+
+
+def frame_number(page: Any) -> int:
+    return int(text(page, "where").split()[1].rstrip(","))
+
+
+@pytest.mark.slow
+def test_beyond_this_machine_the_page_asks_for_a_token(
+    browser: Any, stack: Path, tmp_path: Path
+) -> None:
+    command = ["eyespot.py", "console", str(stack), "--host", "0.0.0.0", "--port", "{port}"]
+    log = tmp_path / "log"
+    with console(*command, log=log) as address:
+        token = log.read_text().rpartition("token: ")[2].strip()
+        page = browser.new_context().new_page()
+        page.goto(address)
+        for given in ("wrong", token):
+            page.fill("input[name=token]", given)
+            page.click("button")
+        wait_until(lambda: page.locator(".where").count(), "the page")
+        wait_until(lambda: "frame" in text(page, "where"), "a frame")
+        for path in ("", "frame/0", "_nicegui_ws/socket.io/"):
+            with pytest.raises(urllib.error.HTTPError, match="401"):
+                urllib.request.urlopen(address + path)
