@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import re
@@ -216,6 +217,31 @@ def played(
     said = (folder / "node.log").read_text()[-2000:]
     assert done.returncode == 0, f"{done.stderr}\n== node\n{said}"
     return json.loads(answers.read_text())
+
+
+def test_a_topic_is_a_source_that_says_when_images_stop(
+    python: str, environment: dict[str, str], stack: Path, tmp_path: Path
+) -> None:
+    bag, out = tmp_path / "bag", tmp_path / "read.json"
+    recording_of(stack, bag, ros=2, rounds=ROUNDS)
+    reader = subprocess.Popen(
+        [python, f"{HOME}/tests/topic_reader.py", IMAGES, out], env=environment
+    )
+    with node(python, environment, tmp_path / "node.log", *given(use_sim_time="true")):
+        played(python, environment, bag, tmp_path, speed=1.0)
+    assert reader.wait(30) == 0
+    read = json.loads(out.read_text())
+    true = {
+        f"{round(frame.time_s * 1e9)}": hashlib.sha256(frame.image.tobytes()).hexdigest()
+        for frame in frames_of(stack, ROUNDS)
+    }
+    assert read["digests"].items() <= true.items()
+    assert len(read["digests"]) > len(true) / 2
+    assert "nobody publishes it" in read["faults"][0]
+    assert read["faults"][-1].startswith(f"no image on {IMAGES}")
+    print(
+        f"{Path(python).parts[-3]}: {len(read['digests'])} of {len(true)} frames read as a source"
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from estimator.run import Options, with_options
 from optics import InputError
+
+if TYPE_CHECKING:
+    from estimator.sources import Source
+
+_TOPIC = "topic:"
 
 
 @with_options
@@ -19,7 +25,8 @@ def console(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="Stack, folder of images, TIFF, video, ROS bag, or number of a camera.",
+            help="Stack, folder of images, TIFF, video, ROS bag, number of a camera, or "
+            "topic:/NAME of a running ROS.",
         ),
     ],
     exposure: Annotated[
@@ -56,8 +63,14 @@ def console(
 
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder. Make it, or choose another one.")
-    opened = partial(open_source, source, exposure=exposure, image_topic=image_topic)
-    options["microscope"] = options["microscope"] or opened().microscope_file
+    if source.startswith(_TOPIC):
+        from estimator.rig import open_topic
+
+        live = open_topic(source.removeprefix(_TOPIC))
+        opened: Callable[[], Source] = lambda: live  # noqa: E731
+    else:
+        opened = partial(open_source, source, exposure=exposure, image_topic=image_topic)
+        options["microscope"] = options["microscope"] or opened().microscope_file
     token = None if is_loopback(host) else secrets.token_urlsafe(9)
     print(f"The console is at http://{host}:{port}. Ctrl-C ends it.", flush=True)
     if token is not None:

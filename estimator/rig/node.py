@@ -8,27 +8,20 @@
 
 from __future__ import annotations
 
-import importlib.util
-import os
 import sys
 
 from estimator.rig import ros1, ros2
+from estimator.rig.generation import is_ros2
 from optics import InputError
 
 
 def main() -> None:
     """Run the node under the ROS that was found until that ROS shuts down."""
     try:
-        (ros2 if _is_ros2() else ros1).run()
+        (ros2 if is_ros2() else ros1).run()
     except (InputError, OSError) as error:
         print(f"eyespot: {error}", file=sys.stderr)
         sys.exit(2)
-
-
-def _is_ros2() -> bool:
-    """Whether ROS 2 is there, by the setup file that was sourced, or else by its library."""
-    sourced = os.environ.get("ROS_VERSION")
-    return sourced == "2" if sourced else importlib.util.find_spec("rclpy") is not None
 
 
 if __name__ == "__main__":

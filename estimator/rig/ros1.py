@@ -14,7 +14,7 @@ from optics import InputError
 _DEBIAN_PACKAGES = "/usr/lib/python3/dist-packages"  # rospy, outside of environments
 # Larger than an uncompressed 1920x1080 RGB image (6.2 MB). In a smaller buffer old images wait, so
 # that the next image is not the newest.
-_BUFFER_BYTES = 2**25
+BUFFER_BYTES = 2**25
 
 
 def run() -> None:
@@ -24,7 +24,7 @@ def run() -> None:
         InputError: ROS is not installed, or parameters or files are wrong.
         OSError: a file cannot be read.
     """
-    rospy = _imported_rospy()
+    rospy = imported_rospy()
     rospy.init_node("eyespot")
     parameters = Parameters.of(rospy.get_param("~", {}))
     with opened_rig(parameters) as rig:
@@ -43,15 +43,16 @@ class Connection:
         from sensor_msgs.msg import Image
 
         self._rig, self._last = rig, None
-        self._topic = rospy.resolve_name(parameters.image_topic)
+        self._topic = _resolved(parameters.image_topic)
         self._silence = Silence(self._topic)
         self._out = [
-            rospy.Publisher(topic, kind, queue_size=10)
+            rospy.Publisher(_resolved(topic), kind, queue_size=10)
             for topic, kind in zip(topics_of(parameters), message_types(), strict=True)
         ]
-        rospy.Subscriber(parameters.pose_topic, Transform, self._on_pose, queue_size=POSES_KEPT)
+        poses = _resolved(parameters.pose_topic)
+        rospy.Subscriber(poses, Transform, self._on_pose, queue_size=POSES_KEPT)
         # At most one image waits: a node that cannot keep up skips images and measures the newest.
-        rospy.Subscriber(self._topic, Image, self._on_image, queue_size=1, buff_size=_BUFFER_BYTES)
+        rospy.Subscriber(self._topic, Image, self._on_image, queue_size=1, buff_size=BUFFER_BYTES)
 
     def watch(self) -> None:
         """Report images that have stopped; call this every `PERIOD_S`."""
@@ -86,7 +87,14 @@ class Connection:
             rospy.logerr_throttle(1.0, f"{error}")
 
 
-def _imported_rospy() -> Any:
+def _resolved(topic: str) -> str:
+    """The whole name of a topic; ROS 1 writes ~name for what ROS 2 writes as ~/name."""
+    import rospy
+
+    return rospy.resolve_name(topic.replace("~/", "~", 1))
+
+
+def imported_rospy() -> Any:
     """ROS's library for Python, which is not installed in the environment.
 
     Raises:

@@ -74,7 +74,8 @@ def parameters_of(node: Any) -> Parameters:
     return parameters
 
 
-def _check_topics(*names: str) -> None:
+def check_topics(*names: str) -> None:
+    """Raise an InputError unless these are names of topics."""
     from rclpy.exceptions import InvalidTopicNameException
     from rclpy.validate_topic_name import validate_topic_name
 
@@ -101,7 +102,7 @@ class Connection:
         self._node, self._rig, self._last = node, rig, None
         self._log = node.get_logger()
         poses, names = parameters.pose_topic, topics_of(parameters)
-        _check_topics(parameters.image_topic, poses, *names)
+        check_topics(parameters.image_topic, poses, *names)
         self._topic = node.resolve_topic_name(parameters.image_topic)
         self._out = [
             node.create_publisher(kind, name, 10)

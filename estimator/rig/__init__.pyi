@@ -1,0 +1,1 @@
+from .topic import open_topic as open_topic

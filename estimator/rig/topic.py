@@ -1,0 +1,93 @@
+"""A topic of images as a live source, under the ROS that is there."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Collection, Iterator
+from itertools import count
+from typing import Any
+
+from estimator.files import stamp_s
+from estimator.rig.generation import is_ros2
+from estimator.rig.ros1 import BUFFER_BYTES, imported_rospy
+from estimator.rig.silence import PERIOD_S, Silence
+from estimator.sources import Frame, Source, frame_of_message
+from optics import InputError
+
+_NAME = "eyespot_console"
+
+
+def open_topic(topic: str) -> Source:
+    """Subscribe to a topic; the source gives the newest image, and skips those that it misses.
+
+    Reading raises an InputError, with the cause, where images stop; read again for the next ones.
+
+    Args:
+        topic: of `sensor_msgs/Image`.
+
+    Raises:
+        InputError: ROS is not installed, or this is no topic's name.
+    """
+    newest = _Newest()
+    types = (_subscribed_ros2 if is_ros2() else _subscribed_ros1)(topic, newest)
+
+    def read() -> Iterator[Frame]:
+        silence = Silence(topic)
+        for index in count():
+            while (image := newest.taken(PERIOD_S)) is None:
+                change = silence.change(types)
+                if change is not None and change[1]:
+                    raise InputError(change[0])
+            silence.end()
+            stamp = image.header.stamp
+            time_s = stamp.to_sec() if hasattr(stamp, "to_sec") else stamp_s(image.header)
+            yield Frame(index=index, file_name="", time_s=time_s, image=frame_of_message(image))
+
+    return Source(name=topic, read=read, live=True)
+
+
+class _Newest:
+    """The newest message that nobody has taken yet."""
+
+    def __init__(self) -> None:
+        self._message: Any = None
+        self._arrived = threading.Condition()
+
+    def put(self, message: Any) -> None:
+        with self._arrived:
+            self._message = message
+            self._arrived.notify()
+
+    def taken(self, seconds: float) -> Any:
+        """Wait for a message; None if there is none in time."""
+        with self._arrived:
+            self._arrived.wait_for(lambda: self._message is not None, seconds)
+            message, self._message = self._message, None
+        return message
+
+
+def _subscribed_ros1(topic: str, newest: _Newest) -> Callable[[], Collection[str]]:
+    rospy = imported_rospy()
+    from sensor_msgs.msg import Image
+
+    rospy.init_node(_NAME, anonymous=True, disable_signals=True)
+    rospy.Subscriber(topic, Image, newest.put, queue_size=1, buff_size=BUFFER_BYTES)
+    name = rospy.resolve_name(topic)
+    return lambda: [kind for other, kind in rospy.get_published_topics() if other == name]
+
+
+def _subscribed_ros2(topic: str, newest: _Newest) -> Callable[[], Collection[str]]:
+    import rclpy
+    from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+    from sensor_msgs.msg import Image
+
+    from estimator.rig.ros2 import check_topics
+
+    check_topics(topic)
+    # The program ends by its own handlers of signals.
+    rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    node = rclpy.create_node(_NAME)
+    qos = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+    node.create_subscription(Image, topic, newest.put, qos)
+    threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
+    return lambda: [about.topic_type for about in node.get_publishers_info_by_topic(topic)]

@@ -1,0 +1,36 @@
+"""A program: reads a topic as a source until images stop, and writes what it has read.
+
+python tests/topic_reader.py TOPIC OUT.json
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+from pathlib import Path
+
+from estimator.rig import open_topic
+from optics import InputError
+
+
+def main(topic: str, out: Path) -> None:
+    """Read until the images that have come stop; note each image's time and digest."""
+    source = open_topic(topic)
+    digests: dict[int, str] = {}
+    faults: list[str] = []
+    while not digests:
+        try:
+            for frame in source:
+                digests[round(frame.time_s * 1e9)] = hashlib.sha256(
+                    frame.image.tobytes()
+                ).hexdigest()
+        except InputError as error:
+            faults.append(f"{error}")
+    out.write_text(json.dumps({"digests": digests, "faults": faults}))
+    os._exit(0)  # ROS's threads go on
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))
