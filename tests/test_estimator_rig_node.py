@@ -10,6 +10,7 @@ same frames measured offline. `tools/try-rig-node` runs it from nothing.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import math
 import os
@@ -435,6 +436,36 @@ def test_under_a_real_roscore_the_node_measures_what_is_measured_offline(
 
 def xyz(vector: Any) -> list[float]:
     return [vector.x, vector.y, vector.z]
+
+
+@pytest.mark.slow
+def test_under_a_real_roscore_a_topic_is_a_source_that_says_when_images_stop(
+    ros: None, stack: Path, tmp_path: Path
+) -> None:
+    bag, out = tmp_path / "rig.bag", tmp_path / "read.json"
+    recording_of(stack, bag)
+    with RosSession(tmp_path) as session:
+        session.wait_until(lambda: session.ask(session.uri, "getPid") is not None, "roscore")
+        program = HOME / "tests" / "topic_reader.py"
+        reader = session.start(sys.executable, program, "/decklink/camera/image_raw", out)
+        session.start(
+            "rosbag",
+            "play",
+            "--wait-for-subscribers",
+            "--topics",
+            "/decklink/camera/image_raw",
+            "--bags",
+            bag,
+        )
+        session.wait_until(lambda: reader.poll() is not None, "the end of the images")
+    read = json.loads(out.read_text())
+    true = {
+        f"{round(frame.time_s * 1e9)}": hashlib.sha256(frame.image.tobytes()).hexdigest()
+        for frame in frames_of(stack)
+    }
+    assert read["digests"].items() <= true.items()
+    assert len(read["digests"]) > len(true) / 2
+    assert read["faults"][-1].startswith("no image on /decklink/camera/image_raw: ")
 
 
 def nanoseconds(stamp: Any) -> int:
