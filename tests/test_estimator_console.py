@@ -22,9 +22,11 @@ import pytest
 
 from estimator import Frame, Reason, Source, Spot
 from estimator.console import Session, exposure_advice
-from estimator.files import read_spots, read_stack
+from estimator.console.picture import tip_px
+from estimator.files import read_microscope, read_spots, read_stack
 from estimator.image import NoSpot, Response
 from estimator.run import Options
+from estimator.sources import open_source
 from optics import InputError
 from tests.rig_recordings import HOME, calibrated, rendered_stack
 
@@ -107,6 +109,40 @@ def test_what_is_recorded_is_what_was_shown(tmp_path: Path) -> None:
     assert radii == pytest.approx([22, 23, 24, 25], abs=0.05)
 
 
+def test_frames_that_are_recorded_in_a_bag_are_measured_again(tmp_path: Path) -> None:
+    with session_of(recording) as session:
+        wait_until(lambda: session.at_end, "the end of the recording")
+        session.start_recording(tmp_path / "session.bag")
+        session.seek(0)
+        wait_until(lambda: shown(session)[0] == 0, "frame 0")
+        session.step(1)
+        wait_until(lambda: shown(session)[0] == 1, "frame 1")
+        session.stop_recording()
+        assert session.recording_fault == ""
+    frames = list(open_source(tmp_path / "session.bag"))
+    assert [frame.time_s for frame in frames] == [1e-9, 1 / 50]
+    for frame, radius in zip(frames, (20, 21), strict=True):
+        np.testing.assert_array_equal(frame.image, disc(radius))
+
+
+def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path) -> None:
+    # A frame of floats fits no ROS image.
+    frames = [
+        Frame(index=n, file_name="", time_s=n + 1.0, image=disc(30) / 255.0) for n in range(3)
+    ]
+    source = Source(name="floats", read=lambda: iter(frames), rate_hz=1e3, length=3)
+    with session_of(lambda: source) as session:
+        wait_until(lambda: session.at_end, "the end")
+        session.start_recording(tmp_path / "session.bag")
+        session.seek(0)
+        wait_until(lambda: version_of(session) >= 3, "frame 0 again")
+        session.pause(False)
+        wait_until(lambda: shown(session)[0] == 2, "the last frame")
+        session.stop_recording()
+        assert "uint8 or uint16" in session.recording_fault
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_camera_that_was_lost_comes_back_by_itself() -> None:
     lost = False
 
@@ -156,6 +192,25 @@ def test_exposure_is_advised_where_light_is_lost_or_missing() -> None:
     # 40 of 255 is 16 %; 5 times as long makes it 80 %.
     assert "5 times as long" in exposure_advice(spot, disc(30, 41), Response())
     assert exposure_advice(NoSpot(Reason.NONE_FOUND), disc(30), Response()) == ""
+
+
+@pytest.mark.parametrize("pinhole_height_mm", [11.5, 200.0])
+def test_the_tip_is_drawn_where_the_microscope_shows_it(
+    tmp_path: Path, pinhole_height_mm: float
+) -> None:
+    focal_px = (pinhole_height_mm + 11.5) / 0.0134
+    file = tmp_path / "microscope.yaml"
+    matrix = [focal_px, 0, 159.5, 0, focal_px, 119.5, 0, 0, 1]
+    file.write_text(
+        "image_width: 320\nimage_height: 240\n"
+        f"camera_matrix: {{rows: 3, cols: 3, data: {matrix}}}\n"
+        "distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}\n"
+    )
+    microscope = read_microscope(file, pinhole_height_mm=pinhole_height_mm, eye_radius_mm=11.5)
+    tip = np.array([0.4, -0.7, -8.0])
+    expected = microscope.pinhole().project(tip)
+    # JAX's single precision would be 1e-5 px of 200 px.
+    np.testing.assert_allclose(tip_px(tip, microscope), expected, atol=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -255,7 +310,7 @@ def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(
         wait_until(lambda: "1 frames" in text(page, "recorded"), "a recorded frame")
         page.keyboard.press("r")
         wait_until(lambda: "Wrote" in text(page, "recorded"), "the end of the recording")
-        (spots,) = tmp_path.glob("spots-*.csv")
+        (spots,) = tmp_path.glob("session-*.csv")
         (record,) = read_spots(spots)
         assert record.frame == 9
         assert f"{record.distance_mm:.2f} mm" == text(page, "distance")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 import eyespot
 from estimator import Spot
 from estimator.files import read_spots, read_stack
+from estimator.rig.rig import Parameters, opened_rig
 from estimator.viewer import record_stack
 from tests.drawn_sets import labels_of, write_stack
 
@@ -59,6 +61,23 @@ def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(
         (blob,) = columns["/microscope:EncodedImage:blob"][record.frame]
         image = np.asarray(Image.open(io.BytesIO(bytes(blob))))
         assert image.shape == (120, 160, 3)
+
+
+def test_the_rig_records_what_it_measures(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
+    v, u = np.mgrid[:240, :320]
+    image = np.where(np.hypot(u - 150, v - 110) < 40, 180, 20).astype(np.uint8)
+    message = SimpleNamespace(
+        height=240, width=320, encoding="mono8", is_bigendian=0, step=320, data=image.ravel()
+    )
+    with opened_rig(Parameters(rerun=str(tmp_path / "rig.rrd"))) as rig:
+        outputs = [rig.output(message, 1.0 + n / 10, n) for n in (7, 8)]
+    columns = columns_of(tmp_path / "rig.rrd")
+    centres = columns["/microscope/spot/centre:Points2D:positions"]
+    for number, output in zip((7, 8), outputs, strict=True):
+        np.testing.assert_allclose(
+            np.subtract(centres[number][0], 0.5), output.centre[:2], rtol=1e-6
+        )
 
 
 def area_px(ellipse: tuple[float, ...]) -> float:

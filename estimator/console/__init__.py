@@ -1,11 +1,12 @@
 """A page in the browser for the operator of a rig: `eyespot console`.
 
-advice   What the operator can do about the exposure
-command  The command `eyespot console`
-gate     Who may see the page: this machine, or whoever has the token
-page     The page: image, distance, course of the last 30 s, controls
-picture  What is drawn over the image, as SVG
-session  Reads a source frame by frame in a thread of its own, and takes the operator's commands
+advice     What the operator can do about the exposure
+command    The command `eyespot console`
+gate       Who may see the page: this machine, or whoever has the token
+page       The page: image, distance, course of the last 30 s, controls
+picture    What is drawn over the image, as SVG
+recorders  What the operator records: a spots file, or a bag with the frames
+session    Reads a source frame by frame in a thread of its own, and takes the operator's commands
 """
 
 import lazy_loader

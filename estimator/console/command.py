@@ -38,7 +38,7 @@ def console(
         typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
     ] = None,
     folder: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where spots files are recorded.")
+        Path, typer.Option(metavar="DIR", help="Where the page records spots and frames.")
     ] = Path(),
     host: Annotated[
         str,

@@ -38,7 +38,7 @@ def serve(
     Args:
         open_: opens the source.
         options: of the measurement.
-        folder: of the spots files that are recorded.
+        folder: of the recordings.
         host: address to listen on.
         port: to listen on.
         token: that the page asks for; None for none.
@@ -50,7 +50,6 @@ def serve(
     microscope = options.microscope_file()
     response = microscope.response if microscope else None
     session = Session(open_, options.reader(), response=response)
-    camera = microscope.camera() if microscope else None
 
     @app.get("/frame/{version}")
     def frame(version: int) -> Reply:
@@ -60,7 +59,7 @@ def serve(
 
     @ui.page("/")
     def page() -> None:
-        Page(session, options, folder, lambda view: svg_of(view, camera))
+        Page(session, options, folder, lambda view: svg_of(view, microscope))
 
     app.add_middleware(Gate, token=token)
     try:
@@ -83,7 +82,7 @@ class Page:
     Args:
         session: that is shown.
         options: of the measurement.
-        folder: of the spots files.
+        folder: of the recordings.
         overlay: makes the SVG of a view.
     """
 
@@ -122,6 +121,8 @@ class Page:
                 ui.button("Step ▶", on_click=lambda: session.step(1)).props("outline")
             ui.button("Search anew", on_click=session.search).props("outline")
             self._record = ui.button("Record", on_click=self._on_record)
+            kinds = {"csv": "spots (CSV)", "bag": "frames (ROS bag)"}
+            self._kind = ui.select(kinds, value="csv").props("dense outlined")
             self._recorded = ui.label().classes("note recorded")
             if session.source.length:
                 self._slider = ui.slider(min=0, max=session.source.length - 1).classes("scrub")
@@ -140,6 +141,8 @@ class Page:
         self._record.set_text("Stop recording" if session.recording else "Record")
         if session.recording:
             self._recorded.set_text(f"{session.recording.name}: {session.recorded} frames")
+        elif session.recording_fault:
+            self._recorded.set_text(session.recording_fault)
         if session.fault or view is None:
             self._show_fault(session.fault or "waiting for the first frame")
             if session.fault:
@@ -211,7 +214,7 @@ class Page:
             session.stop_recording()
             self._recorded.set_text(f"Wrote {name} ({number} frames).")
             return
-        path = self._folder / time.strftime("spots-%Y%m%d-%H%M%S.csv")
+        path = self._folder / time.strftime(f"session-%Y%m%d-%H%M%S.{self._kind.value}")
         try:
             session.start_recording(path)
         except (InputError, OSError) as error:
@@ -251,10 +254,11 @@ def _chart() -> dict[str, Any]:
     axis = {
         "type": "value",
         "axisLabel": {"color": "#888"},
+        "axisLine": {"onZero": False},
         "nameTextStyle": {"color": "#888"},
         "splitLine": {"lineStyle": {"color": "rgba(128, 128, 128, 0.3)"}},
     }
-    radius = axis | {"scale": True, "name": "px", "splitLine": {"show": False}}
+    radius = axis | {"scale": True, "splitLine": {"show": False}}
     return {
         "animation": False,
         "grid": {"left": 60, "right": 60, "top": 34, "bottom": 30},
@@ -264,7 +268,7 @@ def _chart() -> dict[str, Any]:
             "textStyle": {"color": "#888"},
         },
         "xAxis": axis | {"min": -COURSE_S, "max": 0, "name": "s"},
-        "yAxis": [axis | {"scale": True, "name": "mm"}, radius],
+        "yAxis": [axis | {"scale": True}, radius],
         "series": [
             {**line, "name": "distance, mm", "color": "#2a9d3f"},
             {**line, "name": "− σ", "color": "#2a9d3f", "lineStyle": thin},

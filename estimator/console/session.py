@@ -16,9 +16,9 @@ from pathlib import Path
 
 import cv2
 
-from estimator.files import SpotRecord, spots_stream
+from estimator.console.recorders import Write, recorder
 from estimator.image import Response, Spot, rgb_8bit
-from estimator.run import Reader, Reading, record_of
+from estimator.run import Reader, Reading
 from estimator.sources import Frame, Source
 from optics import InputError
 
@@ -99,9 +99,11 @@ class Session:
         self.paused = self.at_end = False
         self.recording: Path | None = None
         self.recorded = 0
+        self.recording_fault = ""
+        """Why the last recording ended by itself; empty if it did not."""
         self._course: deque[Moment] = deque()
-        self._file, self._record = ExitStack(), threading.Lock()
-        self._write: Callable[[SpotRecord], None] | None = None
+        self._file, self._record = ExitStack(), threading.RLock()
+        self._write: Write | None = None
         self._wake = threading.Condition()
         self._ended = False
         self._steps = 0
@@ -111,7 +113,7 @@ class Session:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread and complete the spots file."""
+        """End the thread and complete the recording."""
         self._command(_ended=True)
         self._thread.join()
         self.stop_recording()
@@ -152,7 +154,7 @@ class Session:
         self._reader.forget()
 
     def start_recording(self, path: Path) -> None:
-        """Write a spots file of all that is measured from now on.
+        """Record all frames that are measured from now on, see `recorders.recorder`.
 
         Raises:
             InputError: the file exists, or has another suffix.
@@ -160,14 +162,17 @@ class Session:
         """
         self.stop_recording()
         with self._record:
-            self._write = self._file.enter_context(spots_stream(path))
-            self.recording, self.recorded = path, 0
+            self._write = self._file.enter_context(recorder(path, self.mode))
+            self.recording, self.recorded, self.recording_fault = path, 0, ""
 
     def stop_recording(self) -> None:
-        """Complete the spots file."""
+        """Complete the recording; what fails is in `recording_fault`."""
         with self._record:
             self._write = self.recording = None
-            self._file.close()
+            try:
+                self._file.close()
+            except (InputError, OSError) as error:
+                self.recording_fault = f"{error}"
 
     def _command(self, **changes: object) -> None:
         with self._wake:
@@ -247,10 +252,7 @@ class Session:
             name=f"{self.source.name}, frame {frame.index}",
         )
         self._remember(frame, reading, arrived_s)
-        with self._record:
-            if self._write is not None:
-                self._write(record_of(frame, reading, self.mode))
-                self.recorded += 1
+        self._add_to_recording(frame, reading, arrived_s)
         self.view = View(
             version=self.view.version + 1 if self.view else 0,
             number=number,
@@ -260,6 +262,18 @@ class Session:
             arrived_s=arrived_s,
             response=self._response,
         )
+
+    def _add_to_recording(self, frame: Frame, reading: Reading, arrived_s: float) -> None:
+        """Record a frame; a disk that fails ends the recording, not the measurement."""
+        with self._record:
+            if self._write is None:
+                return
+            try:
+                self._write(frame, reading, arrived_s)
+                self.recorded += 1
+            except (InputError, OSError) as error:
+                self.stop_recording()
+                self.recording_fault = f"{error}"
 
     def _remember(self, frame: Frame, reading: Reading, arrived_s: float) -> None:
         time_s = arrived_s if math.isnan(frame.time_s) else frame.time_s
