@@ -17,7 +17,7 @@ import eyespot
 from estimator import Spot
 from estimator.files import read_spots, read_stack
 from estimator.rig.rig import Parameters, opened_rig
-from estimator.viewer import record_stack
+from estimator.viewer import check_recording_path, record_stack
 from tests.drawn_sets import labels_of, write_stack
 
 
@@ -111,6 +111,15 @@ def test_the_rings_of_the_retina_lie_on_the_eyeball() -> None:
     heights: Any = _heights_mm(Eye(), points)  # type: ignore[arg-type]
     np.testing.assert_allclose(np.sum(points**2, 1) + heights**2, 11.5**2)
     assert (heights < 0).all()
+
+
+def test_a_live_view_without_a_display_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(ValueError, match="live needs a display"):
+        check_recording_path("live")
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import socket
+import subprocess
+import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +28,7 @@ LIVE = "live"
 """The name that shows a recording in a viewer at once instead of writing it to a file."""
 
 _MEASURED, _TRUE = (60, 255, 60), (255, 180, 40)
+_PATIENCE_S = 20.0  # until the viewer's window is open, or has taken what was sent
 _JPEG_QUALITY = 90  # a frame of 0.9 MB becomes 0.05 MB
 
 
@@ -29,6 +36,9 @@ def check_recording_path(target: str) -> None:
     """Raise an InputError unless a recording can be made: its name, and the package rerun."""
     if target != LIVE and Path(target).suffix != ".rrd":
         raise InputError(f"{target}: a recording is a file NAME.rrd, or {LIVE}. Choose one.")
+    has_display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    if target == LIVE and sys.platform == "linux" and not has_display:
+        raise InputError(f"{LIVE} needs a display, and there is none. Record a file NAME.rrd.")
     try:
         import rerun  # noqa: F401
     except ModuleNotFoundError as error:
@@ -58,9 +68,9 @@ def recording_of(
     stream = rerun.RecordingStream("eyespot", recording_id=None)
     stream.send_recording_name(name)
     if target == LIVE:
-        stream.spawn(default_blueprint=_blueprint())
+        stream.connect_grpc(_opened_viewer(), default_blueprint=_blueprint())
         yield Recording(stream, microscope)
-        stream.flush()
+        stream.flush(timeout_sec=_PATIENCE_S)
         return
     with written_whole(Path(target)) as partial:
         stream.save(partial, default_blueprint=_blueprint())
@@ -187,6 +197,26 @@ class Recording:
         closed = np.concatenate([points, points[:1]]) + 0.5
         self._stream.log(path, rerun.LineStrips2D([closed], colors=[colour]))
         self._stream.log(f"{path}/centre", rerun.Points2D([centre + 0.5], colors=[colour]))
+
+
+def _opened_viewer() -> str:
+    """Open a viewer, which stays open, on a port of loopback; its address.
+
+    Raises:
+        InputError: it does not open.
+    """
+    # rerun's own `spawn` would listen on all interfaces.
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", f"{port}"]
+    viewer = subprocess.Popen([*command, "--hide-welcome-screen"], start_new_session=True)
+    deadline = time.monotonic() + _PATIENCE_S
+    while viewer.poll() is None and time.monotonic() < deadline:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+            return f"rerun+http://127.0.0.1:{port}/proxy"
+        time.sleep(0.1)
+    raise InputError("rerun's viewer did not open (see above). Record a file NAME.rrd.")
 
 
 def _blueprint() -> Any:
