@@ -59,7 +59,8 @@ def recording_of(
         microscope: of the frames; without one there is no eyeball, and frames are linear.
 
     Raises:
-        InputError: as `check_recording_path`, or something of this name exists.
+        InputError: as `check_recording_path`, something of this name exists, or the viewer does
+            not open or was closed.
         OSError: it cannot be written.
     """
     check_recording_path(target)
@@ -70,7 +71,13 @@ def recording_of(
     if target == LIVE:
         stream.connect_grpc(_opened_viewer(), default_blueprint=_blueprint())
         yield Recording(stream, microscope)
-        stream.flush(timeout_sec=_PATIENCE_S)
+        try:
+            stream.flush(timeout_sec=_PATIENCE_S)
+        except RuntimeError as error:
+            raise InputError(
+                f"rerun's viewer was closed, or did not take all frames ({error}). All other"
+                " results are complete. Record a file NAME.rrd, and open it with rerun."
+            ) from error
         return
     with written_whole(Path(target)) as partial:
         stream.save(partial, default_blueprint=_blueprint())
