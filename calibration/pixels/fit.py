@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
@@ -15,6 +16,12 @@ from calibration.pixels.parameters import FREE, check_names
 from calibration.pixels.solver import Solver
 from calibration.spots import BORESIGHT_SIGMA, Prior
 from estimator import Stack
+from optics import InputError
+
+_OTHER_SAGS = (0.5, 2.0)
+"""Factors of the sag for further starts, if the first fit misses some of the light. Two drops can
+have nearly the same light, and a drop that focuses it near the tip is found from flatter ones only
+(numbers 42 and 41 of `tests.photon_fits coverage`)."""
 
 
 def fit_image(
@@ -83,15 +90,26 @@ def fit_footage(
     if free is None:
         free = FREE[source]
     check_names(source, start, free, priors or {})
-    solver = Solver(
-        footage,
-        source,
-        start,
-        tuple(free),
-        priors or {},
-        exposures == "fitted",
-        lean_sigma,
-        boresight_sigma,
-        progress,
-    )
-    return solver.run()
+
+    def fitted(start: Mapping[str, float]) -> ImageFit:
+        solver = Solver(
+            footage,
+            source,
+            start,
+            tuple(free),
+            priors or {},
+            exposures == "fitted",
+            lean_sigma,
+            boresight_sigma,
+            progress,
+        )
+        return solver.run()
+
+    best = fitted(start)
+    for factor in _OTHER_SAGS if "sag" in free else ():
+        if not (best.misfit.structured or best.failed):
+            break
+        sag = min(factor * start["sag"], start["aperture_radius"])
+        with contextlib.suppress(InputError):  # no drop at all from there
+            best = min(best, fitted({**start, "sag": sag}), key=lambda fit: fit.chi_squared_per_dof)
+    return best
