@@ -133,3 +133,11 @@ def test_labels_say_what_moved(tmp_path):
     # The spot lies on the axis, so its centre is that of the window, shaken.
     assert label.half_max_x_px == pytest.approx(centre + label.view_x_px, abs=1e-3)
     assert "red_shift_x_px" not in label.row()
+
+
+def test_an_eyeball_that_turns_makes_no_noise_on_the_terminal(capfd):
+    turned = renderer({"rotation_deg_s": (0.0, 30.0, 0.0)})
+    (tip,), (axis,) = turned.world.motion.at(np.zeros(1))
+    for time in np.linspace(0.0, 0.3, 60):
+        turned.images.at(tip=tip, axis=axis, seed=0, moment=turned.world.unrest.at(0, time))
+    assert capfd.readouterr() == ("", "")

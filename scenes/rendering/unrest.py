@@ -5,7 +5,8 @@ Import after `load_mitsuba`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import drjit as dr
@@ -50,9 +51,21 @@ def unsettler(world: World, mitsuba_scene: Any, *, uniform: np.ndarray) -> Calla
             values[power] = _opaque(mi.Float(*scaled) if len(scaled) == 1 else mi.Color3f(*scaled))
             light = moment.power * uniform + ambient
             values["integrator.uniform"] = _opaque(mi.Color3f(light))
-        parameters.update(values)
+        with _no_warnings():
+            parameters.update(values)
 
     return unsettle
+
+
+@contextlib.contextmanager
+def _no_warnings() -> Iterator[None]:
+    """Mitsuba warns of a shear above 1e-6, which float32 leaves in a rotation times 11.5 mm."""
+    level = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        yield
+    finally:
+        mi.set_log_level(level)
 
 
 def _opaque(value: Any) -> Any:
