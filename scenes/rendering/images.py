@@ -71,7 +71,7 @@ class Images:
             Radiance, H x W x 3, mW/(mm2 sr), and the fraction of each pixel that shows the wall.
         """
         self._move(tip, axis)
-        if moment is not None:
+        if moment is not None and not self.world.scene.unrest.still:
             self._unsettle(moment)
         if self.reach is None:
             return self._whole_image(seed)

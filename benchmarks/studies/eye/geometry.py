@@ -108,7 +108,6 @@ def cameras(path: str, eyes: Eye, pupil_radius: Float[Array, ""]) -> PathCamera:
     """The cameras of one path into many eyes, with a leading axis."""
     lens, form = PATHS[path]
     viewing_lens = load_viewing_lens(lens)
-    above = getattr(viewing_lens, "thickness", getattr(viewing_lens, "height", 0.0))
 
     def camera(eye: Eye) -> PathCamera:
         found = viewing_path(
@@ -116,7 +115,7 @@ def cameras(path: str, eyes: Eye, pupil_radius: Float[Array, ""]) -> PathCamera:
             viewing_lens,
             form=form,
             pupil_radius=pupil_radius,
-            pinhole_distance=PINHOLE_ABOVE_MM + above,
+            pinhole_distance=PINHOLE_ABOVE_MM + viewing_lens.above_cornea,
         )
         # A robot's axes belong to an upright image, so a wide-field lens needs its inverter.
         return path_camera(found, scale=SCALE_MM_PX, upright=True)
