@@ -324,3 +324,13 @@ def test_kinematics_of_a_stack_are_what_the_rigs_reader_reads(tmp_path):
         assert age <= 0.005 + 2e-6
         np.testing.assert_allclose(pose.position_mm, row.tip_mm, atol=6e-4)
         np.testing.assert_allclose(pose.axis, row.axis, atol=1e-8)
+
+
+def test_a_withdrawal_starts_where_the_whole_spot_is_lit():
+    # The cone's edge is 0.256 mm from its axis at the tip, 6 um outside of the fibre's rim.
+    world = World(scene(spot={"incidence_deg": 0.0}, motion={"frames": 1}))
+    ((tip,), (axis,)) = world.motion.at(np.zeros(1))
+    edge = np.asarray(world.truth.contour)[0]
+    assert np.min((edge - tip) @ axis) == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(SceneError, match=r"0\.002 mm behind the tip.*Raise the distance"):
+        World(scene(spot={"incidence_deg": 0.0}, motion={"start_mm": 0.001})).check()

@@ -81,7 +81,9 @@ def test_labels_are_those_of_the_image(viewing, scale):
 
 def test_a_spot_that_touches_an_ellipsoid_touches_it_with_its_rim():
     scene = looked_at(
-        {"eye": "atchison", "refraction_d": -8.0, "lens": "flat"}, motion={"frames": 1}
+        {"eye": "atchison", "refraction_d": -8.0, "lens": "flat"},
+        motion={"frames": 1},
+        instrument={"fibre_diameter_mm": 0.6},  # wider than the cone
     )
     world = World(scene)
     ((tip,), (axis,)) = world.motion.at(np.zeros(1))

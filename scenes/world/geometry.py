@@ -79,8 +79,15 @@ class Geometry:
 
     @cached_property
     def contact_distance(self) -> float:
-        """d = |SO| at which the rim of the fibre touches the wall at [spot], mm."""
+        """d = |SO| at which the rim of the tip touches the wall at [spot], mm.
+
+        An ideal cone may be wider there than the fibre; then its edge is the rim, since no light
+        reaches a point of the wall behind the tip.
+        """
+        source = self.scene.source
         rim = self.scene.instrument.fibre_diameter_mm / 2
+        if source.kind == "cone":
+            rim = max(rim, -source.cone_apex_offset_mm / source.cone_k)
         incidence = math.radians(self.scene.spot.incidence_deg)
         if isinstance(self.wall, optics.Ellipsoid):
             return self._contact_with_ellipsoid(rim)

@@ -1,4 +1,4 @@
-"""Checks of a scene: the tip stays out of the wall, the spot stays in the window."""
+"""Checks of a scene: the tip stays out of the wall, the whole spot is lit and in the window."""
 
 from __future__ import annotations
 
@@ -64,6 +64,30 @@ def check_poses(
             f"{where} is {-clearance[first]:.3f} mm deep in the wall. Raise the distance "
             "in [motion]."
         )
+
+
+def check_light(
+    *, times: np.ndarray, contours: np.ndarray, tip: np.ndarray, axis: np.ndarray
+) -> None:
+    """Refuse a scene in which a part of the spot's edge lies behind the tip, where no light is.
+
+    Args:
+        times: n times, s.
+        contours: points of the spot's contour on the wall, n x points x 3, mm.
+        tip: n x 3, mm.
+        axis: n x 3, unit vectors.
+
+    Raises:
+        SceneError: a part is cut off; the message gives the first time and what to change.
+    """
+    ahead = np.sum((contours - tip[:, None]) * axis[:, None], axis=-1).min(axis=1)
+    if np.all(ahead > -_CONTACT_MM):
+        return
+    first = int(np.argmax(ahead <= -_CONTACT_MM))
+    raise SceneError(
+        f"at {times[first]:.3f} s a part of the spot's edge lies {-ahead[first]:.3f} mm behind the "
+        "tip, where there is no light. Raise the distance in [motion]."
+    )
 
 
 def check_window(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray) -> None:

@@ -12,7 +12,7 @@ import optics
 from scenes.walls import wall_colour, wall_spread
 from scenes.world.geometry import Geometry
 from scenes.world.light_cache import LensLight, lens_light
-from scenes.world.limits import check_poses, check_view, check_window
+from scenes.world.limits import check_light, check_poses, check_view, check_window
 from scenes.world.motion import Trajectory, frame_times, trajectory
 from scenes.world.unrest import UnrestPath
 from scenes.world.view import colour_cameras, colour_shifts
@@ -106,16 +106,18 @@ class World(Geometry):
         """The true pose and spot in the middle of every frame's exposure.
 
         Raises:
-            SceneError: as for `times`; or the spot leaves the window.
+            SceneError: as for `times`; or a part of the spot has no light, or is not in the window.
         """
+        poses = self.motion.at(self.times)._asdict()
         truth = optics.spot_truth(
             self.wall,
             self.microscope,
             self.table,
-            **self.motion.at(self.times)._asdict(),
+            **poses,
             half_angle=self.cone.half_angle,
             apex_offset=self.cone.apex_offset,
         )
+        check_light(times=self.times, contours=np.asarray(truth.contour), **poses)
         views = self.unrest.views(self.times)
         truth = truth._replace(
             cone=_shifted(truth.cone, views),
