@@ -294,7 +294,12 @@ def stack(tmp_path_factory):
                 "schema": 1,
                 "phantom": {"kind": kind, "wall": "uniform", **changes.get("phantom", {})},
                 "source": {"kind": "cone", "cone_k": K, "cone_apex_offset_mm": B},
-                "spot": {"eccentricity_mm": c, "azimuth_deg": azimuth},
+                "spot": {
+                    "eccentricity_mm": c,
+                    "azimuth_deg": azimuth,
+                    "incidence_deg": changes.get("incidence", 30.0),
+                },
+                "instrument": {"visible": "incidence" not in changes},
                 "motion": changes.get("motion", {"frames": frames}),
                 "exposures": {"kinds": ["metered"]},
             }
@@ -340,6 +345,19 @@ def test_the_eccentricity_that_was_rendered_is_found(stacks):
     # Asked of rendered cones with camera noise: within 0.01 mm.
     np.testing.assert_allclose(fit.eccentricity, [1.5, 3.0, 4.0, 5.0], atol=0.01)
     assert np.all(np.abs(fit.eccentricity - [1.5, 3.0, 4.0, 5.0]) < 4 * fit.eccentricity_error)
+
+
+def test_a_perpendicular_withdrawal_from_contact_is_a_good_fit(stack, tmp_path):
+    # Its spots are circles, whose measured axes point anywhere, and its first one is as wide as the
+    # tip, whose rim is at the wall.
+    out = tmp_path / "square.json"
+    square = stack("square", kind="eyeball", c=2.0, incidence=0.0)
+    result = CliRunner().invoke(eyespot.app, ["fit", square, "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "A good fit" in result.output
+    found = read_calibration(out)
+    for name, true in (("half_angle", np.arctan(1 / K)), ("b", B)):
+        assert abs(found.values[name] - true) < 4 * found.sigma(name)
 
 
 @pytest.mark.slow

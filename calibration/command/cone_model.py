@@ -16,8 +16,8 @@ from calibration.spots import ConeFit, fit_cone, fit_plane
 from estimator.files import BEAM
 from optics import InputError
 
-_MISMATCHES = ("position along", "position across", "size", "elongation", "direction")
-"""The components of `optics.ellipse_mismatch`, in words."""
+_MISMATCHES = ("position right", "position down", "size", "elongation right", "elongation oblique")
+"""The components of `optics.ellipse_mismatch` after `_along_the_image`, in words."""
 
 
 def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitted:
@@ -90,7 +90,12 @@ def fitted_cone(fit: ConeFit, recordings: Sequence[Recording], *, calibration_mo
         )
         if recording.trial.kind == "eyeball"
     ]
-    residuals = np.concatenate(fit.residuals)
+    residuals = np.concatenate(
+        [
+            _along_the_image(residual, np.asarray(recording.trial.ellipses.angle))
+            for residual, recording in zip(fit.residuals, recordings, strict=True)
+        ]
+    )
     return Fitted(
         calibration_model=calibration_model,
         values=values,
@@ -118,3 +123,19 @@ def fitted_cone(fit: ConeFit, recordings: Sequence[Recording], *, calibration_mo
             for name, boresight, lean in zip(names, fit.boresight, fit.lean, strict=True)
         ],
     )
+
+
+def _along_the_image(residuals: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Mismatches in the directions of the image instead of those of each measured ellipse.
+
+    Noise makes every measured circle an ellipse, and along its own axis that ellipse is always too
+    long, so that residuals there have one sign and look as if they had structure.
+
+    Args:
+        residuals: n x 5, as `ConeFit.residuals`.
+        angle: of the measured ellipses' major axes, n, rad.
+    """
+    u, v, size, long, oblique = residuals.T
+    once, twice = np.exp(1j * angle), np.exp(2j * angle)
+    place, shape = once * (u + 1j * v), twice * (long + 1j * oblique)
+    return np.stack([place.real, place.imag, size, shape.real, shape.imag], axis=1)
