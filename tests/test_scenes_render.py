@@ -16,6 +16,7 @@ from scenes import (
     SceneError,
     expose_again,
     load_mitsuba,
+    render_image,
     render_stack,
     write_preview,
 )
@@ -175,6 +176,21 @@ def test_a_stack_holds_every_exposure_of_every_frame_and_its_checksums(tmp_path)
     assert 195 < np.percentile(image[mask], 95) < 215
     with pytest.raises(InputError, match="exists"):
         render_stack(settings, tmp_path / "stack")
+
+
+def test_an_image_without_a_stack_is_that_of_the_stack(tmp_path):
+    settings = scene(
+        microscope={"illumination_mw_mm2": 0.05},
+        motion={"frames": 2, "speed_mm_s": 2.0},  # blurred
+        camera={"jpeg_quality": 85},
+    )
+    stack = render_stack(settings, tmp_path / "stack")
+    image = render_image(settings, frame=1, exposure="metered")
+    assert np.array_equal(image, stack.image(stack.exposed("metered")[1]))
+    with pytest.raises(InputError, match=r"frame = 2 is not in the scene: it has 0 to 1"):
+        render_image(settings, frame=2)
+    with pytest.raises(InputError, match=r"exposure = 'long' is none of the scene's: paper, met"):
+        render_image(settings, exposure="long")
 
 
 def test_a_stack_of_a_usb_camera_is_that_of_its_sensor_after_jpeg(tmp_path):

@@ -40,6 +40,15 @@ class Photography:
             return self.paper_exposure_s
         return min(self._camera.metered_s(light, mask), longest_exposure(self._world.scene))
 
+    def raw(self, light: np.ndarray, *, exposure_s: float, frame: int, order: int) -> np.ndarray:
+        """The camera's image of a frame with the order-th kind of exposure, before JPEG."""
+        seed = [self._world.scene.seed, frame, order]
+        return self._camera.raw(light, exposure_s=exposure_s, noise_seed=seed)
+
+    def written(self, raw: np.ndarray) -> np.ndarray:
+        """The image as it is in the file: after JPEG, if the camera uses JPEG."""
+        return self._camera.written(raw)
+
     def write(
         self,
         writer: StackWriter,
@@ -52,7 +61,7 @@ class Photography:
     ) -> None:
         """Expose a frame with the order-th kind of exposure, and write it with its labels."""
         scene, frame = self._world.scene, labels["frame"]
-        raw = self._camera.raw(light, exposure_s=exposure_s, noise_seed=[scene.seed, frame, order])
+        raw = self.raw(light, exposure_s=exposure_s, frame=frame, order=order)
         saturated = np.any(raw[mask] >= scene.camera.full_scale_dn, axis=-1)
         row = FrameLabels(
             file_name=file_name(self._world, frame, order),
@@ -63,7 +72,7 @@ class Photography:
             **labels,
         )
         writer.add(
-            self._camera.written(raw),
+            self.written(raw),
             row,
             np.uint8(255) * mask if order == 0 else None,
             light if scene.exposures.keep_linear else None,
