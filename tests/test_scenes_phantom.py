@@ -9,6 +9,7 @@ import pytest
 import scipy.ndimage
 
 from scenes import Renderer, Scene, SceneError
+from scenes.walls.picture import PHOTOGRAPH
 from scenes.world import World
 
 
@@ -105,6 +106,18 @@ def test_an_images_grey_is_the_reflectance_that_srgb_makes_of_it(tmp_path):
         np.testing.assert_allclose(renderer.world.wall_colour, 0.4 * 0.5029, rtol=1e-4)
         image = renderer.render(0).radiance
         np.testing.assert_allclose(image, 0.4 * 0.5029 * 0.05 / np.pi, rtol=1e-4)
+
+
+def test_the_photograph_is_4_9_mm_wide_and_upright():
+    settings = scene(phantom={"kind": "plane", "wall": "photograph", "reflectance": 0.5})
+    image = Renderer(settings).render(0).radiance[..., 1]
+    columns, rows = round(4.9 / 0.02), round(4.9 / 0.02 * 910 / 510)
+    file = cv2.imread(str(PHOTOGRAPH))[..., 1].astype(np.float32) / 255
+    small = cv2.resize(file**2.2, (columns, rows), interpolation=cv2.INTER_AREA)  # about sRGB
+    top, left = (480 - rows) // 2, (640 - columns) // 2
+    seen = image[top : top + rows, left : left + columns]
+    # A plane is seen without distortion. Turned or mirrored, the picture correlates by 0.5 at most.
+    assert np.corrcoef(seen.ravel(), small.ravel())[0, 1] > 0.97
 
 
 def test_the_second_tool_is_seen_on_the_line_from_its_tip_to_its_trocar():

@@ -59,11 +59,13 @@ class Phantom(_Settings):
     pupil_radius_mm: Length = Field(
         0.0, description="Radius of the opening of the eyeball; 0: closed eyeball."
     )
-    wall: Literal["printed paper", "retina", "uniform", "image"] = Field(
-        "printed paper", description="What the wall shows: a drawn fundus, one grey, or wall_image."
+    wall: Literal["printed paper", "retina", "uniform", "image", "photograph"] = Field(
+        "printed paper",
+        description="What the wall shows: a drawn fundus, one grey, wall_image, or a photograph of "
+        "a fundus, 4.9 x 8.7 mm about the pole.",
     )
     reflectance: float = Field(
-        0.5, ge=0, lt=1, description="Reflectance of the uniform wall, or of white in wall_image."
+        0.5, ge=0, lt=1, description="Reflectance of the uniform wall, or of white in an image."
     )
     wall_image: FileName = Field(
         "",
