@@ -112,7 +112,7 @@ def test_the_photograph_is_4_9_mm_wide_and_upright():
     settings = scene(phantom={"kind": "plane", "wall": "photograph", "reflectance": 0.5})
     image = Renderer(settings).render(0).radiance[..., 1]
     columns, rows = round(4.9 / 0.02), round(4.9 / 0.02 * 910 / 510)
-    file = cv2.imread(str(PHOTOGRAPH))[..., 1].astype(np.float32) / 255
+    file = np.asarray(cv2.imread(str(PHOTOGRAPH)))[..., 1].astype(np.float32) / 255
     small = cv2.resize(file**2.2, (columns, rows), interpolation=cv2.INTER_AREA)  # about sRGB
     top, left = (480 - rows) // 2, (640 - columns) // 2
     seen = image[top : top + rows, left : left + columns]
