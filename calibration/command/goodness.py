@@ -1,7 +1,8 @@
 """Checks of a fit: convergence, bounds, chi squared, structure of residuals.
 
-A fit has one of three verdicts. It is good, or good with a stated misfit, whose effect its standard
-errors contain, or not good. Only the last writes no calibration.
+A fit has one of four verdicts. It is good; or good with too wide standard errors; or good with a
+stated misfit, whose effect its standard errors contain; or not good. Only the last writes no
+calibration.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ def verdict(found: Sequence[Doubt]) -> str:
         return "A good fit"
     if any(doubt.fault is Fault.STATED_MISFIT for doubt in found):
         return f"A good fit with a stated misfit: {reasons}"
-    return f"Not called a good fit: {reasons}"
+    return f"A good fit with too wide standard errors: {reasons}"
 
 
 def refusal(found: Sequence[Doubt], *, model: str, report: Path) -> str:
