@@ -13,13 +13,26 @@ class RangeFlag(Enum):
 
     AMBIGUOUS: other distances (`Range.others_mm`) explain the spot equally well. OUT_OF_RANGE: the
     model has no such spot, or needs an axis that the robot did not report (the distance is NaN),
-    or it has one only with the tip behind the wall (it is
-    negative).
+    or it has one only with the tip behind the wall (it is negative).
     """
 
     NONE = "none"
     AMBIGUOUS = "ambiguous"
     OUT_OF_RANGE = "out_of_range"
+
+    @property
+    def meaning(self) -> str:
+        """What is doubtful, and what to do, in a sentence or two."""
+        return _MEANINGS[self]
+
+
+_MEANINGS = {
+    RangeFlag.NONE: "Nothing is doubtful.",
+    RangeFlag.AMBIGUOUS: "A lens makes spots of the same size at several distances. Another "
+    "distance explains this one equally well; only motion tells them apart.",
+    RangeFlag.OUT_OF_RANGE: "The model has no such spot in front of the wall, or it needs the "
+    "robot's axis and there is none. Check the calibration, the microscope file and the poses.",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -28,6 +28,28 @@ class Reason(Enum):
     AMBIGUOUS = "ambiguous"
     INTERNAL_ERROR = "internal_error"
 
+    @property
+    def meaning(self) -> str:
+        """What was found, and what to do, in a sentence or two."""
+        return _MEANINGS[self]
+
+
+_MEANINGS = {
+    Reason.NONE_FOUND: "Nothing bright in the frame has the outline of a spot. Look at the frame: "
+    "is the light on, is the exposure long enough?",
+    Reason.CLIPPED: "The border of the image cuts the spot. Move the window or the spot.",
+    Reason.TOO_SMALL: "The spot is smaller than can be measured. Withdraw the tip, or use a finer "
+    "scale.",
+    Reason.TOO_LARGE: "The spot is larger than allowed for this image. Approach the wall, or use a "
+    "coarser scale.",
+    Reason.SATURATED: "So much of the spot is at full scale that its outline is not in the image. "
+    "Shorten the exposure.",
+    Reason.OCCLUDED: "Too little of the outline is visible: an instrument, a shadow or a "
+    "reflection hides it.",
+    Reason.AMBIGUOUS: "Two places could be the spot. Click it (console), or cover the other light.",
+    Reason.INTERNAL_ERROR: "The measurement failed. This is a bug; please report the frame.",
+}
+
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
