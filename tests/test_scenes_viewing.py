@@ -79,6 +79,27 @@ def test_labels_are_those_of_the_image(viewing, scale):
     np.testing.assert_allclose([u.mean(), v.mean()], ellipse.centre[0], atol=0.06)
 
 
+def test_each_colour_is_rendered_where_its_label_says():
+    fine = {"width_px": 320, "height_px": 240, "scale_mm_px": 0.01, "samples": 16}
+    eye = {"eye": "navarro", "lens": "wide-field-90"}
+    spot = {"eccentricity_mm": 4.0, "azimuth_deg": 30.0, "incidence_deg": 0.0}
+
+    def centres(**viewing):
+        scene = looked_at(eye | viewing, microscope=fine, spot=spot)
+        light = Renderer(scene).render(0).radiance.astype(float)
+        y, x = np.mgrid[0:240, 0:320]
+        weight = light / light.sum(axis=(0, 1))
+        at = np.stack([np.sum(weight * k[..., None], axis=(0, 1)) for k in (x, y)], axis=-1)
+        return at[[0, 2]] - at[1], np.asarray(World(scene).colour_shifts)[:, 0]
+
+    seen, labelled = centres(colours="own")
+    # The label is the shift of one point, O; the centre of gravity of a spot of 0.36 mm moves
+    # alike, but for the change of the shift across the spot, to second order.
+    np.testing.assert_allclose(seen, labelled, rtol=0.05, atol=0.01)
+    assert np.hypot(*labelled[0]) > 0.3  # px
+    np.testing.assert_allclose(centres(colours="green")[0], 0.0, atol=1e-3)
+
+
 def test_a_spot_that_touches_an_ellipsoid_touches_it_with_its_rim():
     scene = looked_at(
         {"eye": "atchison", "refraction_d": -8.0, "lens": "flat"},

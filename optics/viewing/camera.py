@@ -117,7 +117,9 @@ class PathCamera(Camera):
         Colours share a sensor, but not delta.
         """
         scale = other.scale * jnp.abs(self.magnification / other.magnification)
-        return eqx.tree_at(lambda c: c.scale, self, scale)
+        return eqx.tree_at(
+            lambda c: (c.scale, c.principal_point), self, (scale, other.principal_point)
+        )
 
     @property
     def px_per_aim(self) -> Float[Array, ""]:

@@ -56,7 +56,7 @@ class Scene(BaseModel):
                 found.append("indirect light is computed for a wall without coat")
         if phantom.stretched and phantom.indirect == "closed form":
             found.append("indirect light is computed for a sphere of the eyeball's area")
-        if self.viewing.through_an_eye:
+        if self.viewing.through_an_eye and self.viewing.colours == "green":
             found.append("all colours are seen along green's lines of sight")
         return found
 

@@ -39,8 +39,13 @@ class Viewing(BaseModel):
     )
     wavelengths_nm: tuple[_Nanometres, _Nanometres, _Nanometres] = Field(
         (610.0, 550.0, 465.0),
-        description="Wavelengths of red, green and blue. The images are traced in green; labels "
-        "say how far the spot's centre is shifted in red and blue.",
+        description="Wavelengths of red, green and blue. Labels are those of green, and say how "
+        "far the spot's centre is shifted in red and blue.",
+    )
+    colours: Literal["green", "own"] = Field(
+        "green",
+        description="Lines of sight of red and blue: green's, or their own, which takes three "
+        "renderings.",
     )
 
     @property

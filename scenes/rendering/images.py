@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from scenes.description import Scene, SceneError
@@ -96,6 +98,40 @@ class Images:
                 seed=seed,
             )
         return image[..., :3], image[..., 3]
+
+
+class ColourImages:
+    """Images of a scene in which each colour has its own lines of sight, rendered apart.
+
+    Args:
+        colours: the scene as red, green and blue see it (`World.colours`).
+        variant: Mitsuba's variant.
+
+    Attributes:
+        mitsuba_scene: the scene as green sees it, loaded.
+        random: as of `Images`.
+        reach: as of `Images`, for green.
+    """
+
+    def __init__(self, colours: Sequence[World], *, variant: str) -> None:
+        self._images = [Images(world, variant=variant) for world in colours]
+        green = self._images[1]
+        self.mitsuba_scene, self.random, self.reach = green.mitsuba_scene, green.random, green.reach
+
+    def at(
+        self, *, tip: np.ndarray, axis: np.ndarray, seed: int, moment: Moment | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Image of one pose, as `Images.at`; the wall's fraction of a pixel is green's."""
+        seen = [own.at(tip=tip, axis=axis, seed=seed, moment=moment) for own in self._images]
+        radiance = np.stack([image[..., k] for k, (image, _) in enumerate(seen)], axis=-1)
+        return radiance, seen[1][1]
+
+
+def images_of(world: World, *, variant: str) -> Images | ColourImages:
+    """Images of a scene in the colours that [viewing] asks for."""
+    if len(world.colours) == 1:
+        return Images(world, variant=variant)
+    return ColourImages(world.colours, variant=variant)
 
 
 def _refuse_slow_light(scene: Scene, variant: str) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scenes.description import Scene
-from scenes.rendering.images import Images
+from scenes.rendering.images import images_of
 from scenes.world import World
 
 # A contour that moves by less than 0.25 px is blurred by 0.25 px / sqrt(12) = 0.07 px, which is
@@ -70,7 +70,7 @@ class Renderer:
     def __init__(self, scene: Scene, *, variant: str = "llvm_ad_rgb") -> None:
         self.scene = scene
         self.world = World(scene)
-        self.images = Images(self.world, variant=variant)
+        self.images = images_of(self.world, variant=variant)
         self.mitsuba_scene = self.images.mitsuba_scene
         self.world.check()
 

@@ -10,7 +10,7 @@ import numpy as np
 from estimator.files import written_whole
 from scenes.camera import Camera
 from scenes.description import Scene
-from scenes.rendering import Images
+from scenes.rendering import images_of
 from scenes.world import World, paper_exposure
 
 _SHRINK = 4
@@ -44,7 +44,7 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
     world = World(scene)
     (tip,), (axis,) = world.motion.at(world.times[[world.times.size // 2]])
     small = World(_small(scene))
-    radiance, _ = Images(small, variant=variant).at(tip=tip, axis=axis, seed=0)
+    radiance, _ = images_of(small, variant=variant).at(tip=tip, axis=axis, seed=0)
     return Camera(small.scene).raw(
         radiance, exposure_s=paper_exposure(world), noise_seed=[scene.seed]
     )

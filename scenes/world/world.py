@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 import optics
+from optics.viewing import PathCamera
 from scenes.walls import wall_colour, wall_spread
 from scenes.world.geometry import Geometry
 from scenes.world.light_cache import LensLight, lens_light
@@ -127,6 +128,22 @@ class World(Geometry):
         check_view(self, times=self.times, contours=np.asarray(truth.contour))
         check_window(self, times=self.times, contours=np.asarray(truth.contour_px))
         return truth
+
+    @cached_property
+    def colours(self) -> tuple[World, ...]:
+        """This world as red, green and blue see it, if [viewing] gives each its lines of sight."""
+        if not self.scene.viewing.through_an_eye or self.scene.viewing.colours == "green":
+            return (self,)
+        return self._seen_in(0), self, self._seen_in(2)
+
+    def _seen_in(self, channel: int) -> World:
+        """The same world with the microscope of another colour, on the same sensor."""
+        assert isinstance(self.microscope, PathCamera)
+        other = World(self.scene)
+        other.light, other.unrest, other.wall_colour = self.light, self.unrest, self.wall_colour
+        camera = colour_cameras(self.scene, self.wall)[channel]
+        other.microscope = camera.on_sensor_of(self.microscope)
+        return other
 
     @cached_property
     def colour_shifts(self) -> np.ndarray | None:
