@@ -1,11 +1,12 @@
 # Everything from a fresh clone; each target sets up what it needs, once.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup validate test test-slow test-wheel check bench constraints
+.PHONY: help setup validate test test-slow test-wheel check docs bench constraints
 
 # Empty files inside .venv remember what was set up, and vanish with it.
 PACKAGES := .venv/.packages-installed
 LIBRARIES := .venv/.libraries-found
+SITE := .venv/.docs-installed
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 14
@@ -30,6 +31,9 @@ check: $(PACKAGES) ## lint, format, types
 	.venv/bin/ruff format --check
 	.venv/bin/mypy
 
+docs: $(SITE) $(LIBRARIES) ## build the documentation into out/docs/site
+	.venv/bin/sphinx-build --fail-on-warning --keep-going --quiet docs out/docs/site
+
 bench: $(LIBRARIES) ## measure speed and accuracy, compared with alternatives
 	.venv/bin/python -m benchmarks.bench
 
@@ -42,4 +46,8 @@ $(PACKAGES): pyproject.toml constraints.txt tools/install-packages
 
 $(LIBRARIES): $(PACKAGES) scenes/machine/llvm.py scenes/machine/variant.py tools/install-libraries
 	@tools/install-libraries
+	@touch $@
+
+$(SITE): $(PACKAGES)
+	@tools/install-packages docs
 	@touch $@

@@ -1,0 +1,108 @@
+"""Sphinx's settings for the site: `make docs` builds it into out/docs."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+_HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(_HERE.parent))
+# Compiled functions are kept between pages and builds, as the command `eyespot` keeps them.
+_CACHES = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHES / "eyespot" / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+# Pages call `eyespot`, which is beside this Python.
+os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+os.environ["COLUMNS"] = "100"
+
+project = "eyespot"
+author = "The eyespot developers"
+copyright = author
+release = version = importlib.metadata.version("eyespot")
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
+    "sphinx-mathjax-offline",
+]
+exclude_patterns = ["gallery/**", "auto_gallery/**/*.ipynb", "jupyter_execute", "optics"]
+html_theme = "furo"
+html_title = "eyespot"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+default_role = "code"  # as in our docstrings
+
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+nb_execution_mode = "cache"  # a page runs again only if its code changed
+nb_execution_timeout = 900
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+suppress_warnings = ["mystnb.unknown_mime_type"]
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+sphinx_gallery_conf = {
+    "examples_dirs": ["gallery"],
+    "gallery_dirs": ["auto_gallery"],
+    "filename_pattern": r"/\w+\.py$",
+    "ignore_pattern": r"__init__\.py",
+    "download_all_examples": False,
+    "show_memory": False,
+    "remove_config_comments": True,
+    "reset_modules": ("matplotlib",),
+    "subsection_order": ["gallery/scenes", "gallery/lenses", "gallery/models", "gallery/reading"],
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+}
+
+
+_VERBATIM = re.compile(r"(?<![\\$])\$[^$]+\$|`+[^`]+`+", flags=re.DOTALL)
+
+
+def _as_rst(app: Any, what: str, name: str, obj: object, options: Any, lines: list[str]) -> None:
+    """Docstrings are plain text with `code` and $formulas$; autodoc reads reStructuredText."""
+    if what == "module":
+        # The first paragraph says what the package is, the rest is its indented map.
+        head, *rest = "\n".join(lines).split("\n\n", 1)
+        lines[:] = [*head.split("\n"), "", ".. code-block:: text", ""]
+        lines += [f"    {line}" for line in (rest[0] if rest else "").split("\n")]
+        return
+    text, last, parts = "\n".join(lines), 0, []
+    for match in _VERBATIM.finditer(text):
+        parts += [_escaped(text[last : match.start()]), _formula_or_code(match[0])]
+        last = match.end()
+    lines[:] = "".join([*parts, _escaped(text[last:])]).split("\n")
+
+
+def _escaped(text: str) -> str:
+    """|SO| is a length, and *batch a shape: neither is markup here."""
+    return re.sub(r"(?<!\\)([*|])", r"\\\1", text)
+
+
+def _formula_or_code(text: str) -> str:
+    return f":math:`{text[1:-1]}`" if text.startswith("$") else text
+
+
+def setup(app: Any) -> None:
+    """Write the pages that come from the code, and read docstrings as they are meant."""
+    from docs.generated import write_pages
+
+    write_pages(_HERE / "reference" / "generated")
+    app.connect("autodoc-process-docstring", _as_rst)
