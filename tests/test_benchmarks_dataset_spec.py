@@ -12,7 +12,7 @@ import pytest
 from benchmarks.sets.make.estimate import image_counts
 from benchmarks.sets.spec.planning import plan
 from benchmarks.sets.spec.spec import SEED_KEYS, SetSpec, SpecError, load_spec, named_specs
-from scenes import Scene, SceneError, scene_toml
+from scenes import Scene, SceneError, changed, scene_toml
 
 PLAIN = """\
 name = "plain"
@@ -132,7 +132,7 @@ def test_every_split_covers_each_distribution_evenly_by_itself(load, split, coun
 @pytest.mark.parametrize("name", named_specs())
 def test_no_two_stacks_share_noise_wall_motion_or_place(name):
     spec = load_spec(name)
-    stacks = plan(spec)
+    stacks = [stack for stack in plan(spec) if stack.pair is None]
     for key in SEED_KEYS:
         seeds = [seed for stack in stacks if (seed := seed_of(stack.scene, key)) is not None]
         assert len(set(seeds)) == len(seeds)
@@ -152,7 +152,7 @@ def test_no_two_named_sets_share_a_seed_or_lack_the_licence():
     specs = [load_spec(name) for name in named_specs()]
     assert [spec.name for spec in specs] == named_specs()
     assert {spec.licence for spec in specs} == {"CC-BY-4.0"}
-    seeds = [stack.scene.seed for spec in specs for stack in plan(spec)]
+    seeds = [stack.scene.seed for spec in specs for stack in plan(spec) if stack.pair is None]
     assert len(set(seeds)) == len(seeds)
 
 
@@ -172,6 +172,29 @@ def test_a_condition_changes_what_it_names_and_keeps_what_else_varies(load):
     assert {stack.scene.spot.eccentricity_mm for stack in dim} == {1.0}
     assert all(0.1 <= stack.scene.source.power_mw <= 0.2 for stack in dim)
     assert {stack.parameters["source.power_mw"] for stack in blur} == {1.0}
+
+
+def test_a_split_of_unseen_walls_changes_no_other_split(load):
+    plain = load(PLAIN + ADVERSE)
+    both = plan(
+        load(f'{PLAIN}{ADVERSE}[unseen]\nstacks = 3\nchanges.phantom.wall = "photograph"\n')
+    )
+    assert [stack.scene for stack in both[:-3]] == [stack.scene for stack in plan(plain)]
+    assert {stack.split for stack in both[-3:]} == {"unseen"}
+    assert {stack.scene.phantom.wall for stack in both[-3:]} == {"photograph"}
+    assert len({stack.scene.phantom.texture_seed for stack in both}) == len(both)
+
+
+def test_partners_of_a_pair_differ_in_nothing_but_what_the_pair_says(load):
+    alone = plan(load(PLAIN))
+    stacks = plan(load(PLAIN + "[pairs.high]\nmicroscope.pinhole_height_mm = 200.0\n"))
+    first, partners = ([s for s in stacks if s.pair == name] for name in (None, "high"))
+    assert [s.scene for s in first] == [s.scene for s in alone]
+    for one, other in zip(first, partners, strict=True):
+        assert other.name == f"{one.name}-high"
+        assert other.split == one.split
+        assert other.scene == changed(one.scene, {"microscope.pinhole_height_mm": 200.0})
+        assert one.parameters["microscope.pinhole_height_mm"] == 11.5
 
 
 def seed_of(scene: Scene, key: str) -> int | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
+from estimator import NoSpot, RangeFlag, Reason, Spot, SpotRecord, read_spots, write_spots
 
 _COLUMNS = (
     "frame,file_name,time_s,mode,status,reason,x_px,y_px,semi_major_px,semi_minor_px,angle_rad,"
@@ -122,3 +122,9 @@ def test_a_picture_is_no_spots_file(tmp_path: Path) -> None:
     path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
     with pytest.raises(ValueError, match=r"picture\.png"):
         read_spots(path)
+
+
+@pytest.mark.parametrize("reason", [*Reason, *RangeFlag])
+def test_every_reason_is_explained(reason):
+    assert reason.meaning.endswith(".")
+    assert len(reason.meaning) < 200

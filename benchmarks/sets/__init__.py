@@ -18,6 +18,7 @@ Files of a set:
         manifest.json         size and SHA-256 of every other file; written last, so a set with a
                               manifest is complete
 
-SPLIT is train, validation, test or adverse. The conditions of adverse are in set.json and in the
-names of its stacks. The same spec gives the same bytes.
+SPLIT is train, validation, test, adverse or unseen. The conditions of adverse, and which stacks are
+partners in a pair, are in set.json and in the names of the stacks. The same spec gives the same
+bytes.
 """

@@ -22,7 +22,8 @@ def make(
         str,
         typer.Argument(
             metavar="SPEC",
-            help="Spec file (TOML), or static-v1, eccentricity-v1, dynamic-v1 or adverse-v1.",
+            help="Spec file (TOML), or a named set: static-v2, eccentricity-v2, dynamic-v2, "
+            "adverse-v2, eye-v2, or static-v1, eccentricity-v1, dynamic-v1, adverse-v1.",
         ),
     ],
     out: Annotated[

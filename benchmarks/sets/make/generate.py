@@ -168,6 +168,7 @@ def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
                 "split": stack.split,
                 "name": stack.name,
                 "condition": stack.condition,
+                **({"pair": stack.pair} if stack.pair else {}),
                 "parameters": stack.parameters,
             }
             for stack in planned

@@ -13,11 +13,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from benchmarks.reporting import BLUE, GREEN, ORANGE, STYLE, VERMILION
+from benchmarks.reporting import BLUE, GREEN, ORANGE, PURPLE, STYLE, VERMILION
 from benchmarks.sets.read import Row
 from estimator.files import written_whole
 
-_COLOURS = {"train": BLUE, "validation": GREEN, "test": ORANGE, "adverse": VERMILION}
+_COLOURS = {
+    "train": BLUE,
+    "validation": GREEN,
+    "test": ORANGE,
+    "adverse": VERMILION,
+    "unseen": PURPLE,
+}
 _BINS, _COLUMNS = 24, 4
 _SAMPLES = 6  # images per split and condition
 _WIDTH_IN = 10.0

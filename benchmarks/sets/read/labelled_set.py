@@ -28,9 +28,10 @@ class SetStack:
     """A stack of a set.
 
     Attributes:
-        split: train, validation, test or adverse.
+        split: train, validation, test, adverse or unseen.
         name: name of its folder.
         condition: condition of an adverse stack, else None.
+        pair: name of the pair whose partner the stack is, else None.
         parameters: values of the scene keys that vary within the set, by dotted name.
         folder: path of the stack.
     """
@@ -40,6 +41,7 @@ class SetStack:
     condition: str | None
     parameters: dict[str, Any]
     folder: Path
+    pair: str | None = None
 
     def open(self) -> Stack:
         """Open the stack, for its labels and images."""
@@ -75,9 +77,10 @@ class LabelledSet:
 
 
 class _StackRow(Strict):
-    split: Literal["train", "validation", "test", "adverse"]
+    split: Literal["train", "validation", "test", "adverse", "unseen"]
     name: Annotated[str, Field(pattern=FOLDER_NAME)]
     condition: Annotated[str, Field(pattern=FOLDER_NAME)] | None
+    pair: Annotated[str, Field(pattern=FOLDER_NAME)] | None = None
     parameters: dict[str, Any]
 
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.sets.read import SetStack, image_name, qualified_name
-from estimator import FrameLabels, read_microscope
+from estimator import FrameLabels, Stack, read_microscope
 
-_SPLITS = ("train", "validation", "test", "adverse")
+_SPLITS = ("train", "validation", "test", "adverse", "unseen")
 
 
 class Circumstances(NamedTuple):
@@ -22,6 +22,8 @@ class Circumstances(NamedTuple):
         stack: SPLIT/STACK.
         split: its split; empty for a single stack.
         adverse: its condition in the split `adverse`; empty in other splits.
+        pair: the pair whose partner its stack is, or "first"; empty in a set without pairs.
+        viewing: viewing lens and form of the eye; empty for a pinhole.
         scale_mm_px: delta, scale of the microscope.
         source: light source: cone, lens or photons.
         wall: picture on the wall.
@@ -31,6 +33,8 @@ class Circumstances(NamedTuple):
     stack: str
     split: str
     adverse: str
+    pair: str
+    viewing: str
     scale_mm_px: float
     source: str
     wall: str
@@ -43,7 +47,8 @@ class Circumstances(NamedTuple):
 
 def circumstances_of(stacks: Iterable[SetStack]) -> dict[str, Circumstances]:
     """All images of a set, by their names in the set."""
-    images = {}
+    images, stacks = {}, list(stacks)
+    first = "first" if any(entry.pair for entry in stacks) else ""
     for entry in stacks:
         scale = read_microscope(entry.folder / "microscope.json").scale_mm_px
         stack = entry.open()
@@ -53,11 +58,20 @@ def circumstances_of(stacks: Iterable[SetStack]) -> dict[str, Circumstances]:
                 stack=qualified_name(entry),
                 split=entry.split,
                 adverse=entry.condition or "",
+                pair=entry.pair or first,
+                viewing=_viewing_path(stack),
                 scale_mm_px=scale,
                 source=stack.described("scene.source.kind", str),
                 wall=stack.described("scene.phantom.wall", str),
             )
     return images
+
+
+def _viewing_path(stack: Stack) -> str:
+    viewing = stack.description["scene"].get("viewing", {})  # not in stacks of eyespot 0.1
+    if viewing.get("eye", "none") == "none":
+        return ""
+    return f"{viewing['lens']}, {viewing['form']}"
 
 
 class Condition(NamedTuple):
@@ -105,6 +119,8 @@ def _binned(
 CONDITIONS = (
     Condition("split", "split", lambda image: image.split, _SPLITS),
     Condition("adverse", "adverse condition", lambda image: image.adverse),
+    Condition("pair", "partner of a pair", lambda image: image.pair, ("first",)),
+    Condition("viewing", "viewing path", lambda image: image.viewing),
     Condition("source", "light source", lambda image: image.source),
     Condition("wall", "wall", lambda image: image.wall),
     Condition("exposure", "exposure", lambda image: image.labels.exposure),

@@ -24,9 +24,11 @@ class PlannedStack:
     """One stack to render.
 
     Attributes:
-        split: train, validation, test or adverse.
+        split: train, validation, test, adverse or unseen.
         name: name of its folder.
         condition: condition in the adverse split, else None.
+        pair: name of the pair whose partner this stack is, else None. The other stack has the name
+            without the pair's, the same draws and the same seeds.
         scene: its scene.
         parameters: values of the scene keys that vary within the set, by dotted name.
     """
@@ -34,6 +36,7 @@ class PlannedStack:
     split: str
     name: str
     condition: str | None
+    pair: str | None
     scene: Scene
     parameters: dict[str, Any]
 
@@ -75,11 +78,15 @@ def plan(spec: SetSpec) -> list[PlannedStack]:
         {k for group in groups for k, v in group.changes.items() if isinstance(v, Distribution)}
     )
     points = _sobol(len(drawn), block * len(groups), seed=spec.seed)
-    labelled = sorted({key for group in groups for key in group.changes})
+    pairs = spec.pairs or {}
+    of_pairs = {key for values in pairs.values() for key in values}
+    labelled = sorted({key for group in groups for key in group.changes} | of_pairs)
     return [
         _planned(
             group,
             index,
+            pair,
+            values,
             quantiles=dict(zip(drawn, points[number * block + index], strict=True)),
             seed=spec.seed * _MOST_STACKS + number * block + index,
             base=spec.scene,
@@ -87,6 +94,7 @@ def plan(spec: SetSpec) -> list[PlannedStack]:
         )
         for number, group in enumerate(groups)
         for index in range(group.stacks)
+        for pair, values in ((None, {}), *pairs.items())
     ]
 
 
@@ -96,6 +104,8 @@ def _groups(spec: SetSpec) -> Iterator[_Group]:
     if spec.adverse:
         for condition, changes in spec.adverse.conditions.items():
             yield _Group("adverse", condition, spec.adverse.stacks, spec.vary, changes)
+    if spec.unseen:  # last, so that it changes no other split
+        yield _Group("unseen", None, spec.unseen.stacks, spec.vary, spec.unseen.changes)
 
 
 def _sobol(dimensions: int, count: int, *, seed: int) -> np.ndarray:
@@ -109,6 +119,8 @@ def _sobol(dimensions: int, count: int, *, seed: int) -> np.ndarray:
 def _planned(
     group: _Group,
     index: int,
+    pair: str | None,
+    pair_values: dict[str, Any],
     *,
     quantiles: dict[str, float],
     seed: int,
@@ -121,10 +133,10 @@ def _planned(
             for key, change in changes.items()
         }
 
-    name = "-".join(filter(None, [group.condition, f"{index:04d}"]))
+    name = "-".join(filter(None, [group.condition, f"{index:04d}", pair]))
     scene = Scene()
     try:
-        for values in (base, drawn(group.vary), drawn(group.condition_changes)):
+        for values in (base, drawn(group.vary), drawn(group.condition_changes), pair_values):
             # The kind of motion comes first, because the other keys depend on it.
             scene = changed(
                 scene, dict(sorted(values.items(), key=lambda v: v[0] != "motion.kind"))
@@ -136,6 +148,7 @@ def _planned(
         split=group.split,
         name=name,
         condition=group.condition,
+        pair=pair,
         scene=scene,
         parameters={key: _value(scene, key) for key in labelled},
     )

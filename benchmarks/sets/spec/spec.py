@@ -17,6 +17,12 @@ microscope.pinhole_height_mm = { choice = [11.5, 200.0] }
 stacks = 4                          # per condition
 [adverse.conditions.saturation]     # changes of this condition: values or distributions
 exposures.kinds = ["paper"]
+[unseen]                            # a split that differs from all others, usually in its walls
+stacks = 8
+[unseen.changes]
+phantom.wall = "photograph"
+[pairs.short]                       # every stack again, with these values and nothing else changed
+exposures.sensitivity_mm2_sr_mj = 2000.0
 """
 
 from __future__ import annotations
@@ -79,12 +85,21 @@ class Adverse(_Table):
     )
 
 
+class Unseen(_Table):
+    """The split that shows what no other split shows, such as walls of another generator."""
+
+    stacks: _Count
+    changes: _Changes = Field(min_length=1, description="Values or distributions.")
+
+
 class SetSpec(_Table):
     """The spec of a labelled set.
 
     Attributes:
         vary: distributions by dotted scene key.
         adverse: None if the set has no such split.
+        unseen: None if the set has no such split.
+        pairs: values by the name that ends the names of the partners' folders; None without any.
     """
 
     schema_version: Literal[1] = Field(1, alias="schema")
@@ -96,11 +111,16 @@ class SetSpec(_Table):
     scene: Annotated[dict[str, Any], BeforeValidator(_dotted)] = {}
     vary: _Changes = {}
     adverse: Adverse | None = None
+    unseen: Unseen | None = None
+    pairs: dict[_Condition, Annotated[dict[str, Any], BeforeValidator(_dotted)]] | None = None
 
     @model_validator(mode="after")
     def _is_possible(self) -> SetSpec:
-        conditions = self.adverse.conditions if self.adverse else {}
-        for where, changes in {"scene": self.scene, "vary": self.vary, **conditions}.items():
+        named: dict[str, Mapping[str, Any]] = {"scene": self.scene, "vary": self.vary}
+        named |= self.adverse.conditions if self.adverse else {}
+        named |= {"unseen.changes": self.unseen.changes} if self.unseen else {}
+        named |= {f"pairs.{name}": values for name, values in (self.pairs or {}).items()}
+        for where, changes in named.items():
             if taken := [key for key in SEED_KEYS if key in changes]:
                 raise InputError(
                     f"{where}.{taken[0]}: every stack gets its own seed from the set's `seed`. "
@@ -114,7 +134,8 @@ class SetSpec(_Table):
                 f"{shortened(self.vary[fixed[0]])}. Move a value that is common to all stacks to "
                 "[scene]."
             )
-        if not (any(self.splits.model_dump().values()) or (self.adverse and self.adverse.stacks)):
+        others = [split.stacks for split in (self.adverse, self.unseen) if split]
+        if not any([*self.splits.model_dump().values(), *others]):
             raise InputError("a set needs stacks. Set the numbers in [splits] or [adverse].")
         return self
 
@@ -178,6 +199,10 @@ def _sentence(problem: Any) -> str:
 
 
 def _siblings(path: list[str]) -> list[str]:
-    tables: dict[str, type[BaseModel]] = {"splits": Splits, "adverse": Adverse}
+    tables: dict[str, type[BaseModel]] = {
+        "splits": Splits,
+        "adverse": Adverse,
+        "unseen": Unseen,
+    }
     model = tables.get(".".join(path), SetSpec)
     return [field.alias or name for name, field in model.model_fields.items()]
