@@ -35,6 +35,7 @@ surface            The walls: a plane with any normal, the eyeball's sphere, and
 truth              The true parameters of a beam's spot, for labels
 vector             Operations on three-vectors by components
 viewing/           The eye's own optics and the lenses through which a surgeon looks
+wall_light/        Light of the wall behind pixels: the image model of fits and of the pixels mode
 wall_spread        The point-spread on a wall that scatters light sideways before it leaves
 """
 

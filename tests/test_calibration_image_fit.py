@@ -19,16 +19,15 @@ import calibration
 import optics
 from calibration.pixels import squares
 from calibration.pixels.chunks import Chunk, Problem, sums
-from calibration.pixels.cone import Cone, Edge, lit_moment, lit_part
 from calibration.pixels.data import CameraNoise, Footage, Instrument, read_footage
 from calibration.pixels.fit import fit_footage
-from calibration.pixels.lens import lens_parameters
-from calibration.pixels.model import Lens, WallPixels, radiance, wall_pixels
 from calibration.pixels.parameters import check_names
-from calibration.pixels.table import Grid, LensTable
-from calibration.pixels.table_samples import _means_within, lens_table
 from estimator import Stack, read_stack
 from estimator.image import Response
+from optics.wall_light import Lens, WallPixels, lens_parameters, radiance, wall_pixels
+from optics.wall_light.cone import Cone, Edge, lit_moment, lit_part
+from optics.wall_light.lens_samples import _means_within, lens_table
+from optics.wall_light.lens_table import Grid, LensTable
 from scenes import Renderer, Scene, render_stack
 from scenes.camera.exposure import expose
 from scenes.description.camera_settings import CameraSettings

@@ -10,11 +10,10 @@ import pytest
 
 import calibration
 import optics
-from calibration.pixels.cone import Cone
-from calibration.pixels.model import Lens, wall_pixels
-from calibration.pixels.table import Grid, LensTable
 from calibration.spots import Prior
 from estimator import Stack
+from optics.wall_light import Cone, Lens, wall_pixels
+from optics.wall_light.lens_table import Grid, LensTable
 from scenes import Scene, render_stack
 from scenes.world import World
 from tests.spread_disc import lit_by_disc, radii

@@ -12,11 +12,9 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 import optics
-from calibration.pixels.cone import Cone
-from calibration.pixels.lens import PARAMETERS as LENS
-from calibration.pixels.model import BeamLight, Lens, WallPixels, radiance, wall_pixels
-from calibration.pixels.table import LensTable
 from calibration.spots import beam_directions, phantom_wall
+from optics.wall_light import PARAMETERS as LENS
+from optics.wall_light import BeamLight, Cone, Lens, LensTable, WallPixels, radiance, wall_pixels
 
 CHUNK = 1024
 """Pixels per chunk, few enough that the derivatives stay in the cache."""

@@ -11,12 +11,12 @@ import numpy as np
 import optics
 from calibration.pixels.data import Footage, read_footage
 from calibration.pixels.image_fit import ImageFit
-from calibration.pixels.lens import lens_parameters
 from calibration.pixels.parameters import FREE, check_names
 from calibration.pixels.solver import Solver
 from calibration.spots import BORESIGHT_SIGMA, Prior
 from estimator import Stack
 from optics import InputError
+from optics.wall_light import lens_parameters
 
 _OTHER_SAGS = (0.5, 2.0)
 """Factors of the sag for further starts, if the first fit misses some of the light. Two drops can

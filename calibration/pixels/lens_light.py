@@ -9,8 +9,7 @@ from jaxtyping import Float
 
 from calibration.pixels.data import Footage
 from calibration.pixels.parameters import LENS
-from calibration.pixels.table import LensTable
-from calibration.pixels.table_samples import halvings_for, lens_table
+from optics.wall_light import LensTable, halvings_for, lens_table
 
 NEAREST_MM = 0.3
 """Least distance from the tip's plane at which a table is valid."""

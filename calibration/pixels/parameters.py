@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from calibration.pixels.lens import PARAMETERS as LENS
 from calibration.spots import Prior
 from optics import InputError
+from optics.wall_light import PARAMETERS as LENS
 
 UNITS = {
     "half_angle": "rad",

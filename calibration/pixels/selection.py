@@ -9,8 +9,8 @@ from scipy import ndimage
 from calibration.pixels.chunks import Chunk, Problem
 from calibration.pixels.data import Footage
 from calibration.pixels.squares import SquareChooser, chunked, seen
-from calibration.pixels.table import LensTable
 from optics import InputError
+from optics.wall_light import LensTable
 
 _GRID_PX = 4  # step of the search for pixels that the beam reaches
 _RING_PX = 8

@@ -38,10 +38,10 @@ from calibration.pixels.parameters import possible
 from calibration.pixels.selection import bright_spot, chosen_chunks
 from calibration.pixels.setup import fit_problem
 from calibration.pixels.squares import residual_frames
-from calibration.pixels.table import LensTable
 from calibration.solvers import Minimum, NormalEquations, covariance_and_lost, minimise
 from calibration.spots import Prior
 from optics import InputError
+from optics.wall_light import LensTable
 
 _BLURS = (1 / 4, 1 / 12, 1 / 36)
 """Blurs of the first fits, relative to the spot's radius; the last fits have no blur."""

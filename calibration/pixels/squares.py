@@ -19,7 +19,7 @@ from scipy import ndimage
 
 from calibration.pixels.chunks import CHUNK, Chunk, Problem, View, look
 from calibration.pixels.data import Footage
-from calibration.pixels.table import LensTable
+from optics.wall_light import LensTable
 
 _LARGEST_PX = 16
 """Side of the largest squares; a power of two."""

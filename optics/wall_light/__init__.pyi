@@ -1,0 +1,11 @@
+from .cone import Cone as Cone
+from .lens import Lens as Lens
+from .lens_parameters import PARAMETERS as PARAMETERS
+from .lens_parameters import lens_parameters as lens_parameters
+from .lens_samples import halvings_for as halvings_for
+from .lens_samples import lens_table as lens_table
+from .lens_table import LensTable as LensTable
+from .radiance import BeamLight as BeamLight
+from .radiance import WallPixels as WallPixels
+from .radiance import radiance as radiance
+from .radiance import wall_pixels as wall_pixels
