@@ -26,8 +26,8 @@ from estimator import Stack, read_stack
 from estimator.image import Response
 from optics.wall_light import Lens, WallPixels, lens_parameters, radiance, wall_pixels
 from optics.wall_light.cone import Cone, Edge, lit_moment, lit_part
-from optics.wall_light.lens_samples import _means_within, lens_table
-from optics.wall_light.lens_table import Grid, LensTable
+from optics.wall_light.table import Grid, LensTable
+from optics.wall_light.table_samples import _means_within, lens_table
 from scenes import Renderer, Scene, render_stack
 from scenes.camera.exposure import expose
 from scenes.description.camera_settings import CameraSettings

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, ScalarLike
 
 import optics
 from optics import dot
-from optics.wall_light.radiance import WallPixels, off_axis_part
+from optics.wall_light.pixel_light import WallPixels, off_axis_part
 
 _ACROSS = 1e-3  # px; avoids a width of 0 for an edge parallel to a pixel's side
 _SPREAD_LINES = 16  # through a wall point, of the light of a cone

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import optics
-from optics.wall_light.lens_table import LensTable
-from optics.wall_light.radiance import WallPixels, off_axis_part
+from optics.wall_light.pixel_light import WallPixels, off_axis_part
+from optics.wall_light.table import LensTable
 
 _GAUSS = 3
 """Gauss nodes on each side of a pixel. With two, the mean of a pixel that a sharp edge cuts is off
@@ -50,7 +50,7 @@ class Lens(eqx.Module):
     def _direct(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        """The line integral around each patch (see `lens_table`)."""
+        """The line integral around each patch (see `table`)."""
         u, v, du, dv = (part[:, None, None] for part in _border())
         offset = wall.point + u * wall.right + v * wall.down - tip
         lateral = off_axis_part(offset, axis)

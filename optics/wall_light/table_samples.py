@@ -21,8 +21,8 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation
 
 import optics
-from optics.wall_light.lens_parameters import lens_of
-from optics.wall_light.lens_table import Grid, LensTable
+from optics.wall_light.parameters import lens_of
+from optics.wall_light.table import Grid, LensTable
 
 _ROWS, _COLUMNS = 12, 24  # cells of the first grid; all samples of it and the next are computed
 _TOLERANCE = {True: 1e-2, False: 2e-3}
