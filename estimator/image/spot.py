@@ -35,8 +35,8 @@ class Reason(Enum):
 
 
 _MEANINGS = {
-    Reason.NONE_FOUND: "Nothing bright in the frame has the outline of a spot. Look at the frame: "
-    "is the light on, is the exposure long enough?",
+    Reason.NONE_FOUND: "Nothing bright in the frame has the outline of a spot. Look at the frame. "
+    "Switch the light on, or expose longer.",
     Reason.CLIPPED: "The border of the image cuts the spot. Move the window or the spot.",
     Reason.TOO_SMALL: "The spot is smaller than can be measured. Withdraw the tip, or use a finer "
     "scale.",
