@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from calibration.pixels.data import CameraNoise, Footage, Instrument
+from calibration.pixels.data import Footage, Instrument
 from estimator import StackWriter
 from estimator.files.microscope import MicroscopeFile
-from estimator.image import Response
+from estimator.image import CameraNoise, Response
 from scenes import load_scene
 from tests.drawn_sets import labels_of
 from tests.photon_stacks import (

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calibration.pixels.data import CameraNoise, Footage, Instrument
+from calibration.pixels.data import Footage, Instrument
 from calibration.pixels.fit import fit_footage
 from estimator.files.microscope import MicroscopeFile
-from estimator.image import Response
+from estimator.image import CameraNoise, Response
 from optics import InputError
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")

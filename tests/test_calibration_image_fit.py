@@ -19,11 +19,11 @@ import calibration
 import optics
 from calibration.pixels import squares
 from calibration.pixels.chunks import Chunk, Problem, sums
-from calibration.pixels.data import CameraNoise, Footage, Instrument, read_footage
+from calibration.pixels.data import Footage, Instrument, read_footage
 from calibration.pixels.fit import fit_footage
 from calibration.pixels.parameters import check_names
 from estimator import Stack, read_stack
-from estimator.image import Response
+from estimator.image import CameraNoise, Response
 from optics.wall_light import Lens, WallPixels, lens_parameters, radiance, wall_pixels
 from optics.wall_light.cone import Cone, Edge, lit_moment, lit_part
 from optics.wall_light.table import Grid, LensTable

@@ -4,6 +4,7 @@ camera   A camera's matrix and lens distortion, as OpenCV defines them
 display  Frames and spots as they are shown to people
 frame    Frames: what is accepted as an image, and rectangles of it
 light    Converts frames into light: inverts the camera's response, and removes the wall's texture
+noise    A camera's temporal noise after EMVA 1288
 spot     The result of a measurement: a spot, or the reason why there is none
 """
 

@@ -7,6 +7,7 @@ from .light import GREY as GREY
 from .light import GREY_WEIGHTS as GREY_WEIGHTS
 from .light import LightMeter as LightMeter
 from .light import Response as Response
+from .noise import CameraNoise as CameraNoise
 from .spot import PARAMETERS as PARAMETERS
 from .spot import NoSpot as NoSpot
 from .spot import Reason as Reason

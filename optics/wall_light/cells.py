@@ -32,6 +32,9 @@ class MeanLight(Protocol):
     ) -> Float[Array, "*n"]:
         """M, 1/mm² per unit power, at a distance along the beam from the tip."""
 
+    def changed(self, by: Float[Array, "p"]) -> MeanLight:
+        """The beam with its own parameters changed, each in its unit."""
+
 
 class ConeMean(eqx.Module):
     """Mean light of a uniform cone, in closed form.
@@ -51,6 +54,10 @@ class ConeMean(eqx.Module):
         angle = jnp.minimum(jnp.arctan2(radius, distance - self.apex_offset), self.half_angle)
         share = jnp.square(jnp.sin(0.5 * angle) / jnp.sin(0.5 * self.half_angle))
         return share / (jnp.pi * jnp.square(radius))
+
+    def changed(self, by: Float[Array, "2"]) -> ConeMean:
+        """The cone with another half-angle (rad) and apex offset (mm)."""
+        return ConeMean(self.half_angle + by[0], self.apex_offset + by[1])
 
 
 class Lattice(NamedTuple):

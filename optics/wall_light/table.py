@@ -72,6 +72,10 @@ class LensTable(eqx.Module):
         scale = jnp.square(envelope * jnp.maximum(x, 1.0))
         return jnp.where(distance > 0.0, mean / scale, 0.0)
 
+    def changed(self, by: Float[Array, "p"]) -> LensTable:
+        """The table with the lens's parameters changed."""
+        return eqx.tree_at(lambda table: table.moved, self, self.moved + by)
+
     def transmitted(self) -> Float[Array, ""]:
         """Fraction of the power that leaves the cap."""
         return self.transmitted_value + jnp.dot(self.moved, self.transmitted_slopes)
