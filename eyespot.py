@@ -26,6 +26,7 @@ COMMANDS = {
     "render": "scenes.stacks.command:render",
     "track": "estimator.run.command:track",
     "console": "estimator.console.command:console",
+    "budget": "estimator.run.budget_command:budget",
     "fit": "calibration.command.command:fit",
     "export": "benchmarks.sets.formats.command:export",
     "score": "benchmarks.sets.score.command:score",

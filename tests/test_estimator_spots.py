@@ -16,6 +16,16 @@ _COLUMNS = (
 ).split(",")
 
 
+_NUMBERS = (
+    "time_s",
+    "distance_mm",
+    "sigma_distance_mm",
+    "pose_age_s",
+    "distance_low_mm",
+    "distance_high_mm",
+)
+
+
 def _spot(**changes: object) -> Spot:
     root = np.random.default_rng(0).normal(0, 0.1, (5, 5))
     values: dict[str, object] = {
@@ -53,6 +63,9 @@ def _records() -> list[SpotRecord]:
             distance_mm=2.5,
             sigma_distance_mm=0.01,
             pose_age_s=0.002,
+            distance_low_mm=2.4,
+            distance_high_mm=2.7,
+            largest_cause="touch",
         ),
         SpotRecord(frame=8, file_name="ü.png", time_s=0.8, mode="literal", result=_literal_spot()),
         *failures,
@@ -63,9 +76,9 @@ def test_spots_come_back_bit_for_bit(tmp_path: Path) -> None:
     path = tmp_path / "spots.csv"
     write_spots(path, _records())
     for before, after in zip(_records(), read_spots(path), strict=True):
-        for name in ("frame", "file_name", "mode", "status", "reason"):
+        for name in ("frame", "file_name", "mode", "status", "reason", "largest_cause"):
             assert getattr(after, name) == getattr(before, name)
-        for name in ("time_s", "distance_mm", "sigma_distance_mm", "pose_age_s"):
+        for name in _NUMBERS:
             np.testing.assert_equal(getattr(after, name), getattr(before, name))
         if isinstance(before.result, Spot):
             assert isinstance(after.result, Spot)
@@ -96,8 +109,8 @@ def test_no_spots_make_a_readable_file(tmp_path: Path) -> None:
     [
         (lambda text: "a,b\n1,2\n", r"line 1: not a spots file: column 'frame'"),
         (
-            lambda text: text.replace(",1\n", ",2\n", 1),
-            r"line 2: schema is 2; .* Install a newer eyespot",
+            lambda text: text.replace(",2\n", ",99\n", 1),
+            r"line 2: schema is 99; .* Install a newer eyespot",
         ),
         (lambda text: text.replace("66.0", "wide", 1), r"line 2: semi_major_px .* 'wide'"),
         (lambda text: text.replace("none_found", "tired", 1), r"line 4: reason .* 'tired'"),

@@ -40,6 +40,7 @@ FROM_SPOT_TO_DISTANCE = {
     "estimator/distance/cone_pose.py",
     "estimator/distance/lens_range.py",
     "estimator/distance/ranger.py",
+    "estimator/distance/tilted_cone.py",
     "estimator/files/microscope.py",
     "estimator/files/viewing.py",
 }

@@ -15,6 +15,7 @@ from estimator.console.advice import exposure_advice
 from estimator.console.gate import Gate
 from estimator.console.picture import svg_of
 from estimator.console.session import COURSE_S, Session, View
+from estimator.distance import Budget
 from estimator.image import NoSpot
 from estimator.run import Options
 from estimator.sources import Source
@@ -111,6 +112,7 @@ class Page:
                 self._state = ui.label().classes("state")
                 self._distance = ui.label("– mm").classes("distance")
                 self._sigma = ui.label().classes("sigma")
+                self._worth = ui.label().classes("note worth")
                 self._reason = ui.label().classes("reason")
                 self._advice = ui.label().classes("advice")
                 self._where = ui.label().classes("note where")
@@ -161,6 +163,7 @@ class Page:
         self._set_state("lost", "no image")
         self._distance.set_text("– mm")
         self._sigma.set_text("")
+        self._worth.set_text("")
         self._reason.set_text(fault)
 
     def _show_reading(self, view: View) -> None:
@@ -172,6 +175,7 @@ class Page:
         distance, sigma = reading.distance_mm, reading.sigma_distance_mm
         self._distance.set_text("– mm" if math.isnan(distance) else f"{distance:.2f} mm")
         self._sigma.set_text("" if math.isnan(sigma) else f"σ {1e3 * sigma:.0f} µm")
+        self._worth.set_text(_worth(reading.budget))
         self._reason.set_text(doubt)
         advice = exposure_advice(reading.result, view.frame.image, view.response)
         self._advice.set_text(advice)
@@ -236,6 +240,14 @@ class Page:
         }
         if action := actions.get(event.key.name):
             action()
+
+
+def _worth(budget: Budget | None) -> str:
+    """The 95 % interval of a distance, and what makes it wide."""
+    if budget is None or budget.largest is None or math.isnan(budget.sigma_mm):
+        return ""
+    low, high = budget.interval_mm
+    return f"95 %: {low:.2f} to {high:.2f} mm, mostly {budget.largest.cause.meaning}"
 
 
 def _calibration_of(options: Options) -> str:

@@ -1,3 +1,9 @@
+from .budget import Budget as Budget
+from .budget import Cause as Cause
+from .budget import Part as Part
+from .budgets import AT_REST as AT_REST
+from .budgets import Budgets as Budgets
+from .budgets import Motion as Motion
 from .range import Range as Range
 from .range import RangeFlag as RangeFlag
 from .range import TipPose as TipPose

@@ -18,6 +18,7 @@ UNKNOWN_SIGMA_PX = 0.5
 """Standard deviation of the ellipse if a mode measures none; weighs it against the axis."""
 
 _NO_WEIGHT_RAD = 1e6  # standard deviation of an unknown axis
+_EXACT_RAD = 1e-5  # standard deviation of an axis that is known exactly; 0 has no weight
 _CIRCLE = 1e-9  # difference of the axes, relative, below which an ellipse has no angle
 _SAME_COST = 9.0  # difference of cost of two poses that three standard deviations do not separate
 
@@ -67,6 +68,7 @@ class ConePoses:
             axis_sigma_rad: standard deviation of the axis across itself.
         """
         known = bool(np.isfinite(spot.covariance).all())
+        axis_sigma_rad = max(axis_sigma_rad, _EXACT_RAD)
         ellipse = np.array(
             [spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad]
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -59,6 +60,7 @@ class Range:
         sigma_mm: its standard deviation, from the covariances of the spot and the calibration; NaN
             if the spot's mode measures none. Errors of the model itself are not included.
         flag: why it is doubtful.
+        sigma_image_mm: of `exact`: the part of the spot's and the axis's covariances in `sigma_mm`.
         others_mm: other distances that explain the spot equally well.
         poses: of `exact`: the best pose and its mirror image (the incidence reversed).
     """
@@ -67,6 +69,7 @@ class Range:
     sigma_mm: float
     others_mm: tuple[float, ...] = ()
     poses: tuple[TipPose, ...] = ()
+    sigma_image_mm: float = math.nan
 
     @property
     def flag(self) -> RangeFlag:

@@ -258,6 +258,7 @@ class Ranger:
             sigma_mm=sigma,
             others_mm=(other,) if found.alike and apart else (),
             poses=(found.best, found.mirror),
+            sigma_image_mm=found.sigma_mm,
         )
 
     def _lens(

@@ -23,6 +23,7 @@ spots_stream      Writes a spots file record by record, so that nothing measured
 stack             Stack folder: frames, masks, one line of labels per frame, the scene as run,
                   checksums
 stack_writer      Writes a stack folder frame by frame, so that a stopped run can continue
+stated            Stated uncertainties: TOML file of what a lab knows of its eye, robot and clocks
 viewing           The keys of a microscope file that describe a viewing path and the retina
 whole_files       Files that are written whole or not at all, and damaged files that are reported
                   in one error

@@ -47,6 +47,8 @@ from .stack import Stack as Stack
 from .stack import StackError as StackError
 from .stack import read_stack as read_stack
 from .stack_writer import StackWriter as StackWriter
+from .stated import Stated as Stated
+from .stated import read_stated as read_stated
 from .whole_files import BeingWrittenError as BeingWrittenError
 from .whole_files import damage_reported as damage_reported
 from .whole_files import errors_named as errors_named

@@ -23,8 +23,12 @@ from estimator.files.whole_files import damage_reported, written_whole
 from estimator.image import PARAMETERS, NoSpot, Reason, Spot
 from optics import InputError, check_regular, check_schema, in_file, shortened
 
-SCHEMA_VERSION = 1
-HISTORY = {1: "the format of eyespot 0.1; files written since may have the reason internal_error"}
+SCHEMA_VERSION = 2
+HISTORY = {
+    1: "the format of eyespot 0.1; files written since may have the reason internal_error",
+    2: "distance_low_mm, distance_high_mm and largest_cause: the distance's 95 % interval, and "
+    "what makes it wide",
+}
 """What changed with each version of the format that is read."""
 
 _MOST_FRAMES = 2**31
@@ -45,6 +49,8 @@ _VALUES = (
 )
 _PLACE = _VALUES[:4]
 _DISTANCES = ("distance_mm", "sigma_distance_mm", "pose_age_s")
+_INTERVAL = ("distance_low_mm", "distance_high_mm")
+_SINCE_2 = (*_INTERVAL, "largest_cause")
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in _UPPER)
 COLUMNS = (
     "frame",
@@ -56,11 +62,12 @@ COLUMNS = (
     *_VALUES,
     *_DISTANCES,
     *_COVARIANCES,
+    *_SINCE_2,
     "schema_version",
 )
 _KINDS: dict[str, type] = {
     **dict.fromkeys(("frame", "schema_version"), int),
-    **dict.fromkeys(("file_name", "mode", "status", "reason"), str),
+    **dict.fromkeys(("file_name", "mode", "status", "reason", "largest_cause"), str),
 }
 """Type of a Parquet column; the others are floats."""
 
@@ -78,6 +85,10 @@ class SpotRecord:
         distance_mm: from the tip to the wall along the beam; NaN without a calibration.
         sigma_distance_mm: its standard deviation.
         pose_age_s: age of the robot's pose at the frame's time; NaN if unknown.
+        distance_low_mm: begin of the 95 % interval of the distance, which contains the model's
+            correction; NaN if unknown, as in files of version 1.
+        distance_high_mm: its end.
+        largest_cause: what makes it wide: one of `estimator.distance.Cause`; empty if unknown.
     """
 
     frame: int
@@ -88,6 +99,9 @@ class SpotRecord:
     distance_mm: float = field(default=math.nan)
     sigma_distance_mm: float = field(default=math.nan)
     pose_age_s: float = field(default=math.nan)
+    distance_low_mm: float = field(default=math.nan)
+    distance_high_mm: float = field(default=math.nan)
+    largest_cause: str = ""
 
     @property
     def status(self) -> str:
@@ -205,14 +219,14 @@ def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
             if count > MOST_ROWS:
                 raise InputError(f"{count:,} rows; at most {MOST_ROWS:,} are read. Split the file.")
         with damage_reported(f"{path}", again):
-            rows = file.read(columns=list(COLUMNS)).to_pylist()
+            rows = file.read(columns=[n for n in COLUMNS if n in names]).to_pylist()
     for index, row in enumerate(rows):
         cells = {name: "" if value is None else str(value) for name, value in row.items()}
         yield cells, f"{path}, row {index}"
 
 
 def _check_columns(names: Collection[str]) -> None:
-    missing = [name for name in COLUMNS if name not in names]
+    missing = [name for name in COLUMNS if name not in names and name not in _SINCE_2]
     if missing:
         raise InputError(
             f"not a spots file: column {missing[0]!r} is missing"
@@ -234,6 +248,8 @@ def _line(record: SpotRecord) -> list[str]:
         *map(_cell, values),
         *(_cell(getattr(record, name)) for name in _DISTANCES),
         *map(_cell, covariance),
+        *(_cell(getattr(record, name)) for name in _INTERVAL),
+        record.largest_cause,
         str(SCHEMA_VERSION),
     ]
 
@@ -247,8 +263,8 @@ def _record(row: dict[str, str]) -> SpotRecord:
     found = int(version) if re.fullmatch("[0-9]{1,9}", version) else version or None
     check_schema(found, HISTORY, remedy="Write the file again.")
     values = {
-        name: number_in(row[name], name)
-        for name in ("time_s", *_VALUES, *_DISTANCES, *_COVARIANCES)
+        name: number_in(row.get(name, ""), name)
+        for name in ("time_s", *_VALUES, *_DISTANCES, *_COVARIANCES, *_INTERVAL)
     }
     frame = number_in(row["frame"], "frame")
     if not (0 <= frame < _MOST_FRAMES and frame == int(frame)):
@@ -262,7 +278,8 @@ def _record(row: dict[str, str]) -> SpotRecord:
         time_s=values["time_s"],
         mode=row["mode"],
         result=_result(row, values),
-        **{name: values[name] for name in _DISTANCES},
+        **{name: values[name] for name in (*_DISTANCES, *_INTERVAL)},
+        largest_cause=row.get("largest_cause", ""),
     )
 
 

@@ -186,7 +186,11 @@ def _output(reading: Reading, fault: str, counts: dict[str, str]) -> Output:
             details[name] = getattr(spot, name)
     if distance is not None:
         details["sigma_distance_mm"] = distance.sigma_mm
+        if budget := reading.budget:
+            details["distance_low_mm"], details["distance_high_mm"] = budget.interval_mm
         details |= {f"other_distance_{n}_mm": d for n, d in enumerate(distance.others_mm, 1)}
+    largest = reading.budget.largest if reading.budget else None
+    said = {"largest_cause": largest.cause.value} if largest else {}
     doubt = fault or reading.doubt
     level = Doubt.DOUBTFUL if doubt else Doubt.NONE
     if fault or spot == NoSpot(Reason.INTERNAL_ERROR):
@@ -198,5 +202,5 @@ def _output(reading: Reading, fault: str, counts: dict[str, str]) -> Output:
         sigma_m=reading.sigma_distance_mm / 1e3,
         doubt=doubt,
         level=level,
-        details={name: repr(float(value)) for name, value in details.items()} | counts,
+        details={name: repr(float(value)) for name, value in details.items()} | said | counts,
     )

@@ -1,5 +1,6 @@
 """Reads a source to its end: `eyespot track`.
 
+budget_command   The command `eyespot budget`: what the distances of a source are worth, and why
 command          The command `eyespot track`: opens a source, tracks it, writes the results and
                  reports
 exit_codes       How a command ends: its message on an error, and its exit code

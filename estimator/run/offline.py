@@ -202,6 +202,8 @@ def record_of(frame: Frame, reading: Reading, mode: str) -> SpotRecord:
         reading: of the frame.
         mode: of the reader.
     """
+    budget = reading.budget
+    low, high = budget.interval_mm if budget else (math.nan, math.nan)
     return SpotRecord(
         frame=frame.index,
         file_name=frame.file_name,
@@ -211,4 +213,7 @@ def record_of(frame: Frame, reading: Reading, mode: str) -> SpotRecord:
         distance_mm=reading.distance_mm,
         sigma_distance_mm=reading.sigma_distance_mm,
         pose_age_s=reading.pose_age_s,
+        distance_low_mm=low,
+        distance_high_mm=high,
+        largest_cause=budget.largest.cause.value if budget and budget.largest else "",
     )

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 _NEEDS = {
     **dict.fromkeys(("pinhole_height_mm", "eye_radius_mm", "wall", "calibration"), "microscope"),
-    **dict.fromkeys(("model", "eccentricity_mm", "exposure_s", "eye_from_robot"), "calibration"),
+    **dict.fromkeys(
+        ("model", "eccentricity_mm", "exposure_s", "eye_from_robot", "stated"), "calibration"
+    ),
 }
 
 _POINT = TypeAdapter(tuple[FiniteFloat, FiniteFloat])
@@ -125,6 +127,13 @@ class Options(BaseModel):
         )
     )
 
+    stated: Annotated[Path | None, _Text("FILE")] = Field(
+        None,
+        description="Stated uncertainties (TOML) of eye radius, pinhole, touch, axis and clocks, "
+        "for the interval of each distance (default: known exactly, but for an axis within 1 deg "
+        "or up to 32 deg of tilt).",
+    )
+
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
         """The given options, and the defaults of the others.
@@ -153,7 +162,7 @@ class Options(BaseModel):
             OSError: a file cannot be read.
         """
         from estimator.distance import Ranger
-        from estimator.files import read_calibration
+        from estimator.files import read_calibration, read_stated
         from estimator.run.reader import Reader
 
         for name, other in _NEEDS.items():
@@ -181,6 +190,7 @@ class Options(BaseModel):
             ranger=ranger,
             exposure_s=self.exposure_s,
             eye_from_robot=self.eye_from_robot,
+            stated=read_stated(self.stated) if self.stated else None,
         )
 
     def microscope_file(self) -> MicroscopeFile | None:

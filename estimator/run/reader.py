@@ -11,13 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.detector import LiteralSettings, SubpixelSettings, TrackState, measure
-from estimator.distance import Range, RangeFlag, Ranger
-from estimator.files import PoseTrack, Quaternion, turned
+from estimator.distance import AT_REST, Budget, Budgets, Motion, Range, RangeFlag, Ranger
+from estimator.files import Pose, PoseTrack, Quaternion, Stated, turned
 from estimator.image import NoSpot, Reason, Spot
 from estimator.run import internal_errors
 from optics import InputError
 
 _NO_POSES = PoseTrack(())
+_SPAN_S = 0.05
+"""Of the poses that a velocity is taken from: ten of the rig's, half of a frame."""
 
 
 class Reading(NamedTuple):
@@ -27,11 +29,13 @@ class Reading(NamedTuple):
         result: the spot, or why there is none.
         range: its distance; None without a spot or without a calibration.
         pose_age_s: age of the robot's pose at the frame's time; NaN where none was known.
+        budget: what the distance is worth; None without one.
     """
 
     result: Spot | NoSpot
     range: Range | None
     pose_age_s: float
+    budget: Budget | None = None
 
     @property
     def distance_mm(self) -> float:
@@ -64,6 +68,7 @@ class Reader:
         eye_from_robot: unit quaternion that turns the poses' frame into the eye's; with it the
             models `exact` and `area` take the beam's axis from the tool's +z, or from the beam's
             direction in the tool's frame if the calibration contains it.
+        stated: uncertainties that neither spot nor calibration contains.
     """
 
     def __init__(
@@ -75,6 +80,7 @@ class Reader:
         ranger: Ranger | None = None,
         exposure_s: float | None = None,
         eye_from_robot: Quaternion | None = None,
+        stated: Stated | None = None,
     ) -> None:
         self.settings = settings
         self._start = start
@@ -82,6 +88,8 @@ class Reader:
         self._ranger = ranger
         self._exposure_s = exposure_s
         self._eye_from_robot = eye_from_robot
+        self._axis_sigma_rad = math.radians((stated or Stated()).axis_sigma_deg)
+        self._budgets = Budgets(ranger, stated or Stated()) if ranger else None
         self._state = TrackState(at_px=start)
         self._shape: tuple[int, ...] | None = None
 
@@ -154,7 +162,7 @@ class Reader:
     ) -> Reading:
         result, self._state = measure(image, self._state, self.settings)
         pose, age_s = poses.at(time_s) or (None, math.nan)
-        if self._ranger is None or isinstance(result, NoSpot):
+        if self._ranger is None or self._budgets is None or isinstance(result, NoSpot):
             return Reading(result, None, age_s)
         axis = None
         if pose is not None and self._eye_from_robot is not None:
@@ -162,9 +170,30 @@ class Reader:
             axis = turned(turned(beam, pose.rotation), self._eye_from_robot)
         own = None if math.isnan(exposure_s) else exposure_s
         distance = self._ranger.distance(
-            result, axis=axis, frame=image, exposure_s=self._exposure_s or own
+            result,
+            axis=axis,
+            axis_sigma_rad=self._axis_sigma_rad,
+            frame=image,
+            exposure_s=self._exposure_s or own,
         )
-        return Reading(result, distance, age_s)
+        motion = AT_REST if pose is None else self._motion(pose, poses, age_s)
+        towards = None if axis is None else np.array(axis)
+        budget = self._budgets.of(result, distance, axis=towards, motion=motion)
+        return Reading(result, distance, age_s, budget)
+
+    def _motion(self, pose: Pose, poses: PoseTrack, age_s: float) -> Motion:
+        """The tool's motion at a pose, from the pose some time before."""
+        before, _ = poses.at(pose.time_s - _SPAN_S) or (pose, 0.0)
+        span_s = pose.time_s - before.time_s
+        if span_s <= 0:
+            return AT_REST
+        moved = np.subtract(pose.position_mm, before.position_mm) / span_s
+        x, y, z = moved.tolist()
+        velocity = (x, y, z)
+        if self._eye_from_robot is not None:
+            velocity = turned(velocity, self._eye_from_robot)
+        turn = math.acos(min(1.0, float(np.dot(pose.axis, before.axis)))) / span_s
+        return Motion(velocity_mm_s=velocity, turn_rad_s=turn, pose_age_s=age_s)
 
     def _check(self, image: np.ndarray) -> None:
         height, width = image.shape[:2]

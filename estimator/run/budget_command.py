@@ -1,0 +1,203 @@
+"""The command `eyespot budget`: what the distances of a source are worth, and why."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from estimator.run.options import Options, with_options
+from estimator.run.progress_bar import progress
+from optics import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from estimator.distance import Budget
+
+_ENDLESS = 1e5  # degrees of freedom that no table tells from infinity
+
+
+@with_options
+def budget(
+    source: Annotated[
+        str,
+        typer.Argument(metavar="SOURCE", help="Stack, folder of images, TIFF, video, or ROS bag."),
+    ],
+    frame: Annotated[
+        int | None,
+        typer.Option(help="Number of the frame (default: the one with the widest interval)."),
+    ] = None,
+    exposure: Annotated[
+        Literal["paper", "metered"] | None,
+        typer.Option(help="Which exposure to use if the stack has two."),
+    ] = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Robot poses (CSV or ROS bag), on the clock of SOURCE."),
+    ] = None,
+    image_topic: Annotated[
+        str | None,
+        typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
+    ] = None,
+    pose_topic: Annotated[
+        str | None,
+        typer.Option(help="Pose topic of a bag that has several, none of them the rig's."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the budget as one JSON object, and nothing else.")
+    ] = False,
+    **options: Any,
+) -> None:
+    """Say how uncertain a distance is, why, and what would halve the largest part.
+
+    The terms are those of the GUM (JCGM 100:2008). `--stated` names a file with what the lab knows
+    of its eye, robot and clocks.
+    """
+    from rich.console import Console
+
+    from estimator.files import read_poses
+    from estimator.sources import open_source
+
+    if options["calibration"] is None:
+        raise InputError(
+            "a budget is of a distance, which needs a calibration. Give --calibration."
+        )
+    if options["eye_from_robot"] is not None and poses is None:
+        raise InputError("eye_from_robot has no effect without poses. Give both, or neither.")
+    frames = open_source(source, exposure=exposure, image_topic=image_topic)
+    options["microscope"] = options["microscope"] or frames.microscope_file
+    track = read_poses(poses, topic=pose_topic) if poses else None
+    with Console(stderr=True).status("Preparing"):
+        reader = Options.of(options).reader()
+    found: dict[int, Budget] = {}
+    from estimator.run.offline import track_source
+
+    with progress("Measuring", total=frames.length) as advance:
+        tracking = track_source(
+            frames,
+            reader,
+            poses=track,
+            show=lambda one, reading: (
+                found.update({one.index: reading.budget}) if reading.budget else None
+            ),
+            write=lambda record: None,
+            progress=lambda record: advance(),
+        )
+    chosen = _chosen(found, frame, tracking.frames)
+    if as_json:
+        print(json.dumps({"frame": chosen, **_content(found[chosen])}))
+        return
+    console = Console()
+    console.print(_table(found[chosen], chosen))
+    for line in _sentences(found[chosen]):
+        console.print(line, highlight=False)
+    sigmas = sorted(b.sigma_mm for b in found.values())
+    console.print(
+        f"Of {tracking.frames} frames {len(found)} have a distance, with combined standard "
+        f"uncertainties from {sigmas[0]:.3f} to {sigmas[-1]:.3f} mm.",
+        highlight=False,
+    )
+
+
+def _chosen(found: dict[int, Budget], frame: int | None, frames: int) -> int:
+    if not found:
+        raise InputError(
+            f"none of the {frames} frames has a distance. `eyespot track` says why; --overlay "
+            "draws what it sees."
+        )
+    if frame is None:
+        return max(found, key=lambda n: found[n].sigma_mm)
+    if frame not in found:
+        raise InputError(
+            f"frame {frame} has no distance. Frames with one: {min(found)} to {max(found)}, "
+            f"{len(found)} of them."
+        )
+    return frame
+
+
+def _table(budget: Budget, frame: int) -> Table:
+    """The parts, largest first."""
+    from rich.table import Table
+
+    table = Table(title=f"Frame {frame}: what the distance is worth")
+    for name, side in (
+        ("cause", "left"),
+        ("type", "left"),
+        ("u, mm", "right"),
+        ("ν", "right"),
+        ("share of u²", "right"),
+        ("from", "left"),
+    ):
+        table.add_column(name, justify="left" if side == "left" else "right")
+    for part in sorted(budget.parts, key=lambda part: -part.sigma_mm):
+        share = (part.sigma_mm / budget.sigma_mm) ** 2 if budget.sigma_mm else math.nan
+        known = not math.isnan(part.source_sigma)
+        table.add_row(
+            part.cause.meaning,
+            part.cause.kind,
+            f"{part.sigma_mm:.4f}",
+            _freedom(part.freedom),
+            f"{100 * share:.0f} %",
+            f"{part.source} ± {part.source_sigma:.3g} {part.unit}".strip() if known else "",
+        )
+    table.add_section()
+    table.add_row("combined", "", f"{budget.sigma_mm:.4f}", _freedom(budget.freedom), "", "")
+    return table
+
+
+def _sentences(budget: Budget) -> list[str]:
+    low, high = budget.interval_mm
+    lines = [f"Distance: {budget.reading_mm:.3f} mm by the model in use."]
+    if budget.correction_mm:
+        lines.append(
+            f"Correction for the model's error at this place, distance and tilt: "
+            f"{budget.correction_mm:+.3f} mm."
+        )
+    lines.append(
+        f"95 % interval: {low:.3f} to {high:.3f} mm (coverage factor {budget.coverage_factor:.2f})."
+    )
+    if budget.largest is not None:
+        lines.append(f"Largest cause: {budget.largest.cause.meaning}. {budget.largest.remedy}")
+    return [*lines, *(f"Not assessed: {what}." for what in budget.left_out)]
+
+
+def _content(budget: Budget) -> dict[str, Any]:
+    """The budget for JSON, where what is infinite or unknown is null."""
+    low, high = budget.interval_mm
+    largest = budget.largest
+    return {
+        "distance_mm": budget.reading_mm,
+        "correction_mm": budget.correction_mm,
+        "sigma_mm": _number(budget.sigma_mm),
+        "degrees_of_freedom": _number(budget.freedom),
+        "coverage_factor": _number(budget.coverage_factor),
+        "low_mm": _number(low),
+        "high_mm": _number(high),
+        "largest_cause": largest.cause.value if largest else None,
+        "remedy": largest.remedy if largest else None,
+        "parts": [
+            {
+                "cause": part.cause.value,
+                "type": part.cause.kind,
+                "sigma_mm": _number(part.sigma_mm),
+                "degrees_of_freedom": _number(part.freedom),
+                "source": part.source,
+                "source_sigma": _number(part.source_sigma),
+                "unit": part.unit,
+            }
+            for part in budget.parts
+        ],
+        "left_out": list(budget.left_out),
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _freedom(value: float) -> str:
+    return f"{value:.0f}" if value < _ENDLESS else "∞"

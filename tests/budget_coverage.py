@@ -1,0 +1,288 @@
+"""Do 95 % intervals contain 95 % of the distances? On rendered frames, with every error drawn.
+
+    python -m tests.budget_coverage 2000
+
+Each reading has a frame of its own: Mitsuba renders the spot and the instrument over a printed
+fundus, the scene's camera photographs it, and the sub-pixel mode measures it. Calibration, eye
+radius, pinhole, touch, axis and clock that the reading is computed with are wrong by errors drawn
+anew for each reading from the distributions that the budget is told. The frames know none of them.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+import optics
+from estimator import Spot, SubpixelSettings, TrackState, measure
+from estimator.distance import Budget, Budgets, Motion, Ranger
+from estimator.files import Calibration, MicroscopeFile, Stated
+from scenes import Scene, World, load_scene
+from scenes.camera import Camera
+from scenes.rendering.images import Images
+
+K, B, RADIUS, SCALE = 20.0, -5.117, 11.5, 0.0067
+WINDOW_PX = 288
+INCIDENCE_DEG = (15.0, 32.0)
+DISTANCES_MM = (0.5, 5.0)
+
+STATED = Stated(
+    eye_radius_sigma_mm=0.2,
+    inverse_working_distance_sigma=0.001,
+    size_per_mm=0.00065,
+    touch_sigma_mm=0.02,
+    axis_sigma_deg=1.0,
+    incidence_deg=INCIDENCE_DEG,
+    clock_sigma_s=0.01,
+)
+COVARIANCE = np.array([[4e-4, -1e-4, 0.0], [-1e-4, 1e-4, 0.0], [0.0, 0.0, (1e-3 * SCALE) ** 2]])
+"""Of k, b and scale: 0.1 %, 0.01 mm, 0.1 %."""
+
+
+class Errors(NamedTuple):
+    """What a reading is computed with is wrong by these.
+
+    Attributes:
+        stated: what the budget is told, and the errors are drawn from.
+        covariance: of the calibration.
+        moving: whether the tool moves.
+    """
+
+    stated: Stated
+    covariance: np.ndarray
+    moving: bool
+
+
+ALL = Errors(STATED, COVARIANCE, True)
+_NONE = Stated(axis_sigma_deg=0.0, incidence_deg=INCIDENCE_DEG)
+
+
+def _only(**stated: float) -> Stated:
+    return _NONE.model_copy(update=stated)
+
+
+ONE_BY_ONE = {
+    "image": Errors(_NONE, 0 * COVARIANCE, False),
+    "calibration": Errors(_NONE, COVARIANCE, False),
+    "tilt": Errors(_only(axis_sigma_deg=1.0), 0 * COVARIANCE, False),
+    "eye radius": Errors(_only(eye_radius_sigma_mm=1.0), 0 * COVARIANCE, False),
+    "pinhole": Errors(_only(inverse_working_distance_sigma=0.001), 0 * COVARIANCE, False),
+    "size": Errors(_only(size_per_mm=0.00065), 0 * COVARIANCE, False),
+    "touch": Errors(_only(touch_sigma_mm=0.02), 0 * COVARIANCE, False),
+    "clock": Errors(_only(clock_sigma_s=0.01), 0 * COVARIANCE, True),
+}
+"""One cause, and the image's, which every frame has."""
+
+MODELS = ("small_plane", "corrected", "area", "exact")
+PLACES = (
+    # Eccentricity, mm; pinhole height, mm; wall.
+    (0.0, 200.0, "printed paper"),
+    (1.0, 11.5, "retina"),
+    (1.5, 200.0, "retina"),
+    (2.0, 200.0, "uniform"),
+    (2.5, 11.5, "printed paper"),
+    (3.0, 200.0, "printed paper"),
+    (3.5, 11.5, "retina"),
+    (4.0, 200.0, "retina"),
+)
+
+
+class Seen(NamedTuple):
+    """A spot that was rendered and measured.
+
+    Attributes:
+        height_mm: of the pinhole.
+        principal_px: principal point.
+        axis: of the beam.
+        distance_mm: true |SO|.
+        spot: as measured.
+    """
+
+    height_mm: float
+    principal_px: tuple[float, float]
+    axis: np.ndarray
+    distance_mm: float
+    spot: Spot
+
+
+class Read(NamedTuple):
+    """A reading.
+
+    Attributes:
+        model: that it was made with.
+        known_axis: whether the robot's axis was known.
+        budget: of the reading.
+        truth_mm: the distance at the time that the clock said.
+    """
+
+    model: str
+    known_axis: bool
+    budget: Budget
+    truth_mm: float
+
+    @property
+    def inside(self) -> bool:
+        """Whether the 95 % interval contains the truth."""
+        low, high = self.budget.interval_mm
+        return low <= self.truth_mm <= high
+
+
+def scene_at(place: tuple[float, float, str], seed: int) -> Scene:
+    """The scene around one place."""
+    c, height, wall = place
+    return load_scene(
+        None,
+        [
+            "source.kind=cone",
+            f"spot.eccentricity_mm={c}",
+            f"spot.azimuth_deg={40 * seed}",
+            f"microscope.pinhole_height_mm={height}",
+            f"microscope.width_px={WINDOW_PX}",
+            f"microscope.height_px={WINDOW_PX}",
+            f"phantom.wall={wall}",
+            f"phantom.texture_seed={seed}",
+            f"seed={seed}",
+            "motion.frames=1",
+            "motion.start_mm=3",
+        ],
+    )
+
+
+def seen_spots(count: int, *, seed: int) -> Iterator[Seen]:
+    """Spots at all places, rendered and measured; those without a spot are left out."""
+    for number, place in enumerate(PLACES):
+        world = World(scene_at(place, seed * len(PLACES) + number))
+        own = count // len(PLACES) + (number < count % len(PLACES))
+        yield from _seen_at(world, own, np.random.default_rng([seed, number]))
+
+
+def _seen_at(world: World, count: int, noise: np.random.Generator) -> Iterator[Seen]:
+    images, camera = Images(world, variant="llvm_ad_rgb"), Camera(world.scene)
+    point, normal = (np.asarray(part) for part in world.spot_frame[:2])
+    sides = np.linalg.svd(normal[None])[2][1:]
+    principal = np.asarray(world.microscope.principal_point)
+    settings = SubpixelSettings()
+    for number in range(count):
+        distance = noise.uniform(*DISTANCES_MM)
+        tilt = math.radians(noise.uniform(*INCIDENCE_DEG))
+        turn = noise.uniform(0, 2 * math.pi)
+        axis = math.cos(tilt) * normal + math.sin(tilt) * (
+            np.array([math.cos(turn), math.sin(turn)]) @ sides
+        )
+        light, wall = images.at(tip=point - distance * axis, axis=axis, seed=number)
+        level = light.mean(axis=-1)
+        duration = camera.metered_s(light, (level > level.max() / 2) & (wall > 0.5))
+        frame = camera.raw(light, exposure_s=duration, noise_seed=[world.scene.seed, number])
+        found, _ = measure(frame, TrackState(at_px=(WINDOW_PX / 2, WINDOW_PX / 2)), settings)
+        if isinstance(found, Spot):
+            height = world.scene.microscope.pinhole_height_mm
+            u, v = principal.tolist()
+            yield Seen(height, (u, v), axis, distance, found)
+
+
+def read(
+    seen: Seen, model: str, *, known_axis: bool, errors: Errors, noise: np.random.Generator
+) -> Read | None:
+    """The reading of a spot by a lab that knows everything up to its stated uncertainties."""
+    stated = errors.stated
+    believed = np.array([K, B, SCALE])
+    if errors.covariance.any():
+        believed += noise.multivariate_normal(np.zeros(3), errors.covariance)
+    k, b, scale = believed.tolist()
+    b += stated.touch_sigma_mm * noise.standard_normal()
+    radius = RADIUS + stated.eye_radius_sigma_mm * noise.standard_normal()
+    kappa = 1 / (seen.height_mm + RADIUS)
+    kappa += stated.inverse_working_distance_sigma * noise.standard_normal()
+    u, v = seen.principal_px
+    c = SCALE * math.hypot(seen.spot.x_px - u, seen.spot.y_px - v)
+    # A view that is larger than the pinhole's is one whose pixels are believed too small.
+    scale *= 1 + stated.size_per_mm * c * noise.standard_normal()
+    velocity = -errors.moving * noise.uniform(0, 5) * seen.axis
+    motion = Motion(
+        velocity_mm_s=(velocity[0], velocity[1], velocity[2]),
+        turn_rad_s=errors.moving * noise.uniform(0, 0.2),
+        pose_age_s=noise.uniform(0, 0.05),
+    )
+    late = stated.clock_sigma_s * noise.standard_normal()
+    sides = np.linalg.svd(seen.axis[None])[2][1:]
+    turned = motion.turn_rad_s * (motion.pose_age_s + late)
+    towards = noise.uniform(0, 2 * math.pi)
+    aside = math.radians(stated.axis_sigma_deg) * noise.standard_normal(2)
+    aside += turned * np.array([math.cos(towards), math.sin(towards)])
+    axis = seen.axis + aside @ sides
+    axis /= np.linalg.norm(axis)
+    microscope = MicroscopeFile(
+        width_px=WINDOW_PX,
+        height_px=WINDOW_PX,
+        camera_matrix=None,
+        distortion=np.zeros(5),
+        scale_mm_px=scale,
+        principal_point_px=seen.principal_px,
+        pinhole_height_mm=1 / kappa - radius,
+        eye_radius_mm=radius,
+    )
+    calibration = Calibration(
+        model="exact",
+        values={"k": k, "b": b, "scale": scale},
+        covariance=errors.covariance,
+        medium="air",
+        medium_index=optics.MEDIA["air"],
+        fitted_on="a draw",
+        data_sha256="0" * 64,
+        software="tests.budget_coverage",
+    )
+    ranger = Ranger(calibration, microscope, model=model)
+    told = axis if known_axis else None
+    found = ranger.distance(
+        seen.spot, axis=told, axis_sigma_rad=math.radians(stated.axis_sigma_deg)
+    )
+    budget = Budgets(ranger, stated).of(seen.spot, found, axis=told, motion=motion)
+    truth = seen.distance_mm + math.hypot(*motion.velocity_mm_s) * late
+    return None if budget is None else Read(model, known_axis, budget, truth)
+
+
+def readings(
+    spots: list[Seen], *, seed: int, errors: Errors = ALL, blind: bool = True
+) -> list[Read]:
+    """One reading of each spot, by the models in turn; if `blind` also without an axis."""
+    noise = np.random.default_rng([seed, 1])
+    ways = [(model, True) for model in MODELS]
+    ways += [(model, False) for model in MODELS[:2]] if blind else []
+    found = (
+        read(spot, model, known_axis=axis, errors=errors, noise=noise)
+        for spot, (model, axis) in zip(spots, ways * len(spots), strict=False)
+    )
+    return [reading for reading in found if reading is not None]
+
+
+def main() -> None:
+    """Print the coverage of all readings, and by model."""
+    count, seed = int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0
+    spots = list(seen_spots(count, seed=seed))
+    found = readings(spots, seed=seed)
+    print(f"{count} frames, {len(spots)} with a spot, {len(found)} with a distance")
+    for model, known in sorted({(r.model, r.known_axis) for r in found} | {("all", True)}):
+        own = [r for r in found if model == "all" or (r.model, r.known_axis) == (model, known)]
+        sigma = np.median([r.budget.sigma_mm for r in own])
+        error = np.sqrt(np.mean([(r.budget.corrected_mm - r.truth_mm) ** 2 for r in own]))
+        raw = np.sqrt(np.mean([(r.budget.reading_mm - r.truth_mm) ** 2 for r in own]))
+        causes = Counter(r.budget.largest.cause.meaning for r in own if r.budget.largest)
+        print(
+            f"{model}{'' if known else ', axis unknown'}: {len(own)} readings, "
+            f"{100 * np.mean([r.inside for r in own]):.1f} % inside; median u {sigma:.3f} mm, "
+            f"RMS error {error:.3f} mm (uncorrected {raw:.3f}); {dict(causes)}"
+        )
+    for name, errors in ONE_BY_ONE.items():
+        own = readings(spots, seed=seed, errors=errors, blind=False)
+        sigma = np.median([r.budget.sigma_mm for r in own])
+        inside = 100 * np.mean([r.inside for r in own])
+        print(f"only {name}: {inside:.1f} % of {len(own)} inside; median u {sigma:.4f} mm")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,366 @@
+"""What a distance is worth: against the GUM's example, other software, contours and frames."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+from uncertainties import correlated_values, ufloat, umath
+
+import eyespot
+import optics
+from benchmarks.evaluation import Geometry, estimates, semi_minor
+from estimator import read_spots, read_stack
+from estimator.distance import Budget, Budgets, Cause, Motion, Part, Range, Ranger
+from estimator.distance.tilted_cone import Eye, distance_of, spot_image
+from estimator.files import Stated, read_stated, write_calibration
+from optics import InputError
+from scenes import load_scene, render_stack
+from scenes.world import true_calibration
+from tests import budget_coverage
+from tests.test_estimator_ranger import R_EYE, SCALE, B, K, calibration, covariance_of, spot
+from tests.test_estimator_ranger import microscope as microscope_at
+
+HALF_ANGLE = math.atan(1 / K)
+LEANING = (0.0, 0.1, math.sqrt(0.99))  # normal of a plane wall
+SPOT_COVARIANCE = covariance_of(66.0, 60.0, 0.05)
+
+
+def microscope(height: float = 200.0, **changed: object):
+    return microscope_at(height, principal_point_px=(320.0, 240.0), **changed)
+
+
+def budget_of(
+    *,
+    model: str = "corrected",
+    stated: Stated | None = None,
+    axis: np.ndarray | None = None,
+    motion: Motion | None = None,
+    seen=None,
+    covariance: np.ndarray | None = None,
+    view=None,
+) -> Budget:
+    """Of a spot at c = 2.7 mm whose every other quantity is known exactly."""
+    ranger = Ranger(calibration(covariance=covariance), view or microscope(), model=model)
+    seen = seen or spot(720.0, 240.0, 66.0, 60.0, 0.3, covariance=SPOT_COVARIANCE)
+    found = ranger.distance(seen, axis=axis)
+    budget = Budgets(ranger, stated or Stated(axis_sigma_deg=0)).of(
+        seen, found, axis=axis, **({"motion": motion} if motion else {})
+    )
+    assert budget is not None
+    return budget
+
+
+def part(budget: Budget, cause: Cause) -> Part:
+    (found,) = (part for part in budget.parts if part.cause is cause)
+    return found
+
+
+def tilted_axis(at_px: tuple[float, float] = (720.0, 240.0), incidence: float = 0.4) -> np.ndarray:
+    """A beam at this incidence, askew to the meridian, where the pinhole at 200 mm sees a pixel."""
+    u, v = at_px
+    point = optics.eyeball_point(
+        right_px=u - 320.0,
+        down_px=v - 240.0,
+        scale=SCALE,
+        eye_radius=R_EYE,
+        inverse_working_distance=1 / (200.0 + R_EYE),
+    )
+    normal = np.asarray(point) / R_EYE
+    sides = np.linalg.svd(normal[None])[2][1:]
+    return math.cos(incidence) * normal + math.sin(incidence) * (np.array([0.6, 0.8]) @ sides)
+
+
+@pytest.mark.parametrize("height", [0.0, 11.5, 200.0, -28.4])
+@pytest.mark.parametrize("normal", [None, LEANING])
+def test_the_contour_in_numpy_is_that_of_optics(height, normal):
+    wall: optics.Surface = optics.Sphere(R_EYE)
+    if normal is not None:
+        wall = optics.Plane(point=np.array([0.0, 0.0, -R_EYE]), inward=np.array(normal))
+    view = optics.microscope(scale=SCALE, pinhole_height=height, eye_radius=R_EYE)
+    eye = Eye(K, B, SCALE, R_EYE, 1 / (height + R_EYE), normal)
+    for c, incidence, azimuth, distance in [(0.5, 0.0, 0.0, 1.0), (3.0, 0.5, 2.0, 4.0)]:
+        beam = optics.beam_at_spot(
+            wall,
+            eccentricity=c,
+            azimuth=1.0,
+            incidence=incidence,
+            incidence_azimuth=azimuth,
+            distance=distance,
+            half_angle=HALF_ANGLE,
+            apex_offset=B,
+        )
+        exact = optics.spot_ellipse(beam, wall, view)
+        axis = np.asarray(beam.axis)[None]
+        seen = spot_image(
+            eye,
+            spot=np.asarray(beam.tip)[None] + distance * axis,
+            axis=axis,
+            distance=np.array([distance]),
+        )
+        # 32 generators instead of 128: 3e-4 px at most, which is 5e-5 mm of the distance.
+        np.testing.assert_allclose(seen.centre[0], exact.centre, atol=1e-3)
+        np.testing.assert_allclose(seen.semi_major[0], exact.semi_major, atol=1e-3)
+        np.testing.assert_allclose(seen.semi_minor[0], exact.semi_minor, atol=1e-3)
+        for by_area in (False, True):
+            size = math.sqrt(exact.semi_major * exact.semi_minor) if by_area else exact.semi_minor
+            found, _ = distance_of(
+                eye,
+                at_px=np.asarray(exact.centre)[None],
+                size_px=np.array([float(size)]),
+                axis=axis,
+                by_area=by_area,
+            )
+            assert found[0] == pytest.approx(distance, abs=1e-4)
+
+
+def test_degrees_of_freedom_are_those_of_the_gums_end_gauge():
+    # JCGM 100:2008, H.1.6: 25, 9.7, 2.9 and 16.6 nm with 18, 25.6, 50 and 2 degrees of freedom
+    # give 32 nm with 16 (16.7 before truncation).
+    values = [(25.0, 18.0), (9.7, 25.6), (2.9, 50.0), (16.6, 2.0)]
+    budget = Budget.of(0.0, parts=[Part(Cause.IMAGE, u, freedom) for u, freedom in values])
+    assert round(budget.sigma_mm) == 32
+    assert int(budget.freedom) == 16
+    # G.2: t_95(16) = 2.12.
+    low, high = budget.interval_mm
+    assert (high - low) / 2 == pytest.approx(2.12 * budget.sigma_mm, rel=0.005)
+
+
+def test_the_linear_part_is_that_of_another_program():
+    """Of a plane wall and a square beam, where d = delta k e + b in every quantity."""
+    covariance = np.array([[4e-4, -1e-4], [-1e-4, 1e-4]])
+    seen = spot(320.0, 240.0, 60.0, 60.0, covariance=SPOT_COVARIANCE)
+    view = microscope(math.inf, plane_normal=(0.0, 0.0, 1.0))
+    stated = Stated(touch_sigma_mm=0.03, axis_sigma_deg=0, clock_sigma_s=0.01)
+    down = np.array([0.0, 0.0, -1.0])
+    budget = budget_of(
+        model="planar",
+        seen=seen,
+        covariance=covariance,
+        view=view,
+        stated=stated,
+        axis=down,
+        motion=Motion(velocity_mm_s=(0.5, 0.0, 2.0)),
+    )
+    k, b = correlated_values([K, B], covariance)
+    size = ufloat(60.0, math.sqrt(SPOT_COVARIANCE[3, 3]))
+    late, touch = ufloat(0.0, 0.01), ufloat(0.0, 0.03)
+    expected = SCALE * k * size + b + touch + 2.0 * late
+    assert budget.corrected_mm == pytest.approx(expected.nominal_value, abs=1e-6)
+    # First differences of 1e-5 of a quantity.
+    assert budget.sigma_mm == pytest.approx(expected.std_dev, rel=1e-4)
+
+
+def test_on_a_sphere_the_linear_part_is_that_of_another_program():
+    """Of a telecentric view onto the pole, where d = k R + b + r - sqrt(r^2 - R^2), R = delta e."""
+    covariance = np.diag([4e-4, 1e-4])
+    seen = spot(320.0, 240.0, 60.0, 60.0, covariance=SPOT_COVARIANCE)
+    stated = Stated(eye_radius_sigma_mm=0.5, axis_sigma_deg=0)
+    budget = budget_of(
+        seen=seen,
+        covariance=covariance,
+        view=microscope(math.inf),
+        stated=stated,
+        axis=np.array([0.0, 0.0, -1.0]),
+    )
+    k, b, r = ufloat(K, 0.02), ufloat(B, 0.01), ufloat(R_EYE, 0.5)
+    radius = SCALE * ufloat(60.0, math.sqrt(SPOT_COVARIANCE[3, 3]))
+    expected = k * radius + b + r - umath.sqrt(r**2 - radius**2)
+    assert budget.corrected_mm == pytest.approx(expected.nominal_value, abs=1e-6)
+    assert budget.sigma_mm == pytest.approx(expected.std_dev, rel=1e-4)
+
+
+@pytest.mark.parametrize("model", ["small_plane", "corrected"])
+def test_the_correction_is_the_error_that_the_study_finds(model):
+    c, d, incidence, towards = 3.0, 2.0, math.radians(30), math.radians(60)
+    geometry = Geometry(SCALE, 200.0, R_EYE, HALF_ANGLE, B, incidence, towards)
+    given = {"c": np.array([c]), "d": np.array([d])}
+    seen_px = semi_minor(geometry, **given)
+    error = estimates(geometry, c=given["c"], semi_minor_px=seen_px)[model][0] - d
+    view = microscope()
+    beam = optics.beam_at_spot(
+        view.wall(),
+        eccentricity=c,
+        distance=d,
+        incidence=incidence,
+        incidence_azimuth=towards,
+        half_angle=HALF_ANGLE,
+        apex_offset=B,
+    )
+    ellipse = optics.spot_ellipse(beam, view.wall(), view.ideal_microscope())
+    seen = spot(*ellipse.centre, ellipse.semi_major, ellipse.semi_minor)
+    ranger = Ranger(calibration(), view, model=model, eccentricity_mm=c)
+    found = ranger.distance(seen)
+    budget = Budgets(ranger, Stated()).of(seen, found, axis=np.asarray(beam.axis))
+    assert budget is not None
+    assert found.distance_mm - d == pytest.approx(error, abs=1e-9)
+    # The contour in NumPy: 1e-3 px of 60 at most.
+    assert budget.correction_mm == pytest.approx(-error, abs=2e-4)
+    assert abs(error) > 0.02
+
+
+def test_the_model_area_states_what_the_ranger_states():
+    """The ranger's own sigma, of spot, calibration and axis by differences in JAX."""
+    covariance = np.array([[4e-4, -1e-4], [-1e-4, 1e-4]])
+    axis = tilted_axis()
+    seen = spot(720.0, 240.0, 66.0, 60.0, covariance=SPOT_COVARIANCE)
+    ranger = Ranger(calibration(covariance=covariance), microscope(), model="area")
+    found = ranger.distance(seen, axis=axis, axis_sigma_rad=math.radians(0.7))
+    budget = Budgets(ranger, Stated(axis_sigma_deg=0.7)).of(seen, found, axis=axis)
+    assert budget is not None
+    assert budget.corrected_mm == found.distance_mm
+    # The ranger's point on the wall follows its quantities to first order in the spot's size.
+    assert budget.sigma_mm == pytest.approx(found.sigma_mm, rel=0.02)
+
+
+MOVING = Motion(velocity_mm_s=(0.0, 0.0, 3.0))
+
+
+@pytest.mark.parametrize(
+    ("cause", "given", "half"),
+    [
+        (Cause.EYE_RADIUS, {"eye_radius_sigma_mm": 0.2}, {"eye_radius_sigma_mm": 0.1}),
+        (
+            Cause.VIEWING,
+            {"inverse_working_distance_sigma": 1e-3},
+            {"inverse_working_distance_sigma": 5e-4},
+        ),
+        (Cause.VIEWING, {"size_per_mm": 1e-3}, {"size_per_mm": 5e-4}),
+        (Cause.TOUCH, {"touch_sigma_mm": 0.05}, {"touch_sigma_mm": 0.025}),
+        (Cause.TILT, {"axis_sigma_deg": 2.0}, {"axis_sigma_deg": 1.0}),
+        (Cause.CLOCK, {"clock_sigma_s": 0.01}, {"clock_sigma_s": 0.005}),
+    ],
+)
+def test_the_remedy_names_what_halves_the_part(cause, given, half):
+    known = {"axis_sigma_deg": 0.0}
+
+    def made(stated):
+        return part(
+            budget_of(stated=Stated(**(known | stated)), axis=tilted_axis(), motion=MOVING), cause
+        )
+
+    before, after = made(given), made(half)
+    assert after.sigma_mm == pytest.approx(before.sigma_mm / 2, rel=1e-9)
+    assert f"{next(iter(half.values())):.3g}" in before.remedy
+
+
+def test_an_unknown_axis_widens_the_interval_and_says_so():
+    known = budget_of(model="small_plane", axis=tilted_axis(), stated=Stated(axis_sigma_deg=1.0))
+    unknown = budget_of(model="small_plane", stated=Stated(incidence_deg=(0.0, 32.0)))
+    assert unknown.sigma_mm > 3 * known.sigma_mm
+    assert unknown.largest is not None
+    assert unknown.largest.cause is Cause.TILT
+    assert "exact" in unknown.largest.remedy
+
+
+def test_a_pose_that_is_old_counts_as_far_as_the_tool_turned():
+    # A random direction across the axis has 1/sqrt(2) of the turn in each of the two.
+    turning = Motion(turn_rad_s=0.2, pose_age_s=0.1)
+    axis = tilted_axis()
+    by_pose = part(budget_of(axis=axis, motion=turning), Cause.CLOCK)
+    degrees = math.degrees(0.02 / math.sqrt(2))
+    by_axis = part(budget_of(axis=axis, stated=Stated(axis_sigma_deg=degrees)), Cause.TILT)
+    assert by_pose.sigma_mm == pytest.approx(by_axis.sigma_mm, rel=1e-9)
+
+
+def test_what_a_mode_does_not_measure_is_unknown():
+    seen = spot(720.0, 240.0, 66.0, 60.0, covariance=np.full((5, 5), math.nan))
+    budget = budget_of(seen=seen, axis=tilted_axis(), stated=Stated(touch_sigma_mm=0.1))
+    assert math.isnan(budget.sigma_mm)
+    assert budget.largest is not None
+    assert budget.largest.cause is Cause.IMAGE
+
+
+def test_no_distance_has_no_budget():
+    ranger = Ranger(calibration(), microscope())
+    nothing = Range(distance_mm=math.nan, sigma_mm=math.nan)
+    assert Budgets(ranger, Stated()).of(spot(720.0, 240.0, 66.0, 60.0), nothing) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("eye_radius = 0.2", "eye_radius"),
+        ("clock_sigma_s = -1", "clock_sigma_s"),
+        ("incidence_deg = [30, 10]", "30"),
+        ("touch_sigma_mm = 'much'", "touch_sigma_mm"),
+    ],
+)
+def test_a_wrong_stated_file_is_named_with_its_key(tmp_path, text, word):
+    path = tmp_path / "stated.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=word) as caught:
+        read_stated(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory) -> Path:
+    """Four frames of a withdrawal at c = 2.5 mm, with its true calibration."""
+    changes = [
+        "source.kind=cone",
+        "spot.eccentricity_mm=2.5",
+        "microscope.pinhole_height_mm=200",
+        "motion.start_mm=1",
+        "motion.frames=4",
+        "motion.speed_mm_s=2",
+        'exposures.kinds=["metered"]',
+    ]
+    folder = tmp_path_factory.mktemp("worth")
+    scene = load_scene(None, changes)
+    render_stack(scene, folder / "stack")
+    write_calibration(folder / "cone.json", true_calibration(scene))
+    (folder / "stated.toml").write_text("clock_sigma_s = 0.05\ntouch_sigma_mm = 0.01\n")
+    return folder
+
+
+def run(*arguments: object) -> str:
+    done = CliRunner().invoke(eyespot.app, [str(argument) for argument in arguments])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def options(stack: Path) -> list[object]:
+    return [
+        stack / "stack",
+        *("--calibration", stack / "cone.json", "--model", "small_plane"),
+        *("--stated", stack / "stated.toml"),
+        *("--poses", stack / "stack" / "kinematics.csv", "--eye-from-robot", "0,0,0,1"),
+    ]
+
+
+def test_the_command_names_the_largest_cause_and_what_halves_it(stack):
+    content = json.loads(run("budget", *options(stack), "--frame", 2, "--json"))
+    # 2 mm/s along the beam, 50 ms: 0.1 mm; all else is some hundredths.
+    assert content["largest_cause"] == "clock"
+    (clock,) = (part for part in content["parts"] if part["cause"] == "clock")
+    assert clock["sigma_mm"] == pytest.approx(0.1, rel=0.02)
+    assert "0.025 s" in content["remedy"]
+    text = run("budget", *options(stack))
+    assert "pose age and clock" in text
+    assert "95 % interval" in text
+
+
+def test_a_spots_file_has_the_interval_which_contains_the_truth_where_the_model_errs(stack):
+    # The small-plane model errs by 0.3 to 0.5 mm here; the interval is about the corrected one.
+    out = stack / "spots.csv"
+    run("track", *options(stack), "--out", out)
+    # In the first frame the robot has not moved yet.
+    records, labels = read_spots(out), read_stack(stack / "stack").labels
+    assert [record.largest_cause for record in records] == ["touch", "clock", "clock", "clock"]
+    for record, label in zip(records, labels, strict=True):
+        assert record.distance_low_mm < label.d_mm < record.distance_high_mm
+        assert record.distance_mm < record.distance_low_mm
+
+
+@pytest.mark.slow
+def test_intervals_cover_what_they_state():
+    spots = list(budget_coverage.seen_spots(2000, seed=1))
+    found = budget_coverage.readings(spots, seed=1)
+    assert len(found) > 1900
+    # The standard deviation of a share of 95 % among 2,000 is 0.5 %.
+    assert 0.93 <= np.mean([reading.inside for reading in found]) <= 0.97
