@@ -30,6 +30,8 @@ COMMANDS = {
     "fit": "calibration.command.command:fit",
     "export": "benchmarks.sets.formats.command:export",
     "score": "benchmarks.sets.score.command:score",
+    "preregister": "benchmarks.predictions.command:preregister",
+    "adjudicate": "benchmarks.predictions.command:adjudicate",
     "doctor": "scenes.machine.doctor:doctor",
     "version": "eyespot:version",
     "scene init": "scenes.description.command:init",

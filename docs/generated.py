@@ -29,6 +29,8 @@ _FILES = {
     "Labels of a stack (`metadata.jsonl`)": "estimator.files.stack:FrameLabels",
     "Microscope (`microscope.json`)": "estimator.files.microscope:_PathFile",
     "Calibration": "estimator.files.calibration:_CalibrationFile",
+    "Stated uncertainties": "estimator.files.stated:Stated",
+    "Plan": "benchmarks.predictions.plan:_PlanFile",
     "Eye": "optics.viewing.eye_file:EyeFile",
 }
 _FIT_MODELS = ("plane", "sphere", "cone", "eye", "image", "lens")

@@ -59,7 +59,7 @@ class Errors(NamedTuple):
 
 
 ALL = Errors(STATED, COVARIANCE, True)
-_NONE = Stated(axis_sigma_deg=0.0, incidence_deg=INCIDENCE_DEG)
+_NONE = Stated(axis_sigma_deg=0.2, incidence_deg=INCIDENCE_DEG)
 
 
 def _only(**stated: float) -> Stated:
@@ -76,7 +76,7 @@ ONE_BY_ONE = {
     "touch": Errors(_only(touch_sigma_mm=0.02), 0 * COVARIANCE, False),
     "clock": Errors(_only(clock_sigma_s=0.01), 0 * COVARIANCE, True),
 }
-"""One cause, and the image's, which every frame has."""
+"""One cause, the image's, which every frame has, and an axis that is known to 0.2 degrees."""
 
 MODELS = ("small_plane", "corrected", "area", "exact")
 PLACES = (

@@ -18,7 +18,8 @@ UNKNOWN_SIGMA_PX = 0.5
 """Standard deviation of the ellipse if a mode measures none; weighs it against the axis."""
 
 _NO_WEIGHT_RAD = 1e6  # standard deviation of an unknown axis
-_EXACT_RAD = 1e-5  # standard deviation of an axis that is known exactly; 0 has no weight
+_EXACT_RAD = 1e-3
+"""Least standard deviation of an axis: without any doubt of it the search misses the ellipse."""
 _CIRCLE = 1e-9  # difference of the axes, relative, below which an ellipse has no angle
 _SAME_COST = 9.0  # difference of cost of two poses that three standard deviations do not separate
 

@@ -1,0 +1,10 @@
+from .judging import SURE as SURE
+from .judging import Judgement as Judgement
+from .judging import judged as judged
+from .observing import Observed as Observed
+from .observing import measured_as_planned as measured_as_planned
+from .observing import observed as observed
+from .plan import Plan as Plan
+from .plan import read_plan as read_plan
+from .plan import write_plan as write_plan
+from .predicting import predicted as predicted

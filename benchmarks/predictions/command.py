@@ -1,0 +1,203 @@
+"""The commands `eyespot preregister` and `eyespot adjudicate`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from optics import InputError
+from scenes.description import Changes, SceneFile
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from benchmarks.predictions.judging import Judgement
+
+_POOR = 10.0
+"""Times the noise. A wall's texture moves spots by some times their noise, another lens by more."""
+
+
+def preregister(
+    scene: SceneFile,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="Plan to write (JSON); must not exist.")
+    ],
+    uncertain: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=SIGMA",
+            help="Standard uncertainty of a number in the scene, for example "
+            "phantom.radius_mm=0.2. Repeatable.",
+        ),
+    ] = None,
+    changes: Changes = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Calibration file with which distances will be read."),
+    ] = None,
+    model: Annotated[
+        str | None, typer.Option(help="Distance model (default: the calibration file's).")
+    ] = None,
+    exposure: Annotated[
+        str | None, typer.Option(help="Kind of the images (default: the scene's first).")
+    ] = None,
+) -> None:
+    """Write down what an experiment will measure, with intervals, before it is done.
+
+    The SHA-256 that is printed proves later that the plan was not changed: publish it.
+    """
+    from benchmarks.predictions.plan import write_plan
+    from benchmarks.predictions.predicting import predicted
+    from estimator.files import refuse_existing
+    from estimator.run import progress
+    from scenes import load_scene
+    from scenes.world import frame_count
+
+    refuse_existing(out)
+    if model is not None and calibration is None:
+        raise InputError("model has no effect without calibration. Give both, or neither.")
+    settings = load_scene(scene, changes or ())
+    with progress("Rehearsing", total=frame_count(settings)) as advance:
+        plan = predicted(
+            settings,
+            dict(_sigma(text) for text in uncertain or ()),
+            calibration=calibration,
+            model=model,
+            exposure=exposure,
+            progress=advance,
+        )
+    sha256 = write_plan(out, plan)
+    typer.echo(f"Wrote {out}: {len(plan.times_s)} frames.\nSHA-256 {sha256}")
+
+
+def adjudicate(
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="File of `eyespot preregister`.")],
+    source: Annotated[
+        str,
+        typer.Argument(metavar="SOURCE", help="Stack, folder of images, TIFF, video, or ROS bag."),
+    ],
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Robot poses (CSV or ROS bag), on the clock of SOURCE (default: the stack's).",
+        ),
+    ] = None,
+    eye_from_robot: Annotated[
+        str,
+        typer.Option(
+            metavar="QX,QY,QZ,QW",
+            help="Rotation from the poses' frame to the eye's, for the models exact and area.",
+        ),
+    ] = "0,0,0,1",
+    microscope: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Microscope file of SOURCE (default: the stack's)."),
+    ] = None,
+    start_s: Annotated[
+        float, typer.Option("--start", help="Time in SOURCE at which the planned motion begins.")
+    ] = 0.0,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the result as one JSON object, and nothing else.")
+    ] = False,
+) -> None:
+    """Say which predictions of a plan held, and what explains those that did not."""
+    from rich.console import Console
+
+    from benchmarks.predictions.judging import judged
+    from benchmarks.predictions.observing import measured_as_planned
+    from benchmarks.predictions.plan import read_plan
+
+    agreed, sha256 = read_plan(plan)
+    seen = measured_as_planned(
+        agreed,
+        source,
+        poses=poses,
+        eye_from_robot=eye_from_robot,
+        microscope=microscope,
+        start_s=start_s,
+    )
+    found = judged(agreed, seen)
+    if as_json:
+        print(json.dumps({"plan_sha256": sha256, **_content(found)}))
+        return
+    console = Console()
+    console.print(f"Plan {plan}, SHA-256 {sha256}", highlight=False)
+    console.print(_table(found))
+    for line in _sentences(found):
+        console.print(line, highlight=False)
+
+
+def _sigma(text: str) -> tuple[str, float]:
+    key, _, value = (part.strip() for part in text.partition("="))
+    try:
+        return key, float(value)
+    except ValueError:
+        raise InputError(
+            f"--uncertain must be KEY=SIGMA, such as phantom.radius_mm=0.2; got {text!r}."
+        ) from None
+
+
+def _table(found: Judgement) -> Table:
+    from rich.table import Table
+
+    table = Table()
+    table.add_column("quantity")
+    for name in ("held", "missed", "of these not measured", "RMS deviation, σ"):
+        table.add_column(name, justify="right")
+    for tally in found.tallies:
+        table.add_row(
+            tally.quantity,
+            str(tally.hits),
+            str(tally.misses),
+            str(tally.unmeasured),
+            f"{tally.rms:.2f}",
+        )
+    return table
+
+
+def _sentences(found: Judgement) -> list[str]:
+    share = found.hits / found.predictions
+    lines = [f"{found.hits} of {found.predictions} predictions held ({100 * share:.1f} %)."]
+    wrong = [cause for cause in found.causes if cause.contradicts]
+    for cause in wrong:
+        lines.append(
+            f"Contradicted: {cause.key} was stated as {cause.stated:.6g} ± "
+            f"{cause.stated_sigma:.2g}; the recording says {cause.found:.6g} ± "
+            f"{cause.found_sigma:.2g}, {abs(cause.pull):.1f} σ apart."
+        )
+    if len(wrong) > 1:
+        lines.append(
+            "If one of these is corrected, the others may agree: the first is the likeliest."
+        )
+    if found.misfit > _POOR and wrong:
+        lines.append(
+            f"With the best values of all keys {found.misfit:.0f} times the noise remains: the "
+            "plan is linear in its keys, or something differs that it takes as certain. Write a "
+            "plan with the corrected values, and compare again."
+        )
+    elif found.misfit > _POOR:
+        lines.append(
+            f"No values of the stated keys explain the recording: {found.misfit:.0f} times the "
+            "noise remains. Something differs that the plan takes as certain."
+        )
+    elif not wrong:
+        lines.append("Nothing that was stated is contradicted.")
+    if found.no_spot:
+        reasons = ", ".join(f"{n} {reason}" for reason, n in found.no_spot.most_common())
+        lines.append(f"Frames without a spot: {reasons}.")
+    return lines
+
+
+def _content(found: Judgement) -> dict[str, Any]:
+    return {
+        "held": found.hits,
+        "predictions": found.predictions,
+        "quantities": [tally._asdict() for tally in found.tallies],
+        "keys": [{**cause._asdict(), "contradicts": cause.contradicts} for cause in found.causes],
+        "misfit": found.misfit,
+        "no_spot": dict(found.no_spot),
+    }
