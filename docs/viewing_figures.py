@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from benchmarks.reporting import BLACK, BLUE, GREY, SKY, STYLE, VERMILION
-from benchmarks.studies.eye.errors import path_errors
+from benchmarks.studies.eye.errors import fields, path_errors
 from benchmarks.studies.eye.geometry import PATHS, PINHOLE_ABOVE_MM, grid
 from benchmarks.studies.eye.recipes import Recipe
 from optics import viewing
@@ -156,8 +156,9 @@ def _draw_errors(axes: Axes, name: str) -> None:
         largest = np.take_along_axis(errors, np.abs(errors).argmax(axis=1)[:, None], axis=1)
         axes.plot(_C_MM, largest, "o-", ms=3, color=colour)
         print(f"{name}, {recipe}: {largest[-1, 0]:+.3f} mm at c = {_C_MM[-1]:g}, d {_DISTANCES}")
-    if found.fields[0] < _C_MM[-1]:
-        axes.axvline(float(found.fields[0]), color=GREY, lw=0.8)
+    field = float(fields(name, eyes)[0])
+    if field < _C_MM[-1]:
+        axes.axvline(field, color=GREY, lw=0.8)
     axes.set_xlabel("$c$ (mm)")
 
 

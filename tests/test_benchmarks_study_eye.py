@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.reporting import Request
 from benchmarks.studies.eye import population, recipes
+from benchmarks.studies.eye.batches import in_batches
 from benchmarks.studies.eye.findings import crossing
 from benchmarks.studies.eye.geometry import (
     NOMINAL_RADIUS_MM,
@@ -130,6 +131,13 @@ def test_a_quick_study_finds_what_is_known(tmp_path):
     assert phakic["value"] > phakic["numbers"]["schematic"] > phakic["numbers"]["small"]
     assert isinstance(findings.paths["flat, phakic"].kappas[0], np.floating)
     assert -0.08 < findings.paths["flat, phakic"].kappas[0] < -0.04  # behind the retina
+
+
+@pytest.mark.parametrize("count", [1, 4, 7])
+def test_batches_give_every_item_its_own_value_in_order(count):
+    items = (jnp.arange(float(count)), jnp.ones((count, 2)))
+    found = in_batches(lambda item: item[0] + item[1], items, size=4)
+    np.testing.assert_array_equal(found, np.arange(count)[:, None] + np.ones((count, 2)))
 
 
 def test_spots_keep_their_order():

@@ -1,5 +1,6 @@
 """Least squares with covariance.
 
+blocks               Gauss-Newton for shared parameters and blocks with parameters of their own
 chi_squared          Chi squared against its degrees of freedom: the range that noise explains
 identifiability      Covariance, and the parameters that the data do not determine, in words
 levenberg_marquardt  Nonlinear least squares by Optimistix

@@ -1,3 +1,4 @@
+from .blocks import gauss_newton_in_blocks as gauss_newton_in_blocks
 from .chi_squared import CHANCE as CHANCE
 from .chi_squared import accepted_range as accepted_range
 from .chi_squared import excess_variance as excess_variance

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 import optics
+from benchmarks.studies.eye.batches import in_batches
 from benchmarks.studies.eye.geometry import (
     NOMINAL_RADIUS_MM,
     SCALE_MM_PX,
@@ -41,13 +42,11 @@ class PathErrors(NamedTuple):
 
     Attributes:
         errors: of each recipe, eyes x c x d x tilts, mm; as if the iris hid nothing.
-        fields: largest c that each eye's dilated pupil shows, mm.
         kappas: fitted in each eye, 1/mm; the first is the schematic eye's.
         paraxial_kappa: of the schematic eye's path, 1/mm.
     """
 
     errors: dict[Recipe, np.ndarray]
-    fields: np.ndarray
     kappas: np.ndarray
     paraxial_kappa: float
 
@@ -89,10 +88,15 @@ def path_errors(path: str, eyes: Sequence[Eye], spots: Spots, *, seed: int | Non
     truth, visible = np.asarray(spots.distance), np.asarray(seen.visible)
     return PathErrors(
         errors={r: np.where(visible, d - truth, np.nan) for r, d in distances.items()},
-        fields=np.asarray(_fields(_cameras(path, eyes, pupil_radius=DILATED_MM), axes)),
         kappas=np.asarray(fitted.kappa),
         paraxial_kappa=paraxial,
     )
+
+
+def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
+    """Largest c that each eye's dilated pupil shows, mm; arguments as for `path_errors`."""
+    axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
+    return np.asarray(_fields(_cameras(path, eyes, pupil_radius=DILATED_MM), axes))
 
 
 @eqx.filter_jit
@@ -119,7 +123,7 @@ def _calibrated(
         )
         return first, fitted_pinhole(last, key, amount)
 
-    return jax.lax.map(in_one, (every, semi_axes, noise), batch_size=_EYES_AT_ONCE)
+    return in_batches(in_one, (every, semi_axes, noise), size=_EYES_AT_ONCE)
 
 
 def _by_area(seen: Seen, fitted: Pinhole, schematic: Pinhole) -> tuple[np.ndarray, np.ndarray]:

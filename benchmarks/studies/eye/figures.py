@@ -37,9 +37,7 @@ def error_figure(findings: EyeFindings) -> Figure:
     curves = {row[:4]: row.p95_mm for row in findings.summaries()}
 
     def draw(axes: Axes, path: str, tilt: str) -> None:
-        low, middle, high = np.quantile(
-            findings.paths[path].fields[findings.random], [0.05, 0.5, 0.95]
-        )
+        low, middle, high = np.quantile(findings.fields[path][findings.random], [0.05, 0.5, 0.95])
         axes.axvspan(low, high, color="#EEEEEE", zorder=0)
         axes.axvline(middle, color=GREY, lw=0.8, label="largest c that a 7 mm pupil shows")
         for limit in LIMITS_MM:

@@ -91,6 +91,7 @@ class EyeFindings:
         names: of the eyes: Navarro's, the random ones, other schematic ones.
         population: number of random eyes.
         paths: errors by path.
+        fields: largest c that each eye's dilated pupil shows, by path, mm.
         causes: shares of the parts of the eye in one path.
         causes_path: which.
     """
@@ -100,6 +101,7 @@ class EyeFindings:
     names: list[str]
     population: int
     paths: dict[str, PathErrors]
+    fields: dict[str, np.ndarray]
     causes: list[Share]
     causes_path: str
 
@@ -153,7 +155,7 @@ class EyeFindings:
         """Pinholes and fields of each path, over the random eyes."""
         rows = []
         for path, found in self.paths.items():
-            kappas, fields = found.kappas[self.random], found.fields[self.random]
+            kappas, fields = found.kappas[self.random], self.fields[path][self.random]
             quantiles = np.quantile(fields, [0.05, 0.5, 0.95])
             rows.append(
                 PathRow(
@@ -172,7 +174,7 @@ class EyeFindings:
         rows = []
         place = int(np.flatnonzero(self.eccentricities == 3.0)[0])
         for path, found in self.paths.items():
-            columns = [found.kappas, found.fields]
+            columns = [found.kappas, self.fields[path]]
             for recipe in (Recipe.AREA, Recipe.AREA_SCHEMATIC):
                 columns.append(np.abs(found.errors[recipe][:, place]).max(axis=(1, 2)))
             rows += [

@@ -12,7 +12,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, ScalarLike
 
 import optics
-from optics.viewing import Eye, PathCamera, load_viewing_lens, path_camera, viewing_path
+from benchmarks.studies.eye.batches import in_batches
+from optics.viewing import (
+    Eye,
+    PathCamera,
+    ViewingLens,
+    load_viewing_lens,
+    path_camera,
+    viewing_path,
+)
 
 SCALE_MM_PX = 0.0067
 NOMINAL_RADIUS_MM = 12.0
@@ -21,6 +29,8 @@ NOMINAL_RADIUS_MM = 12.0
 CONE = {"half_angle": float(np.arctan(1 / 20.0)), "apex_offset": -5.117}
 PINHOLE_ABOVE_MM = 200.0
 _POINTS = 48  # of a contour: its ellipse is within 1e-6 px of 128 points
+_PINHOLE_POINTS = 32  # in a pinhole, which has no aberration: 1e-7 px (`optics.distance`)
+_SPOTS_AT_ONCE = 48
 
 PATHS: dict[str, tuple[str, str]] = {
     "flat, phakic": ("flat", "phakic"),
@@ -103,12 +113,17 @@ def grid(
     return Spots(*map(jnp.asarray, (c, d, incidence[tilt], azimuth[tilt])))
 
 
-@eqx.filter_jit
 def cameras(path: str, eyes: Eye, pupil_radius: Float[Array, ""]) -> PathCamera:
     """The cameras of one path into many eyes, with a leading axis."""
     lens, form = PATHS[path]
-    viewing_lens = load_viewing_lens(lens)
+    return _cameras(load_viewing_lens(lens), form, eyes, pupil_radius)
 
+
+@eqx.filter_jit
+def _cameras(
+    viewing_lens: ViewingLens, form: str, eyes: Eye, pupil_radius: Float[Array, ""]
+) -> PathCamera:
+    # Lenses of one structure differ in numbers only, and are compiled once.
     def camera(eye: Eye) -> PathCamera:
         found = viewing_path(
             eye,
@@ -131,7 +146,7 @@ def spots_through(camera: PathCamera, semi_axes: Float[Array, "3"], spots: Spots
     def one(spot: Spots) -> Seen:
         return image(camera, retina, spot, sees=camera.sees)
 
-    return jax.lax.map(one, spots, batch_size=64)
+    return in_batches(one, spots, size=_SPOTS_AT_ONCE)
 
 
 def image(
@@ -176,7 +191,7 @@ def image_at(
     camera, wall = pinhole.microscope, pinhole.wall
     point = wall.intersect(*camera.ray(pixel)).point
     beam = optics.Beam(tip=point - distance * axis, axis=axis, **CONE)
-    return centre_and_axes(camera.project(optics.cone_contour(beam, wall, points=_POINTS).point))
+    return centre_and_axes(optics.spot_contour(beam, wall, camera, points=_PINHOLE_POINTS))
 
 
 def centre_and_axes(contour: Float[Array, "n 2"]) -> tuple[Float[Array, "2"], Float[Array, "2"]]:

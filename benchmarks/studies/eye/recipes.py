@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float, PRNGKeyArray
 
 import optics
+from benchmarks.studies.eye.batches import in_batches
 from benchmarks.studies.eye.geometry import (
     CONE,
     NOMINAL_RADIUS_MM,
@@ -22,6 +24,7 @@ from benchmarks.studies.eye.geometry import (
     Spots,
     image_at,
 )
+from calibration.solvers import gauss_newton_in_blocks
 from calibration.spots import RETINA, SIZE_PER_MM
 from optics.viewing import PathCamera, local_magnification
 
@@ -84,32 +87,42 @@ def fitted_pinhole(seen: Seen, key: PRNGKeyArray, noise: Float[Array, ""]) -> Pi
         key: random key of the measurement's noise.
         noise: its amount; 1 is what the sub-pixel mode has, 0 none.
     """
-    distance = withdrawals().distance
-    errors = noise * _SIGMA_PX * jax.random.normal(key, (*distance.shape, 4))
+    distance = withdrawals().distance[0]
+    errors = noise * _SIGMA_PX * jax.random.normal(key, (*seen.visible.shape, 4))
     centre, axes = seen.centre + errors[..., :2], seen.semi_axes + errors[..., 2:]
     weight = jnp.where(seen.visible, 1.0 / _SIGMA_PX, 0.0)[..., None]
-    size_sigma = SIZE_PER_MM * np.array(WITHDRAWALS_C_MM)
+    size_sigma = SIZE_PER_MM * jnp.array(WITHDRAWALS_C_MM)
 
     def pinhole(unknown: Float[Array, "3"]) -> Pinhole:
         scale = SCALE_MM_PX * jnp.exp(unknown[0])
         return Pinhole(scale, unknown[1], RETINA.mean + RETINA.sigma * unknown[2])
 
-    def residuals(
-        unknown: tuple[Float[Array, "3"], Float[Array, "trials 4"]], _: None
-    ) -> tuple[Array, Array, Array, Array]:
-        eye, own = unknown
-        pixel = seen.centre[:, 0] + _PLACE_PX * own[:, :2]
-        moved = distance + _TOUCH_MM * own[:, 2:3]
-        along = jax.vmap(partial(image_at, pinhole(eye)), (None, 0, 0))
-        expected_centre, expected_axes = jax.vmap(along)(pixel, seen.axis, moved)
-        grown = expected_axes * (1.0 + size_sigma * own[:, 3])[:, None, None]
-        return weight * (expected_centre - centre), weight * (grown - axes), eye[2], own
+    def residuals(eye: Float[Array, "3"], own: Float[Array, "4"], trial: _Trial) -> Array:
+        pixel = trial.place + _PLACE_PX * own[:2]
+        moved = distance + _TOUCH_MM * own[2]
+        see = partial(image_at, pinhole(eye))
+        expected_centre, expected_axes = jax.vmap(see, (None, 0, 0))(pixel, trial.axis, moved)
+        grown = expected_axes * (1.0 + trial.size_sigma * own[3])
+        off = trial.weight * jnp.hstack([expected_centre - trial.centre, grown - trial.axes])
+        # Every trial carries its part of the retina's prior.
+        return jnp.concatenate([off.ravel(), eye[2:] / math.sqrt(len(WITHDRAWALS_C_MM)), own])
 
+    trials = _Trial(seen.centre[:, 0], seen.axis, centre, axes, weight, size_sigma)
     start = jnp.zeros(3), jnp.zeros((len(WITHDRAWALS_C_MM), 4))
     # The problem is nearly linear. 1e-6 of kappa or of a touch moves no distance by 1e-5 mm.
-    solver: optx.AbstractLeastSquaresSolver = optx.GaussNewton(rtol=1e-6, atol=1e-6)
-    best = optx.least_squares(residuals, solver, start, max_steps=10, throw=False).value
-    return pinhole(best[0])
+    eye, _, _ = gauss_newton_in_blocks(residuals, *start, trials, tolerance=1e-6)
+    return pinhole(eye)
+
+
+class _Trial(NamedTuple):
+    """One withdrawal as it was measured, and what is known of it."""
+
+    place: Float[Array, "2"]
+    axis: Float[Array, "n 3"]
+    centre: Float[Array, "n 2"]
+    axes: Float[Array, "n 2"]
+    weight: Float[Array, "n 1"]
+    size_sigma: Float[Array, ""]
 
 
 @eqx.filter_jit
@@ -133,7 +146,7 @@ def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[Array, "n"]:
             **CONE,
         )
 
-    return jax.lax.map(lambda given: one(*given), (seen, pinhole), batch_size=1024)
+    return in_batches(lambda given: one(*given), (seen, pinhole), size=1024)
 
 
 def distance_by_closed_form(

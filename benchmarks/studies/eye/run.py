@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.reporting import Request, Study
 from benchmarks.studies.eye.causes import causes
-from benchmarks.studies.eye.errors import path_errors, together
+from benchmarks.studies.eye.errors import fields, path_errors, together
 from benchmarks.studies.eye.findings import REFRACTIONS_D, EyeFindings
 from benchmarks.studies.eye.geometry import PATHS, grid
 from benchmarks.studies.eye.population import drawn
@@ -26,7 +26,7 @@ _ECCENTRICITIES_MM = np.arange(0.0, 8.1, 1.0)
 _DISTANCES_MM = np.array([0.5, 2.0, 4.0, 6.0])
 _TILTS_DEG = ((0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0))
 _QUICK_DISTANCES_MM = np.array([1.0, 3.0, 5.0])
-_EYES, _QUICK_EYES = 1000, 48
+_EYES, _QUICK_EYES = 1000, 47  # with Navarro's, three batches of 16
 _CAUSES_EYES = 96
 _CAUSES_PATH = "flat, phakic"
 
@@ -54,6 +54,8 @@ def run(request: Request) -> EyeFindings:
         groups.append(_stacked(gradient))
     with study.timed("errors in all eyes"):
         paths = {path: path_errors(path, groups, spots, seed=study.seed) for path in PATHS}
+    with study.timed("fields"):
+        seen = {path: fields(path, groups) for path in PATHS}
     count = len(random.values)
     some = random._replace(values=random.values[: min(count, _CAUSES_EYES)])
     with study.timed("causes"):
@@ -67,6 +69,7 @@ def run(request: Request) -> EyeFindings:
         names=names,
         population=count,
         paths=paths,
+        fields=seen,
         causes=shares,
         causes_path=_CAUSES_PATH,
     )
