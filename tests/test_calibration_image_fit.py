@@ -129,7 +129,14 @@ def test_model_image_of_a_lens_is_the_renderers(medium, scale):
     values = lens_parameters(optics.load_lens("dome"))
     index = optics.MEDIA[medium]
     tabulated = lens_table(
-        values, ("sag",), medium_index=index, nearest=1.0, farthest=6.0, reach=1.05, halvings=4
+        values,
+        ("sag",),
+        medium_index=index,
+        nearest=1.0,
+        farthest=6.0,
+        reach=1.05,
+        halvings=5,
+        finest=0.0,
     )
     lens = Lens(tabulated)
     recording = Recording(

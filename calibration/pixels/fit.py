@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -91,7 +91,7 @@ def fit_footage(
         free = FREE[source]
     check_names(source, start, free, priors or {})
 
-    def fitted(start: Mapping[str, float]) -> ImageFit:
+    def fitted(start: Mapping[str, float], known: ImageFit | None = None) -> ImageFit | None:
         solver = Solver(
             footage,
             source,
@@ -103,13 +103,15 @@ def fit_footage(
             boresight_sigma,
             progress,
         )
-        return solver.run()
+        return solver.run(known)
 
-    best = fitted(start)
+    best = cast(ImageFit, fitted(start))
     for factor in _OTHER_SAGS if "sag" in free else ():
         if not (best.misfit.structured or best.failed):
             break
         sag = min(factor * start["sag"], start["aperture_radius"])
         with contextlib.suppress(InputError):  # no drop at all from there
-            best = min(best, fitted({**start, "sag": sag}), key=lambda fit: fit.chi_squared_per_dof)
+            other = fitted({**start, "sag": sag}, best)
+            if other is not None and other.chi_squared_per_dof < best.chi_squared_per_dof:
+                best = other
     return best

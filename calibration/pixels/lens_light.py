@@ -16,10 +16,11 @@ NEAREST_MM = 0.3
 _MARGIN_MM = 1.0  # the wall is oblique, so parts of it are nearer and farther than on the axis
 _REACH = {True: 1.6, False: 1.05}
 """Size of a table over the light's envelope, for coarse and for exact tables."""
-_FINEST_PX = 0.25
-"""Least width of a table's cells, in pixels. The model averages over pixels, but cells of a whole
-pixel blur a sharp image of the core: they bias NA by a standard error on counted photons (seed 1 of
-`tests.photon_fits coverage`), where 0.25 and 0.12 px agree within 0.2."""
+_FINEST_PX = 0.17
+"""Width of a table's cells, in pixels, below which they are not halved. The model averages over
+pixels, but wide cells blur a sharp image of the core. On counted photons (number 1 of
+`tests.photon_fits coverage`) a whole pixel biases NA by a standard error, 0.25 px by 0.3 and 0.17
+px by 0.05, compared with 0.1 px."""
 _FAR = 0.05
 """Relative change of a lens's parameter beyond which a table, linear in it, is computed anew while
 a fit is on its way. Its result is confirmed with a table that is much nearer."""
@@ -49,13 +50,14 @@ class LensLight:
         gone = self.footage.readings + values["touch"]
         lens = {name: values[name] for name in LENS}
         medium_index, farthest = self.footage.medium_index, float(gone.max() + _MARGIN_MM)
+        finest = _FINEST_PX * self.footage.microscope.scale_mm_px
         if self._halvings is None:
             # The same for the whole fit: tables of one shape need one compilation.
             self._halvings = halvings_for(
                 lens,
                 medium_index=medium_index,
                 farthest=farthest,
-                finest=_FINEST_PX * self.footage.microscope.scale_mm_px,
+                finest=finest,
             )
         self.table = lens_table(
             lens,
@@ -65,6 +67,7 @@ class LensLight:
             farthest=farthest,
             reach=_REACH[coarse],
             halvings=self._halvings,
+            finest=finest,
             coarse=coarse,
         )
         self._at, self._coarse = at, coarse

@@ -62,6 +62,9 @@ _NEAR = 1.0
 the table leaves out is of second order in a step far smaller than the lens."""
 _COARSELY = {"cone": 0.1, "lens": 1.0}
 """The same for the first fits."""
+_SAME = 0.15
+"""Relative difference from an earlier fit's lens below which the first fits have found it again.
+They end within 10 % of their last fits; the second minima that were seen are 30 % apart or more."""
 _HOPELESS = 0.04
 """Part of the light, RMS, that a lens may miss after the first round: no later step mends a wall
 that is not even. Chi squared would depend on how bright the frames are."""
@@ -99,8 +102,13 @@ class Solver:
         self.frames = len(footage.readings)
         self.lens = LensLight(footage, self.names) if source == "lens" else None
 
-    def run(self) -> ImageFit:
-        """Fit blurred frames first, then all pixels."""
+    def run(self, known: ImageFit | None = None) -> ImageFit | None:
+        """Fit blurred frames first, then all pixels.
+
+        Args:
+            known: an earlier fit from another start. If the first fits come near its lens, they are
+                on their way to the same minimum, and the result is None.
+        """
         x = np.zeros(len(self.names) + self.frames * self.exposures)
         if self.source == "cone":
             coarse = [part * self.radius_px for part in _BLURS]
@@ -116,6 +124,8 @@ class Solver:
             self._choose(x, blur=blur, stride=stride)
             found = minimise(self._tabulated_sums, x, tolerance=_COARSELY[self.source])
             x = found.x
+        if known is not None and self._is_near(x, known):
+            return None
         self._tabulate(x)
         for _ in range(_ROUNDS - 1):
             self._choose(x)
@@ -171,6 +181,12 @@ class Solver:
                 )
                 return found, Failure(Criterion.TABLES, why)
             self._tabulate(x)
+
+    def _is_near(self, x: np.ndarray, known: ImageFit) -> bool:
+        """Whether the lens is that of another fit, but for the error of the first fits."""
+        values = self._values(x)
+        free = self.lens.free if self.lens else ()
+        return all(abs(values[n] - known.values[n]) < _SAME * abs(known.values[n]) for n in free)
 
     def _from_table(self, found: Minimum) -> float:
         """Distance of the lens from that of the last table, in standard errors; 0 for a cone."""

@@ -24,13 +24,15 @@ import optics
 from optics.wall_light.parameters import lens_of
 from optics.wall_light.table import Grid, LensTable
 
-_ROWS, _COLUMNS = 12, 24  # cells of the first grid; all samples of it and the next are computed
+_ROWS, _COLUMNS = 6, 12  # cells of the first grid
+_WHOLE = {True: 1, False: 2}
+"""How often all cells are halved by quadrature, for coarse and for exact tables."""
 _TOLERANCE = {True: 1e-2, False: 2e-3}
 """Of a row's peak, for coarse and for exact tables; cells with a larger error of the spline are
 halved again."""
-_COARSE_LEVELS = 2
+_COARSE_LEVELS = 3
 """How often a coarse table's cells are halved by quadrature; then the spline gives all samples."""
-_MOST_HALVINGS = 6
+_MOST_HALVINGS = 7
 _BATCH = 64  # points per call, few enough to stay in the cache, as in optics.irradiance
 
 
@@ -46,7 +48,7 @@ def halvings_for(
         finest: mm on the wall. What is smaller than a pixel's part is not visible.
     """
     envelope = float(optics.LensField(lens_of(values), medium_index).envelope(farthest))
-    return int(np.clip(math.ceil(math.log2(envelope / _COLUMNS / finest)), 2, _MOST_HALVINGS))
+    return int(np.clip(math.ceil(math.log2(envelope / _COLUMNS / finest)), 3, _MOST_HALVINGS))
 
 
 def lens_table(
@@ -58,14 +60,15 @@ def lens_table(
     farthest: float,
     reach: float,
     halvings: int,
+    finest: float,
     coarse: bool = False,
 ) -> LensTable:
     """Tabulate a lens and its derivatives with respect to the free parameters.
 
     Quadrature gives all samples of a first grid. Then each grid has cells of half the size, and
-    quadrature only near samples for which the cubic spline through the previous grid is wrong. The
-    spline gives the others. The samples follow the light's edges, so a table serves its own lens
-    and small changes only.
+    quadrature only near samples for which the cubic spline through the previous grid is wrong, if
+    the cells there are still too wide. The spline gives the others. The samples follow the light's
+    edges, so a table serves its own lens and small changes only.
 
     Args:
         values: all `PARAMETERS`.
@@ -74,7 +77,9 @@ def lens_table(
         nearest: least visible distance, mm.
         farthest: largest visible distance, mm.
         reach: size of the envelope relative to that of the given lens.
-        halvings: how often the first grid's cells are halved; the first time for all cells.
+        halvings: how often the first grid's cells are halved.
+        finest: width below which cells are not halved by quadrature, mm on the wall. The envelope
+            grows with the distance, so near cells reach it before far ones.
         coarse: whether errors of a hundredth of the peak are small enough. Coarse and exact tables
             have the same shape, so that the image model is compiled once.
     """
@@ -96,6 +101,8 @@ def lens_table(
         samples = field(wanted, guess)
         error = np.abs(samples - guess)[0]
         missed = error > _TOLERANCE[coarse] * samples[0].max(axis=1, keepdims=True)
+        missed &= field.widths(samples.shape[1:])[:, None] > finest
+        missed |= level + 1 < _WHOLE[coarse]
     return field.table(samples)
 
 
@@ -117,9 +124,7 @@ class _Field:
         samples = np.empty((1 + len(self.names), *wanted.shape)) if known is None else known.copy()
         row, column = np.nonzero(wanted)
         rows, columns = wanted.shape
-        grid = self.grid
-        s = grid.nearest * (grid.farthest / grid.nearest) ** (row / (rows - 1))
-        envelope = grid.contact_radius + grid.slope * s
+        s, envelope = self._envelope(row, rows)
         points = np.stack([envelope * column / (columns - 1), s])
         points = np.pad(points, ((0, 0), (0, -row.size % _BATCH)), mode="edge")
         batches = points.reshape(2, -1, _BATCH).transpose(1, 0, 2)
@@ -133,6 +138,16 @@ class _Field:
             parts = [evaluate(batches[0]), *pool.map(evaluate, batches[1:])]
         samples[..., row, column] = np.concatenate(parts, axis=-1)[..., : row.size] * envelope**2
         return samples
+
+    def _envelope(self, row: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of rows from the tip, and the envelope's radius there, mm."""
+        grid = self.grid
+        s = np.asarray(grid.nearest * (grid.farthest / grid.nearest) ** (row / (rows - 1)))
+        return s, np.asarray(grid.contact_radius + grid.slope * s)
+
+    def widths(self, shape: tuple[int, int]) -> Float[np.ndarray, "rows"]:
+        """Width of a cell in each row of a grid of this shape, mm."""
+        return self._envelope(np.arange(shape[0]), shape[0])[1] / (shape[1] - 1)
 
     def table(self, samples: Float[np.ndarray, "p+1 rows columns"]) -> LensTable:
         """The table of these samples."""
