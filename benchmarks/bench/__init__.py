@@ -19,6 +19,7 @@ render_efficiency  Noise and time of a rendered spot, compared with common ways 
 render_speed       Time of a labelled frame, from the scene to files on disk
 set_size           How the cost of a set grows, with its stacks and with its workers
 study_speed        Time of a million geometries in the study of eccentricity
+viewing_speed      Time of lines of sight and of exact spots through a contact lens into an eye
 """
 
 import lazy_loader

@@ -17,6 +17,7 @@ MAKE_BENCH = (
     "image_fit",
     "frame_pose",
     "study_speed",
+    "viewing_speed",
     "dataset_speed",
     "load",
 )

@@ -93,10 +93,10 @@ class PathCamera(Camera):
     ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
         """Line of sight of pixels inside the eye, as `Camera.ray` describes it."""
         aim = self._aim(pixels)
-        place = self._place(jnp.sum(aim * aim, axis=-1, keepdims=True))
-        return self._line_of_sight(
-            _series(self.crossing, place) * aim, _series(self.steepness, place) * aim
-        )
+        # Without `keepdims`, as XLA does not vectorise a loop whose innermost length is 1.
+        place = self._place(jnp.sum(aim * aim, axis=-1))
+        crossing, steepness = _series(self.crossing, place), _series(self.steepness, place)
+        return self._line_of_sight(crossing[..., None] * aim, steepness[..., None] * aim)
 
     def sees(self, points: Float[ArrayLike, "*batch 3"]) -> Bool[Array, "*batch"]:
         """Whether points lie inside the field and the iris does not hide them."""
