@@ -133,6 +133,20 @@ def test_a_quick_study_finds_what_is_known(tmp_path):
     assert -0.08 < findings.paths["flat, phakic"].kappas[0] < -0.04  # behind the retina
 
 
+def test_the_exact_path_reads_its_own_eye_exactly():
+    eye = load_eye("navarro", wavelength_nm=555.0)
+    axes = eye.retina_semi_axes
+    camera = jax.tree.map(
+        lambda leaf: leaf[0],
+        cameras("flat, phakic", jax.tree.map(lambda leaf: leaf[None], eye), jnp.asarray(50.0)),
+    )
+    spots = grid(np.array([0.0, 3.0]), np.array([1.0, 5.0]), ((0.0, 0.0), (30.0, 40.0)))
+    flat = jax.tree.map(jnp.ravel, spots)
+    read = recipes.distance_through_path(spots_through(camera, axes, flat), camera, axes)
+    # Ellipses of 48 points behind a lens are within 1e-6 px, 2e-7 mm; those of 32 a little worse.
+    np.testing.assert_allclose(read, flat.distance, atol=1e-6)
+
+
 @pytest.mark.parametrize("count", [1, 4, 7])
 def test_batches_give_every_item_its_own_value_in_order(count):
     items = (jnp.arange(float(count)), jnp.ones((count, 2)))

@@ -38,7 +38,8 @@ def causes(path: str, drawn: Drawn, schematic: Eye, spots: Spots, *, seed: int) 
     for row, members in enumerate(coalitions(len(players))):
         parts = [part for part, inside in zip(PARTS, members, strict=False) if inside]
         eyes = together(schematic, drawn.eyes(parts))
-        found = path_errors(path, [eyes], spots, seed=seed if members[-1] else None)
+        noise = seed if members[-1] else None
+        found = path_errors(path, [eyes], spots, seed=noise, recipes=recipes)
         for k, recipe in enumerate(recipes):
             largest = np.abs(found.errors[recipe][1:]).max(axis=(2, 3))
             worth[k, :, row] = np.quantile(largest[:, shown], QUANTILE, axis=0)

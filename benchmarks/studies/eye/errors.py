@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -27,6 +27,7 @@ from benchmarks.studies.eye.recipes import (
     distance_by_area,
     distance_by_closed_form,
     distance_by_local_magnification,
+    distance_through_path,
     fitted_pinhole,
     local_factor,
     withdrawals,
@@ -51,7 +52,14 @@ class PathErrors(NamedTuple):
     paraxial_kappa: float
 
 
-def path_errors(path: str, eyes: Sequence[Eye], spots: Spots, *, seed: int | None) -> PathErrors:
+def path_errors(
+    path: str,
+    eyes: Sequence[Eye],
+    spots: Spots,
+    *,
+    seed: int | None,
+    recipes: Sequence[Recipe] = tuple(Recipe),
+) -> PathErrors:
     """Look at spots in every eye, calibrate each, and compute distances by every recipe.
 
     Args:
@@ -61,33 +69,53 @@ def path_errors(path: str, eyes: Sequence[Eye], spots: Spots, *, seed: int | Non
             calibrated without noise.
         spots: c x d x tilts.
         seed: of the noise of the calibrations; None for none.
+        recipes: which.
     """
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _cameras(path, eyes, pupil_radius=_OPEN_MM)
     seen, fitted = _calibrated(every, axes, _noise(seed, len(axes)), spots)
     schematic = jax.tree.map(lambda leaf: leaf[0], fitted)
     known = jax.tree.map(lambda leaf: leaf[0], every)
-    minor = np.asarray(seen.semi_axes[..., 0])
-    own = jax.tree.map(lambda leaf: np.asarray(leaf)[:, None, None, None], fitted)
+    shape, minor = seen.visible.shape, np.asarray(seen.semi_axes[..., 0])
+    in_a_row = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(shape) :]), seen)
+    own = jax.tree.map(lambda leaf: leaf[:, None, None, None], fitted)
     paraxial = float(known.inverse_working_distance)
     uncalibrated = Pinhole(*map(jnp.asarray, (SCALE_MM_PX, 0.0, NOMINAL_RADIUS_MM)))
-    factor = local_factor(known, np.asarray(spots.eccentricity).ravel())
-    by_fitted, by_schematic = _by_area(seen, fitted, schematic)
-    distances = {
-        Recipe.SMALL_PLANE: distance_by_closed_form(
-            "small_plane", minor, spots, pinhole=uncalibrated
+
+    def closed_form(model: str, pinhole: Pinhole) -> np.ndarray:
+        return distance_by_closed_form(
+            model, minor, spots, pinhole=jax.tree.map(np.asarray, pinhole)
+        )
+
+    def by_area(pinhole: Pinhole) -> Array:
+        each = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape).ravel(), pinhole)
+        return distance_by_area(in_a_row, each)
+
+    def by_magnification() -> np.ndarray:
+        factor = local_factor(known, np.asarray(spots.eccentricity).ravel())
+        return distance_by_local_magnification(minor, factor.reshape(spots.distance.shape))
+
+    ways: dict[Recipe, Callable[[], np.ndarray | Array]] = {
+        Recipe.PLANAR: lambda: closed_form("planar", uncalibrated),
+        Recipe.SMALL_PLANE: lambda: closed_form("small_plane", uncalibrated),
+        Recipe.STEREOGRAPHIC: lambda: closed_form("stereographic", uncalibrated),
+        Recipe.PARAXIAL: lambda: closed_form(
+            "corrected", uncalibrated._replace(kappa=jnp.asarray(paraxial))
         ),
-        Recipe.PARAXIAL: distance_by_closed_form(
-            "corrected", minor, spots, pinhole=uncalibrated._replace(kappa=jnp.asarray(paraxial))
-        ),
-        Recipe.LOCAL: distance_by_local_magnification(minor, factor.reshape(spots.distance.shape)),
-        Recipe.FITTED: distance_by_closed_form("corrected", minor, spots, pinhole=own),
-        Recipe.AREA_SCHEMATIC: by_schematic,
-        Recipe.AREA: by_fitted,
+        Recipe.LOCAL: by_magnification,
+        Recipe.FITTED: lambda: closed_form("corrected", own),
+        Recipe.EXACT_SCHEMATIC: lambda: distance_through_path(in_a_row, known, axes[0]),
+        Recipe.AREA_SCHEMATIC: lambda: by_area(schematic),
+        Recipe.AREA: lambda: by_area(own),
     }
     truth, visible = np.asarray(spots.distance), np.asarray(seen.visible)
+
+    def error(recipe: Recipe) -> np.ndarray:
+        read = np.asarray(ways[recipe]()).reshape(shape)
+        return np.where(visible, read - truth, np.nan)
+
     return PathErrors(
-        errors={r: np.where(visible, d - truth, np.nan) for r, d in distances.items()},
+        errors={recipe: error(recipe) for recipe in recipes},
         kappas=np.asarray(fitted.kappa),
         paraxial_kappa=paraxial,
     )
@@ -124,22 +152,6 @@ def _calibrated(
         return first, fitted_pinhole(last, key, amount)
 
     return in_batches(in_one, (every, semi_axes, noise), size=_EYES_AT_ONCE)
-
-
-def _by_area(seen: Seen, fitted: Pinhole, schematic: Pinhole) -> tuple[np.ndarray, np.ndarray]:
-    """Distances by area with each eye's own pinhole and with one for all."""
-    shape = seen.visible.shape
-
-    def both(own: Array, one: Array) -> Array:
-        each = jnp.broadcast_to(own[:, None, None, None], shape)
-        return jnp.stack([each, jnp.broadcast_to(one, shape)]).ravel()
-
-    twice = jax.tree.map(
-        lambda leaf: jnp.stack([leaf, leaf]).reshape(-1, *leaf.shape[len(shape) :]), seen
-    )
-    read = distance_by_area(twice, jax.tree.map(both, fitted, schematic))
-    by_fitted, by_schematic = np.asarray(read).reshape(2, *shape)
-    return by_fitted, by_schematic
 
 
 def _cameras(path: str, eyes: Sequence[Eye], *, pupil_radius: float) -> PathCamera:

@@ -21,14 +21,18 @@ from benchmarks.reporting import (
 from benchmarks.studies.eye.findings import LIMITS_MM, EyeFindings
 from benchmarks.studies.eye.recipes import Recipe
 
-_COLOURS = {
-    Recipe.SMALL_PLANE: VERMILION,
-    Recipe.PARAXIAL: ORANGE,
-    Recipe.LOCAL: PURPLE,
-    Recipe.FITTED: SKY,
-    Recipe.AREA_SCHEMATIC: GREEN,
-    Recipe.AREA: BLUE,
+_STYLES = {
+    Recipe.PLANAR: (VERMILION, ":"),
+    Recipe.SMALL_PLANE: (VERMILION, "-"),
+    Recipe.STEREOGRAPHIC: (VERMILION, "--"),
+    Recipe.PARAXIAL: (ORANGE, "-"),
+    Recipe.LOCAL: (PURPLE, "-"),
+    Recipe.FITTED: (SKY, "-"),
+    Recipe.EXACT_SCHEMATIC: (GREEN, "--"),
+    Recipe.AREA_SCHEMATIC: (GREEN, "-"),
+    Recipe.AREA: (BLUE, "-"),
 }
+"""Colour and line; recipes that know the same have one colour."""
 _SMALLEST_MM, _LARGEST_MM = 0.002, 8.0
 
 
@@ -42,9 +46,11 @@ def error_figure(findings: EyeFindings) -> Figure:
         axes.axvline(middle, color=GREY, lw=0.8, label="largest c that a 7 mm pupil shows")
         for limit in LIMITS_MM:
             axes.axhline(limit, color=BLACK, lw=0.8, ls="--")
-        for recipe, colour in _COLOURS.items():
+        for recipe, (colour, line) in _STYLES.items():
             values = [curves[path, recipe, tilt, float(c)] for c in findings.eccentricities]
-            axes.plot(findings.eccentricities, values, "o-", ms=3, color=colour, label=recipe)
+            axes.plot(
+                findings.eccentricities, values, line, marker="o", ms=3, color=colour, label=recipe
+            )
         axes.set_yscale("log")
         axes.set_xlim(-0.2, findings.eccentricities[-1] + 0.2)
         axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)

@@ -47,8 +47,14 @@ up to 1 mm at c = 3 mm."""
 class Recipe(StrEnum):
     """Ways to a distance, from what has to be known least to most."""
 
+    PLANAR = "planar"
+    """The closed form for a plane; nothing is known of the eye."""
+
     SMALL_PLANE = "small_plane"
     """The paper's closed form; nothing is known of the eye."""
+
+    STEREOGRAPHIC = "stereographic"
+    """The closed form for a pinhole on the sphere; nothing is known of the eye."""
 
     PARAXIAL = "corrected, paraxial pinhole"
     """`corrected` with the paraxial pinhole of the schematic eye's path."""
@@ -58,6 +64,10 @@ class Recipe(StrEnum):
 
     FITTED = "corrected, fitted pinhole"
     """`corrected` with a pinhole and a sphere fitted in this eye."""
+
+    EXACT_SCHEMATIC = "exact, schematic eye"
+    """Exact geometry through the schematic eye's surfaces onto its retina, and the ellipse's area.
+    """
 
     AREA_SCHEMATIC = "area, schematic pinhole"
     """Exact geometry and the ellipse's area; pinhole and sphere fitted in the schematic eye."""
@@ -136,17 +146,26 @@ def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[Array, "n"]:
         pinhole: n pinholes.
     """
 
-    def one(seen: Seen, pinhole: Pinhole) -> Float[Array, ""]:
-        minor, major = seen.semi_axes
-        return optics.distance_by_area(
-            optics.Ellipse(seen.centre, major, minor, jnp.zeros(())),
-            pinhole.wall,
-            pinhole.microscope,
-            axis=seen.axis,
-            **CONE,
-        )
+    def one(given: tuple[Seen, Pinhole]) -> Float[Array, ""]:
+        seen, pinhole = given
+        return _by_area(seen, pinhole.wall, pinhole.microscope)
 
-    return in_batches(lambda given: one(*given), (seen, pinhole), size=1024)
+    return in_batches(one, (seen, pinhole), size=1024)
+
+
+@eqx.filter_jit
+def distance_through_path(
+    seen: Seen, camera: PathCamera, semi_axes: Float[Array, "3"]
+) -> Float[Array, "n"]:
+    """As `distance_by_area`, with all spots seen through one path onto one retina, mm."""
+    retina = optics.Ellipsoid(semi_axes)
+    return in_batches(lambda spot: _by_area(spot, retina, camera), seen, size=1024)
+
+
+def _by_area(seen: Seen, wall: optics.Surface, camera: optics.Camera) -> Float[Array, ""]:
+    minor, major = seen.semi_axes
+    ellipse = optics.Ellipse(seen.centre, major, minor, jnp.zeros(()))
+    return optics.distance_by_area(ellipse, wall, camera, axis=seen.axis, **CONE)
 
 
 def distance_by_closed_form(
@@ -156,7 +175,7 @@ def distance_by_closed_form(
     *,
     pinhole: Pinhole,
 ) -> np.ndarray:
-    """Distance by `small_plane` or `corrected` for one pinhole, or for one an eye, mm."""
+    """Distance by one of `optics.CLOSED_FORMS` for one pinhole, or for one an eye, mm."""
     return np.asarray(
         optics.closed_form_distance(
             model,

@@ -19,6 +19,7 @@ from benchmarks.studies.eye.findings import (
     Share,
     Summary,
 )
+from benchmarks.studies.eye.geometry import NOMINAL_RADIUS_MM
 from benchmarks.studies.eye.recipes import WITHDRAWALS_C_MM, Recipe
 
 
@@ -103,16 +104,19 @@ def report(findings: EyeFindings) -> Report:
 
 
 _RECIPES = (
-    f"“{Recipe.SMALL_PLANE}” is the paper's. “{Recipe.PARAXIAL}” and “{Recipe.LOCAL}” take the "
+    f"“{Recipe.SMALL_PLANE}” is the paper's; like “{Recipe.PLANAR}” and “{Recipe.STEREOGRAPHIC}” "
+    f"it knows nothing of the eye but a sphere of {NOMINAL_RADIUS_MM:g} mm. "
+    f"“{Recipe.PARAXIAL}” and “{Recipe.LOCAL}” take the "
     "pinhole or the magnification from Navarro's eye behind the same viewing lens. "
     f"“{Recipe.FITTED}” and “{Recipe.AREA}” fit δ, κ and the radius of a sphere in the eye itself, "
     f"from three withdrawals at c = {', '.join(f'{c:g}' for c in WITHDRAWALS_C_MM)} mm with nine "
     "frames each, like `eyespot fit --model eye`: the robot's axis known, 25° from the retina's "
     "normal and sideways; 0.1 px of noise on the centre and each semi-axis and 0.05 mm on each "
     "touch. "
+    f"“{Recipe.EXACT_SCHEMATIC}” traces the spot through Navarro's eye onto its retina. "
     f"“{Recipe.AREA_SCHEMATIC}” uses the pinhole and the sphere that this fit finds in Navarro's "
-    "eye. The recipes with “area” look for the exact spot on the sphere that has the ellipse's "
-    "centre and area. The others use the semi-minor axis, know c and assume a perpendicular beam."
+    "eye. The recipes with “area” or “exact” look for the exact spot that has the ellipse's centre "
+    "and area. The others use the semi-minor axis, know c and assume a perpendicular beam."
 )
 
 

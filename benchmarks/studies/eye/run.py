@@ -27,7 +27,7 @@ _DISTANCES_MM = np.array([0.5, 2.0, 4.0, 6.0])
 _TILTS_DEG = ((0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0))
 _QUICK_DISTANCES_MM = np.array([1.0, 3.0, 5.0])
 _EYES, _QUICK_EYES = 1000, 47  # with Navarro's, three batches of 16
-_CAUSES_EYES = 96
+_CAUSES_EYES, _QUICK_CAUSES_EYES = 95, 31
 _CAUSES_PATH = "flat, phakic"
 
 
@@ -57,7 +57,7 @@ def run(request: Request) -> EyeFindings:
     with study.timed("fields"):
         seen = {path: fields(path, groups) for path in PATHS}
     count = len(random.values)
-    some = random._replace(values=random.values[: min(count, _CAUSES_EYES)])
+    some = random._replace(values=random.values[: _QUICK_CAUSES_EYES if quick else _CAUSES_EYES])
     with study.timed("causes"):
         shares = causes(_CAUSES_PATH, some, navarro, spots, seed=study.seed)
     names = ["navarro", *(f"random {k}" for k in range(count))]
