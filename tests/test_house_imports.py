@@ -43,6 +43,8 @@ FROM_SPOT_TO_DISTANCE = {
     "estimator/distance/tilted_cone.py",
     "estimator/files/microscope.py",
     "estimator/files/viewing.py",
+    "estimator/pixels/beam.py",
+    "estimator/pixels/ranger.py",
 }
 
 

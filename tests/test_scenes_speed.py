@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimator.files import kept_arrays
 from scenes import Scene, load_mitsuba
 from scenes.rendering.images import Images
 from scenes.world import World
-from scenes.world.light_cache import _kept
 
 
 def scene(**parts: Any) -> Scene:
@@ -74,7 +74,7 @@ def test_what_was_computed_once_is_read_and_a_damaged_file_is_written_anew(tmp_p
         (3, lambda whole: b""),
         (4, lambda whole: whole),
     ]:
-        np.testing.assert_array_equal(_kept(file, compute)["values"], np.arange(1000.0))
+        np.testing.assert_array_equal(kept_arrays(file, compute)["values"], np.arange(1000.0))
         assert len(computed) == runs
         file.write_bytes(damage(file.read_bytes()))
     assert [path.name for path in file.parent.iterdir()] == ["lens.npz"]
@@ -82,5 +82,5 @@ def test_what_was_computed_once_is_read_and_a_damaged_file_is_written_anew(tmp_p
 
 def test_a_cache_that_cannot_be_written_costs_no_result(tmp_path):
     (tmp_path / "cache").write_text("a file where the folder would be")
-    kept = _kept(Path(tmp_path / "cache" / "lens.npz"), lambda: {"values": np.ones(3)})
+    kept = kept_arrays(Path(tmp_path / "cache" / "lens.npz"), lambda: {"values": np.ones(3)})
     np.testing.assert_array_equal(kept["values"], np.ones(3))

@@ -8,3 +8,4 @@ from .range import Range as Range
 from .range import RangeFlag as RangeFlag
 from .range import TipPose as TipPose
 from .ranger import Ranger as Ranger
+from .view import calibrated_view as calibrated_view

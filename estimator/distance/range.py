@@ -14,12 +14,16 @@ class RangeFlag(Enum):
 
     AMBIGUOUS: other distances (`Range.others_mm`) explain the spot equally well. OUT_OF_RANGE: the
     model has no such spot, or needs an axis that the robot did not report (the distance is NaN),
-    or it has one only with the tip behind the wall (it is negative).
+    or it has one only with the tip behind the wall (it is negative). MISFIT: the light is not that
+    of the calibrated beam on a wall. NOT_CONVERGED: the pose was not found. Both are of the mode
+    pixels.
     """
 
     NONE = "none"
     AMBIGUOUS = "ambiguous"
     OUT_OF_RANGE = "out_of_range"
+    MISFIT = "misfit"
+    NOT_CONVERGED = "not_converged"
 
     @property
     def meaning(self) -> str:
@@ -33,6 +37,10 @@ _MEANINGS = {
     "distance explains this one equally well; only motion tells them apart.",
     RangeFlag.OUT_OF_RANGE: "The model has no such spot in front of the wall, or it needs the "
     "robot's axis and there is none. Check the calibration, the microscope file and the poses.",
+    RangeFlag.MISFIT: "The light is not that of the calibrated beam on a wall. Look for reflexes, "
+    "a second light or another lens; check the calibration and the camera's noise.",
+    RangeFlag.NOT_CONVERGED: "No pose was found that explains the light. The next frame is fitted "
+    "anew.",
 }
 
 
@@ -44,11 +52,16 @@ class TipPose:
         tip_mm: S, (3,).
         axis: unit vector from the tip towards the wall, (3,).
         distance_mm: |SO|.
+        covariance: 5 x 5, of the tip (x, y, z; mm) and of the axis's turns towards `across`, rad;
+            None if unknown.
+        across: two unit vectors across the axis, (2, 3); None without a covariance.
     """
 
     tip_mm: np.ndarray
     axis: np.ndarray
     distance_mm: float
+    covariance: np.ndarray | None = None
+    across: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +75,10 @@ class Range:
         flag: why it is doubtful.
         sigma_image_mm: of `exact`: the part of the spot's and the axis's covariances in `sigma_mm`.
         others_mm: other distances that explain the spot equally well.
-        poses: of `exact`: the best pose and its mirror image (the incidence reversed).
+        poses: of `exact`: the best pose and its mirror image (the incidence reversed); of the mode
+            pixels: the pose.
+        chi_squared: of the mode pixels, per cell: 1 where beam, wall and camera explain the light.
+        missing: why there is no distance, where the model says it.
     """
 
     distance_mm: float
@@ -70,10 +86,12 @@ class Range:
     others_mm: tuple[float, ...] = ()
     poses: tuple[TipPose, ...] = ()
     sigma_image_mm: float = math.nan
+    chi_squared: float = math.nan
+    missing: RangeFlag = RangeFlag.OUT_OF_RANGE
 
     @property
     def flag(self) -> RangeFlag:
         """Derived from the distances."""
         if not self.distance_mm >= 0:
-            return RangeFlag.OUT_OF_RANGE
+            return self.missing
         return RangeFlag.AMBIGUOUS if self.others_mm else RangeFlag.NONE

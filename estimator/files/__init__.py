@@ -2,10 +2,12 @@
 
 calibration       Calibration file: JSON with a model's fitted parameters, their covariance and
                   their origin
+camera_sheet      The key `camera` of a microscope file: the camera's data sheet after EMVA 1288
 csv_files         Reads CSV files that anyone may have written, row by row
 image_files       Decodes image files that anyone may have written, with a limit of pixels
 inside            Names of files that come from a file: they must stay within its folder
 json_files        Reads JSON that anyone may have written
+kept              Arrays that take long to compute, kept in the user's cache folder
 manifest          Manifest of a folder: size and SHA-256 of every file in it, and what differs
                   from that
 microscope        Microscope files: the stack's microscope.json, or a camera calibration of OpenCV

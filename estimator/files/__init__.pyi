@@ -8,6 +8,8 @@ from .image_files import read_image as read_image
 from .inside import FOLDER_NAME as FOLDER_NAME
 from .inside import inside as inside
 from .json_files import object_in as object_in
+from .kept import cache_file as cache_file
+from .kept import kept_arrays as kept_arrays
 from .manifest import MANIFEST as MANIFEST
 from .manifest import Fingerprint as Fingerprint
 from .manifest import differences as differences
@@ -37,6 +39,7 @@ from .ros_bags import stamp_s as stamp_s
 from .ros_bags import topic_in as topic_in
 from .shown_names import in_figure as in_figure
 from .shown_names import in_terminal as in_terminal
+from .spots import BeamPose as BeamPose
 from .spots import SpotRecord as SpotRecord
 from .spots import pyarrow as pyarrow
 from .spots import read_spots as read_spots

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import ConfigDict, Field, PlainValidator
 
+from estimator.files.camera_sheet import CameraSheet
 from estimator.files.json_files import object_in
 from estimator.files.opencv import opencv_camera
 from estimator.files.viewing import Length, PathSeries, Retina
-from estimator.image import Camera, Response
+from estimator.image import Camera, CameraNoise, Response
 from optics import InputError, Strict, check_schema, in_file, read_text, validated
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ class MicroscopeFile:
         viewing_path: what lies between the microscope and the retina; `pinhole_height_mm` is then
             that of its paraxial pinhole. None for a pinhole.
         retina: shape of the eyeball; None for a sphere of `eye_radius_mm`.
+        noise: of the camera; None if it was not measured.
     """
 
     width_px: int
@@ -85,6 +87,7 @@ class MicroscopeFile:
     plane_normal: tuple[float, float, float] | None = None
     viewing_path: PathSeries | None = None
     retina: Retina | None = None
+    noise: CameraNoise | None = None
 
     def __post_init__(self) -> None:
         """Reject what no microscope can have."""
@@ -250,6 +253,7 @@ class _PinholeFile(Strict):
     retina_tilt_deg: Annotated[float, Field(gt=-90, lt=90)] = 0.0
     retina_tilt_azimuth_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
     retina_shift_mm: Annotated[list[_Millimetres], Field(min_length=2, max_length=2)] | None = None
+    camera: CameraSheet | None = None
 
 
 class _TelecentricFile(_PinholeFile):
@@ -285,6 +289,7 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
         plane_normal=None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
         viewing_path=file.viewing_path,
         retina=_retina(file),
+        noise=None if file.camera is None else file.camera.noise(file.response),
     )
     _agrees_with_its_matrix(microscope)
     _agrees_with_its_eye(microscope)

@@ -126,3 +126,12 @@ class PoseTrack:
             return None
         pose = self._poses[following - 1]
         return pose, time_s - pose.time_s
+
+    def position_at(self, time_s: float) -> np.ndarray | None:
+        """The tip's position at a time, mm, between two poses; None outside of all of them."""
+        following = bisect.bisect_right(self._times, time_s)
+        if not 0 < following < len(self._times):
+            return None
+        before, after = self._poses[following - 1 : following + 1]
+        share = (time_s - before.time_s) / (after.time_s - before.time_s)
+        return np.asarray(before.position_mm) * (1 - share) + np.asarray(after.position_mm) * share

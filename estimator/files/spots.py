@@ -14,7 +14,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ SCHEMA_VERSION = 2
 HISTORY = {
     1: "the format of eyespot 0.1; files written since may have the reason internal_error",
     2: "distance_low_mm, distance_high_mm and largest_cause: the distance's 95 % interval, and "
-    "what makes it wide",
+    "what makes it wide; tip, axis, their covariance and chi_squared of the mode pixels",
 }
 """What changed with each version of the format that is read."""
 
@@ -50,7 +50,10 @@ _VALUES = (
 _PLACE = _VALUES[:4]
 _DISTANCES = ("distance_mm", "sigma_distance_mm", "pose_age_s")
 _INTERVAL = ("distance_low_mm", "distance_high_mm")
-_SINCE_2 = (*_INTERVAL, "largest_cause")
+_POSE = tuple(f"{part}_{x}{unit}" for part, unit in (("tip", "_mm"), ("axis", "")) for x in "xyz")
+_POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in _UPPER)
+_POSES = (*_POSE, *_POSE_COVARIANCES, "chi_squared")
+_SINCE_2 = (*_INTERVAL, "largest_cause", *_POSES)
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in _UPPER)
 COLUMNS = (
     "frame",
@@ -72,6 +75,23 @@ _KINDS: dict[str, type] = {
 """Type of a Parquet column; the others are floats."""
 
 
+class BeamPose(NamedTuple):
+    """Tip and axis of the beam in the eye frame.
+
+    Attributes:
+        tip_mm: S, (3,).
+        axis: unit vector from the tip towards the wall, (3,).
+        covariance: 5 x 5, of the tip (mm) and of the axis's turns (rad) towards two unit vectors:
+            the axis cross the coordinate axis that is farthest from it, and the axis cross that.
+        chi_squared: per cell; 1 where beam, wall and camera explain the light.
+    """
+
+    tip_mm: np.ndarray
+    axis: np.ndarray
+    covariance: np.ndarray
+    chi_squared: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class SpotRecord:
     """One line of a spots file.
@@ -80,7 +100,7 @@ class SpotRecord:
         frame: index of the frame.
         file_name: of the frame's image; empty if there is none.
         time_s: of the frame; NaN if unknown.
-        mode: "literal" or "subpixel".
+        mode: "literal", "subpixel" or "pixels".
         result: the spot, or why there is none.
         distance_mm: from the tip to the wall along the beam; NaN without a calibration.
         sigma_distance_mm: its standard deviation.
@@ -89,6 +109,7 @@ class SpotRecord:
             correction; NaN if unknown, as in files of version 1.
         distance_high_mm: its end.
         largest_cause: what makes it wide: one of `estimator.distance.Cause`; empty if unknown.
+        pose: tip and axis of the mode pixels; None of the others.
     """
 
     frame: int
@@ -102,6 +123,7 @@ class SpotRecord:
     distance_low_mm: float = field(default=math.nan)
     distance_high_mm: float = field(default=math.nan)
     largest_cause: str = ""
+    pose: BeamPose | None = None
 
     @property
     def status(self) -> str:
@@ -250,8 +272,26 @@ def _line(record: SpotRecord) -> list[str]:
         *map(_cell, covariance),
         *(_cell(getattr(record, name)) for name in _INTERVAL),
         record.largest_cause,
+        *map(_cell, _pose_cells(record.pose)),
         str(SCHEMA_VERSION),
     ]
+
+
+def _pose_cells(pose: BeamPose | None) -> list[float]:
+    if pose is None:
+        return [math.nan] * len(_POSES)
+    covariance = [float(pose.covariance[i, j]) for i, j in _UPPER]
+    return [*map(float, pose.tip_mm), *map(float, pose.axis), *covariance, pose.chi_squared]
+
+
+def _pose(values: dict[str, float]) -> BeamPose | None:
+    if math.isnan(values["tip_x_mm"]):
+        return None
+    place = np.array([values[name] for name in _POSE])
+    covariance = np.empty((5, 5))
+    for (i, j), name in zip(_UPPER, _POSE_COVARIANCES, strict=True):
+        covariance[i, j] = covariance[j, i] = values[name]
+    return BeamPose(place[:3], place[3:], covariance, values["chi_squared"])
 
 
 def _cell(value: float) -> str:
@@ -264,7 +304,7 @@ def _record(row: dict[str, str]) -> SpotRecord:
     check_schema(found, HISTORY, remedy="Write the file again.")
     values = {
         name: number_in(row.get(name, ""), name)
-        for name in ("time_s", *_VALUES, *_DISTANCES, *_COVARIANCES, *_INTERVAL)
+        for name in ("time_s", *_VALUES, *_DISTANCES, *_COVARIANCES, *_INTERVAL, *_POSES)
     }
     frame = number_in(row["frame"], "frame")
     if not (0 <= frame < _MOST_FRAMES and frame == int(frame)):
@@ -280,6 +320,7 @@ def _record(row: dict[str, str]) -> SpotRecord:
         result=_result(row, values),
         **{name: values[name] for name in (*_DISTANCES, *_INTERVAL)},
         largest_cause=row.get("largest_cause", ""),
+        pose=_pose(values),
     )
 
 

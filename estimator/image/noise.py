@@ -27,6 +27,9 @@ class CameraNoise:
         black: level of a dark pixel, as a fraction of full scale.
         full_scale: largest pixel value in a file.
         response: response curve of the pixel values.
+        prnu: standard deviation of the pixels' gain, relative.
+        dsnu_e: standard deviation of the pixels' dark signal, electrons.
+        correlated: growth of the variance of a mean over many pixels, whose noise is correlated.
     """
 
     full_well_e: float
@@ -35,6 +38,9 @@ class CameraNoise:
     black: float
     full_scale: int
     response: Response
+    prnu: float = 0.0
+    dsnu_e: float = 0.0
+    correlated: float = 1.0
 
     @classmethod
     def of(cls, camera: dict[str, Any], response: Response) -> CameraNoise:
@@ -85,9 +91,10 @@ class CameraNoise:
         light.
         """
         electrons = np.maximum(light, 0) * self.full_well_e + self.dark_signal_e
-        counted = (electrons + self.read_noise_e**2) / self.full_well_e**2
+        still = self.read_noise_e**2 + self.dsnu_e**2 + (self.prnu * electrons) ** 2
+        counted = (electrons + still) / self.full_well_e**2
         step = np.interp(self._level(light), *self._steps) / (1 - self.black)
-        return counted + step**2 / 12
+        return self.correlated * (counted + step**2 / 12)
 
     def is_clear(self, light: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
         """Whether a pixel with this light stays between black and white in spite of noise."""

@@ -12,7 +12,7 @@ from enum import Enum
 from statistics import median
 from typing import TYPE_CHECKING
 
-from estimator.files import PoseTrack, SpotRecord
+from estimator.files import BeamPose, PoseTrack, SpotRecord
 from estimator.image import Reason
 from estimator.run.reader import Reader, Reading
 from estimator.sources import Frame, Source
@@ -216,4 +216,13 @@ def record_of(frame: Frame, reading: Reading, mode: str) -> SpotRecord:
         distance_low_mm=low,
         distance_high_mm=high,
         largest_cause=budget.largest.cause.value if budget and budget.largest else "",
+        pose=_pose(reading),
     )
+
+
+def _pose(reading: Reading) -> BeamPose | None:
+    """The pose of the mode pixels."""
+    best = reading.range.poses[0] if reading.range and reading.range.poses else None
+    if reading.range is None or best is None or best.covariance is None:
+        return None
+    return BeamPose(best.tip_mm, best.axis, best.covariance, reading.range.chi_squared)

@@ -77,10 +77,10 @@ class Options(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    mode: Literal["subpixel", "literal"] = Field(
+    mode: Literal["subpixel", "literal", "pixels"] = Field(
         "subpixel",
-        description="Measure the half-maximum contour, or repeat the paper's algorithm step by "
-        "step.",
+        description="Measure the half-maximum contour, repeat the paper's algorithm step by step, "
+        "or find the pose of the beam from all pixels, with a calibration.",
     )
     settings: dict[str, float | str] = Field(
         {},
@@ -122,8 +122,8 @@ class Options(BaseModel):
         Field(
             None,
             description="Rotation (unit quaternion) from the poses' frame to the eye's. The models "
-            "exact and area then take the beam's axis from the tool's +z axis, or from beam_x and "
-            "beam_y of the calibration.",
+            "exact and area and the mode pixels then take the beam's axis from the tool's +z axis, "
+            "or from beam_x and beam_y of the calibration.",
         )
     )
 
@@ -170,6 +170,8 @@ class Options(BaseModel):
                 raise InputError(f"{name} has no effect without {other}. Give both, or neither.")
         microscope, ranger = self.microscope_file(), None
         settings = self._settings(microscope)
+        if self.mode == "pixels":
+            return self._pixels_reader(settings, microscope)
         if self.calibration is not None and microscope is not None:
             ranger = Ranger(
                 read_calibration(self.calibration),
@@ -191,6 +193,31 @@ class Options(BaseModel):
             exposure_s=self.exposure_s,
             eye_from_robot=self.eye_from_robot,
             stated=read_stated(self.stated) if self.stated else None,
+        )
+
+    def _pixels_reader(
+        self, settings: LiteralSettings | SubpixelSettings, microscope: MicroscopeFile | None
+    ) -> Reader:
+        from estimator.files import read_calibration, read_stated
+        from estimator.pixels import PixelRanger
+        from estimator.run.reader import Reader
+
+        if self.calibration is None or microscope is None:
+            raise InputError("the mode pixels needs a calibration. Give --calibration.")
+        for name in ("model", "eccentricity_mm"):
+            if getattr(self, name) is not None:
+                raise InputError(
+                    f"{name} has no effect in the mode pixels, whose geometry is exact. Leave it "
+                    "out, or take the sub-pixel mode."
+                )
+        return Reader(
+            settings,
+            start=self.start,
+            size_px=(microscope.width_px, microscope.height_px),
+            exposure_s=self.exposure_s,
+            eye_from_robot=self.eye_from_robot,
+            stated=read_stated(self.stated) if self.stated else None,
+            pixel_ranger=PixelRanger(read_calibration(self.calibration), microscope),
         )
 
     def microscope_file(self) -> MicroscopeFile | None:

@@ -6,7 +6,7 @@ Recordings (`offline`) and the rig's node (`estimator.rig`) use the same reader.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from estimator.files import Pose, PoseTrack, Quaternion, Stated, turned
 from estimator.image import NoSpot, Reason, Spot
 from estimator.run import internal_errors
 from optics import InputError
+
+if TYPE_CHECKING:
+    from estimator.pixels import PixelRanger
 
 _NO_POSES = PoseTrack(())
 _SPAN_S = 0.05
@@ -69,6 +72,7 @@ class Reader:
             models `exact` and `area` take the beam's axis from the tool's +z, or from the beam's
             direction in the tool's frame if the calibration contains it.
         stated: uncertainties that neither spot nor calibration contains.
+        pixel_ranger: finds poses by all pixels, in the ranger's place; makes the mode pixels.
     """
 
     def __init__(
@@ -81,6 +85,7 @@ class Reader:
         exposure_s: float | None = None,
         eye_from_robot: Quaternion | None = None,
         stated: Stated | None = None,
+        pixel_ranger: PixelRanger | None = None,
     ) -> None:
         self.settings = settings
         self._start = start
@@ -90,6 +95,7 @@ class Reader:
         self._eye_from_robot = eye_from_robot
         self._axis_sigma_rad = math.radians((stated or Stated()).axis_sigma_deg)
         self._budgets = Budgets(ranger, stated or Stated()) if ranger else None
+        self._pixel_ranger = pixel_ranger
         self._state = TrackState(at_px=start)
         self._shape: tuple[int, ...] | None = None
 
@@ -97,9 +103,12 @@ class Reader:
         """Measure the next frame by itself: it does not follow the frames that were read."""
         if self._shape is not None:
             self._state = TrackState()
+        if self._pixel_ranger is not None:
+            self._pixel_ranger.forget()
 
     def look_at(self, x_px: float, y_px: float) -> None:
         """Look for the spot at (x, y) px in the next frame, as for a start."""
+        self.forget()
         self._start = (x_px, y_px)
         self._state = TrackState(at_px=self._start)
 
@@ -111,6 +120,8 @@ class Reader:
     @property
     def mode(self) -> str:
         """The spots file's `mode`."""
+        if self._pixel_ranger is not None:
+            return "pixels"
         return "literal" if isinstance(self.settings, LiteralSettings) else "subpixel"
 
     def read(
@@ -162,13 +173,17 @@ class Reader:
     ) -> Reading:
         result, self._state = measure(image, self._state, self.settings)
         pose, age_s = poses.at(time_s) or (None, math.nan)
+        own = None if math.isnan(exposure_s) else exposure_s
+        if self._pixel_ranger is not None and isinstance(result, Spot):
+            times = time_s, self._exposure_s or own or 0.0
+            found = self._by_pixels(self._pixel_ranger, result, image, pose, poses, times)
+            return Reading(result, found, age_s)
         if self._ranger is None or self._budgets is None or isinstance(result, NoSpot):
             return Reading(result, None, age_s)
         axis = None
         if pose is not None and self._eye_from_robot is not None:
             beam = self._ranger.calibration.beam_in_tool
             axis = turned(turned(beam, pose.rotation), self._eye_from_robot)
-        own = None if math.isnan(exposure_s) else exposure_s
         distance = self._ranger.distance(
             result,
             axis=axis,
@@ -180,6 +195,31 @@ class Reader:
         towards = None if axis is None else np.array(axis)
         budget = self._budgets.of(result, distance, axis=towards, motion=motion)
         return Reading(result, distance, age_s, budget)
+
+    def _by_pixels(
+        self,
+        ranger: PixelRanger,
+        spot: Spot,
+        image: np.ndarray,
+        pose: Pose | None,
+        poses: PoseTrack,
+        times: tuple[float, float],
+    ) -> Range:
+        """The pose by all pixels; `times` are the frame's and its exposure, s."""
+        from estimator.pixels import NODES
+
+        axis = path = None
+        if self._eye_from_robot is not None and pose is not None:
+            beam = ranger.calibration.beam_in_tool
+            axis = np.array(turned(turned(beam, pose.rotation), self._eye_from_robot))
+            places = [poses.position_at(times[0] + node * times[1]) for node in (0.0, *NODES)]
+            if (middle := places[0]) is not None:
+                known = [place - middle for place in places[1:] if place is not None]
+                turn = self._eye_from_robot
+                path = np.array([turned(way, turn) for way in known]) if len(known) == 3 else None
+        return ranger.distance(
+            spot, frame=image, axis=axis, axis_sigma_rad=self._axis_sigma_rad, path_mm=path
+        )
 
     def _motion(self, pose: Pose, poses: PoseTrack, age_s: float) -> Motion:
         """The tool's motion at a pose, from the pose some time before."""

@@ -5,6 +5,7 @@ cone           Light of a uniform cone: the exact lit part of pixels, light that
 lens           Light of a glue lens, as line integrals around pixels
 parameters     Conversion between a glue lens and the parameters of its light
 pixel_light    Wall points behind pixels, and their radiance
+pose_light     Light on a lattice by a beam whose pose is sought, compiled for the rig
 table          The light of a lens on a grid, to first order in its parameters
 table_samples  Samples of this table by quadrature, denser at edges
 """

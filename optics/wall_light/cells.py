@@ -55,6 +55,11 @@ class ConeMean(eqx.Module):
         share = jnp.square(jnp.sin(0.5 * angle) / jnp.sin(0.5 * self.half_angle))
         return share / (jnp.pi * jnp.square(radius))
 
+    @classmethod
+    def of(cls, half_angle: float, apex_offset: float) -> ConeMean:
+        """A cone by its half-angle, rad, and apex offset, mm."""
+        return cls(jnp.asarray(half_angle), jnp.asarray(apex_offset))
+
     def changed(self, by: Float[Array, "2"]) -> ConeMean:
         """The cone with another half-angle (rad) and apex offset (mm)."""
         return ConeMean(self.half_angle + by[0], self.apex_offset + by[1])

@@ -12,11 +12,14 @@ as at a sharp image of the core, and no light is lost between patches.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, ScalarLike
 
 
@@ -75,6 +78,18 @@ class LensTable(eqx.Module):
     def changed(self, by: Float[Array, "p"]) -> LensTable:
         """The table with the lens's parameters changed."""
         return eqx.tree_at(lambda table: table.moved, self, self.moved + by)
+
+    def arrays(self) -> dict[str, Any]:
+        """All that `of_arrays` needs, by name."""
+        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "grid"}
+        return {name: np.asarray(part) for name, part in (own | self.grid._asdict()).items()}
+
+    @classmethod
+    def of_arrays(cls, kept: Mapping[str, ArrayLike]) -> LensTable:
+        """A table from its `arrays`."""
+        arrays = {name: jnp.asarray(part) for name, part in kept.items()}
+        grid = Grid(*(arrays.pop(name) for name in Grid._fields))
+        return cls(**arrays, grid=grid)
 
     def transmitted(self) -> Float[Array, ""]:
         """Fraction of the power that leaves the cap."""

@@ -15,7 +15,7 @@ import numpy as np
 import optics
 from estimator.files import Stack, StackWriter, fingerprint, read_stack, require_space
 from optics.viewing import PathCamera
-from scenes.description import Scene
+from scenes.description import CameraSettings, Scene
 from scenes.rendering import LinearFrame, Renderer
 from scenes.stacks.photography import Photography, file_name
 from scenes.stacks.size import least_bytes
@@ -176,11 +176,19 @@ def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
         "pinhole_height_mm": _pinhole_height(scene, camera),
         "eye_radius_mm": scene.phantom.radius_mm,
         "response": scene.camera.response,
+        "camera": _camera_sheet(scene.camera),
         "paper_exposure_s": fixed_exposure_s,
         "plane_normal": _plane_normal(world.wall),
         **_viewing_path(camera),
         **_retina(scene, world.wall),
     }
+
+
+def _camera_sheet(camera: CameraSettings) -> dict[str, object]:
+    """What the estimator may know of the camera: its data sheet."""
+    names = ("full_well_e", "read_noise_e", "dark_signal_e", "black_level_dn", "bit_depth")
+    sheet = camera.model_dump(include={*names, "prnu", "dsnu_e"})
+    return sheet | {"bayer": camera.bayer != "none"}
 
 
 def _camera_matrix(camera: optics.Camera) -> list[list[float]] | None:

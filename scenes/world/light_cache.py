@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import os
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import optics
-from estimator.files import damage_reported, sweep, written_whole
-from optics import InputError
+from estimator.files import cache_file, kept_arrays
 
 
 class LensLight(NamedTuple):
@@ -54,7 +50,7 @@ def lens_light(lens: str, medium_index: float) -> LensLight:
     key = hashlib.sha256(repr((sorted(numbers.items()), medium_index)).encode())
     for source in (Path(__file__), *sorted(Path(optics.__file__).parent.glob("*.py"))):
         key.update(source.read_bytes())
-    kept = _kept(_cache_folder() / f"{key.hexdigest()}.npz", compute)
+    kept = kept_arrays(cache_file("lens_light", key.hexdigest()), compute)
     table = optics.IrradianceTable(
         values=kept["values"],
         medium_index=kept["medium_index"],
@@ -62,23 +58,3 @@ def lens_light(lens: str, medium_index: float) -> LensLight:
         slope=kept["slope"],
     )
     return LensLight(table, float(kept["transmitted"]))
-
-
-def _cache_folder() -> Path:
-    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return caches / "eyespot" / "lens_light"
-
-
-def _kept(path: Path, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Arrays from a file; if it is missing or damaged, they are computed and written to it."""
-    with suppress(InputError), damage_reported(f"{path}", "It is written anew."):
-        with path.open("rb") as file:
-            return dict(np.load(file))
-    values = compute()
-    # A cache that cannot be written costs time, not results; another process may be writing it.
-    with suppress(OSError, InputError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        sweep(path.parent)
-        with written_whole(path, replace=True) as partial:
-            np.savez(partial, **values)
-    return values

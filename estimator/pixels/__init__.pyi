@@ -1,0 +1,2 @@
+from .beam import NODES as NODES
+from .ranger import PixelRanger as PixelRanger

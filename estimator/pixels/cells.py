@@ -1,0 +1,81 @@
+"""The light of a frame on a lattice of square cells."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+COUNT = 26
+"""Cells along each side of a lattice. The time of a frame grows with its sixth power."""
+
+
+class Window(NamedTuple):
+    """A lattice of COUNT x COUNT cells of the image.
+
+    Attributes:
+        left, top: first pixel.
+        side: of a cell, px.
+    """
+
+    left: int
+    top: int
+    side: int
+
+    @classmethod
+    def around(cls, centre_px: np.ndarray, reach_px: float) -> Window:
+        """The window with a point in its middle, that reaches at least so far."""
+        side = max(2, int(np.ceil(2.0 * reach_px / COUNT)))
+        left, top = np.round(np.asarray(centre_px) - 0.5 * COUNT * side).astype(int).tolist()
+        return cls(left, top, side)
+
+    @property
+    def corner_px(self) -> Float[np.ndarray, "2"]:
+        """Outer corner of the first pixel; pixel centres are integers."""
+        return np.array([self.left - 0.5, self.top - 0.5])
+
+    def centres(self) -> Float[np.ndarray, "count count 2"]:
+        """Centres of the cells, px."""
+        along = self.side * (np.arange(COUNT) + 0.5)
+        u, v = np.meshgrid(along, along)
+        return self.corner_px + np.stack([u, v], axis=-1)
+
+
+class CellLight:
+    """A frame's light, ready to be averaged over cells.
+
+    Args:
+        light: per pixel, full wells.
+        usable: whether a pixel is neither saturated nor hidden.
+        variance: of a pixel with some light, full wells².
+    """
+
+    def __init__(
+        self,
+        light: Float[np.ndarray, "h w"],
+        usable: Bool[np.ndarray, "h w"],
+        variance: Callable[[np.ndarray], np.ndarray],
+    ) -> None:
+        self.shape, self.variance = light.shape, variance
+        self._light = cv2.integral(light.astype(np.float32), sdepth=cv2.CV_64F)
+        self._bad = cv2.integral((~usable).astype(np.uint8), sdepth=cv2.CV_32S)
+
+    def means(
+        self, window: Window
+    ) -> tuple[Float[np.ndarray, "count count"], Bool[np.ndarray, "count count"]]:
+        """Mean light of each cell, and whether the cell is in the image and all of it usable."""
+        rows = window.top + window.side * np.arange(COUNT + 1)
+        columns = window.left + window.side * np.arange(COUNT + 1)
+        height, width = self.shape
+        at = np.ix_(np.clip(rows, 0, height), np.clip(columns, 0, width))
+
+        def sums(integral: np.ndarray) -> np.ndarray:
+            return np.diff(np.diff(integral[at], axis=0), axis=1)
+
+        inside = np.logical_and.outer(
+            (rows[:-1] >= 0) & (rows[1:] <= height), (columns[:-1] >= 0) & (columns[1:] <= width)
+        )
+        return sums(self._light) / window.side**2, inside & (sums(self._bad) == 0)

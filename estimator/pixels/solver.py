@@ -1,0 +1,361 @@
+"""Poses of some frames on one unknown wall, by Gauss-Newton with the wall's texture eliminated.
+
+The logarithm of a cell's light in frame k is
+
+    y_k = log g_k + log(E(pose_k) + A_k) + m + noise,
+
+with the gain g_k, the ambient light A_k and the logarithm m of the cell's reflectance, which all
+frames share. m is a Gaussian process (`texture`), so it is eliminated exactly from the normal
+equations. A filter that keeps only each cell's mean and variance would forget that the errors of
+map and poses hang together, and drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_factor, cho_solve, lapack
+
+from estimator.pixels.beam import POSE, BeamLight, Pose
+from estimator.pixels.cells import COUNT, CellLight, Window
+from estimator.pixels.texture import Texture
+
+OWN = POSE + 2
+"""States of a frame: those of its pose, log gain and log ambient light."""
+_FLOOR = 2e-3  # of the light: errors of the image model, such as the table's
+_CUT = 0.1
+"""Error of a pixel that a sharp edge cuts, over the step: what a renderer's 2 x 2 samples leave."""
+_DARKEST = 1e-6  # full wells
+_RIDGE = 1e-12  # of a state's own information, so that one without any does not matter
+_DONE, _SMALL = 0.03, 0.3
+"""In standard deviations: a shorter step ends the iteration; a last step as short is an answer."""
+_STRANGE = 4.0  # standard deviations from what neighbours and other frames say of a cell
+
+
+class Direction(NamedTuple):
+    """What the robot says about the beam: a unit vector and its standard deviation, rad."""
+
+    axis: Float[np.ndarray, "3"]
+    sigma: float
+
+
+class Linear(NamedTuple):
+    """A frame's model at its state on the cells of a window.
+
+    Attributes:
+        residual: log of the measured light, less its model.
+        slopes: derivatives of the model by the frame's states.
+        shared: derivatives by the beam's own parameters.
+        weight: 1 over the variance; 0 for cells that are not used.
+    """
+
+    residual: Float[np.ndarray, "n"]
+    slopes: Float[np.ndarray, "7 n"]
+    shared: Float[np.ndarray, "q n"]
+    weight: Float[np.ndarray, "n"]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameState:
+    """A frame with what is believed of it.
+
+    Attributes:
+        cells: its light.
+        pose: tip and axis.
+        log_gain: of full wells over irradiance per unit power, mm².
+        log_ambient: of the ambient light over the beam's power, 1/mm².
+        direction: of the beam by the robot, or None.
+        ambient_prior: mean and standard deviation of `log_ambient`.
+        path: of the tip during the exposure, see `BeamLight.irradiance`.
+    """
+
+    cells: CellLight
+    pose: Pose
+    log_gain: float
+    log_ambient: float
+    direction: Direction | None
+    ambient_prior: tuple[float, float]
+    path: Float[np.ndarray, "3 3"] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The states of all frames, and how well they are known.
+
+    Attributes:
+        frames: with their new states.
+        linear: their models at these states.
+        own: changes of the beam's own parameters, see `BeamLight`.
+        covariance: of all states: 7 of each frame, then the beam's own.
+        cost: -2 log likelihood, up to a constant of the data.
+        texture_map: log reflectance of the cells.
+        factor: Cholesky factor of the precision of this map.
+        converged: whether the last step was small.
+    """
+
+    frames: list[FrameState]
+    linear: list[Linear]
+    own: Float[np.ndarray, "q"]
+    covariance: Float[np.ndarray, "s s"]
+    cost: float
+    texture_map: Float[np.ndarray, "n"]
+    factor: tuple[np.ndarray, bool]
+    converged: bool
+
+    @property
+    def chi_squared(self) -> float:
+        """Of all data given texture and noise, by their number; 1 where the model is right."""
+        total = sum(line.weight @ np.square(line.residual) for line in self.linear)
+        total -= sum((line.weight * line.residual) @ self.texture_map for line in self.linear)
+        return float(total / max(sum(np.count_nonzero(line.weight) for line in self.linear), 1))
+
+    def strange(self, k: int) -> Float[np.ndarray, "n"]:
+        """How far cells of frame k are from what the other data say, in standard deviations."""
+        line = self.linear[k]
+        inverse, _ = lapack.dpotri(self.factor[0], lower=True)
+        spread = 1.0 / np.diag(inverse)
+        rest = np.maximum(spread - line.weight, 1e-9 * spread)  # precision without this datum
+        used = line.weight > 0
+        mean = (spread * self.texture_map - line.weight * line.residual) / rest
+        variance = 1.0 / rest + 1.0 / np.where(used, line.weight, 1.0)
+        return np.where(used, (line.residual - mean) / np.sqrt(variance), 0.0)
+
+
+class Solver:
+    """Fits frames in one window.
+
+    Args:
+        beam: the light of the beam.
+        window: the lattice.
+        texture: of the wall.
+    """
+
+    def __init__(self, beam: BeamLight, window: Window, texture: Texture) -> None:
+        self.beam, self.window, self.texture = beam, window, texture
+        self.lattice = beam.lattice(window)
+        self.side_mm = window.side * beam.scale_mm_px
+        covariance = texture.covariance(COUNT, self.side_mm)
+        self._roughly = float(np.sum(texture.variances))
+        self._precision = cho_solve(cho_factor(covariance, lower=True), np.eye(COUNT**2))
+
+    def at(self, window: Window) -> Solver:
+        """The solver of another window on the same wall."""
+        return Solver(self.beam, window, self.texture)
+
+    def solve(
+        self,
+        kept: list[tuple[FrameState, Linear]],
+        frame: FrameState,
+        own: Float[np.ndarray, "q"],
+        *,
+        steps: int,
+        trust: Float[np.ndarray, "n"] | None = None,
+    ) -> Solution:
+        """Iterate from the frames' states.
+
+        Args:
+            kept: earlier frames with their models, which change little and stay linear.
+            frame: the newest one.
+            own: changes of the beam's own parameters, see `BeamLight`.
+            steps: most iterations.
+            trust: factors on the weights of the newest frame's cells.
+        """
+        frames = [*(state for state, _ in kept), frame]
+        newest, size = len(kept), OWN * (len(kept) + 1) + len(own)
+        gone, damping, converged = np.zeros(size), 1e-3, False
+        lines = [line for _, line in kept]
+        lines.append(self.linear(frame, own, trust=trust))
+        hessian, gradient, cost, factor = self._system(frames, lines, own, gone)
+        for _ in range(steps):
+            step = _inverse(hessian, damping=damping) @ gradient
+            moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
+            trial = None
+            if moved is not None:
+                new_own = own + step[size - len(own) :]
+                # With the weights of before, so that costs compare.
+                trial = [_shifted(line, step, k, size) for k, line in enumerate(lines[:-1])]
+                fresh = self.linear(moved, new_own, trust=trust)
+                trial.append(fresh._replace(weight=lines[-1].weight))
+                here = gone + step
+                here[OWN * newest : OWN * (newest + 1)] = 0.0
+                new_cost = self._cost([*frames[:-1], moved], trial, new_own, here, factor)
+            if trial is None or not new_cost <= cost + 1e-9 * abs(cost):
+                damping = max(10 * damping, 1e-3)
+                if damping > 1e6:
+                    break
+                continue
+            assert moved is not None
+            distance = float(np.sqrt(step @ hessian @ step / size))
+            frame, own, gone, damping = moved, new_own, here, 0.1 * damping
+            frames[-1], lines = frame, [*trial[:-1], fresh]
+            hessian, gradient, cost, factor = self._system(frames, lines, own, gone)
+            converged = distance < _SMALL
+            if distance < _DONE:
+                break
+        for k in range(newest):
+            before = frames[k]
+            frames[k] = self._moved(before, gone[OWN * k : OWN * (k + 1)]) or before
+        return Solution(
+            frames=frames,
+            linear=lines,
+            own=own,
+            covariance=_inverse(hessian),
+            cost=cost,
+            texture_map=_map(lines, factor),
+            factor=factor,
+            converged=converged,
+        )
+
+    def linear(
+        self, frame: FrameState, own: np.ndarray, *, trust: np.ndarray | None = None
+    ) -> Linear:
+        """A frame's model at its state."""
+        light, usable = (part.ravel() for part in frame.cells.means(self.window))
+        irradiance, slopes = self.beam.irradiance(self.lattice, frame.pose, own, frame.path)
+        ambient = np.exp(frame.log_ambient)
+        total = np.maximum(irradiance, 0.0) + ambient
+        model = np.exp(frame.log_gain) * total
+        # The variance is that of both, so that neither a wrong model nor a dark cell has too much
+        # weight.
+        level = np.maximum(np.sqrt(np.maximum(light, _DARKEST) * model), _DARKEST)
+        variance = frame.cells.variance(level) / self.window.side**2 / level**2
+        slope = np.hypot(*np.gradient(np.log(total).reshape(COUNT, COUNT))).ravel()
+        # Light enters at the bright side of a cell, where the reflectance differs.
+        aside = np.minimum(slope / 12.0, 0.5) * self.side_mm
+        variance += _FLOOR**2 + 0.5 * self.texture.roughness * aside
+        # As many pixels as a side is long are cut by a sharp edge.
+        variance += np.square(slope * _CUT) / self.window.side**3
+        weight = np.where(usable, 1.0 / variance, 0.0)
+        deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
+        seen = np.maximum(light, np.maximum(deviation, _DARKEST))
+        return Linear(
+            residual=np.where(usable, np.log(seen / model), 0.0),
+            slopes=np.concatenate(
+                [slopes[:POSE] / total, np.ones((1, total.size)), ambient / total[None]]
+            ),
+            shared=slopes[POSE:] / total,
+            weight=weight if trust is None else weight * trust,
+        )
+
+    def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float]:
+        """A frame with the gain and ambient light that suit its pose, and its cost.
+
+        The least squares are in the light, so that the bright cells decide.
+        """
+        light, usable = (part.ravel() for part in frame.cells.means(self.window))
+        irradiance, _ = self.beam.irradiance(self.lattice, frame.pose, own, frame.path)
+        both = np.stack([irradiance, np.ones(irradiance.size)], axis=-1)[usable]
+        gain, offset = np.linalg.lstsq(both, light[usable], rcond=None)[0]
+        gain = max(gain, _DARKEST)
+        ambient = np.clip(offset / gain, 1e-4, 1.0)
+        suited = replace(frame, log_gain=float(np.log(gain)), log_ambient=float(np.log(ambient)))
+        line = self.linear(suited, own)
+        # Here the texture counts as noise without correlation: this finds starts, not poses.
+        spread = 1.0 / np.where(line.weight > 0, line.weight, 1.0) + self._roughly
+        cost = np.sum(np.where(line.weight > 0, np.square(line.residual) / spread, 0.0))
+        return suited, float(cost) + _prior_cost(suited)
+
+    def _system(
+        self, frames: list[FrameState], lines: list[Linear], own: np.ndarray, gone: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, float, tuple[np.ndarray, bool]]:
+        """Hessian of all states, gradient downhill, cost, and the factor of the map's precision."""
+        size = gone.size
+        weight = np.sum([line.weight for line in lines], axis=0)
+        factor = cho_factor(self._precision + np.diag(weight), lower=True)
+        cross = np.zeros((size, COUNT**2))
+        hessian, gradient = np.zeros((size, size)), np.zeros(size)
+        texture_map = _map(lines, factor)
+        for k, (frame, line) in enumerate(zip(frames, lines, strict=True)):
+            at = np.r_[OWN * k : OWN * (k + 1), size - len(own) : size]
+            slopes = np.concatenate([line.slopes, line.shared])
+            weighted = slopes * line.weight
+            hessian[np.ix_(at, at)] += weighted @ slopes.T
+            gradient[at] += weighted @ (line.residual - texture_map)
+            cross[at] += weighted
+            precision, pull = _prior(frame)
+            mine = slice(OWN * k, OWN * (k + 1))
+            hessian[mine, mine] += precision
+            gradient[mine] += pull - precision @ gone[mine]
+        hessian -= cross @ cho_solve(factor, cross.T)
+        last = np.arange(size - len(own), size)
+        hessian[last, last] += 1.0
+        gradient[last] -= own
+        return hessian, gradient, self._cost(frames, lines, own, gone, factor), factor
+
+    def _cost(
+        self,
+        frames: list[FrameState],
+        lines: list[Linear],
+        own: np.ndarray,
+        gone: np.ndarray,
+        factor: tuple[np.ndarray, bool],
+    ) -> float:
+        weighted = np.sum([line.weight * line.residual for line in lines], axis=0)
+        cost = float(sum(line.weight @ np.square(line.residual) for line in lines))
+        cost -= float(weighted @ cho_solve(factor, weighted))
+        for k, frame in enumerate(frames):
+            here = gone[OWN * k : OWN * (k + 1)]
+            precision, pull = _prior(frame)
+            cost += float(here @ precision @ here - 2.0 * pull @ here) + _prior_cost(frame)
+        return float(cost + own @ own)
+
+    def _moved(self, frame: FrameState, change: np.ndarray) -> FrameState | None:
+        turns = np.abs(change[3:POSE]).max()
+        if not (frame.pose.distance + change[2] > 0 and turns < 0.5):
+            return None
+        if not np.abs(change[POSE:]).max() < 5.0:
+            return None
+        pose = self.beam.pose(*frame.pose.moved(change))
+        if pose is None:
+            return None
+        return replace(
+            frame,
+            pose=pose,
+            log_gain=frame.log_gain + change[POSE],
+            log_ambient=frame.log_ambient + change[POSE + 1],
+        )
+
+
+def _inverse(hessian: np.ndarray, *, damping: float = 0.0) -> np.ndarray:
+    """Inverse of an information matrix, in units in which each state has the information 1."""
+    own = np.diag(hessian)
+    size = 1.0 / np.sqrt(np.maximum(own, _RIDGE * own.max()))
+    scaled = size[:, None] * hessian * size + (damping + _RIDGE) * np.eye(len(own))
+    return size[:, None] * np.linalg.pinv(scaled, hermitian=True) * size
+
+
+def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:
+    """A linear model after a step of all states."""
+    own = step[OWN * k : OWN * (k + 1)]
+    shared = step[size - len(line.shared) :]
+    return line._replace(residual=line.residual - own @ line.slopes - shared @ line.shared)
+
+
+def _map(lines: list[Linear], factor: tuple[np.ndarray, bool]) -> np.ndarray:
+    return cho_solve(factor, np.sum([line.weight * line.residual for line in lines], axis=0))
+
+
+def _prior(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
+    """Precision of a frame's states before it is seen, and the pull towards their means."""
+    precision, pull = np.zeros((OWN, OWN)), np.zeros(OWN)
+    mean, sigma = frame.ambient_prior
+    precision[POSE + 1, POSE + 1] = sigma**-2
+    pull[POSE + 1] = (mean - frame.log_ambient) / sigma**2
+    if frame.direction is not None:
+        across = np.stack([frame.pose.first, frame.pose.second])
+        weight = frame.direction.sigma**-2
+        precision[3:POSE, 3:POSE] = weight * np.eye(2)
+        pull[3:POSE] = weight * across @ frame.direction.axis
+    return precision, pull
+
+
+def _prior_cost(frame: FrameState) -> float:
+    mean, sigma = frame.ambient_prior
+    cost = ((frame.log_ambient - mean) / sigma) ** 2
+    if frame.direction is not None:
+        off = np.cross(frame.pose.axis, frame.direction.axis)
+        cost += float(off @ off) / frame.direction.sigma**2
+    return cost

@@ -1,0 +1,79 @@
+"""Poses from which the fit of a first frame starts.
+
+Behind a lens one radius may belong to several distances, and without the robot's axis a spot may
+lean to either side. So distances and directions are scanned, and every one that might become the
+best is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from estimator.image import Spot
+from estimator.pixels.beam import BeamLight, Pose
+from estimator.pixels.solver import Direction, FrameState, Solver
+
+_DISTANCES_MM = np.geomspace(0.4, 7.0, 20)
+_ROUND = 1.02  # ratio of the axes below which a spot shows no tilt
+_MOST = 3  # starts that are fitted
+_STEEPEST = 60.0  # incidence, degrees
+
+
+def scanned_starts(
+    solver: Solver,
+    frame_at: Callable[[Pose], FrameState],
+    spot: Spot,
+    own: np.ndarray,
+    directions: list[np.ndarray],
+) -> list[FrameState]:
+    """The frame at the poses that are the likeliest along each direction, best first.
+
+    Args:
+        solver: of the frame's window.
+        frame_at: the frame with a pose.
+        spot: in the frame.
+        own: changes of the beam's own parameters.
+        directions: axes of the beam.
+    """
+    found: list[tuple[float, FrameState]] = []
+    point = solver.beam.wall_points(np.array([[spot.x_px, spot.y_px]]))[0][0]
+    for axis in directions:
+        costs: list[float] = []
+        states: list[FrameState | None] = []
+        for distance in _DISTANCES_MM:
+            pose = solver.beam.pose(point - distance * axis, axis)
+            state, cost = (None, np.inf) if pose is None else solver.scanned(frame_at(pose), own)
+            states.append(state)
+            costs.append(cost)
+        padded = np.array([np.inf, *costs, np.inf])
+        for k in np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:])):
+            state = states[k]
+            if state is not None:
+                found.append((costs[k], state))
+    found.sort(key=lambda one: one[0])
+    return [state for _, state in found[:_MOST]]
+
+
+def likely_directions(beam: BeamLight, spot: Spot, direction: Direction | None) -> list[np.ndarray]:
+    """Axes of the beam to start from: the robot's, or square to the wall and tilted as the spot."""
+    if direction is not None:
+        return [direction.axis]
+    return list(_tilted(beam, spot))
+
+
+def _tilted(beam: BeamLight, spot: Spot) -> Iterator[np.ndarray]:
+    along = np.array([np.cos(spot.angle_rad), np.sin(spot.angle_rad)])
+    middle = np.array([spot.x_px, spot.y_px])
+    points, normals = beam.wall_points(np.stack([middle, middle + along]))
+    normal = normals[0]
+    yield -normal
+    ratio = spot.semi_major_px / spot.semi_minor_px
+    if ratio > _ROUND:
+        way = points[1] - points[0]
+        way -= (way @ normal) * normal
+        way /= np.linalg.norm(way)
+        tilt = min(np.arccos(1.0 / ratio), np.radians(_STEEPEST))
+        for side in (-1.0, 1.0):
+            yield -np.cos(tilt) * normal + side * np.sin(tilt) * way

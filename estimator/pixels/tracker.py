@@ -1,0 +1,323 @@
+"""Tip and axis of the beam, frame by frame, from all pixels of the spot.
+
+The wall is learnt while it is looked at: a few earlier frames are kept, and the newest one is
+fitted together with them (`solver`). The first is always among them, because a chain of frames that
+forgets its beginning drifts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from estimator.distance import RangeFlag
+from estimator.image import CameraNoise, Spot
+from estimator.pixels.beam import NODES, POSE, BeamLight
+from estimator.pixels.cells import COUNT, CellLight, Window
+from estimator.pixels.mix import Mix, evener_mix, plain_mix
+from estimator.pixels.solver import OWN, Direction, FrameState, Linear, Solution, Solver
+from estimator.pixels.starts import likely_directions, scanned_starts
+from estimator.pixels.texture import Texture, texture_of
+
+_REACH = 2.0  # of the half-maximum ellipse; farther out there is hardly any light
+_BESIDE_PX = 6.0
+_KEPT = 6  # earlier frames
+_NEW = 0.25  # shift over the spot's radius that makes a frame worth keeping
+_GROWN = 0.07  # change of the distance's logarithm that does
+_CENTRED = 0.15  # shift of the spot over the window's reach that asks for another window
+_SIZED = 0.15  # change of the reach's logarithm that does
+_STEPS_FIRST, _STEPS, _STEPS_AGAIN = 14, 8, 4
+_AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly nothing is known
+_AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
+_UNDECIDED = 16.0  # difference of cost that keeps a second pose possible: four standard deviations
+_SAME = 3.0  # standard deviations within which two poses are one
+_FAR = 4.0  # a cell this far from what all else says of it, in standard deviations, has other light
+_MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
+_STILL_PX = 1.0  # way of the tip during the exposure that does not show
+_OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
+_PLACE_PX = 0.05  # error of the spot's place by the image model, on rendered frames of known pose
+
+
+@dataclass(frozen=True, eq=False)
+class PixelPose:
+    """Tip and axis of a beam, from one frame and those before it.
+
+    Attributes:
+        tip_mm: S, (3,).
+        axis: unit vector from the tip towards the wall, (3,).
+        across: two unit vectors across the axis, (2, 3).
+        distance_mm: d = |SO|.
+        sigma_mm: its standard deviation.
+        covariance: 5 x 5, of the tip (x, y, z; mm) and of the axis's turns towards `across`, rad.
+        chi_squared: per cell; 1 where beam, wall and camera explain the light.
+        others_mm: distances of other poses that explain the light as well.
+    """
+
+    tip_mm: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    across: Float[np.ndarray, "2 3"]
+    distance_mm: float
+    sigma_mm: float
+    covariance: Float[np.ndarray, "5 5"]
+    chi_squared: float
+    others_mm: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Belief:
+    """One explanation of the frames so far.
+
+    Attributes:
+        solver: of the window and with the wall's texture.
+        kept: frames that are fitted again with each new one.
+        solution: of the newest frame and those that were kept then.
+    """
+
+    solver: Solver
+    kept: list[tuple[FrameState, Linear]]
+    solution: Solution
+
+    @property
+    def newest(self) -> FrameState:
+        """The newest frame."""
+        return self.solution.frames[-1]
+
+    @cached_property
+    def sigmas(self) -> Float[np.ndarray, "5"]:
+        """Standard deviations of the newest frame's pose."""
+        at = OWN * (len(self.solution.frames) - 1)
+        return np.sqrt(np.diag(self.solution.covariance)[at : at + POSE])
+
+    def differs(self, other: _Belief) -> bool:
+        """Whether the newest pose is another one."""
+        mine, its = self.newest.pose, other.newest.pose
+        turned = mine.axis - its.axis
+        change = np.array([mine.distance - its.distance, turned @ its.first, turned @ its.second])
+        return bool((np.abs(change) > _SAME * other.sigmas[2:]).any())
+
+
+class PoseTracker:
+    """Follows the pose of one beam.
+
+    Args:
+        beam: its light.
+        noise: of the camera.
+    """
+
+    def __init__(self, beam: BeamLight, noise: CameraNoise) -> None:
+        self.beam, self.noise = beam, noise
+        self._beliefs: list[_Belief] = []
+        self._mix: Mix | None = None
+
+    def forget(self) -> None:
+        """Start anew with the next frame, on a wall that is not known."""
+        self._beliefs = []
+
+    def read(
+        self,
+        image: np.ndarray,
+        spot: Spot,
+        direction: Direction | None = None,
+        path_mm: Float[np.ndarray, "3 3"] | None = None,
+    ) -> PixelPose | RangeFlag:
+        """The pose in the next frame, or why there is none.
+
+        Args:
+            image: H x W x 3.
+            spot: from `measure`.
+            direction: of the beam, from the robot.
+            path_mm: where the tip was at `beam.NODES` of the exposure, relative to its middle, eye
+                frame; None if unknown.
+        """
+        if path_mm is not None:
+            way = np.linalg.norm(path_mm[-1] - path_mm[0]) / (NODES[-1] - NODES[0])
+            path_mm = path_mm if way > _STILL_PX * self.beam.scale_mm_px else None
+        channels = self.noise.channels(image)
+        usable = np.all(image < self.noise.full_scale, axis=-1)
+        if self._beliefs:
+            self._follow(channels, usable, spot, path_mm)
+        else:
+            self._begin(channels, usable, spot, direction, path_mm)
+        if not self._beliefs:
+            return RangeFlag.NOT_CONVERGED
+        best = self._beliefs[0].solution
+        if not best.converged or not best.chi_squared < _MISFIT:
+            self.forget()
+            return RangeFlag.MISFIT if best.converged else RangeFlag.NOT_CONVERGED
+        others = tuple(float(one.newest.pose.distance) for one in self._beliefs[1:])
+        return _pixel_pose(best, others, _PLACE_PX * self.beam.scale_mm_px)
+
+    def _begin(
+        self,
+        channels: Float[np.ndarray, "h w 3"],
+        usable: Bool[np.ndarray, "h w"],
+        spot: Spot,
+        direction: Direction | None,
+        path: Float[np.ndarray, "3 3"] | None,
+    ) -> None:
+        """Explain a frame by itself."""
+        window = Window.around(np.array([spot.x_px, spot.y_px]), _reach(spot))
+        mix = plain_mix(channels, spot)
+        cells = self._cells(channels, usable, mix)
+        solver = Solver(self.beam, window, Texture.usual())
+        own = np.zeros(self.beam.spread.shape[1])
+        starts = scanned_starts(
+            solver,
+            lambda pose: FrameState(cells, pose, 0.0, 0.0, direction, _AMBIENT, path),
+            spot,
+            own,
+            likely_directions(self.beam, spot, direction),
+        )
+        found = [solver.solve([], start, own, steps=_STEPS_FIRST) for start in starts]
+        if not found:
+            self._beliefs = []
+            return
+        found.sort(key=lambda one: one.cost)
+        # Again with this wall's texture, in the channels in which it has the least.
+        self._mix = mix = evener_mix(channels, usable, window, found[0], mix)
+        cells = self._cells(channels, usable, mix)
+        found = [
+            solver.solve([], replace(one.frames[0], cells=cells), own, steps=_STEPS)
+            for one in found
+        ]
+        found.sort(key=lambda one: one.cost)
+        line = found[0].linear[0]
+        texture = texture_of(
+            line.residual, line.weight, line.slopes, count=COUNT, side_mm=solver.side_mm
+        )
+        solver = Solver(self.beam, window, texture)
+        again = [_robust(solver, [], one.frames[0], own) for one in found]
+        self._beliefs = _distinct(
+            [_Belief(solver, [(one.frames[0], one.linear[0])], one) for one in again]
+        )
+
+    def _follow(
+        self,
+        channels: Float[np.ndarray, "h w 3"],
+        usable: Bool[np.ndarray, "h w"],
+        spot: Spot,
+        path: Float[np.ndarray, "3 3"] | None,
+    ) -> None:
+        """Explain a frame together with earlier ones."""
+        assert self._mix is not None
+        cells = self._cells(channels, usable, self._mix)
+        centre, reach = np.array([spot.x_px, spot.y_px]), _reach(spot)
+        point = self.beam.wall_points(centre[None])[0][0]
+        followed = []
+        for belief in self._beliefs:
+            solver, kept, own = belief.solver, belief.kept, belief.solution.own
+            held = 0.5 * COUNT * solver.window.side
+            off = np.abs(centre - solver.window.corner_px - held).max()
+            if off > _CENTRED * held or abs(math.log(held / reach)) > _SIZED:
+                solver = solver.at(Window.around(centre, reach))
+                kept = [(state, solver.linear(state, own)) for state, _ in kept]
+            start = self._start(belief.newest, solver, cells, point, own, path)
+            solution = _robust(solver, kept, start, own)
+            followed.append(_Belief(solver, self._kept(solver, solution), solution))
+        self._beliefs = _distinct(followed)
+
+    def _start(
+        self,
+        last: FrameState,
+        solver: Solver,
+        cells: CellLight,
+        point: Float[np.ndarray, "3"],
+        own: Float[np.ndarray, "q"],
+        path: Float[np.ndarray, "3 3"] | None,
+    ) -> FrameState:
+        """The last pose where the spot is now, at the distance that suits its light."""
+        prior = (last.log_ambient, _AMBIENT_STAYS)
+        found = []
+        for factor in _OTHER_DISTANCES:
+            axis = last.pose.axis
+            pose = self.beam.pose(point - factor * last.pose.distance * axis, axis)
+            if pose is not None:
+                frame = replace(
+                    last, cells=cells, pose=pose, direction=None, ambient_prior=prior, path=path
+                )
+                found.append(solver.scanned(frame, own))
+        best, _ = min(found, key=lambda one: one[1])
+        return replace(best, log_ambient=last.log_ambient)
+
+    def _kept(self, solver: Solver, solution: Solution) -> list[tuple[FrameState, Linear]]:
+        """The kept frames, with the newest if it shows the wall in another light."""
+        *kept, newest = zip(solution.frames, solution.linear, strict=True)
+        pose = newest[0].pose
+        radius = 0.5 * COUNT * solver.side_mm / _REACH
+        apart = [
+            max(
+                float(np.linalg.norm(pose.spot - state.pose.spot)) / radius / _NEW,
+                abs(math.log(pose.distance / state.pose.distance)) / _GROWN,
+            )
+            for state, _ in kept
+        ]
+        if min(apart, default=math.inf) <= 1.0:
+            return kept
+        if len(kept) >= _KEPT:
+            # The first stays; of the others the one nearest to the newest goes.
+            kept.pop(1 + int(np.argmin(apart[1:])))
+        return [*kept, newest]
+
+    def _cells(
+        self, channels: Float[np.ndarray, "h w 3"], usable: Bool[np.ndarray, "h w"], mix: Mix
+    ) -> CellLight:
+        return CellLight(mix.light(channels), usable, lambda light: mix.variance(self.noise, light))
+
+
+def _reach(spot: Spot) -> float:
+    """From the spot's centre, px, to where there is hardly any light."""
+    return _REACH * spot.semi_major_px + _BESIDE_PX
+
+
+def _robust(
+    solver: Solver,
+    kept: list[tuple[FrameState, Linear]],
+    frame: FrameState,
+    own: Float[np.ndarray, "q"],
+) -> Solution:
+    """A solution in which cells with other light than the beam's have little weight."""
+    solution = solver.solve(kept, frame, own, steps=_STEPS)
+    far = np.abs(solution.strange(len(kept)))
+    if (far <= _FAR).all():
+        return solution
+    # The weight of Geman and McClure: a cell's pull falls with the cube of its distance.
+    trust = np.where(far > _FAR, (_FAR / np.maximum(far, _FAR)) ** 4, 1.0)
+    *earlier, newest = zip(solution.frames, solution.linear, strict=True)
+    return solver.solve(earlier, newest[0], solution.own, steps=_STEPS_AGAIN, trust=trust)
+
+
+def _distinct(beliefs: list[_Belief]) -> list[_Belief]:
+    """The best explanation, and others that are different and nearly as good."""
+    best, *others = sorted(beliefs, key=lambda one: one.solution.cost)
+    kept = [best]
+    for belief in others:
+        near = belief.solution.cost - best.solution.cost < _UNDECIDED
+        if near and all(belief.differs(other) for other in kept):
+            kept.append(belief)
+    return kept
+
+
+def _pixel_pose(solution: Solution, others_mm: tuple[float, ...], place_mm: float) -> PixelPose:
+    at = OWN * (len(solution.frames) - 1)
+    pose = solution.frames[-1].pose
+    covariance = solution.covariance[at : at + POSE, at : at + POSE].copy()
+    covariance[[0, 1], [0, 1]] += place_mm**2
+    across = np.stack([pose.first, pose.second])
+    # The tip moves with the spot, along the axis, and with the turns about the spot.
+    slopes = np.zeros((POSE, POSE))
+    slopes[:3] = np.stack([pose.right, pose.down, -pose.axis, *(-pose.distance * across)], axis=-1)
+    slopes[3, 3] = slopes[4, 4] = 1.0
+    return PixelPose(
+        tip_mm=np.asarray(pose.tip),
+        axis=np.asarray(pose.axis),
+        across=across,
+        distance_mm=float(pose.distance),
+        sigma_mm=float(np.sqrt(covariance[2, 2])),
+        covariance=slopes @ covariance @ slopes.T,
+        chi_squared=solution.chi_squared,
+        others_mm=others_mm,
+    )

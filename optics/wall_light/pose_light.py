@@ -1,0 +1,112 @@
+"""Light on a lattice of cells by a beam whose pose is sought, compiled for the rig."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+import optics
+from optics.wall_light.cells import Lattice, image_lattice, lattice_irradiance
+
+POSE = 5
+"""Numbers of a pose's change: two shifts of the spot along the wall, mm; a growth of the distance,
+mm; and two turns of the beam about the spot, rad."""
+
+
+class BeamFrame(NamedTuple):
+    """A beam that meets the wall, with the directions of its changes.
+
+    Attributes:
+        tip: S, mm.
+        axis: unit vector towards the wall.
+        distance: d = |SO|, mm.
+        right: unit vector along the wall at O.
+        down: unit vector along the wall at O, at right angles to `right`.
+        first: unit vector across the axis.
+        second: unit vector across the axis, at right angles to `first`.
+    """
+
+    tip: Float[ArrayLike, "3"]
+    axis: Float[ArrayLike, "3"]
+    distance: Float[ArrayLike, ""]
+    right: Float[ArrayLike, "3"]
+    down: Float[ArrayLike, "3"]
+    first: Float[ArrayLike, "3"]
+    second: Float[ArrayLike, "3"]
+
+
+@eqx.filter_jit
+def beam_meets(
+    wall: optics.Surface, tip: Float[ArrayLike, "3"], axis: Float[ArrayLike, "3"]
+) -> tuple[Float[Array, "3"], Float[Array, "3"], Float[Array, ""]]:
+    """Where a beam meets the wall: the point, mm, the inward normal there, and the distance, mm."""
+    tip, axis = jnp.asarray(tip), jnp.asarray(axis)
+    meeting = wall.intersect(tip, axis)
+    return meeting.point, meeting.normal, jnp.dot(meeting.point - tip, axis)
+
+
+@eqx.filter_jit
+def pixels_see(
+    camera: optics.Camera, wall: optics.Surface, pixels: Float[ArrayLike, "n 2"]
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Wall points that pixels see, mm, and the inward normals there."""
+    meeting = wall.intersect(*camera.ray(pixels))
+    return meeting.point, meeting.normal
+
+
+@eqx.filter_jit
+def square_lattice(
+    camera: optics.Camera,
+    wall: optics.Surface,
+    *,
+    corner: Float[ArrayLike, "2"],
+    side: Float[ArrayLike, ""],
+    count: int,
+) -> Lattice:
+    """A compiled `image_lattice` of count x count cells; pass `corner` and `side` as arrays."""
+    return image_lattice(
+        camera, wall, corner=jnp.asarray(corner), side=side, rows=count, columns=count
+    )
+
+
+@eqx.filter_jit
+def irradiance_and_slopes(
+    lattice: Lattice,
+    mean: Any,
+    beam: BeamFrame,
+    *,
+    own: Float[ArrayLike, "q"],
+    spread: Float[ArrayLike, "p q"],
+    aside: Float[ArrayLike, "3"],
+) -> tuple[Float[Array, "n"], Float[Array, "5+q n"]]:
+    """Mean irradiance of the cells per unit power, 1/mm², and its derivatives.
+
+    Args:
+        lattice: the wall.
+        mean: the beam's light, a `MeanLight`.
+        beam: the pose.
+        own: changes of the beam's own parameters, in the terms of `spread`.
+        spread: turns `own` into changes of the parameters that `mean.changed` takes.
+        aside: shift of the tip, mm.
+
+    Returns:
+        The irradiance, and its derivatives by the `POSE` changes and by `own`.
+    """
+    tip, axis = jnp.asarray(beam.tip), jnp.asarray(beam.axis)
+    spot = tip + beam.distance * axis
+
+    def light(z: Array) -> Array:
+        turned = axis + z[3] * jnp.asarray(beam.first) + z[4] * jnp.asarray(beam.second)
+        turned = turned / jnp.linalg.norm(turned)
+        moved = spot + z[0] * jnp.asarray(beam.right) + z[1] * jnp.asarray(beam.down)
+        moved += jnp.asarray(aside) - (beam.distance + z[2]) * turned
+        changed = mean.changed(jnp.asarray(spread) @ z[POSE:])
+        return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()
+
+    z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
+    # One evaluation serves all derivatives.
+    return jax.vmap(lambda way: jax.jvp(light, (z,), (way,)), out_axes=(None, 0))(jnp.eye(z.size))
