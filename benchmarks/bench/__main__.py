@@ -16,6 +16,7 @@ MAKE_BENCH = (
     "cone_fit",
     "image_fit",
     "frame_pose",
+    "pixel_pose",
     "study_speed",
     "viewing_speed",
     "dataset_speed",
@@ -40,7 +41,8 @@ def main(
         bool,
         typer.Option(
             "--full",
-            help="Use more or larger frames in render_speed, estimator.accuracy, image_fit, load.",
+            help="Use more or larger frames in render_speed, estimator.accuracy, image_fit, "
+            "pixel_pose, load.",
         ),
     ] = False,
 ) -> None:

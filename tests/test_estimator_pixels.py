@@ -1,0 +1,243 @@
+"""The mode pixels: its light, its texture, its poses on rendered frames, and what it refuses."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import optics
+from estimator.files import (
+    BeamPose,
+    Calibration,
+    SpotRecord,
+    read_poses,
+    read_spots,
+    write_calibration,
+    write_spots,
+)
+from estimator.image import NoSpot, Reason
+from estimator.pixels import PixelRanger
+from estimator.pixels.cells import COUNT, CellLight, Window
+from estimator.pixels.mix import _most_even
+from estimator.pixels.texture import LENGTHS_MM, Texture, texture_of
+from estimator.run import Options
+from estimator.sources import open_source
+from optics import InputError
+from optics.wall_light import ConeMean, irradiance_and_slopes, square_lattice
+from optics.wall_light.pose_light import BeamFrame
+from scenes import Scene, render_stack
+
+_HALF_ANGLE, _APEX = math.atan(1 / 20), -5.117
+_WALL = optics.Sphere(11.5)
+_CAMERA = optics.microscope(
+    scale=0.0067, pinhole_height=11.5, eye_radius=11.5, principal_point=(100.0, 100.0)
+)
+_ACROSS = np.zeros((0, 0))
+
+
+def _frame(tip, axis, distance):
+    first, second = (np.asarray(v) for v in optics.perpendicular_frame(np.asarray(axis)))
+    return BeamFrame(
+        tip=np.asarray(tip),
+        axis=np.asarray(axis),
+        distance=np.asarray(distance),
+        right=np.array([1.0, 0.0, 0.0]),
+        down=np.array([0.0, 1.0, 0.0]),
+        first=first,
+        second=second,
+    )
+
+
+def _light(frame, *, corner=(-30.5, -30.5), side=10.0):
+    lattice = square_lattice(
+        _CAMERA, _WALL, corner=np.array(corner), side=np.asarray(side), count=COUNT
+    )
+    value, slopes = irradiance_and_slopes(
+        lattice,
+        ConeMean.of(_HALF_ANGLE, _APEX),
+        frame,
+        own=np.zeros(2),
+        spread=np.eye(2),
+        aside=np.zeros(3),
+    )
+    return np.asarray(value), np.asarray(slopes), np.asarray(lattice.area).ravel()
+
+
+def test_a_cone_s_whole_power_falls_on_the_cells_around_its_spot():
+    value, _, area = _light(_frame([0.0, 0.0, -9.0], [0.0, 0.0, -1.0], 2.5))
+    # The cells' areas are those of their tangent planes: off by the sagitta of a cell of 0.067 mm
+    # on a sphere of 11.5 mm, 4e-6 of the area. Elsewhere the sum telescopes, edge by edge.
+    assert value @ area == pytest.approx(1.0, abs=2e-5)
+
+
+def test_derivatives_of_the_cells_light_are_central_differences():
+    tip, axis = np.array([0.05, -0.1, -9.0]), np.array([0.1, 0.05, 0.0])
+    axis[2] = -math.sqrt(1 - axis @ axis)
+    frame = _frame(tip, axis, 2.45)
+    _, slopes, _ = _light(frame)
+    step = 1e-5
+
+    def moved(sign):
+        turned = frame.axis + sign * step * frame.first
+        turned = turned / np.linalg.norm(turned)
+        spot = tip + 2.45 * axis
+        return _light(frame._replace(tip=spot - 2.45 * turned, axis=turned))[0]
+
+    differences = (moved(1) - moved(-1)) / (2 * step)
+    # Cells whose sides' nodes cross the cone's edge within the step have other differences.
+    scale = np.abs(slopes[3]).max()
+    same = np.abs(differences - slopes[3]) < 1e-3 * scale
+    assert np.mean(same) > 0.98
+
+
+def test_the_texture_of_a_drawn_wall_is_found():
+    rng = np.random.default_rng(3)
+    count, side = 20, 0.06
+    true = Texture(np.array([0.05, 0.10, 0.001]) ** 2)
+    field = np.linalg.cholesky(true.covariance(count, side) + 1e-12 * np.eye(count**2))
+    found = []
+    for _ in range(6):
+        noise = 0.005
+        residual = field @ rng.standard_normal(count**2) + noise * rng.standard_normal(count**2)
+        texture = texture_of(
+            residual,
+            np.full(count**2, noise**-2.0),
+            np.ones((1, count**2)),
+            count=count,
+            side_mm=side,
+        )
+        found.append(np.sum(texture.variances[:2]))
+    # 400 cells and lengths of 1.3 and 5 cells have some 60 independent parts: 18 % a wall. The
+    # third length takes what it cannot be told from.
+    assert np.mean(found) == pytest.approx(np.sum(true.variances[:2]), rel=0.35)
+    assert len(LENGTHS_MM) == 3
+
+
+def test_the_mixture_of_channels_cancels_what_they_share():
+    rng = np.random.default_rng(5)
+    vessel = rng.standard_normal(500)
+    contrast = np.array([0.05, 0.20, 0.15])
+    residuals = contrast[:, None] * vessel + 0.003 * rng.standard_normal((3, 500))
+    parts = _most_even(residuals)
+    assert parts.sum() == pytest.approx(1.0)
+    assert np.std(parts @ residuals) < 0.5 * np.std(residuals[0])
+
+
+def test_cells_with_an_unusable_pixel_and_cells_outside_of_the_image_are_left_out():
+    usable = np.ones((200, 200), bool)
+    usable[57, 83] = False
+    cells = CellLight(np.full((200, 200), 0.25), usable, np.zeros_like)
+    light, kept = cells.means(Window(left=40, top=30, side=7))
+    assert not kept[(57 - 30) // 7, (83 - 40) // 7]
+    assert not kept[-1].any()  # 30 + 26 * 7 = 212 px
+    assert np.count_nonzero(~kept[:24, :22]) == 1
+    np.testing.assert_allclose(light[:24, :22], 0.25)
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory):
+    scene = {
+        "schema": 1,
+        "seed": 11,
+        "phantom": {"wall": "printed paper", "texture_seed": 4},
+        "instrument": {"visible": False},
+        "source": {"kind": "cone"},
+        "spot": {"eccentricity_mm": 1.5, "incidence_deg": 20.0},
+        "microscope": {"width_px": 360, "height_px": 300, "samples": 64},
+        "motion": {"start_mm": 2.0, "travel_mm": 0.9, "frames": 4, "speed_mm_s": 1.0},
+        "exposures": {"kinds": ["metered"]},
+    }
+    folder = tmp_path_factory.mktemp("pixels") / "stack"
+    return render_stack(Scene.model_validate(scene), folder)
+
+
+def _calibration(tmp_path: Path) -> Path:
+    path = tmp_path / "cone.json"
+    values = {"k": 20.0, "b": -5.117}
+    write_calibration(
+        path,
+        Calibration(
+            model="planar",
+            values=values,
+            covariance=np.diag([1e-8, 1e-10]),
+            medium="air",
+            medium_index=1.0,
+            fitted_on="the cone that was rendered",
+            data_sha256="0" * 64,
+            software="a test",
+        ),
+    )
+    return path
+
+
+def test_poses_of_rendered_frames_are_within_their_stated_errors(stack, tmp_path):
+    reader = Options.of(
+        {
+            "mode": "pixels",
+            "calibration": _calibration(tmp_path),
+            "microscope": stack.folder / "microscope.json",
+            "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
+        }
+    ).reader()
+    assert reader.mode == "pixels"
+    poses = read_poses(stack.folder / "kinematics.csv")
+    distances = []
+    for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
+        reading = reader.read(
+            frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
+        )
+        assert reading.range is not None
+        assert not reading.doubt
+        (pose,) = reading.range.poses
+        assert pose.across is not None
+        assert pose.covariance is not None
+        turns = pose.across @ (pose.axis - np.array(labels.axis))
+        off = np.concatenate([pose.tip_mm - np.array(labels.tip_mm), turns])
+        # Chi squared of five numbers exceeds 30 once in 70,000.
+        assert off @ np.linalg.solve(pose.covariance, off) < 30
+        distances.append(reading.distance_mm - labels.d_mm)
+    # 5 px RMS of the semi-minor axis would be 0.7 mm; a texture of 5 % leaves some micrometres.
+    assert np.max(np.abs(distances)) < 0.02
+
+
+def test_a_microscope_file_without_the_camera_s_noise_is_refused(stack, tmp_path):
+    content = json.loads((stack.folder / "microscope.json").read_text())
+    del content["camera"]
+    path = tmp_path / "microscope.json"
+    path.write_text(json.dumps(content))
+    options = {"mode": "pixels", "calibration": _calibration(tmp_path), "microscope": path}
+    with pytest.raises(InputError, match="needs the camera's noise"):
+        Options.of(options).reader()
+
+
+def test_the_mode_needs_a_calibration_and_takes_no_model(stack, tmp_path):
+    microscope = stack.folder / "microscope.json"
+    with pytest.raises(InputError, match="needs a calibration"):
+        Options.of({"mode": "pixels", "microscope": microscope}).reader()
+    options = {"mode": "pixels", "calibration": _calibration(tmp_path), "microscope": microscope}
+    with pytest.raises(InputError, match="model has no effect"):
+        Options.of({**options, "model": "exact"}).reader()
+    assert PixelRanger.model == "pixels"
+
+
+def test_a_pose_survives_the_spots_file(tmp_path):
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(5, 5))
+    pose = BeamPose(np.array([0.1, -0.2, -9.0]), np.array([0.0, 0.6, -0.8]), root @ root.T, 1.07)
+    record = SpotRecord(
+        frame=0,
+        file_name="a.png",
+        time_s=0.5,
+        mode="pixels",
+        result=NoSpot(Reason.NONE_FOUND),
+        distance_mm=2.5,
+        sigma_distance_mm=0.002,
+        pose=pose,
+    )
+    write_spots(tmp_path / "spots.csv", [record])
+    (found,) = read_spots(tmp_path / "spots.csv")
+    assert found.pose is not None
+    for mine, its in zip(pose, found.pose, strict=True):
+        np.testing.assert_array_equal(mine, its)
