@@ -104,19 +104,36 @@ class BeamLight:
             path: where the tip is at `NODES` of the exposure, relative to its middle, mm; None for
                 a tip at rest.
         """
-        from optics.wall_light import BeamFrame, irradiance_and_slopes
+        from optics.wall_light import BeamFrame, irradiance_alone, irradiance_and_slopes
 
-        places = [np.zeros(3)] if path is None else list(path)
-        shares = np.ones(1) if path is None else SHARES
-        beam, spread = BeamFrame(*pose), self.spread
-        parts = [
-            irradiance_and_slopes(lattice, self.mean, beam, own=own, spread=spread, aside=at)
-            for at in places
-        ]
-        value, slopes = (
-            np.tensordot(shares, [np.asarray(part[n]) for part in parts], axes=1) for n in (0, 1)
-        )
+        given: dict[str, Any] = {"own": own, "spread": self.spread}
+        begin, middle, end = np.zeros((3, 3)) if path is None else path
+        parts = lattice, self.mean, BeamFrame(*pose)
+        value, slopes = map(np.asarray, irradiance_and_slopes(*parts, **given, aside=middle))
+        if path is not None:
+            # The derivatives at the middle are good enough to find where the light fits.
+            ends = sum(
+                np.asarray(irradiance_alone(*parts, **given, aside=at)) for at in (begin, end)
+            )
+            value = SHARES[1] * value + SHARES[0] * ends
         return value, slopes
+
+    def irradiance_alone(
+        self, lattice: Lattice, pose: Pose, own: Float[np.ndarray, "q"]
+    ) -> Float[np.ndarray, "n"]:
+        """Irradiance of the cells for a tip at rest, without derivatives."""
+        from optics.wall_light import BeamFrame, irradiance_alone
+
+        return np.asarray(
+            irradiance_alone(
+                lattice,
+                self.mean,
+                BeamFrame(*pose),
+                own=own,
+                spread=self.spread,
+                aside=np.zeros(3),
+            )
+        )
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

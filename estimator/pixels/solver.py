@@ -30,7 +30,7 @@ _CUT = 0.1
 """Error of a pixel that a sharp edge cuts, over the step: what a renderer's 2 x 2 samples leave."""
 _DARKEST = 1e-6  # full wells
 _RIDGE = 1e-12  # of a state's own information, so that one without any does not matter
-_DONE, _SMALL = 0.03, 0.3
+_DONE, _SMALL = 0.1, 0.3
 """In standard deviations: a shorter step ends the iteration; a last step as short is an answer."""
 _STRANGE = 4.0  # standard deviations from what neighbours and other frames say of a cell
 
@@ -218,17 +218,7 @@ class Solver:
         ambient = np.exp(frame.log_ambient)
         total = np.maximum(irradiance, 0.0) + ambient
         model = np.exp(frame.log_gain) * total
-        # The variance is that of both, so that neither a wrong model nor a dark cell has too much
-        # weight.
-        level = np.maximum(np.sqrt(np.maximum(light, _DARKEST) * model), _DARKEST)
-        variance = frame.cells.variance(level) / self.window.side**2 / level**2
-        slope = np.hypot(*np.gradient(np.log(total).reshape(COUNT, COUNT))).ravel()
-        # Light enters at the bright side of a cell, where the reflectance differs.
-        aside = np.minimum(slope / 12.0, 0.5) * self.side_mm
-        variance += _FLOOR**2 + 0.5 * self.texture.roughness * aside
-        # As many pixels as a side is long are cut by a sharp edge.
-        variance += np.square(slope * _CUT) / self.window.side**3
-        weight = np.where(usable, 1.0 / variance, 0.0)
+        weight = self._weight(frame, light, usable, model)
         deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
         seen = np.maximum(light, np.maximum(deviation, _DARKEST))
         return Linear(
@@ -246,17 +236,35 @@ class Solver:
         The least squares are in the light, so that the bright cells decide.
         """
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
-        irradiance, _ = self.beam.irradiance(self.lattice, frame.pose, own, frame.path)
+        irradiance = self.beam.irradiance_alone(self.lattice, frame.pose, own)
         both = np.stack([irradiance, np.ones(irradiance.size)], axis=-1)[usable]
         gain, offset = np.linalg.lstsq(both, light[usable], rcond=None)[0]
         gain = max(gain, _DARKEST)
         ambient = np.clip(offset / gain, 1e-4, 1.0)
         suited = replace(frame, log_gain=float(np.log(gain)), log_ambient=float(np.log(ambient)))
-        line = self.linear(suited, own)
+        model = np.exp(suited.log_gain) * (np.maximum(irradiance, 0.0) + ambient)
+        weight = self._weight(suited, light, usable, model)
         # Here the texture counts as noise without correlation: this finds starts, not poses.
-        spread = 1.0 / np.where(line.weight > 0, line.weight, 1.0) + self._roughly
-        cost = np.sum(np.where(line.weight > 0, np.square(line.residual) / spread, 0.0))
+        spread = 1.0 / np.where(usable, weight, 1.0) + self._roughly
+        residual = np.log(np.maximum(light, _DARKEST) / np.maximum(model, _DARKEST))
+        cost = np.sum(np.where(usable, np.square(residual) / spread, 0.0))
         return suited, float(cost) + _prior_cost(suited)
+
+    def _weight(
+        self, frame: FrameState, light: np.ndarray, usable: np.ndarray, model: np.ndarray
+    ) -> np.ndarray:
+        """1 over the variances of the cells' log light, by camera and image model."""
+        # The level is that of both, so that neither a wrong model nor a dark cell has too much
+        # weight.
+        level = np.maximum(np.sqrt(np.maximum(light, _DARKEST) * model), _DARKEST)
+        variance = frame.cells.variance(level) / self.window.side**2 / level**2
+        slope = np.hypot(*np.gradient(np.log(model).reshape(COUNT, COUNT))).ravel()
+        # Light enters at the bright side of a cell, where the reflectance differs.
+        aside = np.minimum(slope / 12.0, 0.5) * self.side_mm
+        variance += _FLOOR**2 + 0.5 * self.texture.roughness * aside
+        # As many pixels as a side is long are cut by a sharp edge.
+        variance += np.square(slope * _CUT) / self.window.side**3
+        return np.where(usable, 1.0 / variance, 0.0)
 
     def _system(
         self, frames: list[FrameState], lines: list[Linear], own: np.ndarray, gone: np.ndarray

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -96,6 +97,35 @@ def irradiance_and_slopes(
     Returns:
         The irradiance, and its derivatives by the `POSE` changes and by `own`.
     """
+    light = _light_of(lattice, mean, beam, spread, aside)
+    z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
+    # One evaluation serves all derivatives.
+    return jax.vmap(lambda way: jax.jvp(light, (z,), (way,)), out_axes=(None, 0))(jnp.eye(z.size))
+
+
+@eqx.filter_jit
+def irradiance_alone(
+    lattice: Lattice,
+    mean: Any,
+    beam: BeamFrame,
+    *,
+    own: Float[ArrayLike, "q"],
+    spread: Float[ArrayLike, "p q"],
+    aside: Float[ArrayLike, "3"],
+) -> Float[Array, "n"]:
+    """The irradiance of `irradiance_and_slopes`, in a third of the time."""
+    z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
+    return _light_of(lattice, mean, beam, spread, aside)(z)
+
+
+def _light_of(
+    lattice: Lattice,
+    mean: Any,
+    beam: BeamFrame,
+    spread: Float[ArrayLike, "p q"],
+    aside: Float[ArrayLike, "3"],
+) -> Callable[[Array], Array]:
+    """The irradiance as a function of the changes of pose and beam."""
     tip, axis = jnp.asarray(beam.tip), jnp.asarray(beam.axis)
     spot = tip + beam.distance * axis
 
@@ -107,6 +137,4 @@ def irradiance_and_slopes(
         changed = mean.changed(jnp.asarray(spread) @ z[POSE:])
         return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()
 
-    z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
-    # One evaluation serves all derivatives.
-    return jax.vmap(lambda way: jax.jvp(light, (z,), (way,)), out_axes=(None, 0))(jnp.eye(z.size))
+    return light
