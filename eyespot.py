@@ -27,6 +27,7 @@ COMMANDS = {
     "track": "estimator.run.command:track",
     "console": "estimator.console.command:console",
     "budget": "estimator.run.budget_command:budget",
+    "camera": "estimator.run.camera_command:camera",
     "fit": "calibration.command.command:fit",
     "export": "benchmarks.sets.formats.command:export",
     "score": "benchmarks.sets.score.command:score",

@@ -5,6 +5,7 @@ display  Frames and spots as they are shown to people
 frame    Frames: what is accepted as an image, and rectangles of it
 light    Converts frames into light: inverts the camera's response, and removes the wall's texture
 noise    A camera's temporal noise after EMVA 1288
+photon_transfer  A camera's noise from pairs of frames of an even wall
 spot     The result of a measurement: a spot, or the reason why there is none
 """
 

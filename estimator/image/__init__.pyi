@@ -8,6 +8,8 @@ from .light import GREY_WEIGHTS as GREY_WEIGHTS
 from .light import LightMeter as LightMeter
 from .light import Response as Response
 from .noise import CameraNoise as CameraNoise
+from .photon_transfer import PhotonTransfer as PhotonTransfer
+from .photon_transfer import measured_noise as measured_noise
 from .spot import PARAMETERS as PARAMETERS
 from .spot import NoSpot as NoSpot
 from .spot import Reason as Reason

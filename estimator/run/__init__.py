@@ -1,6 +1,7 @@
 """Reads a source to its end: `eyespot track`.
 
 budget_command   The command `eyespot budget`: what the distances of a source are worth, and why
+camera_command   The command `eyespot camera`: measures a camera's noise
 command          The command `eyespot track`: opens a source, tracks it, writes the results and
                  reports
 exit_codes       How a command ends: its message on an error, and its exit code

@@ -1,0 +1,88 @@
+"""The command `eyespot camera`: measures a camera's noise, and writes it into a microscope file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from optics import InputError
+
+
+def camera(
+    frames: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help="Images in pairs, in the order of their names: two of each brightness, and two in "
+            "the dark.",
+        ),
+    ],
+    microscope: Annotated[
+        Path, typer.Option(metavar="FILE", help="microscope.json that gets the camera's noise.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The new microscope.json.")],
+    bit_depth: Annotated[
+        int, typer.Option(min=8, max=16, help="Bits that the camera uses per channel.")
+    ] = 8,
+    bayer: Annotated[
+        bool, typer.Option("--bayer", help="Colours are interpolated behind a Bayer filter.")
+    ] = False,
+) -> None:
+    """Measure a camera's noise from pairs of images of an even wall (EMVA 1288).
+
+    Fixed focus, fixed gain, no gamma: a sheet of white paper out of focus, at five or more levels
+    of light. The mode pixels needs the result.
+    """
+    from estimator.files import (
+        object_in,
+        read_image,
+        read_microscope,
+        refuse_existing,
+        written_whole,
+    )
+    from estimator.image import measured_noise
+    from optics import in_file, read_text
+
+    refuse_existing(out)
+    if read_microscope(microscope).response.curve != "linear":
+        raise InputError(
+            f"{microscope}: photon transfer needs a linear response. Record raw frames with gamma "
+            "1, and set response to linear."
+        )
+    with in_file(microscope):
+        content = object_in(read_text(microscope))
+    names = sorted(path for path in frames.iterdir() if path.suffix.lower() in _IMAGES)
+    if len(names) < 2 or len(names) % 2:
+        raise InputError(
+            f"{frames}: {len(names)} images make no pairs. Give two of each brightness, named so "
+            "that they follow each other."
+        )
+    images = [read_image(name) for name in names]
+    full_scale = (1 << bit_depth) - 1
+    pairs = list(zip(images[::2], images[1::2], strict=True))
+    with in_file(frames):
+        found = measured_noise(pairs, full_scale=full_scale)
+    content["camera"] = {
+        "full_well_e": found.full_well_e,
+        "read_noise_e": found.read_noise_e,
+        "black_level_dn": found.black_level_dn,
+        "bit_depth": bit_depth,
+        "prnu": found.prnu,
+        "dsnu_e": found.dsnu_e,
+        "bayer": bayer,
+    }
+    with written_whole(out) as partial:
+        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    error = found.gain_sigma_dn_e / found.gain_dn_e
+    print(
+        f"{out}: {found.gain_dn_e:.4g} DN per electron (± {100 * error:.1f} %), full well "
+        f"{found.full_well_e:.0f} e, read noise {found.read_noise_e:.1f} e, black level "
+        f"{found.black_level_dn:.2f} DN, PRNU {100 * found.prnu:.2f} %; variances within "
+        f"{100 * found.worst:.1f} % of a straight line, from {len(pairs)} pairs."
+    )
+
+
+_IMAGES = {".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg"}

@@ -1,0 +1,92 @@
+"""A camera's noise measured from pairs of frames, against the data sheet that made the frames."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from estimator.files import read_microscope
+from estimator.image import measured_noise
+from eyespot import app
+from optics import InputError
+from scenes.camera import Camera
+from scenes.description import Scene
+
+_SHEET = {"full_well_e": 8000.0, "read_noise_e": 12.0, "black_level_dn": 6.0, "prnu": 0.01}
+_LEVELS = (0.0, 0.12, 0.25, 0.4, 0.6, 0.8)
+
+
+def _pairs(**camera):
+    settings = {
+        "schema": 1,
+        "camera": {**_SHEET, **camera},
+        "microscope": {"width_px": 640, "height_px": 480},
+    }
+    made = Camera(Scene.model_validate(settings), seed=5)
+    pairs = []
+    for number, level in enumerate(_LEVELS):
+        # 200 full wells per second and unit of radiance: the scene's own sensitivity.
+        light = np.full((480, 640, 3), level / 200.0, np.float32)
+        frames = [
+            made.written(made.raw(light, exposure_s=1.0, noise_seed=[number, k])) for k in (0, 1)
+        ]
+        pairs.append((frames[0], frames[1]))
+    return pairs
+
+
+def test_the_data_sheet_is_found():
+    found = measured_noise(_pairs(), full_scale=255)
+    # Each variance has 230,400 samples, 0.3 %; the gain follows from five of them.
+    assert found.full_well_e == pytest.approx(8000.0, rel=0.01)
+    assert found.black_level_dn == pytest.approx(6.0, abs=0.02)
+    # Read noise is 0.37 DN, and rounding to whole numbers adds 0.29 DN, which is not quite white.
+    assert found.read_noise_e == pytest.approx(12.0, rel=0.1)
+    assert found.prnu == pytest.approx(0.01, rel=0.1)
+
+
+def test_a_gamma_is_refused():
+    with pytest.raises(InputError, match="straight line"):
+        measured_noise(_pairs(response=1.5), full_scale=255)
+
+
+def test_pairs_without_the_dark_are_refused():
+    with pytest.raises(InputError, match="light off"):
+        measured_noise(_pairs()[1:], full_scale=255)
+
+
+def test_the_command_writes_the_noise_into_a_microscope_file(tmp_path):
+    folder = tmp_path / "flats"
+    folder.mkdir()
+    for number, pair in enumerate(_pairs()):
+        for k, frame in enumerate(pair):
+            cv2.imwrite(f"{folder}/{number}{k}.png", frame[..., ::-1])
+    microscope = tmp_path / "microscope.json"
+    microscope.write_text(
+        json.dumps(
+            {
+                "schema": 1,
+                "width_px": 640,
+                "height_px": 480,
+                "camera_matrix": None,
+                "distortion": [0.0] * 5,
+                "scale_mm_px": 0.0067,
+                "principal_point_px": [319.5, 239.5],
+                "pinhole_height_mm": None,
+                "eye_radius_mm": 11.5,
+                "response": "linear",
+            }
+        )
+    )
+    out = tmp_path / "with_camera.json"
+    options = [str(folder), "--microscope", str(microscope), "--out", str(out)]
+    result = CliRunner().invoke(app, ["camera", *options])
+    assert result.exit_code == 0, result.output
+    noise = read_microscope(out).noise
+    assert noise is not None
+    # Half a full well: shot noise of 4,000 electrons, 1 % of PRNU, read noise, and a twelfth of the
+    # square of a step of 8000/249 electrons.
+    expected = np.sqrt(4000 + 40.0**2 + 12.0**2 + (8000 / 249) ** 2 / 12) / 8000.0
+    sigma = np.sqrt(noise.channel_variance(np.array([0.5]))[0])
+    assert sigma == pytest.approx(expected, rel=0.02)
