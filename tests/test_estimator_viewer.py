@@ -18,6 +18,7 @@ from estimator import Spot
 from estimator.files import read_spots, read_stack
 from estimator.rig.rig import Parameters, opened_rig
 from estimator.viewer import check_recording_path, record_stack
+from scenes import load_scene, render_stack
 from tests.drawn_sets import labels_of, write_stack
 
 
@@ -61,6 +62,41 @@ def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(
         (blob,) = columns["/microscope:EncodedImage:blob"][record.frame]
         image = np.asarray(Image.open(io.BytesIO(bytes(blob))))
         assert image.shape == (120, 160, 3)
+
+
+def test_a_fit_is_recorded_with_the_robots_distances_and_its_residuals(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
+    scene = load_scene(
+        None,
+        [
+            "source.kind=cone",
+            "microscope.width_px=320",
+            "microscope.height_px=240",
+            "microscope.scale_mm_px=0.0134",
+            "motion.frames=9",
+            "phantom.wall=uniform",
+            'exposures.kinds=["metered"]',
+        ],
+    )
+    stack, recording = tmp_path / "stack", tmp_path / "fit.rrd"
+    render_stack(scene, stack)
+    command = ["fit", str(stack), "--model", "cone", "--out", str(tmp_path / "cone.json")]
+    done = CliRunner().invoke(eyespot.app, [*command, "--rerun", str(recording)])
+    assert done.exit_code == 0, done.output
+    columns = columns_of(recording)
+    measured = columns["/distance/measured:Scalars:scalars"]
+    robot = columns["/distance/robot:Scalars:scalars"]
+    labels = read_stack(stack).labels
+    # At contact the instrument hides the spot.
+    assert sorted(measured) == sorted(robot) == [*range(1, 9)]
+    for row in labels[1:]:
+        # The touch is known to 0.02 mm, and fit and robot share it.
+        assert robot[row.frame][0] == pytest.approx(row.d_mm, abs=0.04)
+        assert measured[row.frame][0] == pytest.approx(robot[row.frame][0], abs=0.01)
+    residuals = [name for name in columns if name.startswith("/residuals/")]
+    assert residuals
+    assert all(len(columns[name]) == 8 for name in residuals)
+    assert len(columns["/microscope:EncodedImage:blob"]) == 9
 
 
 def test_the_rig_records_what_it_measures(tmp_path: Path) -> None:

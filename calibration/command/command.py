@@ -117,6 +117,14 @@ def fit(
             help="Rotation (unit quaternion) from the poses' frame to the eye's.",
         ),
     ] = None,
+    rerun: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|live",
+            help="Record frames, spots, distances and residuals of a good fit for the viewer rerun "
+            "(.rrd), or show them in it at once.",
+        ),
+    ] = None,
 ) -> None:
     """Fit a model of the light beam to recordings and write a calibration file.
 
@@ -142,4 +150,5 @@ def fit(
         medium=medium,
         fibre_diameter_mm=fibre_diameter_mm,
         eye_from_robot=eye_from_robot,
+        rerun=rerun,
     )

@@ -20,6 +20,7 @@ from calibration.command.arguments import log_books, read_priors, read_rotation
 from calibration.command.fitted import Choices, Fitted
 from calibration.command.goodness import Doubt, doubts, refusal, verdict
 from calibration.command.models import AUTO, MODELS, Model, chosen_model
+from calibration.command.recording import record_fit
 from calibration.command.result_table import result_table
 from calibration.pixels import NUISANCES
 from calibration.recordings import LogBook, Recording, is_stack, read_recording
@@ -32,6 +33,7 @@ from estimator.files import (
     written_whole,
 )
 from estimator.run import progress
+from estimator.viewer import check_recording_path
 from optics import InputError
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
@@ -55,6 +57,7 @@ def run(
     medium: str | None = None,
     fibre_diameter_mm: float = 0.5,
     eye_from_robot: str | None = None,
+    rerun: str | None = None,
 ) -> None:
     """Fit a model to withdrawals and write a report, and a calibration file if the fit is good.
 
@@ -75,6 +78,7 @@ def run(
         medium: name in `optics.MEDIA`, for sources other than stacks.
         fibre_diameter_mm: diameter of the tip's face, for sources other than stacks.
         eye_from_robot: "QX,QY,QZ,QW", rotation from the poses' frame to the eye frame.
+        rerun: a recording of the fit, a file NAME.rrd or "live"; None for none.
 
     Raises:
         InputError: wrong input, an existing file or report, or a fit that is not good. In the last
@@ -84,6 +88,8 @@ def run(
     """
     sources = [Path(source) for source in sources]
     report = _report_beside(out)
+    if rerun is not None:
+        check_recording_path(rerun)
     # Entered before the fit, so that a name that is taken or a full disk does not cost its result.
     with written_whole(out) as calibration:
         with written_whole(report) as page:
@@ -121,6 +127,8 @@ def run(
         if not all(doubt.harmless for doubt in result.doubts):
             raise InputError(refusal(result.doubts, model=model, report=report))
         write_calibration(calibration, result.calibration())
+    if rerun is not None:
+        record_fit(rerun, result.fitted, recordings, result.calibration(), exposure=exposure)
     print(f"{verdict(result.doubts)}. Wrote {out} and {report}.")
 
 

@@ -78,6 +78,7 @@ class Recording(NamedTuple):
             measured.
         sha256: checksum of a stack's manifest, which contains the checksums of all its files;
             otherwise of the files read.
+        records: of the usable spots, as they were measured.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Recording(NamedTuple):
     fibre_radius_mm: float
     relative_edge_width: Float[np.ndarray, "n"]
     sha256: str
+    records: Sequence[SpotRecord] = ()
 
     @property
     def beam_slopes(self) -> Float[np.ndarray, "2 2"]:
@@ -213,7 +215,7 @@ def _joined(
         for direction in np.vstack(directions)
     )
     usable = [
-        (record.result, reading)
+        (record, record.result, reading)
         for record, reading in zip(records, readings, strict=True)
         # The coverage is NaN in modes that do not measure it.
         if isinstance(record.result, Spot) and not record.result.coverage < _LEAST_COVERAGE
@@ -223,7 +225,7 @@ def _joined(
             f"{source} has {len(usable)} usable spots in {len(records)} frames; a fit needs "
             f"{_FEWEST_SPOTS}. `eyespot track {source} --out spots.csv` shows the reasons."
         )
-    spots = [spot for spot, _ in usable]
+    spots = [spot for _, spot, _ in usable]
     microscope = read_microscope(log_book.microscope)
     ellipses = _ellipses(spots)
     if touch is None:
@@ -242,7 +244,7 @@ def _joined(
         trial=ConeTrial(
             ellipses=ellipses,
             covariances=np.stack([spot.covariance for spot in spots]),
-            readings=np.array([reading for _, reading in usable]),
+            readings=np.array([reading for _, _, reading in usable]),
             motion=motion,
             axis=axis,
             principal_point=np.array(microscope.principal_point_px),
@@ -257,6 +259,7 @@ def _joined(
         fibre_radius_mm=log_book.fibre_diameter_mm / 2,
         relative_edge_width=np.array([s.edge_width_px / s.semi_minor_px for s in spots]),
         sha256=sha256,
+        records=[record for record, _, _ in usable],
     )
 
 

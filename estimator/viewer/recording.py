@@ -119,13 +119,13 @@ class Recording:
         if microscope is not None:
             log_eyeball(stream, microscope)
 
-    def add_frame(self, index: int, time_s: float, image: np.ndarray) -> None:
+    def add_frame(self, index: int, time_s: float, image: np.ndarray | None) -> None:
         """Add a frame; what is added after it belongs to it.
 
         Args:
             index: of the frame.
             time_s: of the frame; NaN if unknown.
-            image: as `rgb_8bit` takes it.
+            image: as `rgb_8bit` takes it; None if there is only what was measured.
         """
         import rerun
 
@@ -133,6 +133,8 @@ class Recording:
         self._stream.set_time("frame", sequence=index)
         if not math.isnan(time_s):
             self._stream.set_time("time", duration=time_s)
+        if image is None:
+            return
         picture = rerun.Image(rgb_8bit(image, self._response)).compress(jpeg_quality=_JPEG_QUALITY)
         self._stream.log("microscope", picture)
 
@@ -171,6 +173,12 @@ class Recording:
             )
         if doubt:
             log("status", rerun.TextLog(doubt, level=rerun.TextLogLevel.WARN))
+
+    def add_value(self, path: str, value: float) -> None:
+        """Add a number of the frame, such as "distance/robot" or "residuals/size"."""
+        import rerun
+
+        self._stream.log(path, rerun.Scalars(value))
 
     def add_truth(self, labels: FrameLabels) -> None:
         """Add what a stack's labels say of the frame."""
@@ -238,8 +246,9 @@ def _blueprint() -> Any:
             ),
             blueprint.Horizontal(
                 blueprint.TimeSeriesView(origin="distance", name="Distance, mm"),
+                blueprint.TimeSeriesView(origin="residuals", name="Residuals of a fit, σ"),
                 blueprint.TextLogView(origin="status", name="Doubts"),
-                column_shares=[3, 1],
+                column_shares=[3, 2, 1],
             ),
             row_shares=[3, 2],
         )
