@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import signal
 import socket
@@ -23,7 +24,14 @@ import pytest
 from estimator import Frame, Reason, Source, Spot
 from estimator.console import Session, exposure_advice
 from estimator.console.picture import tip_px
-from estimator.files import read_microscope, read_spots, read_stack
+from estimator.files import (
+    Pose,
+    PoseTrack,
+    read_microscope,
+    read_poses,
+    read_spots,
+    read_stack,
+)
 from estimator.image import NoSpot, Response
 from estimator.run import Options
 from estimator.sources import open_source
@@ -123,6 +131,36 @@ def test_frames_that_are_recorded_in_a_bag_are_measured_again(tmp_path: Path) ->
     assert [frame.time_s for frame in frames] == [1e-9, 1 / 50]
     for frame, radius in zip(frames, (20, 21), strict=True):
         np.testing.assert_array_equal(frame.image, disc(radius))
+
+
+def withdrawn() -> PoseTrack:
+    """A tool that withdraws by 1 mm/s along its axis, at 200 Hz, longer than the recording."""
+    return PoseTrack(
+        Pose.along((0.6, 0.0, -0.8), time_s=n / 200, position_mm=(-0.003 * n, 0.0, 0.004 * n))
+        for n in range(-100, 200)
+    )
+
+
+def test_the_robots_reading_and_its_poses_are_recorded(tmp_path: Path) -> None:
+    session = Session(recording, Options().reader(), poses=withdrawn())
+    try:
+        wait_until(lambda: session.at_end, "the end of the recording")
+        # Frames at 50 Hz; 1 mm/s.
+        robot = [moment.robot_mm for moment in session.course]
+        assert robot == pytest.approx([n / 50 for n in range(20)], abs=1e-9)
+        session.start_recording(tmp_path / "session.bag")
+        session.seek(10)
+        wait_until(lambda: shown(session)[0] == 10, "frame 10")
+        session.step(2)
+        wait_until(lambda: shown(session)[0] == 12, "frame 12")
+        session.stop_recording()
+        assert session.recording_fault == ""
+    finally:
+        session.close()
+    assert [f.time_s for f in open_source(tmp_path / "session.bag")] == [0.2, 0.22, 0.24]
+    # From 0.1 s before the first frame to the last one.
+    times = [pose.time_s for pose in read_poses(tmp_path / "session.bag")]
+    assert times == pytest.approx([0.1 + n / 200 for n in range(29)], abs=1e-6)
 
 
 def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path) -> None:
@@ -278,6 +316,7 @@ def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(
 ) -> None:
     calibration = str(calibrated(tmp_path, "exact"))
     command = ["eyespot.py", "console", str(stack), "--calibration", calibration]
+    command += ["--poses", str(stack / "kinematics.csv"), "--eye-from-robot", "0,0,0,1"]
     command += ["--folder", str(tmp_path), "--port", "{port}"]
     with console(*command, log=tmp_path / "log") as address:
         page, other = browser.new_page(), browser.new_page()
@@ -301,6 +340,10 @@ def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(
         # 0.1 px of 1 px blurred edge is 0.0134 * 20 * 0.1 = 0.027 mm; the page rounds to 0.01.
         distance = float(text(page, "distance").split()[0])
         assert distance == pytest.approx(label.d_mm, abs=0.032)
+        # The interval is rounded to 0.01 mm.
+        interval = re.findall(r"\d\.\d\d", text(page, "worth"))
+        low, high = (float(end) for end in interval)
+        assert low - 0.005 <= label.d_mm <= high + 0.005
         wait_until(lambda: text(other, "distance") == text(page, "distance"), "the other window")
         assert text(other, "where") == text(page, "where")
 

@@ -37,6 +37,14 @@ def console(
         str | None,
         typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
     ] = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Robot poses (CSV or ROS bag), on the clock of SOURCE."),
+    ] = None,
+    pose_topic: Annotated[
+        str | None,
+        typer.Option(help="Pose topic of a bag that has several, none of them the rig's."),
+    ] = None,
     folder: Annotated[
         Path, typer.Option(metavar="DIR", help="Where the page records spots and frames.")
     ] = Path(),
@@ -51,6 +59,7 @@ def console(
 
     Ctrl-C ends it.
     """
+    from estimator.files import read_poses
     from estimator.sources import open_source
 
     try:
@@ -63,6 +72,16 @@ def console(
 
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder. Make it, or choose another one.")
+    if poses is None:
+        for name, value in (
+            ("pose_topic", pose_topic),
+            ("eye_from_robot", options["eye_from_robot"]),
+        ):
+            if value is not None:
+                raise InputError(f"{name} has no effect without poses. Give both, or neither.")
+    elif source.startswith(_TOPIC):
+        raise InputError("poses are of a recording; of a topic the console shows images only.")
+    track = read_poses(poses, topic=pose_topic) if poses else None
     if source.startswith(_TOPIC):
         from estimator.rig import open_topic
 
@@ -75,4 +94,6 @@ def console(
     print(f"The console is at http://{host}:{port}. Ctrl-C ends it.", flush=True)
     if token is not None:
         print(f"Other machines need this token: {token}", flush=True)
-    serve(opened, Options.of(options), folder=folder, host=host, port=port, token=token)
+    serve(
+        opened, Options.of(options), folder=folder, host=host, port=port, token=token, poses=track
+    )

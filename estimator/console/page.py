@@ -16,6 +16,7 @@ from estimator.console.gate import Gate
 from estimator.console.picture import svg_of
 from estimator.console.session import COURSE_S, Session, View
 from estimator.distance import Budget
+from estimator.files import PoseTrack
 from estimator.image import NoSpot
 from estimator.run import Options
 from estimator.sources import Source
@@ -33,6 +34,7 @@ def serve(
     host: str,
     port: int,
     token: str | None,
+    poses: PoseTrack | None = None,
 ) -> None:
     """Serve the page until Ctrl-C.
 
@@ -43,6 +45,7 @@ def serve(
         host: address to listen on.
         port: to listen on.
         token: that the page asks for; None for none.
+        poses: of the robot, on the clock of a recording; None without.
 
     Raises:
         InputError: options, files or the source are wrong.
@@ -50,7 +53,7 @@ def serve(
     """
     microscope = options.microscope_file()
     response = microscope.response if microscope else None
-    session = Session(open_, options.reader(), response=response)
+    session = Session(open_, options.reader(), response=response, poses=poses)
 
     @app.get("/frame/{version}")
     def frame(version: int) -> Reply:
@@ -190,6 +193,8 @@ class Page:
     def _update_course(self) -> None:
         course = self._session.course
         now = course[-1].time_s if course else 0.0
+        # The robot knows by how much, not from where: it starts at the first distance.
+        offset = next((o for m in course if not math.isnan(o := m.distance_mm - m.robot_mm)), 0.0)
 
         def points(value: Callable[[Any], float]) -> list[list[float | None]]:
             values = [(m.time_s - now, value(m)) for m in course]
@@ -200,6 +205,7 @@ class Page:
             lambda m: m.distance_mm - m.sigma_mm,
             lambda m: m.distance_mm + m.sigma_mm,
             lambda m: m.radius_px,
+            lambda m: m.robot_mm + offset,
         )
         for series, line in zip(self._chart.options["series"], lines, strict=True):
             series["data"] = points(line)
@@ -259,7 +265,7 @@ def _calibration_of(options: Options) -> str:
 
 
 def _chart() -> dict[str, Any]:
-    """Distance with its σ, and radius, against the seconds before now."""
+    """Distance with its σ, by the robot, and radius, against the seconds before now."""
     thin = {"width": 1, "type": "dotted"}
     line = {"type": "line", "showSymbol": False, "data": []}
     # Readable on white and on black.
@@ -275,7 +281,7 @@ def _chart() -> dict[str, Any]:
         "animation": False,
         "grid": {"left": 60, "right": 60, "top": 34, "bottom": 30},
         "legend": {
-            "data": ["distance, mm", "radius, px"],
+            "data": ["distance, mm", "by the robot, mm", "radius, px"],
             "top": 0,
             "textStyle": {"color": "#888"},
         },
@@ -286,5 +292,6 @@ def _chart() -> dict[str, Any]:
             {**line, "name": "− σ", "color": "#2a9d3f", "lineStyle": thin},
             {**line, "name": "+ σ", "color": "#2a9d3f", "lineStyle": thin},
             {**line, "name": "radius, px", "color": "#3b82d6", "yAxisIndex": 1},
+            {**line, "name": "by the robot, mm", "color": "#d9822b"},
         ],
     }

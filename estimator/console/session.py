@@ -15,8 +15,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from estimator.console.recorders import Write, recorder
+from estimator.files import Pose, PoseTrack
 from estimator.image import Response, Spot, rgb_8bit
 from estimator.run import Reader, Reading
 from estimator.sources import Frame, Source
@@ -68,12 +70,15 @@ class Moment:
         distance_mm: measured.
         sigma_mm: of the distance.
         radius_px: semi-minor axis.
+        robot_mm: how far the robot says that the tip has withdrawn along the tool since the first
+            pose that was used.
     """
 
     time_s: float
     distance_mm: float
     sigma_mm: float
     radius_px: float
+    robot_mm: float = math.nan
 
 
 class Session:
@@ -83,16 +88,24 @@ class Session:
         open_: opens the source; a live source is opened again after it was lost.
         reader: new.
         response: of the camera.
+        poses: of the robot, on the clock of a recording; None without.
 
     Raises:
         InputError: the source cannot be opened.
     """
 
     def __init__(
-        self, open_: Callable[[], Source], reader: Reader, *, response: Response | None = None
+        self,
+        open_: Callable[[], Source],
+        reader: Reader,
+        *,
+        response: Response | None = None,
+        poses: PoseTrack | None = None,
     ) -> None:
         self.source = open_()
         self._open, self._reader, self._response = open_, reader, response or Response()
+        self._poses = poses or PoseTrack(())
+        self._home: Pose | None = None  # the first pose that was used
         self.view: View | None = None
         self.fault = ""
         """What is wrong with the source; empty if it is fine."""
@@ -162,7 +175,7 @@ class Session:
         """
         self.stop_recording()
         with self._record:
-            self._write = self._file.enter_context(recorder(path, self.mode))
+            self._write = self._file.enter_context(recorder(path, self.mode, self._poses))
             self.recording, self.recorded, self.recording_fault = path, 0, ""
 
     def stop_recording(self) -> None:
@@ -249,6 +262,7 @@ class Session:
             frame.image,
             time_s=frame.time_s,
             exposure_s=frame.exposure_s,
+            poses=self._poses,
             name=f"{self.source.name}, frame {frame.index}",
         )
         self._remember(frame, reading, arrived_s)
@@ -281,6 +295,19 @@ class Session:
         radius = spot.semi_minor_px if isinstance(spot, Spot) else math.nan
         if self._course and time_s < self._course[-1].time_s:
             self._course.clear()  # the clock was set back
-        self._course.append(Moment(time_s, reading.distance_mm, reading.sigma_distance_mm, radius))
+        robot = self._withdrawn_mm(frame.time_s)
+        self._course.append(
+            Moment(time_s, reading.distance_mm, reading.sigma_distance_mm, radius, robot)
+        )
         while self._course[0].time_s < time_s - COURSE_S:
             self._course.popleft()
+
+    def _withdrawn_mm(self, time_s: float) -> float:
+        """How far the tip has withdrawn along the tool since the first pose that was used."""
+        known = self._poses.at(time_s)
+        if known is None:
+            return math.nan
+        self._home = self._home or known[0]
+        home = self._home
+        moved = np.subtract(known[0].position_mm, home.position_mm)
+        return -float(moved @ np.array(home.axis))
