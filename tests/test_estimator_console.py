@@ -142,7 +142,7 @@ def withdrawn() -> PoseTrack:
 
 
 def test_the_robots_reading_and_its_poses_are_recorded(tmp_path: Path) -> None:
-    session = Session(recording, Options().reader(), poses=withdrawn())
+    session = Session(recording, Options().reader(), poses=withdrawn)
     try:
         wait_until(lambda: session.at_end, "the end of the recording")
         # Frames at 50 Hz; 1 mm/s.
@@ -158,9 +158,9 @@ def test_the_robots_reading_and_its_poses_are_recorded(tmp_path: Path) -> None:
     finally:
         session.close()
     assert [f.time_s for f in open_source(tmp_path / "session.bag")] == [0.2, 0.22, 0.24]
-    # From 0.1 s before the first frame to the last one.
+    # After 0.1 s before the first frame, to the last one.
     times = [pose.time_s for pose in read_poses(tmp_path / "session.bag")]
-    assert times == pytest.approx([0.1 + n / 200 for n in range(29)], abs=1e-6)
+    assert times == pytest.approx([0.105 + n / 200 for n in range(28)], abs=1e-6)
 
 
 def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path) -> None:

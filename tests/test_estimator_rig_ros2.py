@@ -239,6 +239,7 @@ def test_a_topic_is_a_source_that_says_when_images_stop(
     assert len(read["digests"]) > len(true) / 2
     assert "nobody publishes it" in read["faults"][0]
     assert read["faults"][-1].startswith(f"no image on {IMAGES}")
+    assert read["poses"] > 0
     print(
         f"{Path(python).parts[-3]}: {len(read['digests'])} of {len(true)} frames read as a source"
     )

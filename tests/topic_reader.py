@@ -11,13 +11,14 @@ import os
 import sys
 from pathlib import Path
 
-from estimator.rig import open_topic
+from estimator.rig import RecentPoses, open_topic
 from optics import InputError
 
 
 def main(topic: str, out: Path) -> None:
-    """Read until the images that have come stop; note each image's time and digest."""
-    source = open_topic(topic)
+    """Read until the images that have come stop; note images' times and digests, and the poses."""
+    poses = RecentPoses()
+    source = open_topic(topic, poses=poses)
     digests: dict[int, str] = {}
     faults: list[str] = []
     while not digests:
@@ -28,7 +29,7 @@ def main(topic: str, out: Path) -> None:
                 ).hexdigest()
         except InputError as error:
             faults.append(f"{error}")
-    out.write_text(json.dumps({"digests": digests, "faults": faults}))
+    out.write_text(json.dumps({"digests": digests, "faults": faults, "poses": len(poses.track())}))
     os._exit(0)  # ROS's threads go on
 
 

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from estimator.files import POSE_TOPIC
 from estimator.run import Options, with_options
 from optics import InputError
 
 if TYPE_CHECKING:
+    from estimator.files import PoseTrack
     from estimator.sources import Source
 
 _TOPIC = "topic:"
@@ -43,7 +45,9 @@ def console(
     ] = None,
     pose_topic: Annotated[
         str | None,
-        typer.Option(help="Pose topic of a bag that has several, none of them the rig's."),
+        typer.Option(
+            help="Pose topic of a running ROS or of a bag that has several, if not the rig's."
+        ),
     ] = None,
     folder: Annotated[
         Path, typer.Option(metavar="DIR", help="Where the page records spots and frames.")
@@ -72,24 +76,18 @@ def console(
 
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder. Make it, or choose another one.")
-    if poses is None:
-        for name, value in (
-            ("pose_topic", pose_topic),
-            ("eye_from_robot", options["eye_from_robot"]),
-        ):
-            if value is not None:
-                raise InputError(f"{name} has no effect without poses. Give both, or neither.")
-    elif source.startswith(_TOPIC):
-        raise InputError("poses are of a recording; of a topic the console shows images only.")
-    track = read_poses(poses, topic=pose_topic) if poses else None
+    track: Callable[[], PoseTrack] | None
     if source.startswith(_TOPIC):
-        from estimator.rig import open_topic
-
-        live = open_topic(source.removeprefix(_TOPIC))
-        opened: Callable[[], Source] = lambda: live  # noqa: E731
+        opened, track = _topic(source.removeprefix(_TOPIC), poses, pose_topic)
     else:
+        if pose_topic is not None and poses is None:
+            raise InputError("pose_topic has no effect without poses. Give both, or neither.")
         opened = partial(open_source, source, exposure=exposure, image_topic=image_topic)
         options["microscope"] = options["microscope"] or opened().microscope_file
+        known = read_poses(poses, topic=pose_topic) if poses else None
+        track = (lambda: known) if known is not None else None
+    if options["eye_from_robot"] is not None and track is None:
+        raise InputError("eye_from_robot has no effect without poses. Give both, or neither.")
     token = None if is_loopback(host) else secrets.token_urlsafe(9)
     print(f"The console is at http://{host}:{port}. Ctrl-C ends it.", flush=True)
     if token is not None:
@@ -97,3 +95,16 @@ def console(
     serve(
         opened, Options.of(options), folder=folder, host=host, port=port, token=token, poses=track
     )
+
+
+def _topic(
+    topic: str, poses: Path | None, pose_topic: str | None
+) -> tuple[Callable[[], Source], Callable[[], PoseTrack]]:
+    """The source of a topic, and the poses that arrive."""
+    from estimator.rig import RecentPoses, open_topic
+
+    if poses is not None:
+        raise InputError("poses are of a recording. Those of a running ROS have a --pose-topic.")
+    recent = RecentPoses()
+    live = open_topic(topic, poses=recent, pose_topic=pose_topic or POSE_TOPIC)
+    return lambda: live, recent.track

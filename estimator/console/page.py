@@ -34,7 +34,7 @@ def serve(
     host: str,
     port: int,
     token: str | None,
-    poses: PoseTrack | None = None,
+    poses: Callable[[], PoseTrack] | None = None,
 ) -> None:
     """Serve the page until Ctrl-C.
 
@@ -45,7 +45,7 @@ def serve(
         host: address to listen on.
         port: to listen on.
         token: that the page asks for; None for none.
-        poses: of the robot, on the clock of a recording; None without.
+        poses: as of `Session`.
 
     Raises:
         InputError: options, files or the source are wrong.

@@ -88,7 +88,7 @@ class Session:
         open_: opens the source; a live source is opened again after it was lost.
         reader: new.
         response: of the camera.
-        poses: of the robot, on the clock of a recording; None without.
+        poses: gives the robot's poses that are known now, on the clock of the source; None without.
 
     Raises:
         InputError: the source cannot be opened.
@@ -100,11 +100,11 @@ class Session:
         reader: Reader,
         *,
         response: Response | None = None,
-        poses: PoseTrack | None = None,
+        poses: Callable[[], PoseTrack] | None = None,
     ) -> None:
         self.source = open_()
         self._open, self._reader, self._response = open_, reader, response or Response()
-        self._poses = poses or PoseTrack(())
+        self._poses = poses or (lambda: PoseTrack(()))
         self._home: Pose | None = None  # the first pose that was used
         self.view: View | None = None
         self.fault = ""
@@ -175,7 +175,7 @@ class Session:
         """
         self.stop_recording()
         with self._record:
-            self._write = self._file.enter_context(recorder(path, self.mode, self._poses))
+            self._write = self._file.enter_context(recorder(path, self.mode))
             self.recording, self.recorded, self.recording_fault = path, 0, ""
 
     def stop_recording(self) -> None:
@@ -257,16 +257,16 @@ class Session:
         return self._ended or not self.paused or self._steps > 0 or asked
 
     def _measure(self, frame: Frame, number: int) -> None:
-        arrived_s, expected = time.time(), self._reader.expected_px
+        arrived_s, expected, poses = time.time(), self._reader.expected_px, self._poses()
         reading = self._reader.read(
             frame.image,
             time_s=frame.time_s,
             exposure_s=frame.exposure_s,
-            poses=self._poses,
+            poses=poses,
             name=f"{self.source.name}, frame {frame.index}",
         )
-        self._remember(frame, reading, arrived_s)
-        self._add_to_recording(frame, reading, arrived_s)
+        self._remember(frame, reading, arrived_s, poses)
+        self._add_to_recording(frame, reading, arrived_s, poses)
         self.view = View(
             version=self.view.version + 1 if self.view else 0,
             number=number,
@@ -277,34 +277,36 @@ class Session:
             response=self._response,
         )
 
-    def _add_to_recording(self, frame: Frame, reading: Reading, arrived_s: float) -> None:
+    def _add_to_recording(
+        self, frame: Frame, reading: Reading, arrived_s: float, poses: PoseTrack
+    ) -> None:
         """Record a frame; a disk that fails ends the recording, not the measurement."""
         with self._record:
             if self._write is None:
                 return
             try:
-                self._write(frame, reading, arrived_s)
+                self._write(frame, reading, arrived_s, poses)
                 self.recorded += 1
             except (InputError, OSError) as error:
                 self.stop_recording()
                 self.recording_fault = f"{error}"
 
-    def _remember(self, frame: Frame, reading: Reading, arrived_s: float) -> None:
+    def _remember(self, frame: Frame, reading: Reading, arrived_s: float, poses: PoseTrack) -> None:
         time_s = arrived_s if math.isnan(frame.time_s) else frame.time_s
         spot = reading.result
         radius = spot.semi_minor_px if isinstance(spot, Spot) else math.nan
         if self._course and time_s < self._course[-1].time_s:
             self._course.clear()  # the clock was set back
-        robot = self._withdrawn_mm(frame.time_s)
+        robot = self._withdrawn_mm(poses, frame.time_s)
         self._course.append(
             Moment(time_s, reading.distance_mm, reading.sigma_distance_mm, radius, robot)
         )
         while self._course[0].time_s < time_s - COURSE_S:
             self._course.popleft()
 
-    def _withdrawn_mm(self, time_s: float) -> float:
+    def _withdrawn_mm(self, poses: PoseTrack, time_s: float) -> float:
         """How far the tip has withdrawn along the tool since the first pose that was used."""
-        known = self._poses.at(time_s)
+        known = poses.at(time_s)
         if known is None:
             return math.nan
         self._home = self._home or known[0]

@@ -114,6 +114,11 @@ class PoseTrack:
     def __iter__(self) -> Iterator[Pose]:
         return iter(self._poses)
 
+    def between(self, after_s: float, until_s: float) -> list[Pose]:
+        """The poses after one time, up to another."""
+        begin, end = (bisect.bisect_right(self._times, time_s) for time_s in (after_s, until_s))
+        return self._poses[begin:end]
+
     def at(self, time_s: float) -> tuple[Pose, float] | None:
         """The pose that was known at a time.
 

@@ -13,14 +13,13 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from estimator.files import POSE_TOPIC, Pose, PoseTrack
+from estimator.files import POSE_TOPIC
 from estimator.image import NoSpot, Reason, Spot
+from estimator.rig.recent_poses import RecentPoses
 from estimator.run import Options, Reading, internal_errors
 from estimator.sources import IMAGE_TOPIC, Frame, frame_of_message
 from estimator.viewer import recording_of
 from optics import InputError
-
-POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node sooner
 
 
 class Parameters(Options):
@@ -96,7 +95,7 @@ class Rig:
     def __init__(self, parameters: Parameters, show: Show | None = None) -> None:
         self._reader = parameters.reader()
         self._show = show
-        self._poses: tuple[Pose, ...] = ()
+        self._poses = RecentPoses()
         self._number: int | None = None  # the publisher's, of the last image
         self._measured = 0
         self._skipped = 0
@@ -111,16 +110,7 @@ class Rig:
         Raises:
             InputError: its rotation is no unit quaternion, or a number is not finite.
         """
-        position, turn = message.translation, message.rotation
-        pose = Pose(
-            time_s=received_s,
-            position_mm=(position.x, position.y, position.z),
-            rotation=(turn.x, turn.y, turn.z, turn.w),
-        )
-        # Poses arrive in another thread. A tuple is replaced as a whole, never half changed.
-        kept = self._poses[1 - POSES_KEPT :]
-        # A recording that begins anew sets the clock back; the older poses lie in its future.
-        self._poses = (pose,) if kept and received_s < kept[-1].time_s else (*kept, pose)
+        self._poses.take(message, received_s)
 
     def output(self, message: Any, time_s: float, number: int) -> Output:
         """Measure an image; one that cannot be measured gives an output that says why.
@@ -135,7 +125,7 @@ class Rig:
         reading, fault = Reading(NoSpot(Reason.INTERNAL_ERROR), None, math.nan), ""
         try:
             image = frame_of_message(message)
-            poses = PoseTrack(self._poses)
+            poses = self._poses.track()
             reading = self._reader.read(image, time_s=time_s, poses=poses, name=name)
             if self._show is not None:
                 self._show(Frame(index=number, file_name="", time_s=time_s, image=image), reading)

@@ -11,7 +11,8 @@ from typing import Any
 
 from estimator.files import stamp_s
 from estimator.rig.messages import message_types, messages_of, silence_message, topics_of
-from estimator.rig.rig import POSES_KEPT, Doubt, Parameters, Rig, opened_rig
+from estimator.rig.recent_poses import POSES_KEPT
+from estimator.rig.rig import Doubt, Parameters, Rig, opened_rig
 from estimator.rig.silence import PERIOD_S, Silence
 from optics import InputError
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable, Collection, Iterator
 from itertools import count
 from typing import Any
 
-from estimator.files import stamp_s
+from estimator.files import POSE_TOPIC, stamp_s
 from estimator.rig.generation import is_ros2
+from estimator.rig.recent_poses import POSES_KEPT, RecentPoses
 from estimator.rig.ros1 import BUFFER_BYTES, imported_rospy
 from estimator.rig.silence import PERIOD_S, Silence
 from estimator.sources import Frame, Source, frame_of_message
@@ -17,19 +19,23 @@ from optics import InputError
 _NAME = "eyespot_console"
 
 
-def open_topic(topic: str) -> Source:
+def open_topic(
+    topic: str, *, poses: RecentPoses | None = None, pose_topic: str = POSE_TOPIC
+) -> Source:
     """Subscribe to a topic; the source gives the newest image, and skips those that it misses.
 
     Reading raises an InputError, with the cause, where images stop; read again for the next ones.
 
     Args:
         topic: of `sensor_msgs/Image`.
+        poses: take the poses of the robot, at their time of arrival; None for no poses.
+        pose_topic: of `geometry_msgs/Transform`, mm.
 
     Raises:
         InputError: ROS is not installed, or this is no topic's name.
     """
     newest = _Newest()
-    types = (_subscribed_ros2 if is_ros2() else _subscribed_ros1)(topic, newest)
+    types = (_subscribed_ros2 if is_ros2() else _subscribed_ros1)(topic, newest, poses, pose_topic)
 
     def read() -> Iterator[Frame]:
         silence = Silence(topic)
@@ -66,28 +72,51 @@ class _Newest:
         return message
 
 
-def _subscribed_ros1(topic: str, newest: _Newest) -> Callable[[], Collection[str]]:
+def _taking(poses: RecentPoses, clock: Callable[[], float]) -> Callable[[Any], None]:
+    """Takes a message; one that is no pose is left out, and the poses before it stay."""
+
+    def take(message: Any) -> None:
+        with contextlib.suppress(InputError):
+            poses.take(message, clock())
+
+    return take
+
+
+def _subscribed_ros1(
+    topic: str, newest: _Newest, poses: RecentPoses | None, pose_topic: str
+) -> Callable[[], Collection[str]]:
     rospy = imported_rospy()
+    from geometry_msgs.msg import Transform
     from sensor_msgs.msg import Image
 
     rospy.init_node(_NAME, anonymous=True, disable_signals=True)
     rospy.Subscriber(topic, Image, newest.put, queue_size=1, buff_size=BUFFER_BYTES)
+    if poses is not None:
+        take = _taking(poses, rospy.get_time)
+        rospy.Subscriber(pose_topic, Transform, take, queue_size=POSES_KEPT)
     name = rospy.resolve_name(topic)
     return lambda: [kind for other, kind in rospy.get_published_topics() if other == name]
 
 
-def _subscribed_ros2(topic: str, newest: _Newest) -> Callable[[], Collection[str]]:
+def _subscribed_ros2(
+    topic: str, newest: _Newest, poses: RecentPoses | None, pose_topic: str
+) -> Callable[[], Collection[str]]:
     import rclpy
+    from geometry_msgs.msg import Transform
     from rclpy.qos import QoSProfile, QoSReliabilityPolicy
     from sensor_msgs.msg import Image
 
     from estimator.rig.ros2 import check_topics
 
-    check_topics(topic)
+    check_topics(topic, pose_topic)
     # The program ends by its own handlers of signals.
     rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     node = rclpy.create_node(_NAME)
     qos = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
     node.create_subscription(Image, topic, newest.put, qos)
+    if poses is not None:
+        every = QoSProfile(depth=POSES_KEPT, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+        take = _taking(poses, lambda: node.get_clock().now().nanoseconds / 1e9)
+        node.create_subscription(Transform, pose_topic, take, every)
     threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
     return lambda: [about.topic_type for about in node.get_publishers_info_by_topic(topic)]

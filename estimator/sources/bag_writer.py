@@ -52,6 +52,19 @@ def write_bag(
         InputError: the file exists, a time is not positive (ROS reads 0 as no time: add an
             offset to frames and poses alike), or an image is of floats.
     """
+    in_time = cast(Iterator[Frame | Pose], heapq.merge(frames, poses, key=attrgetter("time_s")))
+    write_messages(path, in_time, ros=ros, image_topic=image_topic, pose_topic=pose_topic)
+
+
+def write_messages(
+    path: str | Path,
+    messages: Iterable[Frame | Pose],
+    *,
+    ros: Literal[1, 2] = 1,
+    image_topic: str = IMAGE_TOPIC,
+    pose_topic: str = POSE_TOPIC,
+) -> None:
+    """Write a bag of frames and poses that come in the order of time, as `write_bag`."""
     path = Path(path)
     version = _ros(ros)
     # ROS 2 names the file inside a bag after the bag; here both have the bag's own name already.
@@ -59,8 +72,7 @@ def write_bag(
         types = version.types
         image_connection = writer.add_connection(image_topic, IMAGE_MESSAGES[0], typestore=types)
         pose_connection = writer.add_connection(pose_topic, POSE_MESSAGES[0], typestore=types)
-        in_time = cast(Iterator[Frame | Pose], heapq.merge(frames, poses, key=attrgetter("time_s")))
-        for item in in_time:
+        for item in messages:
             time_ns = _nanoseconds(item.time_s)
             if isinstance(item, Pose):
                 connection, message = pose_connection, _transform(item, types)
