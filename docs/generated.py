@@ -10,7 +10,8 @@ import inspect
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 import typer
 from pydantic import BaseModel
@@ -19,7 +20,7 @@ from typer.cli import get_docs_for_click
 import eyespot
 from calibration.command.remedies import Fault, remedy
 from estimator import Reason
-from estimator.distance import RangeFlag
+from estimator.distance import Cause, RangeFlag
 from scenes import Scene
 
 _FILES = {
@@ -116,10 +117,11 @@ def _files(folder: Path) -> Iterator[str]:
         yield f"\n## {title}\n"
         module = importlib.import_module(place.partition(":")[0])
         yield inspect.cleandoc(module.__doc__ or "").splitlines()[0] + "\n"
-        yield "| key | type | required |"
-        yield "|---|---|---|"
-        for key, (type_name, required) in _keys(kind):
-            yield f"| `{key}` | `{_cell(type_name)}` | {'yes' if required else ''} |"
+        yield "| key | type | required | meaning |"
+        yield "|---|---|---|---|"
+        for key, type_name, required, meaning in _keys(kind):
+            must = "yes" if required else ""
+            yield f"| `{key}` | `{_cell(type_name)}` | {must} | {_cell(meaning)} |"
     yield "\n## Spots (CSV or Parquet)\n"
     spots = importlib.import_module("estimator.files.spots")
     yield inspect.cleandoc(spots.__doc__ or "") + "\n\nColumns, in this order: "
@@ -129,18 +131,28 @@ def _files(folder: Path) -> Iterator[str]:
     yield "{download}`scene.schema.json <scene.schema.json>`."
 
 
-def _keys(kind: Any) -> Iterator[tuple[str, tuple[str, bool]]]:
-    """Names, types and whether they are required, of a pydantic model or a dataclass."""
+def _keys(kind: Any) -> Iterator[tuple[str, str, bool, str]]:
+    """Names, types, whether required, and meanings, of a pydantic model or a dataclass."""
     if issubclass(kind, BaseModel):
         for name, field in kind.model_fields.items():
-            known = (_type_name(field.annotation), field.is_required())
-            yield field.alias or name, known
+            about = field.description or ""
+            yield field.alias or name, _type_name(field.annotation), field.is_required(), about
         return
     for name, field in kind.__dataclass_fields__.items():
-        yield name, (str(field.type), field.default is not field.default)
+        yield name, str(field.type), field.default is not field.default, ""
 
 
 def _type_name(annotation: Any) -> str:
+    """A type without its ranges, which error messages name."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _type_name(parts[0])
+    if origin in (Union, UnionType):
+        return " | ".join(_type_name(part) for part in parts)
+    if origin in (list, dict, tuple):
+        return f"{origin.__name__}[{', '.join(_type_name(part) for part in parts)}]"
+    if annotation is type(None):
+        return "None"
     return annotation.__name__ if inspect.isclass(annotation) else str(annotation)
 
 
@@ -153,6 +165,9 @@ def _messages() -> Iterator[str]:
     yield from _rows({reason.value: reason.meaning for reason in Reason})
     yield "\n## Why a distance is doubtful\n"
     yield from _rows({flag.value: flag.meaning for flag in RangeFlag})
+    yield "\n## What makes a distance uncertain\n"
+    yield "The column `largest_cause` of a spots file, and the node's diagnostics.\n"
+    yield from _rows({cause.value: cause.meaning for cause in Cause})
     yield "\n## Why a fit is not good\n"
     yield "What `eyespot fit` says to try, by the model that was fitted.\n"
     yield "| criterion | model | try |"
