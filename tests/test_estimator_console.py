@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import re
 import shutil
@@ -22,11 +23,12 @@ import numpy as np
 import pytest
 
 from estimator import Frame, Reason, Source, Spot
-from estimator.console import Session, exposure_advice
+from estimator.console import Guide, Session, Stage, exposure_advice
 from estimator.console.picture import tip_px
 from estimator.files import (
     Pose,
     PoseTrack,
+    read_calibration,
     read_microscope,
     read_poses,
     read_spots,
@@ -128,7 +130,8 @@ def test_frames_that_are_recorded_in_a_bag_are_measured_again(tmp_path: Path) ->
         session.stop_recording()
         assert session.recording_fault == ""
     frames = list(open_source(tmp_path / "session.bag"))
-    assert [frame.time_s for frame in frames] == [1e-9, 1 / 50]
+    # ROS reads 0 as no time, so such a clock is set forward by 1 s.
+    assert [frame.time_s for frame in frames] == [1.0, 1.02]
     for frame, radius in zip(frames, (20, 21), strict=True):
         np.testing.assert_array_equal(frame.image, disc(radius))
 
@@ -157,10 +160,49 @@ def test_the_robots_reading_and_its_poses_are_recorded(tmp_path: Path) -> None:
         assert session.recording_fault == ""
     finally:
         session.close()
-    assert [f.time_s for f in open_source(tmp_path / "session.bag")] == [0.2, 0.22, 0.24]
-    # After 0.1 s before the first frame, to the last one.
+    assert [f.time_s for f in open_source(tmp_path / "session.bag")] == [1.2, 1.22, 1.24]
+    # From 0.1 s before the first frame to 0.01 s after the last one.
     times = [pose.time_s for pose in read_poses(tmp_path / "session.bag")]
-    assert times == pytest.approx([0.105 + n / 200 for n in range(28)], abs=1e-6)
+    assert times == pytest.approx([1.105 + n / 200 for n in range(30)], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_withdrawal_is_covered_fitted_and_saved(stack: Path, tmp_path: Path) -> None:
+    poses = read_poses(stack / "kinematics.csv")
+    microscope = stack / "microscope.json"
+    session = Session(
+        lambda: open_source(stack),
+        Options(microscope=microscope).reader(),
+        poses=lambda: poses,
+    )
+    guide = Guide(session, tmp_path, microscope)
+    try:
+        wait_until(lambda: session.at_end, "the end of the recording")
+        guide.start()
+        guide.look()
+        assert (guide.stage, guide.spots, guide.enough) == (Stage.WITHDRAWING, 0, False)
+        session.pause(False)  # from the beginning
+        wait_until(lambda: not session.at_end, "the beginning")
+        wait_until(lambda: session.at_end, "the end again")
+        guide.look()
+        # 12 frames over 4 mm; the instrument hides the first spots.
+        assert guide.enough
+        assert 8 <= guide.spots <= 12
+        assert 3.0 <= guide.covered_mm <= 4.0
+        guide.fit(phantom="eyeball", medium="air")
+        deadline = time.monotonic() + 300
+        while guide.stage is Stage.FITTING and time.monotonic() < deadline:
+            guide.look()
+            time.sleep(0.2)
+        assert guide.stage is Stage.SAVED, guide.said
+        saved = read_calibration(guide.file)
+        # The scene's k is 20, and its errors are those of the fit.
+        angle, sigma = saved.values["half_angle"], saved.sigma("half_angle")
+        assert angle == pytest.approx(math.atan(1 / 20), abs=4 * sigma)
+        assert guide.file.with_suffix(".html").is_file()
+    finally:
+        guide.close()
+        session.close()
 
 
 def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path) -> None:
@@ -361,6 +403,38 @@ def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(
         page.reload()
         wait_until(lambda: text(page, "distance") == text(other, "distance"), "the page again")
         assert "frame 10 of 12" in text(page, "where")
+
+
+@pytest.mark.slow
+def test_a_calibration_is_guided_to_its_report(browser: Any, stack: Path, tmp_path: Path) -> None:
+    command = ["eyespot.py", "console", str(stack), "--poses", str(stack / "kinematics.csv")]
+    command += ["--folder", str(tmp_path), "--port", "{port}"]
+    with console(*command, log=tmp_path / "log") as address:
+        page = browser.new_page()
+        page.goto(address)
+        wait_until(lambda: "frame 12 of 12" in text(page, "where"), "the last frame")
+        page.get_by_text("Calibrate the beam").click()
+        page.get_by_text("a flat wall").click()
+        page.get_by_role("option", name="an eyeball").click()
+        fit = page.get_by_role("button", name="Fit", exact=True)
+        assert fit.is_disabled()
+        page.get_by_role("button", name="Start at contact").click()
+        wait_until(lambda: "0 spots" in text(page, "guide"), "the start")
+        page.get_by_role("button", name="Play", exact=True).click()
+        wait_until(fit.is_enabled, "enough spots")
+        wait_until(lambda: "frame 12 of 12" in text(page, "where"), "the last frame")
+        fit.click()
+        deadline = time.monotonic() + 300
+        while "Saved" not in text(page, "guide") and time.monotonic() < deadline:
+            time.sleep(0.5)
+        assert "Saved calibration-" in text(page, "guide"), text(page, "said")
+        assert "half_angle" in text(page, "said")
+        (saved,) = tmp_path.glob("calibration-*.json")
+        address = page.locator("a.report").get_attribute("href")
+        assert address == f"/report/{saved.stem}"
+        report = page.request.get(page.url + address.removeprefix("/"))
+        assert report.ok
+        assert "<html" in report.text()
 
 
 # Seconds from the end of the exposure to each picture that was painted, for three seconds.

@@ -13,6 +13,8 @@ from starlette.responses import Response as Reply
 
 from estimator.console.advice import exposure_advice
 from estimator.console.gate import Gate
+from estimator.console.guide import Guide
+from estimator.console.panel import CalibrationPanel
 from estimator.console.picture import svg_of
 from estimator.console.session import COURSE_S, Session, View
 from estimator.distance import Budget
@@ -61,9 +63,20 @@ def serve(
         content = session.view.jpeg() if session.view else b""
         return Reply(content, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
+    guide = Guide(session, folder, options.microscope)
+
+    @app.get("/report/{name}")
+    def report(name: str) -> Reply:
+        # The guide's own file, whatever name was asked for.
+        page = guide.file.with_suffix(".html")
+        if name != guide.file.stem or not page.is_file():
+            return Reply("there is no such report", status_code=404)
+        return Reply(page.read_bytes(), media_type="text/html")
+
     @ui.page("/")
     def page() -> None:
         Page(session, options, folder, lambda view: svg_of(view, microscope))
+        CalibrationPanel(guide)
 
     app.add_middleware(Gate, token=token)
     try:
@@ -77,6 +90,7 @@ def serve(
             show_welcome_message=False,
         )
     finally:
+        guide.close()
         session.close()
 
 

@@ -18,7 +18,8 @@ from optics import InputError
 Write = Callable[[Frame, Reading, float, PoseTrack], None]
 
 _BEFORE_S = 0.1  # a velocity needs poses before the frame
-_EARLIEST_S = 1e-9  # ROS reads 0 as no time
+_AFTER_S = 0.01  # a pose after the last frame; less than the time between two frames
+_LATER_S = 1.0  # by so much a clock that begins at 0 is set forward: ROS reads 0 as no time
 _MOST_WAITING = 100  # frames; 90 MB of 640x480 RGB, ten seconds of the rig's camera
 
 
@@ -50,24 +51,22 @@ def recorder(path: Path, mode: str) -> Iterator[Write]:
 
 
 def _with_poses(write: Callable[[list[Frame | Pose]], None]) -> Write:
-    """Writes each frame after the poses since the frame before it, in the order of time."""
-    last_s = math.nan
+    """Writes each frame between the poses before and after it, in the order of time."""
+    written_s = offset_s = math.nan
 
     def write_frame(frame: Frame, _: Reading, arrived_s: float, poses: PoseTrack) -> None:
-        nonlocal last_s
-        timed = _timed(frame, arrived_s)
-        since = timed.time_s - _BEFORE_S if math.isnan(last_s) else last_s
-        new = poses.between(max(since, _EARLIEST_S), timed.time_s)
-        write([*new, timed])
-        last_s = timed.time_s
+        nonlocal written_s, offset_s
+        time_s = arrived_s if math.isnan(frame.time_s) else frame.time_s
+        if math.isnan(offset_s):
+            offset_s = _LATER_S if time_s < _LATER_S else 0.0
+            written_s = time_s - _BEFORE_S
+        before = poses.between(written_s, time_s)
+        after = poses.between(max(written_s, time_s), time_s + _AFTER_S)
+        messages: list[Frame | Pose] = [*before, replace(frame, time_s=time_s), *after]
+        write([replace(message, time_s=message.time_s + offset_s) for message in messages])
+        written_s = max(written_s, after[-1].time_s if after else time_s)
 
     return write_frame
-
-
-def _timed(frame: Frame, arrived_s: float) -> Frame:
-    """A frame with a time that a bag can contain: its own, or else that of its arrival."""
-    time_s = arrived_s if math.isnan(frame.time_s) else max(frame.time_s, _EARLIEST_S)
-    return replace(frame, time_s=time_s)
 
 
 @contextmanager

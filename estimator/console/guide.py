@@ -1,0 +1,154 @@
+"""A calibration guided by the console: withdraw from contact, see how much is covered, fit, save.
+
+The frames and poses of the withdrawal are recorded in a bag. `eyespot fit` fits it in a program of
+its own, because a fit takes half a minute and JAX.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from enum import Enum
+from pathlib import Path
+from typing import IO, Any
+
+from estimator.console.session import Moment, Session
+from optics import InputError
+
+FEWEST_SPOTS, LEAST_MM = 8, 3.0
+"""From here on a fit is worth trying: b and k separate over a withdrawal of 3 to 6 mm."""
+
+_FIT = "import eyespot; eyespot.main()"
+
+
+class Stage(Enum):
+    """Where a guided calibration is."""
+
+    IDLE = "idle"
+    WITHDRAWING = "withdrawing"
+    FITTING = "fitting"
+    SAVED = "saved"
+    REFUSED = "refused"
+
+
+class Guide:
+    """Guides one calibration after the other, for all windows of a session.
+
+    Args:
+        session: whose frames and poses are recorded.
+        folder: of the recordings and calibrations.
+        microscope: file of the session's microscope.
+    """
+
+    def __init__(self, session: Session, folder: Path, microscope: Path | None) -> None:
+        self._session, self._folder, self._microscope = session, folder, microscope
+        self.stage = Stage.IDLE
+        self.said = ""
+        """What `eyespot fit` said."""
+        self._bag = folder / "calibration.bag"
+        self._fit: subprocess.Popen[bytes] | None = None
+        self._log: IO[bytes] | None = None
+        self._last: Moment | None = None
+        self.spots, self._low_mm, self._high_mm = 0, math.inf, -math.inf
+
+    @property
+    def covered_mm(self) -> float:
+        """How far the spots reach so far, by the robot."""
+        return max(self._high_mm - self._low_mm, 0.0)
+
+    @property
+    def enough(self) -> bool:
+        """Whether a fit is worth trying."""
+        return self.spots >= FEWEST_SPOTS and self.covered_mm >= LEAST_MM
+
+    @property
+    def file(self) -> Path:
+        """The calibration file that is, or will be, written; its report lies beside it."""
+        return self._bag.with_suffix(".json")
+
+    def start(self) -> None:
+        """Record from now on; the tip must touch the wall.
+
+        Raises:
+            InputError: there is no microscope file.
+            OSError: the bag cannot be written.
+        """
+        if self._microscope is None:
+            raise InputError("a calibration needs --microscope. Start the console with it.")
+        self._bag = self._folder / time.strftime("calibration-%Y%m%d-%H%M%S.bag")
+        self._session.start_recording(self._bag)
+        course = self._session.course
+        self._last = course[-1] if course else None
+        self.spots, self._low_mm, self._high_mm = 0, math.inf, -math.inf
+        self.stage, self.said = Stage.WITHDRAWING, ""
+
+    def look(self) -> None:
+        """Count what the session has measured since the last call, or see how the fit goes on."""
+        if self.stage is Stage.WITHDRAWING:
+            self._count()
+        elif self.stage is Stage.FITTING:
+            self._see_fit()
+
+    def fit(self, *, phantom: str, medium: str) -> None:
+        """End the withdrawal and fit it.
+
+        Args:
+            phantom: "plane" or "eyeball".
+            medium: as of `eyespot fit`.
+
+        Raises:
+            InputError: the bag could not be completed.
+        """
+        self._session.stop_recording()
+        if self._session.recording_fault:
+            self.stage, self.said = Stage.REFUSED, self._session.recording_fault
+            raise InputError(self.said)
+        options: dict[str, Any] = {
+            "--poses": self._bag,
+            "--microscope": self._microscope,
+            "--phantom": phantom,
+            "--medium": medium,
+            "--model": "cone",
+            "--out": self.file,
+        }
+        words = [str(word) for pair in options.items() for word in pair]
+        self._log = tempfile.TemporaryFile()
+        self._fit = subprocess.Popen(
+            [sys.executable, "-c", _FIT, "fit", str(self._bag), *words],
+            stdin=subprocess.DEVNULL,
+            stdout=self._log,
+            stderr=subprocess.STDOUT,
+        )
+        self.stage = Stage.FITTING
+
+    def close(self) -> None:
+        """End a fit that goes on."""
+        if self._fit is not None and self._fit.poll() is None:
+            self._fit.terminate()
+            self._fit.wait()
+
+    def _count(self) -> None:
+        course = self._session.course
+        # A recording that is set back to its begin has a new course.
+        known = next((n for n, moment in enumerate(course) if moment is self._last), -1)
+        for moment in course[known + 1 :]:
+            self._last = moment
+            if not math.isnan(moment.radius_px + moment.robot_mm):
+                self.spots += 1
+                self._low_mm = min(self._low_mm, moment.robot_mm)
+                self._high_mm = max(self._high_mm, moment.robot_mm)
+
+    def _see_fit(self) -> None:
+        assert self._fit is not None
+        assert self._log is not None
+        code = self._fit.poll()
+        if code is None:
+            return
+        self._log.seek(0)
+        lines = self._log.read().decode(errors="replace").strip().splitlines()
+        self._log.close()
+        self.said = "\n".join(lines)
+        self.stage = Stage.SAVED if code == 0 else Stage.REFUSED
