@@ -3,6 +3,8 @@ from .detector import SubpixelSettings as SubpixelSettings
 from .detector import TrackState as TrackState
 from .detector import measure as measure
 from .detector import track as track
+from .distance import Budget as Budget
+from .distance import Budgets as Budgets
 from .distance import Range as Range
 from .distance import RangeFlag as RangeFlag
 from .distance import Ranger as Ranger
@@ -18,11 +20,13 @@ from .files import SpotRecord as SpotRecord
 from .files import Stack as Stack
 from .files import StackError as StackError
 from .files import StackWriter as StackWriter
+from .files import Stated as Stated
 from .files import read_calibration as read_calibration
 from .files import read_microscope as read_microscope
 from .files import read_poses as read_poses
 from .files import read_spots as read_spots
 from .files import read_stack as read_stack
+from .files import read_stated as read_stated
 from .files import write_calibration as write_calibration
 from .files import write_spots as write_spots
 from .image import Camera as Camera

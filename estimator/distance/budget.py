@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, Self
 
-from scipy.special import stdtrit
-
 _LEVEL = 0.95
 
 
@@ -123,6 +121,8 @@ class Budget:
     @property
     def coverage_factor(self) -> float:
         """Student's factor of the 95 % interval (GUM G.3.2)."""
+        from scipy.special import stdtrit
+
         return float(stdtrit(self.freedom, (1 + _LEVEL) / 2))
 
     @property
