@@ -19,6 +19,7 @@ _DARK = 0.1  # of full scale; a pair with the light off lies below
 _BRIGHT = 0.9  # of full scale; above, noise is clipped
 _SPREAD = 3.0  # least ratio of the brightest and the darkest pair with light
 _STRAIGHT = 0.05  # largest deviation of a pair's variance from the line, relative, without scatter
+_ROUNDING = 1.0 / 12.0  # DN², variance of rounding to whole numbers
 _SMOOTH_PX = 7  # side of the box that takes the wall's shading out of the fixed pattern
 
 
@@ -89,18 +90,19 @@ def measured_noise(
     # The dark pair gives the black level only: noise below a step of the file is rounded away.
     (floor, gain), covariance = _line(light, variance, scatter)
     off = np.abs(variance - floor - gain * light)
+    # A curve looks straight from a third of its length on, but then misses the dark pair.
+    bent = floor - dark[0].variance - _ROUNDING > _STRAIGHT * variance.max()
     worst = float(np.max(off / variance))
-    if not gain > 0 or np.any(off > _STRAIGHT * variance + 4.0 * scatter):
+    if not gain > 0 or bent or np.any(off > _STRAIGHT * variance + 4.0 * scatter):
         raise InputError(
             f"the noise's variance is off a straight line in the light by {100 * worst:.0f} %. "
             "Switch automatic exposure, gain and gamma off, let nothing move within a pair, and "
             "record raw frames."
         )
-    rounding = 1.0 / 12.0
     unevenness = [(one.pattern - dark[0].pattern) / (one.mean - black) ** 2 for one in lit]
     return PhotonTransfer(
         full_well_e=(full_scale - black) / gain,
-        read_noise_e=float(np.sqrt(max(floor - rounding, 0.0))) / gain,
+        read_noise_e=float(np.sqrt(max(floor - _ROUNDING, 0.0))) / gain,
         black_level_dn=black,
         prnu=float(np.sqrt(max(float(np.median(unevenness)), 0.0))),
         dsnu_e=float(np.sqrt(max(dark[0].pattern, 0.0))) / gain,
