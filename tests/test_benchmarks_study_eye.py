@@ -64,7 +64,7 @@ def test_an_eye_that_is_a_pinhole_is_fitted_and_read_exactly(kappa):
     """Without noise no prior pulls, so the parameters return to the solver's 1e-6."""
     eye = Pinhole(*map(jnp.asarray, (SCALE_MM_PX, kappa, RETINA.mean)))
     seen = seen_by(eye, recipes.withdrawals())
-    found = recipes.fitted_pinhole(seen, jax.random.key(0), jnp.zeros(()))
+    found = recipes.fitted_pinhole(seen, jnp.zeros((3, 9, 4)))
     assert float(found.kappa) == pytest.approx(kappa, abs=1e-5)
     assert float(found.scale) == pytest.approx(SCALE_MM_PX, rel=1e-5)
     assert float(found.radius) == pytest.approx(RETINA.mean, abs=1e-4)
@@ -149,8 +149,8 @@ def test_the_exact_path_reads_its_own_eye_exactly():
 
 @pytest.mark.parametrize("count", [1, 4, 7])
 def test_batches_give_every_item_its_own_value_in_order(count):
-    items = (jnp.arange(float(count)), jnp.ones((count, 2)))
-    found = in_batches(lambda item: item[0] + item[1], items, size=4)
+    items = (np.arange(float(count)), np.ones((count, 2)))
+    found = in_batches(lambda batch: batch[0][:, None] + batch[1], items, size=4)
     np.testing.assert_array_equal(found, np.arange(count)[:, None] + np.ones((count, 2)))
 
 

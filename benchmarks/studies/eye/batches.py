@@ -1,37 +1,36 @@
-"""A function of many items in batches of equal size."""
+"""A compiled function of many items in batches of equal size, on all cores."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import PyTree
 
 
-def in_batches(one: Callable[[Any], Any], items: PyTree, *, size: int) -> PyTree:
-    """`jax.vmap` of a function in batches, one after the other, which bounds the memory.
+def in_batches(function: Callable[[Any], Any], items: PyTree, *, size: int) -> PyTree:
+    """Results of a function that treats arrays with a leading axis item by item.
 
-    The last batch is filled up with its last item. `jax.lax.map` would compile the function a
-    second time for the batch that remains.
+    All batches have one shape, whatever the number of items, so that it is compiled once. One batch
+    is too small for several cores, so each core takes a batch of its own.
 
     Args:
-        one: function of one item.
+        function: of a batch; compiled.
         items: arrays with a leading axis of one length.
-        size: items per batch.
+        size: items per batch; the last batch is filled up with its last item.
     """
-    arrays, constant = eqx.partition(items, eqx.is_array)
-    count = len(jax.tree.leaves(arrays)[0])
+    items = jax.tree.map(np.asarray, items)
+    count = len(jax.tree.leaves(items)[0])
 
-    def batches(leaf: Any) -> Any:
-        missing = -count % size
-        full = jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)])
-        return full.reshape(-1, size, *leaf.shape[1:])
+    def batch(first: int) -> Any:
+        rows = np.minimum(np.arange(first, first + size), count - 1)
+        return jax.tree.map(np.asarray, function(jax.tree.map(lambda leaf: leaf[rows], items)))
 
-    def in_order(leaf: Any) -> Any:
-        return leaf.reshape(-1, *leaf.shape[2:])[:count]
-
-    each = jax.vmap(lambda item: one(eqx.combine(item, constant)))
-    return jax.tree.map(in_order, jax.lax.map(each, jax.tree.map(batches, arrays)))
+    first, *rest = range(0, count, size)
+    with ThreadPoolExecutor() as pool:
+        # The first batch runs alone, so that only one thread compiles.
+        done = [batch(first), *pool.map(batch, rest)]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *done)

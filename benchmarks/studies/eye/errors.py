@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
 import optics
 from benchmarks.studies.eye.batches import in_batches
@@ -35,7 +35,7 @@ from benchmarks.studies.eye.recipes import (
 from optics.viewing import DILATED_MM, Eye, PathCamera
 
 _OPEN_MM = 50.0  # radius of a pupil that hides nothing
-_EYES_AT_ONCE = 16
+_EYES_AT_ONCE = 8  # few enough that their spots stay in the cache
 
 
 class PathErrors(NamedTuple):
@@ -73,10 +73,11 @@ def path_errors(
     """
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _cameras(path, eyes, pupil_radius=_OPEN_MM)
-    seen, fitted = _calibrated(every, axes, _noise(seed, len(axes)), spots)
+    batches = every, axes, _noise(seed, len(axes))
+    seen, fitted = in_batches(lambda eyes: _calibrated(eyes, spots), batches, size=_EYES_AT_ONCE)
     schematic = jax.tree.map(lambda leaf: leaf[0], fitted)
     known = jax.tree.map(lambda leaf: leaf[0], every)
-    shape, minor = seen.visible.shape, np.asarray(seen.semi_axes[..., 0])
+    shape, minor = seen.visible.shape, seen.semi_axes[..., 0]
     in_a_row = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(shape) :]), seen)
     own = jax.tree.map(lambda leaf: leaf[:, None, None, None], fitted)
     paraxial = float(known.inverse_working_distance)
@@ -87,15 +88,15 @@ def path_errors(
             model, minor, spots, pinhole=jax.tree.map(np.asarray, pinhole)
         )
 
-    def by_area(pinhole: Pinhole) -> Array:
-        each = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape).ravel(), pinhole)
+    def by_area(pinhole: Pinhole) -> np.ndarray:
+        each = jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape).ravel(), pinhole)
         return distance_by_area(in_a_row, each)
 
     def by_magnification() -> np.ndarray:
         factor = local_factor(known, np.asarray(spots.eccentricity).ravel())
         return distance_by_local_magnification(minor, factor.reshape(spots.distance.shape))
 
-    ways: dict[Recipe, Callable[[], np.ndarray | Array]] = {
+    ways: dict[Recipe, Callable[[], np.ndarray]] = {
         Recipe.PLANAR: lambda: closed_form("planar", uncalibrated),
         Recipe.SMALL_PLANE: lambda: closed_form("small_plane", uncalibrated),
         Recipe.STEREOGRAPHIC: lambda: closed_form("stereographic", uncalibrated),
@@ -108,15 +109,15 @@ def path_errors(
         Recipe.AREA_SCHEMATIC: lambda: by_area(schematic),
         Recipe.AREA: lambda: by_area(own),
     }
-    truth, visible = np.asarray(spots.distance), np.asarray(seen.visible)
+    truth = np.asarray(spots.distance)
 
     def error(recipe: Recipe) -> np.ndarray:
-        read = np.asarray(ways[recipe]()).reshape(shape)
-        return np.where(visible, read - truth, np.nan)
+        read = ways[recipe]().reshape(shape)
+        return np.where(seen.visible, read - truth, np.nan)
 
     return PathErrors(
         errors={recipe: error(recipe) for recipe in recipes},
-        kappas=np.asarray(fitted.kappa),
+        kappas=fitted.kappa,
         paraxial_kappa=paraxial,
     )
 
@@ -124,15 +125,13 @@ def path_errors(
 def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
     """Largest c that each eye's dilated pupil shows, mm; arguments as for `path_errors`."""
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
-    return np.asarray(_fields(_cameras(path, eyes, pupil_radius=DILATED_MM), axes))
+    every = _cameras(path, eyes, pupil_radius=DILATED_MM)
+    return in_batches(_fields, (every, axes), size=_EYES_AT_ONCE)
 
 
 @eqx.filter_jit
 def _calibrated(
-    every: PathCamera,
-    semi_axes: Float[Array, "n 3"],
-    noise: tuple[PRNGKeyArray, Float[Array, "n"]],
-    spots: Spots,
+    eyes: tuple[PathCamera, Float[Array, "n 3"], Float[Array, "n trials frames 4"]], spots: Spots
 ) -> tuple[Seen, Pinhole]:
     """Images of the spots in every eye, n x c x d x tilts, and the pinhole fitted there."""
     flat, calibration = jax.tree.map(jnp.ravel, spots), withdrawals()
@@ -140,34 +139,37 @@ def _calibrated(
     # All spots in one batch: XLA compiles the formula once.
     together = jax.tree.map(lambda a, b: jnp.concatenate([a, jnp.ravel(b)]), flat, calibration)
 
-    def in_one(
-        eye: tuple[PathCamera, Float[Array, "3"], tuple[PRNGKeyArray, Float[Array, ""]]],
-    ) -> tuple[Seen, Pinhole]:
-        camera, axes, (key, amount) = eye
-        images = spots_through(camera, axes, together)
+    def in_one(camera: PathCamera, semi_axes: Array, noise: Array) -> tuple[Seen, Pinhole]:
+        images = spots_through(camera, semi_axes, together)
         last = jax.tree.map(lambda leaf: leaf[count:].reshape(shape + leaf.shape[1:]), images)
         first = jax.tree.map(
             lambda leaf: leaf[:count].reshape(spots.distance.shape + leaf.shape[1:]), images
         )
-        return first, fitted_pinhole(last, key, amount)
+        return first, fitted_pinhole(last, noise)
 
-    return in_batches(in_one, (every, semi_axes, noise), size=_EYES_AT_ONCE)
+    return jax.vmap(in_one)(*eyes)
 
 
 def _cameras(path: str, eyes: Sequence[Eye], *, pupil_radius: float) -> PathCamera:
-    groups = [cameras(path, group, jnp.asarray(pupil_radius)) for group in eyes]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *groups)
+    def of_batch(eyes: Eye) -> PathCamera:
+        return cameras(path, eyes, jnp.asarray(pupil_radius))
+
+    groups = [in_batches(of_batch, group, size=_EYES_AT_ONCE) for group in eyes]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *groups)
 
 
 @eqx.filter_jit
-def _fields(every: PathCamera, semi_axes: Float[Array, "n 3"]) -> Float[Array, "n"]:
-    return jax.vmap(lambda camera, axes: camera.field(optics.Ellipsoid(axes)))(every, semi_axes)
+def _fields(eyes: tuple[PathCamera, Float[Array, "n 3"]]) -> Float[Array, "n"]:
+    return jax.vmap(lambda camera, axes: camera.field(optics.Ellipsoid(axes)))(*eyes)
 
 
-def _noise(seed: int | None, count: int) -> tuple[PRNGKeyArray, Float[Array, "n"]]:
-    """Random keys, and the amount of noise: 1; 0 without a seed, and for the schematic eye."""
-    keys = jax.random.split(jax.random.key(seed or 0), count)
-    return keys, jnp.full(count, 0.0 if seed is None else 1.0).at[0].set(0.0)
+def _noise(seed: int | None, count: int) -> Float[Array, "n trials frames 4"]:
+    """Noise of each eye's withdrawals; 0 without a seed, and for the schematic eye."""
+    shape = (*withdrawals().distance.shape, 4)
+    if seed is None:
+        return jnp.zeros((count, *shape))
+    keys = jax.random.split(jax.random.key(seed), count)
+    return jax.vmap(lambda key: jax.random.normal(key, shape))(keys).at[0].set(0.0)
 
 
 def together(*groups: Eye) -> Eye:

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, ScalarLike
 
 import optics
-from benchmarks.studies.eye.batches import in_batches
 from optics.viewing import (
     Eye,
     PathCamera,
@@ -30,8 +29,6 @@ CONE = {"half_angle": float(np.arctan(1 / 20.0)), "apex_offset": -5.117}
 PINHOLE_ABOVE_MM = 200.0
 _POINTS = 48  # of a contour: its ellipse is within 1e-6 px of 128 points
 _PINHOLE_POINTS = 32  # in a pinhole, which has no aberration: 1e-7 px (`optics.distance`)
-_SPOTS_AT_ONCE = 48
-
 PATHS: dict[str, tuple[str, str]] = {
     "flat, phakic": ("flat", "phakic"),
     "flat, pseudophakic": ("flat", "pseudophakic"),
@@ -146,7 +143,7 @@ def spots_through(camera: PathCamera, semi_axes: Float[Array, "3"], spots: Spots
     def one(spot: Spots) -> Seen:
         return image(camera, retina, spot, sees=camera.sees)
 
-    return in_batches(one, spots, size=_SPOTS_AT_ONCE)
+    return jax.vmap(one)(spots)
 
 
 def image(

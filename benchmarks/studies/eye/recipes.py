@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, ArrayLike, Float
 
 import optics
 from benchmarks.studies.eye.batches import in_batches
@@ -35,6 +35,8 @@ _TOUCH_MM = 0.05
 """Standard deviation of the distance at which a withdrawal starts: the operator's touch."""
 _PLACE_PX = 1e3
 """Standard deviation of the beam's place from the first frame's centre: it is free."""
+
+_SPOTS_AT_ONCE = 1024
 
 WITHDRAWALS_C_MM = (0.5, 1.5, 3.0)
 _TILT_DEG, _TOWARDS_DEG = 25.0, 90.0
@@ -84,7 +86,7 @@ def withdrawals() -> Spots:
 
 
 @eqx.filter_jit
-def fitted_pinhole(seen: Seen, key: PRNGKeyArray, noise: Float[Array, ""]) -> Pinhole:
+def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 4"]) -> Pinhole:
     """Fit a pinhole over a sphere to the ellipses of three withdrawals in one eye.
 
     As `eyespot fit --model eye`: the beams' axes are known from the robot, the place on the retina
@@ -94,12 +96,11 @@ def fitted_pinhole(seen: Seen, key: PRNGKeyArray, noise: Float[Array, ""]) -> Pi
 
     Args:
         seen: images of `withdrawals()`.
-        key: random key of the measurement's noise.
-        noise: its amount; 1 is what the sub-pixel mode has, 0 none.
+        noise: of centres and semi-axes, in standard deviations of the sub-pixel mode.
     """
     distance = withdrawals().distance[0]
-    errors = noise * _SIGMA_PX * jax.random.normal(key, (*seen.visible.shape, 4))
-    centre, axes = seen.centre + errors[..., :2], seen.semi_axes + errors[..., 2:]
+    centre = seen.centre + _SIGMA_PX * noise[..., :2]
+    axes = seen.semi_axes + _SIGMA_PX * noise[..., 2:]
     weight = jnp.where(seen.visible, 1.0 / _SIGMA_PX, 0.0)[..., None]
     size_sigma = SIZE_PER_MM * jnp.array(WITHDRAWALS_C_MM)
 
@@ -135,8 +136,7 @@ class _Trial(NamedTuple):
     size_sigma: Float[Array, ""]
 
 
-@eqx.filter_jit
-def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[Array, "n"]:
+def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[np.ndarray, "n"]:
     """Distances at which exact spots have the measured centres and areas, mm.
 
     Each spot is seen by its own pinhole over its own sphere; the robot knows the beams' axes.
@@ -145,21 +145,28 @@ def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[Array, "n"]:
         seen: images of n spots.
         pinhole: n pinholes.
     """
+    return in_batches(_through_pinholes, (seen, pinhole), size=_SPOTS_AT_ONCE)
 
-    def one(given: tuple[Seen, Pinhole]) -> Float[Array, ""]:
-        seen, pinhole = given
-        return _by_area(seen, pinhole.wall, pinhole.microscope)
 
-    return in_batches(one, (seen, pinhole), size=1024)
+def distance_through_path(
+    seen: Seen, camera: PathCamera, semi_axes: Float[ArrayLike, "3"]
+) -> Float[np.ndarray, "n"]:
+    """As `distance_by_area`, with all spots seen through one path onto one retina, mm."""
+    retina = optics.Ellipsoid(jnp.asarray(semi_axes))
+    return in_batches(lambda spots: _through_path(spots, camera, retina), seen, size=_SPOTS_AT_ONCE)
 
 
 @eqx.filter_jit
-def distance_through_path(
-    seen: Seen, camera: PathCamera, semi_axes: Float[Array, "3"]
-) -> Float[Array, "n"]:
-    """As `distance_by_area`, with all spots seen through one path onto one retina, mm."""
-    retina = optics.Ellipsoid(semi_axes)
-    return in_batches(lambda spot: _by_area(spot, retina, camera), seen, size=1024)
+def _through_pinholes(spots: tuple[Seen, Pinhole]) -> Float[Array, "n"]:
+    def one(seen: Seen, pinhole: Pinhole) -> Float[Array, ""]:
+        return _by_area(seen, pinhole.wall, pinhole.microscope)
+
+    return jax.vmap(one)(*spots)
+
+
+@eqx.filter_jit
+def _through_path(seen: Seen, camera: PathCamera, retina: optics.Surface) -> Float[Array, "n"]:
+    return jax.vmap(lambda spot: _by_area(spot, retina, camera))(seen)
 
 
 def _by_area(seen: Seen, wall: optics.Surface, camera: optics.Camera) -> Float[Array, ""]:

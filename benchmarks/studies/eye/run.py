@@ -26,7 +26,7 @@ _ECCENTRICITIES_MM = np.arange(0.0, 8.1, 1.0)
 _DISTANCES_MM = np.array([0.5, 2.0, 4.0, 6.0])
 _TILTS_DEG = ((0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0))
 _QUICK_DISTANCES_MM = np.array([1.0, 3.0, 5.0])
-_EYES, _QUICK_EYES = 1000, 47  # with Navarro's, three batches of 16
+_EYES, _QUICK_EYES = 1000, 47
 _CAUSES_EYES, _QUICK_CAUSES_EYES = 95, 31
 _CAUSES_PATH = "flat, phakic"
 
