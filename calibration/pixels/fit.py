@@ -16,12 +16,12 @@ from calibration.pixels.solver import Solver
 from calibration.spots import BORESIGHT_SIGMA, Prior
 from estimator import Stack
 from optics import InputError
-from optics.wall_light import lens_parameters
+from optics.wall_light import TABLE_ERROR, lens_parameters
 
 _OTHER_SAGS = (0.5, 2.0)
-"""Factors of the sag for further starts, if the first fit misses some of the light. Two drops can
-have nearly the same light, and a drop that focuses it near the tip is found from flatter ones only
-(numbers 42 and 41 of `tests.photon_fits coverage`)."""
+"""Factors of the sag for further starts, if the first fit misses more light than a table's error.
+Two drops can have nearly the same light, and a drop that focuses it near the tip is found from
+flatter ones only (numbers 42 and 41 of `tests.photon_fits coverage`)."""
 
 
 def fit_image(
@@ -107,9 +107,10 @@ def fit_footage(
 
     best = cast(ImageFit, fitted(start))
     for factor in _OTHER_SAGS if "sag" in free else ():
-        if not (best.misfit.structured or best.failed):
+        if not (best.failed or (best.misfit.structured and best.misfit.share > TABLE_ERROR)):
             break
-        sag = min(factor * start["sag"], start["aperture_radius"])
+        # A half ball is the highest drop; a fit that starts there cannot move.
+        sag = min(factor * start["sag"], (start["sag"] + start["aperture_radius"]) / 2)
         with contextlib.suppress(InputError):  # no drop at all from there
             other = fitted({**start, "sag": sag}, best)
             if other is not None and other.chi_squared_per_dof < best.chi_squared_per_dof:

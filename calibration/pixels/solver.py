@@ -107,7 +107,8 @@ class Solver:
 
         Args:
             known: an earlier fit from another start. If the first fits come near its lens, they are
-                on their way to the same minimum, and the result is None.
+                on their way to the same minimum; if they miss much of the light, they lead nowhere.
+                The result is then None.
         """
         x = np.zeros(len(self.names) + self.frames * self.exposures)
         if self.source == "cone":
@@ -124,15 +125,14 @@ class Solver:
             self._choose(x, blur=blur, stride=stride)
             found = minimise(self._tabulated_sums, x, tolerance=_COARSELY[self.source])
             x = found.x
-        if known is not None and self._is_near(x, known):
+        if known is not None and (self._is_near(x, known) or self._missed(found) > _HOPELESS):
             return None
         self._tabulate(x)
         for _ in range(_ROUNDS - 1):
             self._choose(x)
             found = minimise(self._tabulated_sums, x, tolerance=_COARSELY[self.source])
             x = found.x
-            signal = sum(float(np.sum((c.light * c.weight) ** 2)) for c in self.chunks)
-            misfit = math.sqrt(max(found.at.cost - self._pixels, 0.0) / signal)
+            misfit = self._missed(found)
             if self.source == "lens" and misfit > _HOPELESS:
                 why = (
                     f"after the first round the lens misses {100 * misfit:.2g} % of the light; "
@@ -181,6 +181,11 @@ class Solver:
                 )
                 return found, Failure(Criterion.TABLES, why)
             self._tabulate(x)
+
+    def _missed(self, found: Minimum) -> float:
+        """Part of the light, RMS, that a fit to the chosen pixels misses."""
+        signal = sum(float(np.sum((c.light * c.weight) ** 2)) for c in self.chunks)
+        return math.sqrt(max(found.at.cost - self._pixels, 0.0) / signal)
 
     def _is_near(self, x: np.ndarray, known: ImageFit) -> bool:
         """Whether the lens is that of another fit, but for the error of the first fits."""

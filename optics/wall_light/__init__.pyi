@@ -18,5 +18,6 @@ from .pose_light import irradiance_and_slopes as irradiance_and_slopes
 from .pose_light import pixels_see as pixels_see
 from .pose_light import square_lattice as square_lattice
 from .table import LensTable as LensTable
+from .table_samples import TABLE_ERROR as TABLE_ERROR
 from .table_samples import halvings_for as halvings_for
 from .table_samples import lens_table as lens_table

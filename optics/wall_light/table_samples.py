@@ -27,7 +27,9 @@ from optics.wall_light.table import Grid, LensTable
 _ROWS, _COLUMNS = 6, 12  # cells of the first grid
 _WHOLE = {True: 1, False: 2}
 """How often all cells are halved by quadrature, for coarse and for exact tables."""
-_TOLERANCE = {True: 1e-2, False: 2e-3}
+TABLE_ERROR = 2e-3
+"""Error of the spline that an exact table accepts, of a row's peak."""
+_TOLERANCE = {True: 1e-2, False: TABLE_ERROR}
 """Of a row's peak, for coarse and for exact tables; cells with a larger error of the spline are
 halved again."""
 _COARSE_LEVELS = 3
