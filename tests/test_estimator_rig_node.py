@@ -187,7 +187,7 @@ def test_parameters_are_taken_as_ros_hands_them_over() -> None:
     ("given", "told"),
     [
         ({"image_topik": "/camera"}, "image_topik is unknown.*image_topic"),
-        ({"mode": "fast"}, "mode: .*'literal'; got 'fast'"),
+        ({"mode": "fast"}, "mode: .*'literal'.*'pixels'; got 'fast'"),
         ({"start": "left"}, "start: must be X,Y in px.*'left'"),
         ({"start": 3}, "start: must be X,Y in px.*3"),
         ({"exposure_s": 0.0}, "exposure_s: .*greater than 0; got 0.0"),
