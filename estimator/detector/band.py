@@ -15,6 +15,7 @@ from estimator.detector.tuning import Rays, Refine
 from estimator.detector.unwrap import DESIGN, Patch, ring_variances
 
 _CUBIC = np.arange(4)
+_SOLVABLE = np.float32(1e-3) * np.eye(5, dtype=np.float32)  # an arc too short for an ellipse
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +26,7 @@ class Refined:
         ellipse: px.
         move: how far the contour moved at most, units of the radius.
         size_variance: of the contour's common offset, in addition to the scatter of the offsets.
+        centre_variance: of either coordinate of the centre, units of the radius, also in addition.
         levels: improved by the refinement.
         offsets: (RAYS,) radial distance of each ray's edge from the ellipse, units of the radius.
         found: (RAYS,) rays with an edge.
@@ -35,6 +37,7 @@ class Refined:
     ellipse: Ellipse
     move: float
     size_variance: float
+    centre_variance: float
     levels: Levels
     offsets: np.ndarray
     found: np.ndarray
@@ -115,34 +118,60 @@ class Band:
         )
         return max(0.0, 1 - Refine.NOISE_AT_MOST * short / max(long, 1e-30))
 
-    def shifts(self, disturbances: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def shifts(
+        self, disturbances: list[np.ndarray], *, wall_slopes: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Outward shift of each ray's profile against the mean, and the variance left, (RAYS,).
 
-        A ray differs from the mean by -slope * shift, by disturbances and by noise. The
-        disturbances are random, with the variances that the rays show beyond the noise. The shift
-        is estimated by generalised least squares (Aitken 1935): the more a disturbance of its
-        actual strength resembles a shift, the less that part of a profile counts.
+        A ray differs from the mean by -slope * shift, by disturbances of any strength, by texture
+        and by noise. The shift is the weighted sum of the samples that disturbances leave alone and
+        that varies least from ray to ray: the beamformer of Capon (1969). So what the wall's
+        texture looks like in this frame decides on the weights. The covariance of the samples is
+        drawn towards a diagonal one as far as so few rays leave it open (Ledoit and Wolf 2004).
 
         Args:
             disturbances: profiles, (n,) each.
+            wall_slopes: whether a ray's own slope of the wall's reflectance is a disturbance, too.
+                Few rays differ in it from their neighbours, but it moves a whole ellipse.
         """
         residual = self.profiles - self.mean
         basis = np.array([*disturbances, -self.slope], float).T
         gram = basis.T @ basis
         gram.flat[:: len(gram) + 1] += 1e-12 * gram.trace() + 1e-30
         triangle = np.linalg.cholesky(gram)
-        orthonormal = basis @ cv2.invert(triangle)[1].T
-        parts = residual @ orthonormal.astype(np.float32)
-        squares = parts * parts
-        rough = _row_sums(residual * residual) - _row_sums(squares)
-        rough = np.maximum(rough, 0) / max(residual.shape[1] - len(gram), 1)
-        weight = self.inliers / np.count_nonzero(self.inliers)
-        noise = float(weight @ rough)
-        total = weight @ squares
-        pure = triangle[-1]
-        filtered = pure * np.divide(noise, total, out=np.ones(len(total)), where=total > noise)
-        filtered[-1] = pure[-1]
-        return parts @ (filtered / (filtered @ pure)), rough
+        orthonormal = (basis @ cv2.invert(triangle)[1].T).astype(np.float32)
+        parts = residual @ orthonormal
+        left = residual - parts[:, :-1] @ orthonormal[:, :-1].T
+        rough = np.maximum(_row_sums(left * left) - parts[:, -1] ** 2, 0)
+        rough /= max(residual.shape[1] - len(gram), 1)
+        extra = None
+        if wall_slopes:
+            extra = self._slope_of_wall()
+            extra = extra - orthonormal[:, :-1] @ (orthonormal[:, :-1].T @ extra)
+        towards = orthonormal[:, -1]
+        weights = _least_varying(self._without_step(left), towards, extra)
+        return left @ (weights / np.float32(triangle[-1, -1])), rough
+
+    def _without_step(self, rays: np.ndarray) -> np.ndarray:
+        """The inliers' rays (n, samples) without what a step of the ellipse explains.
+
+        Such a step goes along with slopes of the light. If it counted as scatter, the weights would
+        cancel it by them.
+        """
+        rays, waves = rays[self.inliers], DESIGN[self.inliers].astype(np.float32)
+        _, fitted = cv2.solve(waves.T @ waves + _SOLVABLE, waves.T @ rays)
+        return rays - waves @ fitted
+
+    def _slope_of_wall(self) -> np.ndarray:
+        """A profile, (n,), whose random multiples are a wall's slopes across the contour.
+
+        A wall's texture has no direction, so its long waves slope across a contour as much as they
+        do along it, where the rays' brightness shows them.
+        """
+        first, second = ring_variances(
+            self.inliers * (self.gain - 1), *(slice(wave, wave + 1) for wave in (1, 2))
+        )
+        return math.sqrt((first + 4 * second) / 2) * self.from_edge * self.mean
 
     def half_crossing(self, level: float, span: float) -> float | None:
         """Offset where the mean profile falls to a level, by a cubic over `span` on either side."""
@@ -196,6 +225,7 @@ class Band:
         *,
         half: float,
         half_variance: float,
+        centre_variance: float = 0.0,
     ) -> Refined:
         """The ellipse moved by a fitted step (see `robust_step`) and to the half level's offset.
 
@@ -209,12 +239,37 @@ class Band:
             ellipse=self.ellipse.stepped(step).scaled(1 + half),
             move=max(float(np.abs(step).max()), abs(half)),
             size_variance=half_variance + level_variance,
+            centre_variance=centre_variance,
             levels=levels.in_units_of(growth),
             offsets=offsets - DESIGN @ step,
             found=found,
             inliers=inliers,
             band=self,
         )
+
+
+def _least_varying(rays: np.ndarray, towards: np.ndarray, extra: np.ndarray | None) -> np.ndarray:
+    """Weights whose sum over a ray varies least, of those with weights @ towards = 1, (n,).
+
+    Args:
+        rays: (m, n) samples.
+        towards: (n,) unit vector.
+        extra: (n,) a profile that rays also contain, with a random factor of variance one.
+    """
+    covariance = (rays.T @ rays / np.float32(len(rays))).astype(float)
+    typical = covariance.trace() / len(towards)
+    square = float(np.vdot(covariance, covariance))
+    squares = _row_sums(rays * rays)
+    error = float(squares @ squares) / len(rays) ** 2 - square / len(rays)
+    spread = square - len(towards) * typical**2
+    kept = 1 - min(max(error, 0.0) / max(spread, 1e-30), 1.0)
+    covariance *= kept
+    if extra is not None:
+        covariance += np.outer(extra, extra)
+    covariance.flat[:: len(towards) + 1] += (1 - kept + 1e-6) * typical + 1e-30
+    _, weights = cv2.solve(covariance, towards.astype(float)[:, None], flags=cv2.DECOMP_CHOLESKY)
+    weights = weights[:, 0]
+    return (weights / (weights @ towards)).astype(np.float32)
 
 
 def _row_sums(values: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from estimator.detector.edges import EdgeFit, fit_edge
 from estimator.detector.ellipse import Ellipse
 from estimator.detector.regions import Region, coarse_window
 from estimator.detector.texture import without_texture
-from estimator.detector.tuning import RAYS, Capture, Refine, Verdict
+from estimator.detector.tuning import RAYS, Capture, Refine
 from estimator.detector.unwrap import Patch
 from estimator.image import NoSpot, Reason, Window
 
@@ -34,11 +34,7 @@ def contour_of(region: Region) -> EdgeFit | NoSpot:
             best = fit
         if np.count_nonzero(best.inliers) > region.settings.min_coverage * RAYS:
             break
-    if best is not None:
-        return best
-    if failure.reason is Reason.NONE_FOUND and region.fills_its_ellipse() < Verdict.FILLED:
-        return NoSpot(Reason.OCCLUDED)
-    return failure
+    return failure if best is None else best
 
 
 def patch_round(region: Region, ellipse: Ellipse, width: float = 0.0) -> Patch:

@@ -209,6 +209,7 @@ def _finished(refined: Refined) -> EdgeFit:
         )
     step_covariance = longer @ step_covariance @ longer
     step_covariance[2:4, 2:4] += refined.size_variance
+    step_covariance[[0, 1], [0, 1]] += refined.centre_variance
     return EdgeFit(
         ellipse=refined.ellipse,
         step_covariance=step_covariance,

@@ -50,8 +50,8 @@ def refine_sharp(
     saturated = bool(band.mean[0] > Saturated.READABLE * patch.ceiling)
     # Stretched about the edge itself: otherwise a ray with a narrower edge would seem shifted.
     middle = 0.0 if saturated else band.middle
-    stretch, gradient = (band.from_edge - middle) * band.slope, band.from_edge * band.mean
-    shifts, rough = band.shifts([stretch, band.mean, gradient])
+    stretch = (band.from_edge - middle) * band.slope
+    shifts, rough = band.shifts([stretch, band.mean], wall_slopes=True)
     gain = band.gain
     offsets = shifts / np.maximum(
         gain, Refine.DARKEST_GAIN
@@ -89,10 +89,19 @@ def refine_sharp(
     # A ray's shift is where its own light is half. Half of the common peak lies further out on the
     # brighter rays.
     step, rays = fitted
-    aside = math.sqrt(math.pi / 2) * levels.width * slope
+    per_slope = math.sqrt(math.pi / 2) * levels.width
+    aside = per_slope * slope
     step[:2] += aside
     offsets = offsets + DESIGN[:, :2] @ aside
-    return band.refined(levels, offsets, found, (step, rays), half=crossing, half_variance=0.0)
+    return band.refined(
+        levels,
+        offsets,
+        found,
+        (step, rays),
+        half=crossing,
+        half_variance=0.0,
+        centre_variance=per_slope**2 * doubt / 2,
+    )
 
 
 def _eroded(mask: np.ndarray) -> np.ndarray:

@@ -273,7 +273,7 @@ class ErrorGrowth:
     """
     RISE = 25.0
     """1 / radii | rise with the edge width, sharp edges | fitted as CENTRE_BROAD"""
-    SIZE = 4.0
+    SIZE = 3.0
     """- | factor for the size, sharp edges | fitted as CENTRE_BROAD"""
     CENTRE = 2.0
     """- | factor for the centre, sharp edges | fitted as CENTRE_BROAD"""

@@ -44,6 +44,13 @@ class Sighting(NamedTuple):
 
 def sighting_in(region: Region) -> Sighting | NoSpot:
     """The spot that a region shows, or why it shows none."""
+    found = _judged(region)
+    if isinstance(found, NoSpot) and found.reason is Reason.NONE_FOUND:
+        return NoSpot(Reason.OCCLUDED) if region.fills_its_ellipse() < Verdict.FILLED else found
+    return found
+
+
+def _judged(region: Region) -> Sighting | NoSpot:
     contour = contour_of(region)
     if isinstance(contour, NoSpot):
         return contour
