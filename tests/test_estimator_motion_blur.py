@@ -28,7 +28,9 @@ def test_a_spot_that_moved_by_half_a_diameter_is_measured_in_the_middle_of_its_p
     spot = _measured(Drawing(truth=_TRUTH, path_px=path), seed=1)
     # The requirement is an RMSE of 0.15 px, with texture; the stated error is that of an even wall.
     assert np.abs(_TRUTH.errors(spot)).max() < 3 * 0.15
-    assert 3 * spot.sigma_semi_minor_px < 0.5
+    # The size along the path follows from the smeared ends alone: a path along the minor axis is
+    # the worst case.
+    assert spot.sigma_semi_minor_px < 0.2
     # The edge is as wide as that of a spot at rest.
     assert spot.edge_width_px == pytest.approx(2.0, abs=0.3)
 
@@ -57,6 +59,4 @@ def test_a_moving_spot_whose_ends_are_hidden_is_a_failure(reach: int, seed: int)
     seen = (np.abs(u - _TRUTH.x) < reach).astype(float)
     drawing = Drawing(truth=_TRUTH, path_px=(60.0, 0.0), seen=seen)
     result, _ = measure(frame_of(drawing, np.random.default_rng(seed)), _MIDDLE, SubpixelSettings())
-    assert isinstance(result, NoSpot)
-    # A strip of a third of a diameter is not recognised as a part of an ellipse.
-    assert result.reason is (Reason.NONE_FOUND if reach == 20 else Reason.OCCLUDED)
+    assert result == NoSpot(Reason.OCCLUDED)

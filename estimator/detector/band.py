@@ -267,8 +267,9 @@ def _least_varying(rays: np.ndarray, towards: np.ndarray, extra: np.ndarray | No
     if extra is not None:
         covariance += np.outer(extra, extra)
     covariance.flat[:: len(towards) + 1] += (1 - kept + 1e-6) * typical + 1e-30
-    _, weights = cv2.solve(covariance, towards.astype(float)[:, None], flags=cv2.DECOMP_CHOLESKY)
-    weights = weights[:, 0]
+    along = towards.astype(float)
+    solved, weights = cv2.solve(covariance, along[:, None], flags=cv2.DECOMP_CHOLESKY)
+    weights = weights[:, 0] if solved else along
     return (weights / (weights @ towards)).astype(np.float32)
 
 

@@ -33,7 +33,7 @@ def hidden_edge(
         reach: of the profile, units of the radius.
 
     Returns:
-        None if the flank below full scale does not contain half of the peak.
+        None if the flank below full scale does not contain half of the peak, or is no blurred step.
     """
     x, mean, number = _pixel_profile(patch, ellipse, inliers, reach)
     bright = np.flatnonzero(mean > Saturated.READABLE * patch.ceiling)
@@ -44,7 +44,7 @@ def hidden_edge(
         return None
     start = np.array([math.log(1.4), float(x[0]), math.log(levels.width)])
     try:
-        fitted, covariance = _flank(start, x, y, root)
+        fitted, covariance, misfit = _flank(start, x, y, root)
     except np.linalg.LinAlgError:  # too little of the flank to separate height, place and width
         return None
     peak, variance = (
@@ -55,13 +55,15 @@ def hidden_edge(
         return None
     if abs(fitted[1]) > reach:  # not on the profile
         return None
+    if misfit > Saturated.MISFIT:  # a lamp's reflex, which has a halo
+        return None
     return replace(levels, peak=peak, width=math.exp(fitted[2])), float(fitted[1]), variance
 
 
 def _flank(
     start: np.ndarray, x: np.ndarray, y: np.ndarray, root: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Fitted (log amplitude, offset, log width) and their covariance.
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Fitted (log amplitude, offset, log width), their covariance, and the deviation left.
 
     Raises:
         LinAlgError: the flank does not determine them.
@@ -88,8 +90,9 @@ def _flank(
         raise np.linalg.LinAlgError
     if not np.linalg.eigvalsh(information / np.outer(size, size))[0] > _ROUNDING:
         raise np.linalg.LinAlgError
-    noise = float(residual @ residual) / (x.size - 3)
-    return fitted, noise * np.linalg.inv(information)
+    square = float(residual @ residual)
+    covariance = square / (x.size - 3) * np.linalg.inv(information)
+    return fitted, covariance, math.sqrt(square / float(root @ root))
 
 
 def _pixel_profile(

@@ -74,7 +74,7 @@ class TooSmall:
 
 
 def bright_regions(
-    coarse: Coarse, *, min_contrast: float, min_area: float
+    coarse: Coarse, *, min_contrast: float, min_area: float, solid: bool = True
 ) -> Iterator[list[Candidate] | TooSmall]:
     """Bright regions, brightest first, each with the ellipses of which it may be a part.
 
@@ -89,6 +89,7 @@ def bright_regions(
         coarse: the window.
         min_contrast: least (peak - background) / background.
         min_area: least area of a region, px^2.
+        solid: whether rings and halos are left out.
     """
     smooth = cv2.medianBlur(coarse.levels, 3)
     for _ in range(Search.REGIONS):
@@ -114,6 +115,8 @@ def bright_regions(
             region = np.zeros_like(mask)
             cv2.drawContours(region, contours, largest, 1, cv2.FILLED)
             inside = (region & mask).view(bool)
+            bright = coarse.levels > (peak + background) // 2
+            hollow = solid and _is_hollow(region.view(bool), inside, bright)
             pieces = [
                 c
                 for c, area in zip(contours, areas, strict=True)
@@ -124,12 +127,28 @@ def bright_regions(
             yield [
                 Candidate(ellipse, peak * coarse.unit, background * coarse.unit, inside)
                 for ellipse in ellipses
-                if ellipse is not None
+                if ellipse is not None and not hollow
             ]
         painted = contours if areas[largest] * coarse.stride**2 < min_area else [contours[largest]]
         smooth = smooth.copy()
         cv2.drawContours(smooth, painted, -1, background, cv2.FILLED)
         cv2.drawContours(smooth, painted, -1, background, 3)
+
+
+def _is_hollow(outline: np.ndarray, inside: np.ndarray, bright: np.ndarray) -> bool:
+    """Whether a region is a ring, or the halo of something brighter that was painted over.
+
+    What hides a part of a spot reaches in from outside. Only small glints make holes in it.
+
+    Args:
+        outline: (h, w) the region with its holes.
+        inside: (h, w) without them.
+        bright: (h, w) pixels above the region's level.
+    """
+    holes = outline & ~inside
+    area, lit = np.count_nonzero(outline), np.count_nonzero(holes & bright)
+    dark = np.count_nonzero(holes) - lit
+    return bool(dark > Search.HOLE * area or lit > Search.GLARE * area)
 
 
 def _otsu_level(count: np.ndarray, cumulative: np.ndarray) -> int:

@@ -40,8 +40,9 @@ def shows_spot(patch: Patch, bell: EdgeFit, smallest_px: float) -> bool:
     coarse = Coarse.of_signal(small - surface, stride=stride, x0=x0, y0=y0)
     above = light - cv2.resize(surface, light.shape[::-1], interpolation=cv2.INTER_LINEAR)
     standing_out = Patch(above, x0, y0)
+    # Without its surface, a bell leaves rings.
     for candidates in bright_regions(
-        coarse, min_contrast=0, min_area=Reflection.SMALLEST * light.size
+        coarse, min_contrast=0, min_area=Reflection.SMALLEST * light.size, solid=False
     ):
         if isinstance(candidates, TooSmall):
             continue

@@ -47,7 +47,8 @@ def refine_sharp(
     band = Band.along(patch, ellipse, inliers, reach)
     if band is None:
         return NoSpot(Reason.NONE_FOUND)
-    saturated = bool(band.mean[0] > Saturated.READABLE * patch.ceiling)
+    full = band.profiles[band.inliers, 0] > Saturated.READABLE * patch.ceiling
+    saturated = bool(2 * np.count_nonzero(full) > full.size)
     # Stretched about the edge itself: otherwise a ray with a narrower edge would seem shifted.
     middle = 0.0 if saturated else band.middle
     stretch = (band.from_edge - middle) * band.slope
@@ -63,6 +64,8 @@ def refine_sharp(
         & (np.abs(offsets) < reach)
     )
     plain = rough[found]
+    if not plain.size:
+        return NoSpot(Reason.NONE_FOUND)
     typical = float(np.partition(plain, plain.size // 2)[plain.size // 2])
     smooth = rough < Sharp.ROUGH * max(typical, 1e-5 * levels.amplitude**2)
     fitted = robust_step(

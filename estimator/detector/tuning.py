@@ -62,6 +62,13 @@ class Search:
     """
     SMALLEST_PIECE = 0.1
     """- | area of a part of a divided spot, over its largest part's | set by hand"""
+    HOLE = 0.04
+    """- | area of the dark holes of a ring, over its outline's | set by hand: a fifth of the radius
+    """
+    GLARE = 0.15
+    """- | area of something brighter, over that of its halo | set by hand: more than three large
+    glints of drawn frames
+    """
     SMALLEST_AREA = 0.7
     """- | area of a region over the smallest spot's | set by hand: only the bright part of a bell
     exceeds the search's level
@@ -293,6 +300,10 @@ class Saturated:
     """full scale | peak of which half is still readable | derived"""
     VAGUEST = 0.02
     """radii | standard error of an edge that is visible at all | set by hand"""
+    MISFIT = 0.01
+    """full scale | deviation of the flank from a blurred step's | set by hand between discs (0.001)
+    and lamps with a halo (0.02)
+    """
     BIN_PX = 0.25
     """px | bins of the profile of pixels | set by hand: less than the pixel grid resolves"""
     FEWEST_BINS = 8
@@ -386,6 +397,16 @@ class Motion:
     """radii | step after which the fit ends | set by hand: 0.01 px at a radius of 60 px"""
     OUTLYING = 3.0
     """typical residuals | where a pixel counts half | set by hand"""
+    PARAMETERS = 12
+    """- | parameters of a moving spot | derived: ellipse 5, path 2, bend 2, width, two levels"""
+    LEAST_LEFT = 0.01
+    """- | part of a block's residuals that a fit leaves at least | set by hand: where a block alone
+    determines a parameter
+    """
+    FITS = 0.83
+    """- | mean weight of the edge's pixels, 0.9 for normal residuals | set by hand between moving
+    spots (0.86) and thick letters (0.81)
+    """
     BLOCK = 8
     """px of the reduced patch | side of a block that counts as one observation | derived: four
     times LONG_WAVES
@@ -422,6 +443,12 @@ class Verdict:
     """
     ROUGHEST = 0.05
     """radii | scatter of the sharp edges of an ellipse | set by hand for spotless frames"""
+    COARSEST = 0.17
+    """edge widths | scatter of the edges of an ellipse | set by hand between textured walls' spots
+    (0.12) and hexagons (0.23)
+    """
+    FINEST_PX = 0.7
+    """px | width of an edge that the pixel grid resolves | set by hand"""
     VAGUEST = 0.006
     """radii | standard error of the size of an ellipse that is seen in part | set by hand for
     shafts

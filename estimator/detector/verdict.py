@@ -133,6 +133,9 @@ def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
         return NoSpot(Reason.TOO_LARGE)
     if coverage < settings.min_coverage:
         return NoSpot(Reason.CLIPPED if in_frame < settings.min_coverage else Reason.OCCLUDED)
+    # A wall's texture moves an edge by less than the edge is wide; a polygon's sides do not.
+    if fit.scatter > Verdict.COARSEST * math.hypot(levels.width, Verdict.FINEST_PX / semi_minor):
+        return NoSpot(Reason.NONE_FOUND if coverage > Verdict.WHOLE else Reason.OCCLUDED)
     ellipse = fit.ellipse
     if settings.camera is not None:
         edges = contour_points(ellipse, fit.offsets)[fit.inliers]
