@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks.bench.__main__ import BY_NAME_ONLY, MAKE_BENCH
+from benchmarks.bench.__main__ import BY_NAME_ONLY, MAKE_BENCH, SEEDED
 
 BENCH = Path(__file__).resolve().parents[1] / "benchmarks" / "bench"
 
@@ -25,7 +25,10 @@ def test_the_command_knows_every_bench_and_all_are_called_alike():
         for path in BENCH.rglob("*.py")
         if (parameters := run_parameters(path)) is not None
     }
-    assert found == {name: ["full"] for name in (*MAKE_BENCH, *BY_NAME_ONLY)}
+    assert found == {
+        name: ["full", "seed"] if name in SEEDED else ["full"]
+        for name in (*MAKE_BENCH, *BY_NAME_ONLY)
+    }
 
 
 def test_an_unknown_bench_is_refused():

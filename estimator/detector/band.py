@@ -119,20 +119,22 @@ class Band:
         return max(0.0, 1 - Refine.NOISE_AT_MOST * short / max(long, 1e-30))
 
     def shifts(
-        self, disturbances: list[np.ndarray], *, wall_slopes: bool = False
+        self, disturbances: list[np.ndarray], *, past_texture: bool
     ) -> tuple[np.ndarray, np.ndarray]:
         """Outward shift of each ray's profile against the mean, and the variance left, (RAYS,).
 
         A ray differs from the mean by -slope * shift, by disturbances of any strength, by texture
-        and by noise. The shift is the weighted sum of the samples that disturbances leave alone and
-        that varies least from ray to ray: the beamformer of Capon (1969). So what the wall's
-        texture looks like in this frame decides on the weights. The covariance of the samples is
-        drawn towards a diagonal one as far as so few rays leave it open (Ledoit and Wolf 2004).
+        and by noise. The shift is a weighted sum of the samples that disturbances leave alone: that
+        of least squares or, past texture, the one that varies least from ray to ray, which is the
+        beamformer of Capon (1969). There, what the wall's texture looks like in this frame decides
+        on the weights. The covariance of the samples is drawn towards a diagonal one as far as so
+        few rays leave it open (Ledoit and Wolf 2004).
 
         Args:
             disturbances: profiles, (n,) each.
-            wall_slopes: whether a ray's own slope of the wall's reflectance is a disturbance, too.
-                Few rays differ in it from their neighbours, but it moves a whole ellipse.
+            past_texture: whether texture is to move the shifts as little as possible. A wall's
+                slope across a ray is a disturbance then, too: few rays differ in it from their
+                neighbours, but it moves a whole ellipse.
         """
         residual = self.profiles - self.mean
         basis = np.array([*disturbances, -self.slope], float).T
@@ -144,12 +146,11 @@ class Band:
         left = residual - parts[:, :-1] @ orthonormal[:, :-1].T
         rough = np.maximum(_row_sums(left * left) - parts[:, -1] ** 2, 0)
         rough /= max(residual.shape[1] - len(gram), 1)
-        extra = None
-        if wall_slopes:
-            extra = self._slope_of_wall()
-            extra = extra - orthonormal[:, :-1] @ (orthonormal[:, :-1].T @ extra)
-        towards = orthonormal[:, -1]
-        weights = _least_varying(self._without_step(left), towards, extra)
+        towards = weights = orthonormal[:, -1]
+        if past_texture:
+            slopes = self._slope_of_wall()
+            slopes = slopes - orthonormal[:, :-1] @ (orthonormal[:, :-1].T @ slopes)
+            weights = _least_varying(self._without_step(left), towards, slopes)
         return left @ (weights / np.float32(triangle[-1, -1])), rough
 
     def _without_step(self, rays: np.ndarray) -> np.ndarray:
@@ -248,7 +249,7 @@ class Band:
         )
 
 
-def _least_varying(rays: np.ndarray, towards: np.ndarray, extra: np.ndarray | None) -> np.ndarray:
+def _least_varying(rays: np.ndarray, towards: np.ndarray, extra: np.ndarray) -> np.ndarray:
     """Weights whose sum over a ray varies least, of those with weights @ towards = 1, (n,).
 
     Args:
@@ -264,8 +265,7 @@ def _least_varying(rays: np.ndarray, towards: np.ndarray, extra: np.ndarray | No
     spread = square - len(towards) * typical**2
     kept = 1 - min(max(error, 0.0) / max(spread, 1e-30), 1.0)
     covariance *= kept
-    if extra is not None:
-        covariance += np.outer(extra, extra)
+    covariance += np.outer(extra, extra)
     covariance.flat[:: len(towards) + 1] += (1 - kept + 1e-6) * typical + 1e-30
     along = towards.astype(float)
     solved, weights = cv2.solve(covariance, along[:, None], flags=cv2.DECOMP_CHOLESKY)

@@ -42,7 +42,7 @@ def refine_broad(
     band = Band.along(patch, ellipse, inliers, reach)
     if band is None:
         return NoSpot(Reason.NONE_FOUND)
-    offsets, _ = band.shifts([band.from_edge * band.slope])
+    offsets, _ = band.shifts([band.from_edge * band.slope], past_texture=False)
     gain = band.gain
     found = (
         band.whole

@@ -15,7 +15,7 @@ from estimator.detector.ellipse import Ellipse, robust_step
 from estimator.detector.levels import RADII, RADIUS_STEP, Levels, background_of, levels_of
 from estimator.detector.sharp import refine_sharp
 from estimator.detector.tuning import Capture, ErrorGrowth, Refine
-from estimator.detector.unwrap import DESIGN, Patch, ring_variance
+from estimator.detector.unwrap import DESIGN, Patch, ring_variance, ring_variances
 from estimator.image import NoSpot, Reason
 
 _NEARNESS = (1 / (Capture.NEARNESS + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
@@ -195,11 +195,9 @@ def _finished(refined: Refined) -> EdgeFit:
     step_covariance = variance * cv2.invert(rows.T @ rows)[1]
     texture = refined.band.texture
     if broad:
-        longer = _longer_waves(
-            size=1,
-            centre=1 + ErrorGrowth.CENTRE_BROAD * texture,
-            shape=1 + ErrorGrowth.SHAPE_BROAD * texture,
-        )
+        steepness = _steepness(errors)
+        first, second = (1 + texture * (g - 1) for g in _growth(steepness, np.array([1.0, 2.0])))
+        longer = _longer_waves(size=first, centre=first, shape=second)
     else:
         rise = ErrorGrowth.RISE * texture * levels.width
         longer = _longer_waves(
@@ -220,6 +218,29 @@ def _finished(refined: Refined) -> EdgeFit:
         inside=refined.band.inside,
         scatter=math.sqrt(float(errors @ errors) / len(rows)),
     )
+
+
+def _steepness(errors: np.ndarray) -> float:
+    """Power of the wavelength with which the variance of errors round the ring rises.
+
+    So few waves leave it open by half a power, as much as walls differ. So it is the mean of the
+    frame's and of the walls'.
+    """
+    long, short = ring_variances(errors, Refine.LONG_WAVES_BROAD, Refine.NEXT_WAVES_BROAD)
+    ratio = _middle(Refine.NEXT_WAVES_BROAD) / _middle(Refine.LONG_WAVES_BROAD)
+    seen = math.log(max(long, 1e-30) / max(short, 1e-30)) / math.log(ratio)
+    return (min(max(seen, 0.0), ErrorGrowth.STEEPEST) + ErrorGrowth.STEEPNESS) / 2
+
+
+def _growth(steepness: float, waves: np.ndarray) -> list[float]:
+    """Variance of long waves over that of `Refine.LONG_WAVES_BROAD`."""
+    growth: list[float] = ((_middle(Refine.LONG_WAVES_BROAD) / waves) ** steepness).tolist()
+    return growth
+
+
+def _middle(harmonics: slice) -> float:
+    """Geometric mean of the harmonics."""
+    return float(np.exp(np.log(np.arange(harmonics.start, harmonics.stop)).mean()))
 
 
 def _longer_waves(*, size: float, centre: float, shape: float) -> np.ndarray:

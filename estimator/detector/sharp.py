@@ -52,7 +52,7 @@ def refine_sharp(
     # Stretched about the edge itself: otherwise a ray with a narrower edge would seem shifted.
     middle = 0.0 if saturated else band.middle
     stretch = (band.from_edge - middle) * band.slope
-    shifts, rough = band.shifts([stretch, band.mean], wall_slopes=True)
+    shifts, rough = band.shifts([stretch, band.mean], past_texture=True)
     gain = band.gain
     offsets = shifts / np.maximum(
         gain, Refine.DARKEST_GAIN

@@ -173,6 +173,10 @@ class Refine:
     """harmonics round the contour | waves whose amplitude gives the ellipse's errors | derived: an
     ellipse has 0 to 2, and the outline of a round beam on a curved wall the third, which is shape
     """
+    NEXT_WAVES_BROAD = slice(7, 17)
+    """harmonics round the contour | the waves whose ratio to these shows how errors rise | derived:
+    the next octave and a third
+    """
     LONG_WAVES_BROAD = slice(3, 7)
     """harmonics round the contour | the same for broad flanks | set by hand: texture is strongest
     next to the harmonics that are fitted
@@ -272,20 +276,22 @@ class ErrorGrowth:
     1 + factor * RISE * texture * edge width.
     """
 
-    CENTRE_BROAD = 6.0
-    """- | factor for the centre, broad flanks | fitted to printed retinas, to a factor of two"""
-    SHAPE_BROAD = 1.0
-    """- | factor for the difference of the axes and the angle, broad flanks | fitted as
-    CENTRE_BROAD
+    STEEPNESS = 1.8
+    """- | power of the wavelength with which broad flanks' errors rise, of a typical wall | fitted
+    to printed retinas and to texture of spectrum 1/f, to half a power
     """
+    STEEPEST = 4.0
+    """- | largest such power that is believed of a frame | set by hand"""
     RISE = 25.0
-    """1 / radii | rise with the edge width, sharp edges | fitted as CENTRE_BROAD"""
+    """1 / radii | rise with the edge width, sharp edges | fitted to printed retinas, to a factor of
+    two
+    """
     SIZE = 3.0
-    """- | factor for the size, sharp edges | fitted as CENTRE_BROAD"""
+    """- | factor for the size, sharp edges | fitted as RISE"""
     CENTRE = 2.0
-    """- | factor for the centre, sharp edges | fitted as CENTRE_BROAD"""
+    """- | factor for the centre, sharp edges | fitted as RISE"""
     SHAPE = 1.0
-    """- | factor for the difference of the axes and the angle, sharp edges | fitted as CENTRE_BROAD
+    """- | factor for the difference of the axes and the angle, sharp edges | fitted as RISE
     """
 
 
