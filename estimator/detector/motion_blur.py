@@ -132,9 +132,6 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
             return fit
         if np.abs(step[:5]).max() < Motion.SETTLED:
             break
-    edge = np.square(columns[..., :5]).sum(axis=-1)
-    if float((weight * edge).sum()) < Motion.FITS * float(edge.sum()):
-        return fit
     covariance = _covariance(gram, pull, columns * np.sqrt(weight)[..., None])
     path = moving.path
     # Variance of the path's length, times its square.

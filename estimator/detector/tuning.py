@@ -409,10 +409,6 @@ class Motion:
     """- | part of a block's residuals that a fit leaves at least | set by hand: where a block alone
     determines a parameter
     """
-    FITS = 0.83
-    """- | mean weight of the edge's pixels, 0.9 for normal residuals | set by hand between moving
-    spots (0.86) and thick letters (0.81)
-    """
     BLOCK = 8
     """px of the reduced patch | side of a block that counts as one observation | derived: four
     times LONG_WAVES

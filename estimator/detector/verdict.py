@@ -55,7 +55,7 @@ def _judged(region: Region) -> Sighting | NoSpot:
     if isinstance(contour, NoSpot):
         return contour
     fit = contour
-    if fit.levels.width > Motion.SMEARED:
+    if fit.levels.width > Motion.SMEARED and not _is_rough(fit):
         fit = at_mid_exposure(patch_round(region, fit.ellipse, fit.levels.width), fit)
     spot = _spot_of(fit, region.settings, region.saturated[region.channel])
     if isinstance(spot, NoSpot):
@@ -112,6 +112,15 @@ _NEARNESS = (
 """Reasons by how near to a spot a region came: the last that occurs in a frame is reported."""
 
 
+def _is_rough(fit: EdgeFit) -> bool:
+    """Whether an outline is none of an ellipse, such as a polygon's or a letter's.
+
+    A wall's texture moves an edge by less than the edge is wide, and so does a spot's motion.
+    """
+    width = math.hypot(fit.levels.width, Verdict.FINEST_PX / fit.ellipse.axes()[1])
+    return fit.scatter > Verdict.COARSEST * width
+
+
 def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:
     semi_major, semi_minor, angle = fit.ellipse.axes()
     levels = fit.levels
@@ -133,8 +142,7 @@ def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
         return NoSpot(Reason.TOO_LARGE)
     if coverage < settings.min_coverage:
         return NoSpot(Reason.CLIPPED if in_frame < settings.min_coverage else Reason.OCCLUDED)
-    # A wall's texture moves an edge by less than the edge is wide; a polygon's sides do not.
-    if fit.scatter > Verdict.COARSEST * math.hypot(levels.width, Verdict.FINEST_PX / semi_minor):
+    if _is_rough(fit):
         return NoSpot(Reason.NONE_FOUND if coverage > Verdict.WHOLE else Reason.OCCLUDED)
     ellipse = fit.ellipse
     if settings.camera is not None:

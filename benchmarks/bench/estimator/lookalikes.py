@@ -23,7 +23,8 @@ from benchmarks.bench.estimator.own_frames import (
 )
 from estimator import Spot, SubpixelSettings, TrackState, measure
 
-_LETTERS = list("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789.:@&")
+_LETTERS = list("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789@&")
+"""No dots: they are discs."""
 
 
 def lamps(rng: np.random.Generator) -> np.ndarray:
