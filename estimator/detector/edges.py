@@ -189,9 +189,8 @@ def _finished(refined: Refined) -> EdgeFit:
     harmonics = Refine.LONG_WAVES_BROAD if broad else Refine.LONG_WAVES
     freedom = 2 * (harmonics.stop - harmonics.start)
     # The factor freedom / (freedom - 2) makes the mean of squared errors over so uncertain a
-    # variance one. The ellipse fits longer waves of a part of a contour than of the whole, so fewer
-    # remain from which the errors can be estimated: hence share**2.
-    variance = ring_variance(errors, harmonics) / share**2 * freedom / (freedom - 2)
+    # variance one. Rays without an edge add nothing to it: hence the share.
+    variance = ring_variance(errors, harmonics) / share * freedom / (freedom - 2)
     step_covariance = variance * cv2.invert(rows.T @ rows)[1]
     texture = refined.band.texture
     if broad:

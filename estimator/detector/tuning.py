@@ -158,11 +158,12 @@ class Refine:
     """radii | error of a sharp edge that never belongs to the ellipse | set by hand for shafts and
     shadows of drawn frames
     """
-    DARKEST_GAIN = 0.5
-    """- | brightness of a ray over the mean ray's: darker rays are hidden | set by hand for shafts
+    DARKEST_GAIN = 0.6
+    """- | brightness of a ray over the mean ray's: darker rays are hidden | set by hand for shafts,
+    and for shadows that take 60 % or more of the light
     """
-    BRIGHTEST_GAIN = 2.0
-    """- | the same: brighter rays show a glint | derived: 1 / DARKEST_GAIN"""
+    BRIGHTEST_GAIN = 1 / DARKEST_GAIN
+    """- | the same: brighter rays show a glint | derived"""
     SAMPLING_PX = 0.7
     """px | distance of the samples on a ray | set by hand: less than the pixel grid resolves"""
     FEWEST_SAMPLES = 5
@@ -451,7 +452,7 @@ class Verdict:
     """
     FINEST_PX = 0.7
     """px | width of an edge that the pixel grid resolves | set by hand"""
-    VAGUEST = 0.006
+    VAGUEST = 0.01
     """radii | standard error of the size of an ellipse that is seen in part | set by hand for
     shafts
     """
