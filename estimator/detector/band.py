@@ -15,6 +15,7 @@ from estimator.detector.tuning import Rays, Refine
 from estimator.detector.unwrap import DESIGN, Patch, ring_variances
 
 _CUBIC = np.arange(4)
+_WAVES = DESIGN.astype(np.float32)
 _SOLVABLE = np.float32(1e-3) * np.eye(5, dtype=np.float32)  # an arc too short for an ellipse
 
 
@@ -159,7 +160,7 @@ class Band:
         Such a step goes along with slopes of the light. If it counted as scatter, the weights would
         cancel it by them.
         """
-        rays, waves = rays[self.inliers], DESIGN[self.inliers].astype(np.float32)
+        rays, waves = rays[self.inliers], _WAVES[self.inliers]
         _, fitted = cv2.solve(waves.T @ waves + _SOLVABLE, waves.T @ rays)
         return rays - waves @ fitted
 
