@@ -45,6 +45,7 @@ _FRAMES, _LATER = 12, 4  # frames from the fifth on have numbers from 4
 _STACKS, _STACKS_FULL = 1, 12
 _SAMPLES = {"cone": 64}
 """Samples a pixel of the renderer; few leave an error of 0.1 of the step where an edge cuts."""
+_WIDTH = 160  # characters of the widest table
 _SURE = 1e-6  # relative error of a beam that is known
 
 
@@ -79,8 +80,7 @@ def run(*, full: bool) -> None:
                     motion = "hand" if number % 2 else "withdrawal"
                     place = Path(folder) / f"{len(readings)}"
                     readings += list(_read(beam, wall, motion, rng, place))
-    show(_errors(readings))
-    show(_coverage(readings))
+    show(_errors(readings), _coverage(readings), width=_WIDTH)
 
 
 def _read(

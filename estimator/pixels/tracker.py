@@ -138,18 +138,27 @@ class PoseTracker:
             path_mm = path_mm if way > _STILL_PX * self.beam.scale_mm_px else None
         channels = self.noise.channels(image)
         usable = np.all(image < self.noise.full_scale, axis=-1)
+        flag = RangeFlag.NOT_CONVERGED
         if self._beliefs:
             self._follow(channels, usable, spot, path_mm)
-        else:
+            flag = self._flag()
+        if flag is not RangeFlag.NONE:
+            # Where the past does not explain the frame, it may be wrong.
             self._begin(channels, usable, spot, direction, path_mm)
-        if not self._beliefs:
-            return RangeFlag.NOT_CONVERGED
-        best = self._beliefs[0].solution
-        if not best.converged or not best.chi_squared < _MISFIT:
+            flag = self._flag()
+        if flag is not RangeFlag.NONE:
             self.forget()
-            return RangeFlag.MISFIT if best.converged else RangeFlag.NOT_CONVERGED
+            return flag
+        best = self._beliefs[0].solution
         others = tuple(float(one.newest.pose.distance) for one in self._beliefs[1:])
         return _pixel_pose(best, others, _PLACE_PX * self.beam.scale_mm_px)
+
+    def _flag(self) -> RangeFlag:
+        """Whether the newest frame is explained."""
+        best = self._beliefs[0].solution if self._beliefs else None
+        if best is None or not best.converged:
+            return RangeFlag.NOT_CONVERGED
+        return RangeFlag.NONE if best.chi_squared < _MISFIT else RangeFlag.MISFIT
 
     def _begin(
         self,

@@ -10,6 +10,10 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from estimator.distance import TipPose
+from estimator.files import Pose
 from estimator.rig.rig import Doubt, Output, Parameters
 
 
@@ -19,6 +23,7 @@ class Messages(NamedTuple):
     spot: Any
     axes: Any
     range: Any
+    beam: Any
     status: Any
 
 
@@ -28,6 +33,7 @@ def topics_of(parameters: Parameters) -> Messages:
         parameters.spot_topic,
         parameters.axes_topic,
         parameters.range_topic,
+        parameters.beam_topic,
         parameters.status_topic,
     )
 
@@ -39,12 +45,16 @@ def message_types() -> Messages:
     from sensor_msgs import msg as sensor
 
     return Messages(
-        geometry.PointStamped, geometry.Vector3Stamped, sensor.Range, diagnostic.DiagnosticArray
+        geometry.PointStamped,
+        geometry.Vector3Stamped,
+        sensor.Range,
+        geometry.PoseWithCovarianceStamped,
+        diagnostic.DiagnosticArray,
     )
 
 
 def messages_of(output: Output, image: Any) -> Messages:
-    """The messages of an output.
+    """The messages of an output; None for a topic on which it has nothing to say.
 
     Args:
         output: of the rig.
@@ -71,8 +81,35 @@ def messages_of(output: Output, image: Any) -> Messages:
         spot=types.spot(header=_header(image), point=geometry.Point(x=x, y=y, z=valid)),
         axes=types.axes(header=_header(image), vector=geometry.Vector3(x=major, y=minor, z=angle)),
         range=distance,
+        beam=None if output.beam is None else _beam(output.beam, types.beam, _header(image)),
         status=_status(level, output.doubt or "ok", output.details, _header(image)),
     )
+
+
+def _beam(beam: TipPose, kind: Any, header: Any) -> Any:
+    """Tip and axis in the eye's frame, m; the axis is the pose's +z."""
+    from geometry_msgs import msg as geometry
+
+    x, y, z = (np.asarray(beam.axis) / np.linalg.norm(beam.axis)).tolist()
+    rotation = Pose.along((x, y, z), time_s=0.0, position_mm=(0.0, 0.0, 0.0)).rotation
+    assert beam.covariance is not None
+    assert beam.across is not None
+    # A turn of the axis towards a vector across it is a rotation about axis x vector.
+    slopes = np.zeros((6, 5))
+    slopes[:3, :3] = 1e-3 * np.eye(3)
+    slopes[3:, 3:] = np.cross(beam.axis, beam.across).T
+    covariance = slopes @ beam.covariance @ slopes.T
+    # Nothing is known of the rotation about the beam.
+    covariance[3:, 3:] += math.pi**2 * np.outer(beam.axis, beam.axis)
+    message = kind(header=header)
+    message.header.frame_id = "eye"
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    place.x, place.y, place.z = (1e-3 * np.asarray(beam.tip_mm)).tolist()
+    turn.x, turn.y, turn.z, turn.w = rotation
+    message.pose = geometry.PoseWithCovariance(
+        pose=message.pose.pose, covariance=covariance.ravel().tolist()
+    )
+    return message
 
 
 def silence_message(said: str, image: Any) -> Any:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
+from estimator.distance import TipPose
 from estimator.files import POSE_TOPIC
 from estimator.image import NoSpot, Reason, Spot
 from estimator.rig.recent_poses import RecentPoses
@@ -31,6 +32,7 @@ class Parameters(Options):
         spot_topic: `geometry_msgs/PointStamped`.
         axes_topic: `geometry_msgs/Vector3Stamped`.
         range_topic: `sensor_msgs/Range`.
+        beam_topic: `geometry_msgs/PoseWithCovarianceStamped`, in the mode pixels.
         status_topic: `diagnostic_msgs/DiagnosticArray`.
         rerun: as of `eyespot track`.
     """
@@ -40,6 +42,7 @@ class Parameters(Options):
     spot_topic: str = "~/spot"
     axes_topic: str = "~/axes"
     range_topic: str = "~/range"
+    beam_topic: str = "~/beam"
     status_topic: str = "~/status"
     rerun: str | None = Field(
         None, description="A recording for the viewer rerun: a file NAME.rrd, or live."
@@ -67,6 +70,7 @@ class Output(NamedTuple):
         sigma_m: standard deviation of the distance; NaN where there is none.
         doubt: see `Reading.doubt`; of an image that cannot be measured the reason.
         level: FAILED if the image could not be measured, or met a bug.
+        beam: tip and axis with their covariance; None but in the mode pixels.
         details: the rest, named and written as in the spots file, and the number of images that
             were measured and that were skipped.
     """
@@ -77,6 +81,7 @@ class Output(NamedTuple):
     sigma_m: float
     doubt: str
     level: Doubt
+    beam: TipPose | None
     details: dict[str, str]
 
 
@@ -181,6 +186,7 @@ def _output(reading: Reading, fault: str, counts: dict[str, str]) -> Output:
         details |= {f"other_distance_{n}_mm": d for n, d in enumerate(distance.others_mm, 1)}
     largest = reading.budget.largest if reading.budget else None
     said = {"largest_cause": largest.cause.value} if largest else {}
+    best = distance.poses[0] if distance and distance.poses else None
     doubt = fault or reading.doubt
     level = Doubt.DOUBTFUL if doubt else Doubt.NONE
     if fault or spot == NoSpot(Reason.INTERNAL_ERROR):
@@ -192,5 +198,6 @@ def _output(reading: Reading, fault: str, counts: dict[str, str]) -> Output:
         sigma_m=reading.sigma_distance_mm / 1e3,
         doubt=doubt,
         level=level,
+        beam=best if best is not None and best.covariance is not None else None,
         details={name: repr(float(value)) for name, value in details.items()} | said | counts,
     )

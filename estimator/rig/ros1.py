@@ -77,7 +77,8 @@ class Connection:
         if output.level is Doubt.FAILED:
             rospy.logerr_throttle(1.0, output.doubt)
         for publisher, message in zip(self._out, messages_of(output, image), strict=True):
-            publisher.publish(message)
+            if message is not None:
+                publisher.publish(message)
 
     def _on_pose(self, pose: Any) -> None:
         import rospy

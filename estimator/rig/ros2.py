@@ -149,7 +149,8 @@ class Connection:
         if output.level is Doubt.FAILED:
             self._log.error(output.doubt, throttle_duration_sec=1.0)
         for publisher, message in zip(self._out, messages_of(output, image), strict=True):
-            publisher.publish(message)
+            if message is not None:
+                publisher.publish(message)
 
     def _watch(self) -> None:
         def types() -> list[str]:
