@@ -28,6 +28,7 @@ class CameraSheet(Strict):
         prnu: standard deviation of the pixels' gain, relative.
         dsnu_e: standard deviation of the pixels' dark signal, electrons.
         bayer: whether colours are interpolated between the pixels of a Bayer filter.
+        jpeg: whether the images were compressed, which leaves their colours coarse.
     """
 
     full_well_e: Annotated[float, Field(gt=0, le=1e15)]
@@ -38,6 +39,7 @@ class CameraSheet(Strict):
     prnu: Annotated[float, Field(ge=0, lt=1)] = 0.0
     dsnu_e: _NonNegative = 0.0
     bayer: bool = False
+    jpeg: bool = False
 
     def noise(self, response: Response) -> CameraNoise:
         """The noise of a camera with a response curve."""
@@ -52,4 +54,5 @@ class CameraSheet(Strict):
             prnu=self.prnu,
             dsnu_e=self.dsnu_e,
             correlated=_BAYER if self.bayer else 1.0,
+            coarse_colours=self.jpeg,
         )

@@ -13,6 +13,7 @@ from estimator.image.light import Response
 from optics import InputError
 
 _CHANNELS = 3
+_JPEG_DN2 = 2.5**2 / 12  # at quality 90 the waves of a block are rounded to steps of 2 to 3 DN
 _CLEAR_SIGMAS = 4.0  # least distance of a pixel from black and white, where noise is clipped
 
 
@@ -30,6 +31,7 @@ class CameraNoise:
         prnu: standard deviation of the pixels' gain, relative.
         dsnu_e: standard deviation of the pixels' dark signal, electrons.
         correlated: growth of the variance of a mean over many pixels, whose noise is correlated.
+        coarse_colours: whether only the sum of the channels is true to the light, as after JPEG.
     """
 
     full_well_e: float
@@ -41,6 +43,7 @@ class CameraNoise:
     prnu: float = 0.0
     dsnu_e: float = 0.0
     correlated: float = 1.0
+    coarse_colours: bool = False
 
     @classmethod
     def of(cls, camera: dict[str, Any], response: Response) -> CameraNoise:
@@ -94,7 +97,10 @@ class CameraNoise:
         still = self.read_noise_e**2 + self.dsnu_e**2 + (self.prnu * electrons) ** 2
         counted = (electrons + still) / self.full_well_e**2
         step = np.interp(self._level(light), *self._steps) / (1 - self.black)
-        return self.correlated * (counted + step**2 / 12)
+        rounded = step**2 / 12
+        if self.coarse_colours:
+            rounded = rounded + _JPEG_DN2 * step**2
+        return self.correlated * (counted + rounded)
 
     def is_clear(self, light: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
         """Whether a pixel with this light stays between black and white in spite of noise."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.image import CameraNoise, Spot
+from estimator.image import GREY_WEIGHTS, CameraNoise, Spot
 from estimator.pixels.cells import CellLight, Window
 from estimator.pixels.solver import Solution
 
@@ -55,12 +55,13 @@ class Mix:
 
 
 def plain_mix(channels: Float[np.ndarray, "h w 3"], spot: Spot) -> Mix:
-    """The sum of the channels, for light of the spot's colour."""
+    """The luminance, which JPEG keeps best, for light of the spot's colour."""
     u, v, r = spot.x_px, spot.y_px, max(0.5 * spot.semi_minor_px, 2.0)
     rows = slice(max(round(v - r), 0), round(v + r) + 1)
     columns = slice(max(round(u - r), 0), round(u + r) + 1)
     light = np.maximum(channels[rows, columns].mean(axis=(0, 1)), _LEAST)
-    return Mix.of_shares(light / light.sum(), light)
+    parts = np.array(GREY_WEIGHTS) * light
+    return Mix.of_shares(parts / parts.sum(), light)
 
 
 def evener_mix(

@@ -2,12 +2,12 @@
 
 The logarithm of a cell's light in frame k is
 
-    y_k = log g_k + log(E(pose_k) + A_k) + m + noise,
+    y_k = log g_k + log(B_k E(pose_k) + A_k) + m + noise,
 
-with the gain g_k, the ambient light A_k and the logarithm m of the cell's reflectance, which all
-frames share. m is a Gaussian process (`texture`), so it is eliminated exactly from the normal
-equations. A filter that keeps only each cell's mean and variance would forget that the errors of
-map and poses hang together, and drift.
+with the gain g_k, the ambient light A_k, which may have a gradient, the image's blur B_k, and the
+logarithm m of the cell's reflectance, which all frames share. m is a Gaussian process (`texture`),
+so it is eliminated exactly from the normal equations. A filter that keeps only each cell's mean and
+variance would forget that the errors of map and poses hang together, and drift.
 """
 
 from __future__ import annotations
@@ -23,8 +23,13 @@ from estimator.pixels.beam import POSE, BeamLight, Pose
 from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.texture import Texture
 
-OWN = POSE + 2
-"""States of a frame: those of its pose, log gain and log ambient light."""
+GAIN, AMBIENT, SLANT, BLUR = POSE, POSE + 1, slice(POSE + 2, POSE + 4), POSE + 4
+OWN = POSE + 5
+"""States of a frame: those of its pose, log gain, log ambient light, the ambient light's relative
+growth from the window's middle to its right and lower sides, and the variance of the blur, px²."""
+_SLANT = 0.5  # standard deviation; a film of water shines to one side
+_BLUR_PX2 = 2.0  # standard deviation of the blur's variance; a focus 0.5 mm off at NA 0.05 is 3.5
+_FAINTEST = 0.05  # of the ambient light in the middle
 _FLOOR = 2e-3  # of the light: errors of the image model, such as the table's
 _CUT = 0.1
 """Error of a pixel that a sharp edge cuts, over the step: what a renderer's 2 x 2 samples leave."""
@@ -32,7 +37,12 @@ _DARKEST = 1e-6  # full wells
 _RIDGE = 1e-12  # of a state's own information, so that one without any does not matter
 _DONE, _SMALL = 0.1, 0.3
 """In standard deviations: a shorter step ends the iteration; a last step as short is an answer."""
-_STRANGE = 4.0  # standard deviations from what neighbours and other frames say of a cell
+_LEAST_DAMPING = 1e-3
+
+
+_ALONG = (np.arange(COUNT) + 0.5) / (0.5 * COUNT) - 1.0
+_SIDES = np.stack([np.tile(_ALONG, COUNT), np.repeat(_ALONG, COUNT)])
+"""Place of each cell to the right of the window's middle and below it, over half of its side."""
 
 
 class Direction(NamedTuple):
@@ -53,7 +63,7 @@ class Linear(NamedTuple):
     """
 
     residual: Float[np.ndarray, "n"]
-    slopes: Float[np.ndarray, "7 n"]
+    slopes: Float[np.ndarray, "10 n"]
     shared: Float[np.ndarray, "q n"]
     weight: Float[np.ndarray, "n"]
 
@@ -70,6 +80,8 @@ class FrameState:
         direction: of the beam by the robot, or None.
         ambient_prior: mean and standard deviation of `log_ambient`.
         path: of the tip during the exposure, see `BeamLight.irradiance`.
+        slant: growth of the ambient light to the right and downwards.
+        blur_px2: variance of the image's blur.
     """
 
     cells: CellLight
@@ -79,6 +91,8 @@ class FrameState:
     direction: Direction | None
     ambient_prior: tuple[float, float]
     path: Float[np.ndarray, "3 3"] | None = None
+    slant: tuple[float, float] = (0.0, 0.0)
+    blur_px2: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +103,7 @@ class Solution:
         frames: with their new states.
         linear: their models at these states.
         own: changes of the beam's own parameters, see `BeamLight`.
-        covariance: of all states: 7 of each frame, then the beam's own.
+        covariance: of all states: 10 of each frame, then the beam's own.
         cost: -2 log likelihood, up to a constant of the data.
         texture_map: log reflectance of the cells.
         factor: Cholesky factor of the precision of this map.
@@ -165,12 +179,13 @@ class Solver:
         """
         frames = [*(state for state, _ in kept), frame]
         newest, size = len(kept), OWN * (len(kept) + 1) + len(own)
-        gone, damping, converged = np.zeros(size), 1e-3, False
+        gone, damping, converged = np.zeros(size), _LEAST_DAMPING, False
         lines = [line for _, line in kept]
         lines.append(self.linear(frame, own, trust=trust))
         hessian, gradient, cost, factor = self._system(frames, lines, own, gone)
         for _ in range(steps):
             step = _inverse(hessian, damping=damping) @ gradient
+            distance = float(np.sqrt(step @ hessian @ step / size))
             moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
             trial = None
             if moved is not None:
@@ -183,13 +198,16 @@ class Solver:
                 here[OWN * newest : OWN * (newest + 1)] = 0.0
                 new_cost = self._cost([*frames[:-1], moved], trial, new_own, here, factor)
             if trial is None or not new_cost <= cost + 1e-9 * abs(cost):
-                damping = max(10 * damping, 1e-3)
+                if distance < _SMALL and damping <= _LEAST_DAMPING:
+                    converged = True  # at the minimum, within what the derivatives are good for
+                    break
+                damping = 10 * damping
                 if damping > 1e6:
                     break
                 continue
             assert moved is not None
-            distance = float(np.sqrt(step @ hessian @ step / size))
-            frame, own, gone, damping = moved, new_own, here, 0.1 * damping
+            frame, own, gone = moved, new_own, here
+            damping = max(0.1 * damping, _LEAST_DAMPING)
             frames[-1], lines = frame, [*trial[:-1], fresh]
             hessian, gradient, cost, factor = self._system(frames, lines, own, gone)
             converged = distance < _SMALL
@@ -215,8 +233,12 @@ class Solver:
         """A frame's model at its state."""
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
         irradiance, slopes = self.beam.irradiance(self.lattice, frame.pose, own, frame.path)
-        ambient = np.exp(frame.log_ambient)
-        total = np.maximum(irradiance, 0.0) + ambient
+        level = np.exp(frame.log_ambient)
+        growth = np.maximum(1.0 + np.array(frame.slant) @ _SIDES, _FAINTEST)
+        bend = _laplacian(irradiance) / (2.0 * self.window.side**2)
+        ambient = level * growth
+        # A wide blur of a sharp edge would undershoot in this first order.
+        total = np.maximum(irradiance + frame.blur_px2 * bend, 0.0) + ambient
         model = np.exp(frame.log_gain) * total
         weight = self._weight(frame, light, usable, model)
         deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
@@ -224,7 +246,13 @@ class Solver:
         return Linear(
             residual=np.where(usable, np.log(seen / model), 0.0),
             slopes=np.concatenate(
-                [slopes[:POSE] / total, np.ones((1, total.size)), ambient / total[None]]
+                [
+                    slopes[:POSE] / total,
+                    np.ones((1, total.size)),
+                    ambient / total[None],
+                    level * _SIDES / total,
+                    bend[None] / total,
+                ]
             ),
             shared=slopes[POSE:] / total,
             weight=weight if trust is None else weight * trust,
@@ -314,7 +342,7 @@ class Solver:
         turns = np.abs(change[3:POSE]).max()
         if not (frame.pose.distance + change[2] > 0 and turns < 0.5):
             return None
-        if not np.abs(change[POSE:]).max() < 5.0:
+        if not np.abs(change[[GAIN, AMBIENT]]).max() < 5.0:
             return None
         pose = self.beam.pose(*frame.pose.moved(change))
         if pose is None:
@@ -322,9 +350,19 @@ class Solver:
         return replace(
             frame,
             pose=pose,
-            log_gain=frame.log_gain + change[POSE],
-            log_ambient=frame.log_ambient + change[POSE + 1],
+            log_gain=frame.log_gain + change[GAIN],
+            log_ambient=frame.log_ambient + change[AMBIENT],
+            slant=tuple(np.add(frame.slant, change[SLANT]).tolist()),
+            blur_px2=frame.blur_px2 + float(change[BLUR]),
         )
+
+
+def _laplacian(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Second differences over the cells, in both directions."""
+    padded = np.pad(values.reshape(COUNT, COUNT), 1, mode="edge")
+    across = padded[1:-1, 2:] + padded[1:-1, :-2]
+    along = padded[2:, 1:-1] + padded[:-2, 1:-1]
+    return (across + along - 4.0 * padded[1:-1, 1:-1]).ravel()
 
 
 def _inverse(hessian: np.ndarray, *, damping: float = 0.0) -> np.ndarray:
@@ -350,8 +388,12 @@ def _prior(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
     """Precision of a frame's states before it is seen, and the pull towards their means."""
     precision, pull = np.zeros((OWN, OWN)), np.zeros(OWN)
     mean, sigma = frame.ambient_prior
-    precision[POSE + 1, POSE + 1] = sigma**-2
-    pull[POSE + 1] = (mean - frame.log_ambient) / sigma**2
+    precision[AMBIENT, AMBIENT] = sigma**-2
+    pull[AMBIENT] = (mean - frame.log_ambient) / sigma**2
+    precision[SLANT, SLANT] = _SLANT**-2 * np.eye(2)
+    pull[SLANT] = np.array(frame.slant) / -(_SLANT**2)
+    precision[BLUR, BLUR] = _BLUR_PX2**-2
+    pull[BLUR] = -frame.blur_px2 / _BLUR_PX2**2
     if frame.direction is not None:
         across = np.stack([frame.pose.first, frame.pose.second])
         weight = frame.direction.sigma**-2
@@ -363,6 +405,7 @@ def _prior(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
 def _prior_cost(frame: FrameState) -> float:
     mean, sigma = frame.ambient_prior
     cost = ((frame.log_ambient - mean) / sigma) ** 2
+    cost += sum(x * x for x in frame.slant) / _SLANT**2 + (frame.blur_px2 / _BLUR_PX2) ** 2
     if frame.direction is not None:
         off = np.cross(frame.pose.axis, frame.direction.axis)
         cost += float(off @ off) / frame.direction.sigma**2

@@ -187,7 +187,9 @@ class PoseTracker:
             return
         found.sort(key=lambda one: one.cost)
         # Again with this wall's texture, in the channels in which it has the least.
-        self._mix = mix = evener_mix(channels, usable, window, found[0], mix)
+        if not self.noise.coarse_colours:
+            mix = evener_mix(channels, usable, window, found[0], mix)
+        self._mix = mix
         cells = self._cells(channels, usable, mix)
         found = [
             solver.solve([], replace(one.frames[0], cells=cells), own, steps=_STEPS)

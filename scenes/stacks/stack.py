@@ -188,7 +188,7 @@ def _camera_sheet(camera: CameraSettings) -> dict[str, object]:
     """What the estimator may know of the camera: its data sheet."""
     names = ("full_well_e", "read_noise_e", "dark_signal_e", "black_level_dn", "bit_depth")
     sheet = camera.model_dump(include={*names, "prnu", "dsnu_e"})
-    return sheet | {"bayer": camera.bayer != "none"}
+    return sheet | {"bayer": camera.bayer != "none", "jpeg": camera.jpeg_quality > 0}
 
 
 def _camera_matrix(camera: optics.Camera) -> list[list[float]] | None:
