@@ -199,8 +199,8 @@ def test_a_disk_that_fills_up_keeps_what_was_measured_and_says_what_is_needed(
 def test_parquet_that_does_not_fit_leaves_its_lines_and_says_where(
     tmp_path: Path, frames: Path, whole: list[tuple[Any, ...]]
 ) -> None:
-    # The lines have 4.6 KB, a Parquet file of so many columns has 20 KB.
-    done = with_room(frames, "--out", tmp_path / "spots.parquet", largest_file=5_000)
+    # The lines have 5.1 KB, a Parquet file of so many columns has 20 KB.
+    done = with_room(frames, "--out", tmp_path / "spots.parquet", largest_file=5_300)
     assert done.returncode == 2
     assert f"What was measured is in {tmp_path / 'spots.partial.csv'}" in done.stderr
     assert lines_of(tmp_path / "spots.partial.csv") == whole
@@ -213,7 +213,7 @@ def test_a_video_that_loses_frames_is_an_error_and_the_spots_stay(
 ) -> None:
     out, overlay = tmp_path / "spots.csv", tmp_path / name
     options = ("--out", out, "--overlay", overlay, "--json")
-    done = with_room(frames, *options, largest_file=5_000)  # the spots have 4.6 KB, a video 5.5 KB
+    done = with_room(frames, *options, largest_file=5_300)  # the spots have 5.1 KB, a video 5.5 KB
     assert done.returncode == 2
     assert re.search(rf"{overlay}: only [0-7] of 8 frames could be written", done.stderr)
     assert f"{out} holds the 8 frames" in done.stderr

@@ -258,6 +258,11 @@ def _least_varying(rays: np.ndarray, towards: np.ndarray, extra: np.ndarray) -> 
         towards: (n,) unit vector.
         extra: (n,) a profile that rays also contain, with a random factor of variance one.
     """
+    # In units of the rays' own size: fourth powers of very bright or dim light are no numbers.
+    size = float(np.abs(rays).max())
+    if not size > 0:
+        return towards
+    rays, extra = rays / np.float32(size), extra / size
     covariance = (rays.T @ rays / np.float32(len(rays))).astype(float)
     typical = covariance.trace() / len(towards)
     square = float(np.vdot(covariance, covariance))

@@ -450,8 +450,8 @@ class Verdict:
     """edge widths | scatter of the edges of an ellipse | set by hand between textured walls' spots
     (0.12) and hexagons (0.23)
     """
-    FINEST_PX = 0.7
-    """px | width of an edge that the pixel grid resolves | set by hand"""
+    FINEST_PX = 1.0
+    """px | width of an edge that is drawn in whole pixels | derived"""
     VAGUEST = 0.01
     """radii | standard error of the size of an ellipse that is seen in part | set by hand for
     shafts
