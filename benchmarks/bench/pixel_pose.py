@@ -42,7 +42,7 @@ _BEAMS: dict[str, dict[str, Any]] = {
 _WALLS = ("uniform", "printed paper", "retina", "photograph")
 _FIELD_MM = 2.2  # half of the photograph's width, where every wall has a picture
 _FRAMES, _LATER = 12, 4  # frames from the fifth on have numbers from 4
-_STACKS, _STACKS_FULL = 1, 12
+_STACKS, _STACKS_FULL = 1, 4
 _SAMPLES = {"cone": 64}
 """Samples a pixel of the renderer; few leave an error of 0.1 of the step where an edge cuts."""
 _WIDTH = 160  # characters of the widest table
