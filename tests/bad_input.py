@@ -18,6 +18,7 @@ import tomllib
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -320,7 +321,9 @@ def _run(folder: Path) -> None:
 
 def _calibration(folder: Path) -> None:
     calibration = read_calibration(folder / "calibration.json")
-    Ranger(calibration, read_microscope(folder / "microscope.json"))
+    # The file of 0.1 was calibrated under a microscope of this scale.
+    microscope = replace(read_microscope(folder / "microscope.json"), scale_mm_px=0.0067)
+    Ranger(calibration, microscope)
 
 
 def _opencv(name: str) -> Callable[[Path], object]:
