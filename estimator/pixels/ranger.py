@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.distance import Range, RangeFlag, TipPose, calibrated_view
+from estimator.distance import Range, calibrated_view
 from estimator.files import (
     LENS_PARAMETERS,
     Calibration,
@@ -20,7 +20,7 @@ from estimator.files import (
 from estimator.image import Spot
 from estimator.pixels.beam import BeamLight
 from estimator.pixels.solver import Direction
-from estimator.pixels.tracker import PixelPose, PoseTracker
+from estimator.pixels.tracker import PoseTracker
 from optics import InputError
 
 _NEAREST_MM, _FARTHEST_MM = 0.25, 9.0
@@ -85,27 +85,7 @@ class PixelRanger:
                 eye frame; None if unknown.
         """
         direction = None if axis is None else Direction(np.asarray(axis), axis_sigma_rad)
-        found = self._tracker.read(frame, spot, direction, path_mm)
-        if isinstance(found, RangeFlag):
-            return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=found)
-        return _range(found)
-
-
-def _range(found: PixelPose) -> Range:
-    pose = TipPose(
-        tip_mm=found.tip_mm,
-        axis=found.axis,
-        distance_mm=found.distance_mm,
-        covariance=found.covariance,
-        across=found.across,
-    )
-    return Range(
-        distance_mm=found.distance_mm,
-        sigma_mm=found.sigma_mm,
-        others_mm=found.others_mm,
-        poses=(pose,),
-        chi_squared=found.chi_squared,
-    )
+        return self._tracker.read(frame, spot, direction, path_mm)
 
 
 def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.distance import RangeFlag
+from estimator.distance import Range, RangeFlag, TipPose
 from estimator.image import CameraNoise, Spot
 from estimator.pixels.beam import NODES, POSE, BeamLight
 from estimator.pixels.cells import COUNT, CellLight, Window
@@ -40,31 +40,6 @@ _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on
 _STILL_PX = 1.0  # way of the tip during the exposure that does not show
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 _PLACE_PX = 0.05  # error of the spot's place by the image model, on rendered frames of known pose
-
-
-@dataclass(frozen=True, eq=False)
-class PixelPose:
-    """Tip and axis of a beam, from one frame and those before it.
-
-    Attributes:
-        tip_mm: S, (3,).
-        axis: unit vector from the tip towards the wall, (3,).
-        across: two unit vectors across the axis, (2, 3).
-        distance_mm: d = |SO|.
-        sigma_mm: its standard deviation.
-        covariance: 5 x 5, of the tip (x, y, z; mm) and of the axis's turns towards `across`, rad.
-        chi_squared: per cell; 1 where beam, wall and camera explain the light.
-        others_mm: distances of other poses that explain the light as well.
-    """
-
-    tip_mm: Float[np.ndarray, "3"]
-    axis: Float[np.ndarray, "3"]
-    across: Float[np.ndarray, "2 3"]
-    distance_mm: float
-    sigma_mm: float
-    covariance: Float[np.ndarray, "5 5"]
-    chi_squared: float
-    others_mm: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +98,7 @@ class PoseTracker:
         spot: Spot,
         direction: Direction | None = None,
         path_mm: Float[np.ndarray, "3 3"] | None = None,
-    ) -> PixelPose | RangeFlag:
+    ) -> Range:
         """The pose in the next frame, or why there is none.
 
         Args:
@@ -148,10 +123,10 @@ class PoseTracker:
             flag = self._flag()
         if flag is not RangeFlag.NONE:
             self.forget()
-            return flag
+            return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=flag)
         best = self._beliefs[0].solution
         others = tuple(float(one.newest.pose.distance) for one in self._beliefs[1:])
-        return _pixel_pose(best, others, _PLACE_PX * self.beam.scale_mm_px)
+        return _range(best, others, _PLACE_PX * self.beam.scale_mm_px)
 
     def _flag(self) -> RangeFlag:
         """Whether the newest frame is explained."""
@@ -312,7 +287,7 @@ def _distinct(beliefs: list[_Belief]) -> list[_Belief]:
     return kept
 
 
-def _pixel_pose(solution: Solution, others_mm: tuple[float, ...], place_mm: float) -> PixelPose:
+def _range(solution: Solution, others_mm: tuple[float, ...], place_mm: float) -> Range:
     at = OWN * (len(solution.frames) - 1)
     pose = solution.frames[-1].pose
     covariance = solution.covariance[at : at + POSE, at : at + POSE].copy()
@@ -322,13 +297,17 @@ def _pixel_pose(solution: Solution, others_mm: tuple[float, ...], place_mm: floa
     slopes = np.zeros((POSE, POSE))
     slopes[:3] = np.stack([pose.right, pose.down, -pose.axis, *(-pose.distance * across)], axis=-1)
     slopes[3, 3] = slopes[4, 4] = 1.0
-    return PixelPose(
+    found = TipPose(
         tip_mm=np.asarray(pose.tip),
         axis=np.asarray(pose.axis),
-        across=across,
         distance_mm=float(pose.distance),
-        sigma_mm=float(np.sqrt(covariance[2, 2])),
         covariance=slopes @ covariance @ slopes.T,
-        chi_squared=solution.chi_squared,
+        across=across,
+    )
+    return Range(
+        distance_mm=found.distance_mm,
+        sigma_mm=float(np.sqrt(covariance[2, 2])),
         others_mm=others_mm,
+        poses=(found,),
+        chi_squared=solution.chi_squared,
     )
