@@ -6,12 +6,12 @@ import secrets
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from estimator.files import POSE_TOPIC
-from estimator.run import Options, with_options
+from estimator.run import Exposure, ImageTopic, Options, PosesFile, with_options
 from optics import InputError
 
 if TYPE_CHECKING:
@@ -31,18 +31,9 @@ def console(
             "topic:/NAME of a running ROS.",
         ),
     ],
-    exposure: Annotated[
-        Literal["paper", "metered"] | None,
-        typer.Option(help="Which exposure to use if the stack has two."),
-    ] = None,
-    image_topic: Annotated[
-        str | None,
-        typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
-    ] = None,
-    poses: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Robot poses (CSV or ROS bag), on the clock of SOURCE."),
-    ] = None,
+    exposure: Exposure = None,
+    image_topic: ImageTopic = None,
+    poses: PosesFile = None,
     pose_topic: Annotated[
         str | None,
         typer.Option(

@@ -7,7 +7,10 @@ from .offline import Tracking as Tracking
 from .offline import record_of as record_of
 from .offline import track_source as track_source
 from .offline import track_whole_source as track_whole_source
+from .options import Exposure as Exposure
+from .options import ImageTopic as ImageTopic
 from .options import Options as Options
+from .options import PosesFile as PosesFile
 from .options import with_options as with_options
 from .progress_bar import Advance as Advance
 from .progress_bar import progress as progress

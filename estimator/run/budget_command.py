@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from estimator.run.options import Options, with_options
+from estimator.run.options import (
+    Exposure,
+    ImageTopic,
+    Options,
+    PosesFile,
+    PoseTopic,
+    with_options,
+)
 from estimator.run.progress_bar import progress
 from optics import InputError
 
@@ -31,22 +37,10 @@ def budget(
         int | None,
         typer.Option(help="Number of the frame (default: the one with the widest interval)."),
     ] = None,
-    exposure: Annotated[
-        Literal["paper", "metered"] | None,
-        typer.Option(help="Which exposure to use if the stack has two."),
-    ] = None,
-    poses: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Robot poses (CSV or ROS bag), on the clock of SOURCE."),
-    ] = None,
-    image_topic: Annotated[
-        str | None,
-        typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
-    ] = None,
-    pose_topic: Annotated[
-        str | None,
-        typer.Option(help="Pose topic of a bag that has several, none of them the rig's."),
-    ] = None,
+    exposure: Exposure = None,
+    poses: PosesFile = None,
+    image_topic: ImageTopic = None,
+    pose_topic: PoseTopic = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the budget as one JSON object, and nothing else.")
     ] = False,

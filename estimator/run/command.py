@@ -12,11 +12,18 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from estimator.run.options import Options, with_options
+from estimator.run.options import (
+    Exposure,
+    ImageTopic,
+    Options,
+    PosesFile,
+    PoseTopic,
+    with_options,
+)
 from estimator.run.progress_bar import progress
 from optics import InputError
 
@@ -46,10 +53,7 @@ def track(
             "--out", metavar="FILE", help="Spots file to write, .csv or .parquet; must not exist."
         ),
     ],
-    exposure: Annotated[
-        Literal["paper", "metered"] | None,
-        typer.Option(help="Which exposure to use if the stack has two."),
-    ] = None,
+    exposure: Exposure = None,
     unrelated: Annotated[
         bool | None,
         typer.Option(
@@ -58,18 +62,9 @@ def track(
             "follow it, except in a folder whose images are not numbered one by one).",
         ),
     ] = None,
-    poses: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Robot poses (CSV or ROS bag), on the clock of SOURCE."),
-    ] = None,
-    image_topic: Annotated[
-        str | None,
-        typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
-    ] = None,
-    pose_topic: Annotated[
-        str | None,
-        typer.Option(help="Pose topic of a bag that has several, none of them the rig's."),
-    ] = None,
+    poses: PosesFile = None,
+    image_topic: ImageTopic = None,
+    pose_topic: PoseTopic = None,
     overlay: Annotated[
         Path | None,
         typer.Option(

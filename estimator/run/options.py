@@ -33,6 +33,24 @@ _NEEDS = {
     ),
 }
 
+Exposure = Annotated[
+    Literal["paper", "metered"] | None,
+    typer.Option(help="Which exposure to use if the stack has two."),
+]
+PosesFile = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Robot poses (CSV or ROS bag), on the clock of SOURCE."),
+]
+ImageTopic = Annotated[
+    str | None,
+    typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
+]
+PoseTopic = Annotated[
+    str | None,
+    typer.Option(help="Pose topic of a bag that has several, none of them the rig's."),
+]
+"""Options of the commands that read a recording with its poses."""
+
 _POINT = TypeAdapter(tuple[FiniteFloat, FiniteFloat])
 _QUATERNION = TypeAdapter(Quaternion)
 
