@@ -88,6 +88,48 @@ def test_neither_a_callback_nor_native_code_swallows_ctrl_c(code):
     assert stopped(sys.executable, "-c", code, after_s="ready") == (130, "", False)
 
 
+FINISHING = """
+import time
+from estimator.run import ending_on_ctrl_c, finish_first
+from estimator.run.interrupt import PATIENCE_S
+
+with ending_on_ctrl_c():
+    try:
+        print("ready", flush=True)
+        time.sleep(100)
+    except KeyboardInterrupt:
+        finish_first()
+        print("writing", flush=True)
+        time.sleep({seconds} * PATIENCE_S)
+        print("written", flush=True)
+"""
+
+
+def test_a_command_that_writes_its_results_is_not_ended_before_it_has():
+    """On a busy machine that takes longer than a command may take that does nothing of use."""
+    command = subprocess.Popen(
+        [sys.executable, "-c", FINISHING.format(seconds=2)], stdout=subprocess.PIPE, text=True
+    )
+    assert command.stdout is not None
+    assert command.stdout.readline() == "ready\n"
+    command.send_signal(signal.SIGINT)
+    rest, _ = command.communicate(timeout=PATIENCE_S)
+    assert rest == "writing\nwritten\n"
+
+
+def test_a_second_ctrl_c_ends_a_command_that_writes_its_results():
+    command = subprocess.Popen(
+        [sys.executable, "-c", FINISHING.format(seconds=100)], stdout=subprocess.PIPE, text=True
+    )
+    assert command.stdout is not None
+    assert command.stdout.readline() == "ready\n"
+    command.send_signal(signal.SIGINT)
+    assert command.stdout.readline() == "writing\n"
+    command.send_signal(signal.SIGINT)
+    rest, _ = command.communicate(timeout=PATIENCE_S)
+    assert (rest, command.returncode) == ("", 130)
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recording")

@@ -7,7 +7,7 @@ command          The command `eyespot track`: opens a source, tracks it, writes 
 exit_codes       How a command ends: its message on an error, and its exit code
 internal_errors  Bugs that are met in single frames: logged and counted, so that a long run reaches
                  its end
-interrupt        Ctrl-C ends a command within two seconds, whatever the command is doing
+interrupt        Ctrl-C ends a command within two seconds, unless it is writing what it has
 offline          Reads a source from its first frame to its last: the spots, and how many of each
                  kind
 options          The options of a measurement, defined once for `eyespot track` and for the rig's

@@ -2,6 +2,7 @@ from . import internal_errors as internal_errors
 from .exit_codes import run_command as run_command
 from .interrupt import end_now as end_now
 from .interrupt import ending_on_ctrl_c as ending_on_ctrl_c
+from .interrupt import finish_first as finish_first
 from .offline import Ended as Ended
 from .offline import Tracking as Tracking
 from .offline import record_of as record_of

@@ -1,8 +1,10 @@
-"""Ctrl-C ends a command within two seconds, whatever the command is doing.
+"""Ctrl-C ends a command within two seconds, unless it is writing what it has.
 
 Python alone does not: it raises KeyboardInterrupt in whatever Python code runs next. Native code
 that compiles or renders may run for many seconds before that. And an exception is dropped if it is
 raised in a callback of the garbage collector (JAX registers one), a finalizer, or a C library.
+
+A command that has results to write takes the time for it, see `finish_first`.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ process may end at any moment."""
 _AGAIN_S = 0.02  # until a dropped KeyboardInterrupt is raised again
 
 _pressed = threading.Event()
+_finishing = threading.Event()
 
 
 def ctrl_c_was_pressed() -> bool:
@@ -42,9 +45,19 @@ def end_now() -> NoReturn:
     os._exit(STOPPED)
 
 
+def finish_first() -> None:
+    """Give a command that Ctrl-C reached the time to write its results, on a busy machine too.
+
+    From here on a second Ctrl-C ends the process at once.
+    """
+    _finishing.set()
+
+
 @contextmanager
 def ending_on_ctrl_c() -> Iterator[None]:
     """Let Ctrl-C end this process: by a KeyboardInterrupt, and after `PATIENCE_S` at once.
+
+    A command that called `finish_first` ends at a second Ctrl-C only, or by itself.
 
     To be used in the main thread.
     """
@@ -55,6 +68,8 @@ def ending_on_ctrl_c() -> Iterator[None]:
     handlers = {
         number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGALRM)
     }
+    _pressed.clear()
+    _finishing.clear()
     hook, sys.unraisablehook = sys.unraisablehook, _raise_again
     threading.Thread(target=_end_at_last, args=(reading,), daemon=True).start()
     try:
@@ -69,7 +84,8 @@ def ending_on_ctrl_c() -> Iterator[None]:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     _pressed.set()
-    raise KeyboardInterrupt
+    if not _finishing.is_set():
+        raise KeyboardInterrupt
 
 
 def _raise_again(unraisable: Any) -> None:
@@ -81,11 +97,17 @@ def _raise_again(unraisable: Any) -> None:
 
 
 def _end_at_last(signals: int) -> None:
+    if _ctrl_c_comes(signals):
+        _pressed.set()
+        time.sleep(PATIENCE_S)
+        if not _finishing.is_set() or _ctrl_c_comes(signals):
+            end_now()
+    os.close(signals)
+
+
+def _ctrl_c_comes(signals: int) -> bool:
+    """Wait for the next Ctrl-C; False if the command ends first."""
     received = os.read(signals, 1)
     while received and received[0] != signal.SIGINT:
         received = os.read(signals, 1)
-    if received:
-        _pressed.set()
-        time.sleep(PATIENCE_S)
-        end_now()
-    os.close(signals)
+    return bool(received)

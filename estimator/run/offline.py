@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from estimator.files import BeamPose, PoseTrack, SpotRecord
 from estimator.image import Reason
+from estimator.run.interrupt import finish_first
 from estimator.run.reader import Reader, Reading
 from estimator.sources import Frame, Source
 from optics import InputError
@@ -137,6 +138,7 @@ def track_source(
     except KeyboardInterrupt:
         if not tracking.frames:
             raise
+        finish_first()
         tracking.ended = Ended.COMPLETE if source.live else Ended.INTERRUPTED
     except (InputError, OSError) as error:
         if not tracking.frames:
