@@ -300,7 +300,7 @@ def test_our_estimator_is_scored_from_its_files_as_when_it_is_run(
     assert total["missed"] == "0"
     found = json.loads((tmp_path / "score" / "score.json").read_text())
     assert found["outcomes"]["subpixel"] == {"found": 15, "hidden": 1}
-    for name in ("score.png", "score.svg"):
+    for name in ("report.html", "leaderboard.csv", "figures/by_condition.svg"):
         assert (tmp_path / "score" / name).stat().st_size > 0
 
 

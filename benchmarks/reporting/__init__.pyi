@@ -17,6 +17,7 @@ from .figures import VERMILION as VERMILION
 from .figures import limit_lines as limit_lines
 from .figures import save_figure as save_figure
 from .figures import small_multiples as small_multiples
+from .page import write_page as write_page
 from .report import Data as Data
 from .report import Picture as Picture
 from .report import Report as Report

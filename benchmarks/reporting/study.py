@@ -18,10 +18,9 @@ import matplotlib
 
 import scenes
 from benchmarks.reporting import run_folder
-from benchmarks.reporting.figures import STYLE, save_figure
-from benchmarks.reporting.page import page
-from benchmarks.reporting.report import Data, Report
-from benchmarks.reporting.tables import write_csv
+from benchmarks.reporting.figures import STYLE
+from benchmarks.reporting.page import write_page
+from benchmarks.reporting.report import Report
 from estimator import Stack, StackWriter
 from estimator.files import require_space
 from estimator.run import progress
@@ -176,18 +175,8 @@ class Study:
         print(f"Wrote {self.folder / 'report.html'}.")
 
     def _write(self, report: Report, folder: Path) -> None:
-        for data in report.data:
-            if isinstance(data, Data):
-                write_csv(folder / data.name, data.row_type, data.rows)
         scene_toml = scenes.scene_toml(self.scene)
         (folder / "scene.toml").write_text(scene_toml, encoding="utf-8")
-        (folder / "figures").mkdir()
-        images = {
-            picture.name: save_figure(
-                picture.figure, folder / "figures" / picture.name, inline=picture.inline
-            )
-            for picture in report.pictures
-        }
         used = run_folder.versions()
         summary = {
             "schema_version": _SUMMARY_SCHEMA,
@@ -199,5 +188,12 @@ class Study:
             "seconds": self.seconds,
         }
         run_folder.write_json(folder / "summary.json", summary)
-        html = page(study=self, report=report, images=images, versions=used, scene_toml=scene_toml)
-        (folder / "report.html").write_text(html, encoding="utf-8")
+        write_page(
+            folder,
+            report,
+            command=self.command,
+            versions=used,
+            template="report.html.j2",
+            study=self,
+            scene_toml=scene_toml,
+        )

@@ -2,6 +2,8 @@ from .calibration import Calibration as Calibration
 from .calibration import CalibrationError as CalibrationError
 from .calibration import read_calibration as read_calibration
 from .calibration import write_calibration as write_calibration
+from .csv_files import csv_rows as csv_rows
+from .csv_files import number_in as number_in
 from .image_files import check_pixels as check_pixels
 from .image_files import decoded_image as decoded_image
 from .image_files import read_image as read_image

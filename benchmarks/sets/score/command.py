@@ -17,6 +17,14 @@ def score(
             help="Spots files with image names relative to DIR, or folders with SPLIT/STACK.csv.",
         ),
     ] = None,
+    entries: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of a leaderboard. Every spots file, and every folder with spots files, is "
+            "an entry; see docs/leaderboard.md.",
+        ),
+    ] = None,
     mode: Annotated[
         Literal["literal", "subpixel", "both"] | None,
         typer.Option(help="Also measure the images with our estimator, and score its spots."),
@@ -27,12 +35,19 @@ def score(
             help="True ellipse to compare with: the half-maximum contour, or the edge of the cone."
         ),
     ] = "half_max",
+    split: Annotated[
+        str | None,
+        typer.Option(help="Score only this split, such as test (default: all that have spots)."),
+    ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for tables and figure; it must not exist yet."),
+        typer.Option(
+            metavar="DIR",
+            help="Folder for the page report.html, tables and figures; it must not exist yet.",
+        ),
     ] = None,
 ) -> None:
     """Compare an estimator's spots with the labels of a set."""
     from benchmarks.sets.score.scoring import run
 
-    run(folder, spots or [], mode=mode, against=against, out=out)
+    run(folder, spots or [], entries=entries, mode=mode, against=against, split=split, out=out)

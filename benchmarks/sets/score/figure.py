@@ -29,6 +29,7 @@ _Panels = dict[str, dict[str, dict[str, Group]]]
 """Groups by condition, group and estimator."""
 
 _COLOURS = (VERMILION, BLUE, GREEN, ORANGE, PURPLE, SKY)
+_MARKERS = "os^D"  # one for each round through the colours
 _MOST_COLUMNS = 5
 _PANEL_IN = (2.4, 3.8)
 _WIDEST_Z = 4.0
@@ -58,7 +59,7 @@ def score_figure(result: Score) -> Figure:
     row, column = 2 * (len(panels) // columns), len(panels) % columns
     _draw_calibration(figure.add_subplot(grid[row : row + 2, column]), result)
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 7))
     return figure
 
 
@@ -80,10 +81,11 @@ def _draw_condition(
     places = np.arange(len(groups))
     width = 0.7 / len(result.judged)
     for index, (name, colour) in enumerate(zip(result.judged, _colours(result), strict=True)):
+        marker = _MARKERS[index // len(_COLOURS) % len(_MARKERS)]
         x = places + (index - (len(result.judged) - 1) / 2) * width
         found = [row.get(name) for row in groups.values()]
         rmse, low, high = np.array([_rmse(group) for group in found]).T
-        upper.plot(x, rmse, "o", ms=4, color=colour, label=in_figure(name))
+        upper.plot(x, rmse, marker, ms=4, color=colour, label=in_figure(name))
         upper.vlines(x, low, high, color=colour, lw=1)
         lower.bar(x, [_missed_percent(group) for group in found], width, color=colour)
     upper.tick_params(labelbottom=False)

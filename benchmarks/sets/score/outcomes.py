@@ -17,7 +17,8 @@ Against = Literal["half_max", "cone"]
 class Outcome(Enum):
     """Outcome of an image.
 
-    A spot is the true spot if its centre lies within one true semi-major axis of the true centre.
+    A spot is the true spot if its centre lies within one true semi-major axis of the true centre. A
+    distance without an ellipse counts as the true spot, since nothing says where it was read.
     """
 
     FOUND = "found"
@@ -93,27 +94,34 @@ def _kind(about: Circumstances) -> tuple[str, str]:
 def _judged(about: Circumstances, record: SpotRecord | None, against: Against) -> Judged:
     labels = about.labels
     spot = record.result if record is not None and isinstance(record.result, Spot) else None
-    outcome = _outcome(labels, spot, against)
-    if outcome is not Outcome.FOUND or spot is None or record is None:
+    outcome = _outcome(labels, spot, record, against)
+    if outcome is not Outcome.FOUND or record is None:
         return Judged(about, record, outcome, {}, {})
-    errors = {q: getattr(spot, q) - getattr(labels, f"{against}_{q}") for q in _ROWS}
-    errors[CENTRE] = math.hypot(errors["x_px"], errors["y_px"])
+    errors = dict.fromkeys(QUANTITIES, math.nan)
     errors["distance_mm"] = record.distance_mm - labels.d_mm
-    sigmas = {q: math.sqrt(spot.covariance[i, i]) for q, i in _ROWS.items()}
-    sigmas["distance_mm"] = record.sigma_distance_mm
+    sigmas = {"distance_mm": record.sigma_distance_mm}
+    if spot is not None:
+        errors |= {q: getattr(spot, q) - getattr(labels, f"{against}_{q}") for q in _ROWS}
+        errors[CENTRE] = math.hypot(errors["x_px"], errors["y_px"])
+        sigmas |= {q: math.sqrt(spot.covariance[i, i]) for q, i in _ROWS.items()}
     return Judged(about, record, outcome, errors, sigmas)
 
 
-def _outcome(labels: FrameLabels, spot: Spot | None, against: Against) -> Outcome:
+def _outcome(
+    labels: FrameLabels, spot: Spot | None, record: SpotRecord | None, against: Against
+) -> Outcome:
     visible = labels.visible_fraction >= VISIBLE_ENOUGH
     if spot is None:
-        return Outcome.MISSED if visible else Outcome.HIDDEN
-    far = math.hypot(
-        spot.x_px - getattr(labels, f"{against}_x_px"),
-        spot.y_px - getattr(labels, f"{against}_y_px"),
-    )
-    # `not <=` includes NaN: a spot without a position is elsewhere.
-    elsewhere = not far <= getattr(labels, f"{against}_semi_major_px")
+        if record is None or math.isnan(record.distance_mm):
+            return Outcome.MISSED if visible else Outcome.HIDDEN
+        elsewhere = False
+    else:
+        far = math.hypot(
+            spot.x_px - getattr(labels, f"{against}_x_px"),
+            spot.y_px - getattr(labels, f"{against}_y_px"),
+        )
+        # `not <=` includes NaN: a spot without a position is elsewhere.
+        elsewhere = not far <= getattr(labels, f"{against}_semi_major_px")
     if visible:
         return Outcome.MISPLACED if elsewhere else Outcome.FOUND
     nothing = labels.visible_fraction == 0

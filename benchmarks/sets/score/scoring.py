@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import csv
 import math
+import shlex
+import time
 from collections import Counter
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -13,11 +16,12 @@ import matplotlib
 from rich.console import Console
 
 from benchmarks.evaluation import VISIBLE_ENOUGH
-from benchmarks.reporting import STYLE, save_figure, versions, write_json
+from benchmarks.reporting import STYLE, versions, write_json, write_page
 from benchmarks.sets.read import stacks_of
 from benchmarks.sets.score.conditions import circumstances_of
-from benchmarks.sets.score.figure import score_figure
+from benchmarks.sets.score.entries import Entry, entries_in, entry_of
 from benchmarks.sets.score.groups import Score, score
+from benchmarks.sets.score.leaderboard import leaderboard
 from benchmarks.sets.score.measures import Counts, Errors
 from benchmarks.sets.score.outcomes import Against, Outcome
 from benchmarks.sets.score.spots_of_set import Mode, read_set_spots, track_set
@@ -29,25 +33,31 @@ from optics import InputError
 
 _SCHEMA = 1
 _LEAST_BYTES = 2**18  # of the figures
+_TRACKING = ("eyespot", "opencv-python-headless", "numpy")  # what the measured spots depend on
 
 
 def run(
     folder: Path,
     spots_files: Sequence[Path],
     *,
+    entries: Path | None = None,
     mode: Mode | Literal["both"] | None = None,
     against: Against = "half_max",
+    split: str | None = None,
     out: Path | None = None,
 ) -> None:
-    """Score spots files and modes of our estimator on a set.
+    """Score spots files, entries of a leaderboard and modes of our estimator on a set.
 
     Args:
         folder: a set or a stack.
         spots_files: see `read_set_spots`; the name of a file is the name of the estimator.
+        entries: folder with entries, see `entries_in`.
         mode: mode of our estimator that measures the images first.
         against: which of the two ellipses is the truth.
-        out: new folder for score.json, score.csv, score.png, score.svg, and MODE.csv with the
-            measured spots; None: only print the tables.
+        split: the only split to score; None: all splits.
+        out: new folder for report.html with leaderboard.csv and leaderboard_by_condition.csv,
+            score.json, score.csv, figures, and MODE.csv with the measured spots; None: only print
+            the tables.
 
     Raises:
         InputError: the input is invalid, or `out` exists.
@@ -56,47 +66,87 @@ def run(
     folder = Path(folder)
     modes: tuple[Mode, ...] = ("literal", "subpixel")
     modes = modes if mode == "both" else (mode,) if mode else ()
-    _check([*map(_estimator, spots_files), *modes])
+    given = [entry_of(path) for path in spots_files] + (entries_in(entries) if entries else [])
+    _check([*(entry.name for entry in given), *modes])
     if out is None:
-        _scored(folder, spots_files, modes, against)
+        _scored(folder, given, modes, against, split)
         return
     with written_whole(out) as whole:
         whole.mkdir()
         require_space(out, _LEAST_BYTES)
-        result, measured = _scored(folder, spots_files, modes, against)
+        result, measured, found = _scored(folder, given, modes, against, split)
         _write(result, whole, folder)
         for name, records in measured.items():
             write_spots(whole / f"{name}.csv", records)
-    print(f"Wrote {out}.")
+        words = ["eyespot", "score", folder, *spots_files]
+        options = {"entries": entries, "mode": mode, "split": split, "out": out}
+        given_options = [[f"--{name}", value] for name, value in options.items() if value]
+        words += [*chain(*given_options), "--against", against]
+        with matplotlib.rc_context(STYLE):
+            write_page(
+                whole,
+                leaderboard(result, found, name=folder.resolve().name),
+                command=shlex.join(map(str, words)),
+                versions=versions(),
+                summary_file="score.json",
+            )
+    print(f"Wrote {out / 'report.html'}.")
 
 
 def _scored(
-    folder: Path, spots_files: Sequence[Path], modes: Sequence[Mode], against: Against
-) -> tuple[Score, dict[str, list[SpotRecord]]]:
-    """Measure, score and print; returns also the spots that were measured, by mode."""
-    files = {_estimator(path): path for path in spots_files}
+    folder: Path,
+    given: Sequence[Entry],
+    modes: Sequence[Mode],
+    against: Against,
+    split: str | None,
+) -> tuple[Score, dict[str, list[SpotRecord]], dict[str, Entry]]:
+    """Measure, score and print; returns also the measured spots by mode, and all entries."""
     stacks = stacks_of(folder)
+    chosen = [entry for entry in stacks if split in (None, entry.split)]
+    if not chosen:
+        known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))
+        raise InputError(f"the set has no split {split}. It has: {known or 'no splits'}.")
     images = circumstances_of(stacks)
-    spots = {name: read_set_spots(path, stacks, images) for name, path in files.items()}
+    spots = {
+        entry.name: read_set_spots(entry.spots, stacks, images) for entry in given if entry.spots
+    }
     measured: dict[str, list[SpotRecord]] = {}
-    with progress("Tracking", total=len(images) * len(modes)) as advance:
+    found = {entry.name: entry for entry in given}
+    scored = {name: about for name, about in images.items() if split in (None, about.split)}
+    with progress("Tracking", total=len(scored) * len(modes)) as advance:
         for mode in modes:
-            measured[mode] = track_set(stacks, mode, progress=advance)
+            begin = time.perf_counter()
+            measured[mode] = track_set(chosen, mode, progress=advance)
+            passed = time.perf_counter() - begin
             spots[mode] = {record.file_name: record for record in measured[mode]}
-    result = score(images, spots, against=against)
+            found[mode] = _own_entry(mode, folder, 1000 * passed / len(scored))
+    kept = {
+        name: {image: record for image, record in records.items() if image in scored}
+        for name, records in spots.items()
+    }
+    if empty := [name for name, records in kept.items() if not records]:
+        raise InputError(f"{empty[0]} has no spots of the split {split}. Give another --split.")
+    result = score(scored, kept, against=against)
     for table in tables(result):
         Console().print(table)
-    return result, measured
+    return result, measured, found
 
 
-def _estimator(spots: Path) -> str:
-    """Name of an estimator, from its spots file or folder."""
-    return spots.stem if spots.suffix else spots.resolve().name
+def _own_entry(mode: Mode, folder: Path, ms_per_frame: float) -> Entry:
+    """The entry of a mode of our estimator; the time includes the reading of the images."""
+    return Entry(
+        name=mode,
+        command=f"eyespot score {folder.resolve().name} --mode {mode}",
+        versions=", ".join(f"{name} {versions()[name]}" for name in _TRACKING),
+        ms_per_frame=ms_per_frame,
+    )
 
 
 def _check(names: Sequence[str]) -> None:
     if not names:
-        raise InputError("nothing to score. Give spots files, or --mode to measure the images.")
+        raise InputError(
+            "nothing to score. Give spots files, --entries, or --mode to measure the images."
+        )
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise InputError(f"two estimators have the name {twice[0]}. Rename one of the spots files.")
 
@@ -114,8 +164,6 @@ def _write(result: Score, out: Path, folder: Path) -> None:
                 writer.writerow([*about, *map(_cell, errors)])
             if not group.errors:
                 writer.writerow(about + [""] * len(Errors._fields))
-    with matplotlib.rc_context(STYLE):
-        save_figure(score_figure(result), out / "score")
 
 
 def _cell(value: object) -> object:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from benchmarks.sets.read import SetStack, exposures_of, image_name, qualified_name
+from benchmarks.sets.score.plain_spots import read_any_spots
 from estimator import (
     LiteralSettings,
     Reader,
@@ -15,14 +16,14 @@ from estimator import (
     SubpixelSettings,
     open_source,
     read_microscope,
-    read_spots,
     track_whole_source,
 )
 from optics import InputError
 
 Mode = Literal["literal", "subpixel"]
 
-_SPOTS = (".csv", ".parquet")
+SPOTS_SUFFIXES = (".csv", ".parquet")
+"""Suffixes of spots files."""
 _NAMED = 5  # unknown names listed in a message
 
 
@@ -32,10 +33,11 @@ def read_set_spots(
     """Read an estimator's spots of a set.
 
     Args:
-        path: a spots file (.csv or .parquet) with image names relative to the set
-            (SPLIT/STACK/frames/000000.png); or a folder with a spots file for each stack, as
+        path: a spots file with image names relative to the set (SPLIT/STACK/frames/000000.png); or
+            a folder with such a file of any name; or a folder with a spots file for each stack, as
             `eyespot track` writes it. Its name is SPLIT/STACK.csv or, if a stack has several
-            exposures, SPLIT/STACK.EXPOSURE.csv. For a single stack, omit SPLIT/.
+            exposures, SPLIT/STACK.EXPOSURE.csv. For a single stack, omit SPLIT/. A spots file is
+            that of eyespot (.csv or .parquet), or plain (`plain_spots`).
         stacks: stacks of the set.
         images: names of all images of the set.
 
@@ -49,7 +51,7 @@ def read_set_spots(
     if path.is_dir():
         records = [record for file in _files(path) for record in _placed(file, path, stacks)]
     elif path.is_file():
-        records = read_spots(path)
+        records = read_any_spots(path)
     else:
         raise InputError(f"{path}: no such spots file or folder. Check the path.")
     return _by_image(records, path, images)
@@ -95,7 +97,7 @@ def _track(
 
 
 def _files(folder: Path) -> list[Path]:
-    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SPOTS)
+    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SPOTS_SUFFIXES)
     if not files:
         raise InputError(f"{folder} contains no spots files (.csv or .parquet). Check the path.")
     return files
@@ -106,6 +108,8 @@ def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRe
     by_name = {qualified_name(entry): entry for entry in stacks}
     name = file.relative_to(folder).with_suffix("").as_posix()
     entry = by_name.get(name) or by_name.get(name.rpartition(".")[0])
+    if entry is None and "/" not in name and stacks[0].split:
+        return read_any_spots(file)  # of the whole set
     if entry is None:
         raise InputError(
             f"{file}: the set has no stack {name}. Name the file SPLIT/STACK.csv or "
@@ -113,7 +117,7 @@ def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRe
         )
     return [
         replace(record, file_name=image_name(entry, record.file_name))
-        for record in read_spots(file)
+        for record in read_any_spots(file)
     ]
 
 

@@ -13,10 +13,16 @@ from estimator.files import in_terminal
 MAIN = "semi_minor_px"
 """The quantity that determines distances, by which groups are compared."""
 
+_MOST_COLUMNS = 4  # estimators with two columns each
+
 
 def tables(result: Score) -> list[Table]:
-    """Outcomes and errors of all images, calibration of σ, and the main quantity by condition."""
-    return [_outcomes(result), _errors(result), _sigmas(result), _conditions(result)]
+    """Outcomes and errors of all images, calibration of σ, and the main quantity by condition.
+
+    The last table is left out if a terminal is too narrow for all estimators; the page has it.
+    """
+    found = [_outcomes(result), _errors(result), _sigmas(result)]
+    return [*found, _conditions(result)] if len(result.judged) <= _MOST_COLUMNS else found
 
 
 def _outcomes(result: Score) -> Table:

@@ -1,0 +1,247 @@
+"""Leaderboards: ranks follow from the errors, plain files suffice, intervals are over stacks."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import eyespot
+from benchmarks.sets.read.stacks import stacks_of
+from benchmarks.sets.score.conditions import Circumstances, circumstances_of
+from benchmarks.sets.score.entries import entries_in
+from benchmarks.sets.score.groups import ALL
+from benchmarks.sets.score.outcomes import Judged, Outcome
+from benchmarks.sets.score.plain_spots import read_any_spots
+from benchmarks.sets.score.standings import Standing, standings
+from estimator import FrameLabels
+from optics import InputError
+from tests.drawn_sets import labels_of, write_set
+
+E1 = "semi_minor_px"
+
+
+def judged(
+    errors: Sequence[Sequence[float]], *, sigma: float = math.nan, medium: str = "air"
+) -> list[Judged]:
+    """Results on stacks with one list of errors each; infinite where the spot was missed."""
+    images = []
+    for stack, own in enumerate(errors):
+        for frame, error in enumerate(own):
+            labels = replace(labels_of(0), frame=frame, file_name=f"{frame}.png", medium=medium)
+            about = Circumstances(
+                labels=labels,
+                stack=f"test/{stack:04d}",
+                split="test",
+                adverse="",
+                pair="",
+                viewing="",
+                scale_mm_px=0.01,
+                source="cone",
+                wall="uniform",
+            )
+            found = math.isfinite(error)
+            outcome = Outcome.FOUND if found else Outcome.MISSED
+            measured = {E1: error} if found else {}
+            images.append(Judged(about, None, outcome, measured, {E1: sigma} if found else {}))
+    return images
+
+
+def total(entries: dict[str, list[Judged]]) -> dict[str, Standing]:
+    return {standing.entry: standing for standing in standings(entries, E1)[ALL, ALL]}
+
+
+def test_an_entry_that_leaves_out_the_difficult_images_does_not_win() -> None:
+    steady = [[0.2, -0.2, 0.2, -0.2]] * 6
+    # Half as wrong where it answers, which it does on less than half of the images.
+    choosy = [[0.1, math.inf, math.inf, math.inf], [0.1, -0.1, math.inf, math.inf]] * 3
+    found = total({"choosy": judged(choosy), "steady": judged(steady)})
+    assert found["steady"].rank.value == 1
+    assert found["choosy"].rank.value == 2
+    assert math.isinf(found["choosy"].median.value)
+    assert found["choosy"].missed.value == pytest.approx(15 / 24)
+    assert found["choosy"].rmse.value == pytest.approx(0.1)
+
+
+def test_an_interval_is_that_of_independent_stacks_and_not_of_images() -> None:
+    # Each stack has one error in all of its 50 images, so there are 40 values and not 2000.
+    rng = np.random.default_rng(1)
+    values = rng.normal(0.0, 1.0, 40)
+    found = total({"one": judged([[value] * 50 for value in values])})["one"]
+    # The mean square of 40 normal values has the standard deviation sqrt(2/40), so the RMSE has
+    # 1/sqrt(80) = 0.112 and an interval of 0.44. 40 values give that within a factor of 1.5; the
+    # 2000 images would give 0.06.
+    width = found.rmse.high - found.rmse.low
+    assert 0.44 / 1.5 < width < 0.44 * 1.5
+
+
+def test_the_interval_of_a_median_covers_the_true_median() -> None:
+    # Laplace distribution: the absolute error is exponential, with the median ln 2.
+    rng = np.random.default_rng(2)
+    tries = 60
+    inside = 0
+    for _ in range(tries):
+        errors = rng.laplace(0.0, 1.0, (40, 1)).tolist()
+        median = total({"one": judged(errors)})["one"].median
+        inside += median.low <= math.log(2) <= median.high
+    # At least 99 % of binomial counts with p = 0.95 and n = 60 are from 52 to 60.
+    assert inside >= 52
+
+
+def test_entries_of_equal_quality_share_the_interval_of_their_ranks() -> None:
+    rng = np.random.default_rng(3)
+    entries = {
+        name: judged(rng.normal(0.0, scale, (20, 5)).tolist())
+        for name, scale in (("a", 0.1), ("b", 0.1), ("far", 1.0))
+    }
+    found = total(entries)
+    assert {found["a"].rank.value, found["b"].rank.value} == {1, 2}
+    for name in ("a", "b"):
+        assert (found[name].rank.low, found[name].rank.high) == (1, 2)
+    assert found["far"].rank == (3, 3, 3)
+
+
+def test_coverage_is_that_of_the_errors() -> None:
+    rng = np.random.default_rng(4)
+    errors = rng.normal(0.0, 0.1, (100, 10)).tolist()
+    honest = total({"one": judged(errors, sigma=0.1)})["one"]
+    assert honest.within_1.low < 0.6827 < honest.within_1.high
+    assert honest.within_196.low < 0.95 < honest.within_196.high
+    proud = total({"one": judged(errors, sigma=0.05)})["one"]
+    assert proud.within_1.high < 0.6827
+
+
+def test_only_images_that_all_entries_cover_are_compared() -> None:
+    everywhere, half = judged([[0.5] * 4, [0.1] * 4] * 2), judged([[0.5] * 4, [0.2] * 4] * 2)
+    easy = [image for image in half if image.circumstances.stack.endswith(("1", "3"))]
+    found = total({"everywhere": everywhere, "easy": easy})
+    assert found["everywhere"].visible == found["easy"].visible == 8
+    assert found["everywhere"].median.value == pytest.approx(0.1)
+    other = [
+        image._replace(circumstances=image.circumstances._replace(stack="elsewhere"))
+        for image in easy
+    ]
+    with pytest.raises(InputError, match="no image together"):
+        standings({"everywhere": everywhere, "other": other}, E1)
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_set(tmp_path_factory.mktemp("drawn") / "set")
+
+
+def plain(path: Path, drawn: Path, *, off: float, columns: str = "ellipse") -> Path:
+    """The labels, off by some px, as somebody without eyespot writes them."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        if columns == "distance":
+            writer.writerow(["file_name", "distance_mm", "sigma_distance_mm"])
+        else:
+            names = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "sigma_semi_minor_px")
+            writer.writerow(["file_name", *names])
+        for name, about in circumstances_of(stacks_of(drawn)).items():
+            row: FrameLabels = about.labels
+            place = (row.half_max_x_px, row.half_max_y_px)
+            axes = (row.half_max_semi_major_px + off, row.half_max_semi_minor_px + off)
+            if columns == "distance":
+                writer.writerow([name, row.d_mm + off, 0.1])
+            else:
+                writer.writerow([name, *place, *axes, 0.1])
+    return path
+
+
+def test_a_plain_csv_and_a_description_are_an_entry(drawn: Path, tmp_path: Path) -> None:
+    entries = tmp_path / "entries"
+    plain(entries / "theirs.csv", drawn, off=0.3)
+    plain(entries / "network" / "all.csv", drawn, off=0.1)
+    plain(entries / "regression.csv", drawn, off=0.05, columns="distance")
+    about = {"name": "a network", "command": "predict.py", "versions": {"torch": "2"}, "seed": 7}
+    (entries / "network" / "entry.json").write_text(json.dumps(about | {"ms_per_frame": 4.5}))
+    out = tmp_path / "out"
+    command = ["score", str(drawn), "--entries", str(entries), "--out", str(out)]
+    done = CliRunner().invoke(eyespot.app, command)
+    assert done.exit_code == 0, done.output
+    with (out / "leaderboard.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    ranked = [(row["entry"], row["rank"]) for row in rows if row["quantity"] == E1]
+    assert ranked == [("a network", "1"), ("theirs", "2")]
+    first = rows[0]
+    assert (first["command"], first["versions"], first["seed"]) == ("predict.py", "torch 2", "7")
+    assert float(first["ms_per_frame"]) == 4.5
+    assert float(first["median"]) == pytest.approx(0.1)
+    (distance,) = (row for row in rows if row["quantity"] == "distance_mm")
+    assert distance["entry"] == "regression"
+    assert float(distance["median"]) == pytest.approx(0.05)
+    page = (out / "report.html").read_text()
+    assert "a network" in page and "predict.py" in page
+
+
+def test_one_split_is_scored_alone(drawn: Path, tmp_path: Path) -> None:
+    plain(tmp_path / "theirs.csv", drawn, off=0.3)
+    command = ["score", str(drawn), str(tmp_path / "theirs.csv"), "--split", "adverse"]
+    out = tmp_path / "out"
+    done = CliRunner().invoke(eyespot.app, [*command, "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    outcomes = json.loads((out / "score.json").read_text())["outcomes"]["theirs"]
+    assert sum(outcomes.values()) == 4  # images of the split adverse
+    done = CliRunner().invoke(eyespot.app, [*command[:-1], "tset"])
+    assert "no split tset. It has: adverse, train" in str(done.exception)
+
+
+HEADER = "file_name,x_px,y_px,semi_major_px,semi_minor_px"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name,x_px\n", "unknown column 'name'; did you mean file_name?"),
+        ("file_name,x_px,y_px\n", "column semi_major_px is missing"),
+        ("x_px,y_px,semi_major_px,semi_minor_px\n", "column file_name is missing"),
+        (f"{HEADER}\na.png,1,2,3,\n", "line 2.*semi_minor_px is empty"),
+        (f"{HEADER}\na.png,1,2,3,4\n", "at least semi_minor_px; got 3.0 and 4.0 px. Swap"),
+        (f"{HEADER}\na.png,1,2,-3,-4\n", "semi_major_px must lie in"),
+        (f"{HEADER}\na.png,one,2,3,4\n", "x_px must be a finite number; got 'one'"),
+        (f"{HEADER},sigma_x_px\na.png,1,2,4,3,-1\n", "sigma_x_px must not be negative"),
+        (f"{HEADER}\n,1,2,4,3\n", "file_name is empty"),
+    ],
+)
+def test_what_is_wrong_in_a_plain_file_is_named(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "theirs.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_any_spots(path)
+
+
+def test_empty_cells_are_an_image_without_a_spot(tmp_path: Path) -> None:
+    path = tmp_path / "theirs.csv"
+    path.write_text(f"{HEADER}\na.png,1,2,4,3\nb.png,,,,\n")
+    first, second = read_any_spots(path)
+    assert first.status == "spot" and second.status == "no_spot"
+
+
+def test_a_folder_without_entries_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has no entries"):
+        entries_in(tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        entries_in(tmp_path / "missing")
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "entry.json").write_text('{"ms_per_frame": -1}')
+    with pytest.raises(InputError, match=r"entry.json.*ms_per_frame"):
+        entries_in(tmp_path)
+
+
+def test_two_entries_of_one_name_are_refused(drawn: Path, tmp_path: Path) -> None:
+    for folder in itertools.islice(("a", "b"), 2):
+        plain(tmp_path / folder / "spots.csv", drawn, off=0.1)
+        (tmp_path / folder / "entry.json").write_text('{"name": "same"}')
+    done = CliRunner().invoke(eyespot.app, ["score", str(drawn), "--entries", str(tmp_path)])
+    assert "two estimators have the name same" in str(done.exception)
