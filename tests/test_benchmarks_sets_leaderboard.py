@@ -133,6 +133,32 @@ def test_only_images_that_all_entries_cover_are_compared() -> None:
         standings({"everywhere": everywhere, "other": other}, E1)
 
 
+def test_an_efficient_estimator_is_at_the_bound_and_a_miss_is_beyond_it() -> None:
+    rng = np.random.default_rng(6)
+    # Each image has its own bound, and normal errors of that size.
+    bounds = rng.uniform(0.01, 0.1, (50, 20))
+    errors = rng.normal(0.0, bounds)
+
+    def images(errors: np.ndarray) -> list[Judged]:
+        found = judged(errors.tolist())
+        return [
+            image._replace(
+                circumstances=image.circumstances._replace(
+                    labels=replace(image.circumstances.labels, bound_semi_minor_px=bound)
+                )
+            )
+            for image, bound in zip(found, bounds.ravel(), strict=True)
+        ]
+
+    found = total({"efficient": images(errors), "double": images(2 * errors)})
+    # The median of 1000 values |e|/sigma scatters by 1/(2 sqrt(1000) 2 phi(0.67)) = 2.5 %, divided
+    # by 0.67: 3.7 %; 3 of these.
+    assert found["efficient"].over_bound.value == pytest.approx(1.0, abs=0.11)
+    assert found["double"].over_bound.value == pytest.approx(2.0, abs=0.22)
+    errors[rng.random(errors.shape) < 0.6] = math.inf
+    assert math.isinf(total({"choosy": images(errors)})["choosy"].over_bound.value)
+
+
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_set(tmp_path_factory.mktemp("drawn") / "set")

@@ -87,6 +87,9 @@ class FrameLabels:
             the file, if the view keeps still. So are the next two.
         eye_turn_*: rotation vector of the eyeball, and with it of the wall's picture, degrees.
         relative_power: power of the source, relative to its mean.
+        bound_*: Cramér-Rao bound: the least standard deviation with which an unbiased estimator can
+            measure the half-maximum ellipse in this image, and bound_d_mm the distance from it;
+            NaN, and not in the file, if the scene does not ask for it.
         visible_fraction: part of the half-maximum contour that the camera sees.
         speed_mm_s: of the tip in the middle of the exposure.
         saturated_fraction: part of the mask's pixels with a channel at full scale.
@@ -143,6 +146,11 @@ class FrameLabels:
     eye_turn_y_deg: float = math.nan
     eye_turn_z_deg: float = math.nan
     relative_power: float = math.nan
+    bound_x_px: float = math.nan
+    bound_y_px: float = math.nan
+    bound_semi_major_px: float = math.nan
+    bound_semi_minor_px: float = math.nan
+    bound_d_mm: float = math.nan
 
     def row(self) -> dict[str, Any]:
         """The fields of a line, without those that this scene does not have."""

@@ -1,1 +1,2 @@
 from .camera import Camera as Camera
+from .information import light_information as light_information

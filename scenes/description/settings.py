@@ -262,6 +262,10 @@ class Exposures(_Settings):
     sensitivity_mm2_sr_mj: float = Field(
         200.0, ge=1e-9, le=1e9, description="Full wells per second and per mW/(mm2 sr) of radiance."
     )
+    bound: bool = Field(
+        False,
+        description="Also label each image with the Cramer-Rao bound of its ellipse and distance.",
+    )
     keep_linear: bool = Field(
         False,
         description="Also keep noise-free frames, so that other exposures need no new rendering.",

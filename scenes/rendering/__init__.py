@@ -3,6 +3,7 @@
 build           The Mitsuba dictionary of a scene, and how the tip is moved in it
 differentiable  Images by photons, with derivatives by the lens and its pose
 ellipsoid       A stretched eyeball as a mesh
+fine_light      Light of the beam and reflectance of the wall, finer than pixels
 glass           Images by photons through the lens as glass, without its irradiance table
 images          Noise-free images for any pose of the tip
 path_sensor     Mitsuba plugin: the microscope behind a viewing path

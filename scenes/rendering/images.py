@@ -11,7 +11,7 @@ from scenes.machine import load_mitsuba
 from scenes.world import Moment, World, uniform_irradiance
 
 # Far below the eye and pointing away: the tip is not visible, and its beam lights nothing.
-_PARKED_MM, _DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
+PARKED_MM, DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
 
 
 class Images:
@@ -53,7 +53,7 @@ class Images:
         self.reach = None
         if scene.unrest.still and not (self.random or variant.startswith("scalar")):
             height, width = scene.microscope.height_px, scene.microscope.width_px
-            self._move(_PARKED_MM, _DOWN)
+            self._move(PARKED_MM, DOWN)
             radiance, seen = self._pixels(np.arange(height * width, dtype=np.uint32))
             self._still = radiance.reshape(height, width, 3), seen.reshape(height, width)
             self.reach = reach.Reach.of(world, self.mitsuba_scene, wall=self._still[1])
@@ -72,15 +72,19 @@ class Images:
         Returns:
             Radiance, H x W x 3, mW/(mm2 sr), and the fraction of each pixel that shows the wall.
         """
-        self._move(tip, axis)
-        if moment is not None and not self.world.scene.unrest.still:
-            self._unsettle(moment)
+        self.place(tip=tip, axis=axis, moment=moment)
         if self.reach is None:
             return self._whole_image(seed)
         radiance, wall = (still.copy() for still in self._still)
         pixels = self.reach.pixels(tip=tip, axis=axis)
         radiance.reshape(-1, 3)[pixels], wall.reshape(-1)[pixels] = self._pixels(pixels)
         return radiance, wall
+
+    def place(self, *, tip: np.ndarray, axis: np.ndarray, moment: Moment | None = None) -> None:
+        """Bring the loaded scene into the state of one pose; see `at`."""
+        self._move(tip, axis)
+        if moment is not None and not self.world.scene.unrest.still:
+            self._unsettle(moment)
 
     def _pixels(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         from scenes.rendering.pixels import pixel_means
@@ -108,21 +112,22 @@ class ColourImages:
         variant: Mitsuba's variant.
 
     Attributes:
+        by_colour: the images in red, green and blue.
         mitsuba_scene: the scene as green sees it, loaded.
         random: as of `Images`.
         reach: as of `Images`, for green.
     """
 
     def __init__(self, colours: Sequence[World], *, variant: str) -> None:
-        self._images = [Images(world, variant=variant) for world in colours]
-        green = self._images[1]
+        self.by_colour = [Images(world, variant=variant) for world in colours]
+        green = self.by_colour[1]
         self.mitsuba_scene, self.random, self.reach = green.mitsuba_scene, green.random, green.reach
 
     def at(
         self, *, tip: np.ndarray, axis: np.ndarray, seed: int, moment: Moment | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Image of one pose, as `Images.at`; the wall's fraction of a pixel is green's."""
-        seen = [own.at(tip=tip, axis=axis, seed=seed, moment=moment) for own in self._images]
+        seen = [own.at(tip=tip, axis=axis, seed=seed, moment=moment) for own in self.by_colour]
         radiance = np.stack([image[..., k] for k, (image, _) in enumerate(seen)], axis=-1)
         return radiance, seen[1][1]
 

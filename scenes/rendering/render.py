@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from scenes.description import Scene
 from scenes.rendering.images import images_of
 from scenes.world import World
+
+if TYPE_CHECKING:
+    from scenes.rendering.fine_light import FineLight
 
 # A contour that moves by less than 0.25 px is blurred by 0.25 px / sqrt(12) = 0.07 px, which is
 # negligible beside the 0.3 px of the pixel itself. The image of the tip, which is not measured, may
@@ -154,6 +157,34 @@ class Renderer:
         rounding = 1 / (12 * camera.system_gain**2)
         fixed = camera.dark_signal_e + camera.read_noise_e**2 + rounding
         return float(np.max(np.abs(new - old) * electrons / np.sqrt(new * electrons + fixed)))
+
+    def fine_light(
+        self,
+        frame: int,
+        exposure_s: float,
+        sub_frames: int,
+        *,
+        window: tuple[int, int, int, int],
+        factor: int,
+    ) -> FineLight:
+        """Light of the beam and reflectance of the wall in a part of a frame, finer than pixels.
+
+        Args:
+            frame: number of the frame.
+            exposure_s: exposure time, s.
+            sub_frames: equal parts of the exposure; their middles are averaged.
+            window: top, bottom, left and right, px.
+            factor: places along a side of a pixel.
+        """
+        from scenes.rendering.fine_light import Pose, Window, fine_light
+
+        places = (np.arange(sub_frames) + 0.5) / sub_frames - 0.5
+        times = self.world.times[frame] + exposure_s * places
+        poses = [
+            Pose(tip, axis, self.world.unrest.at(frame, time))
+            for time, tip, axis in zip(times, *self.world.motion.at(times), strict=True)
+        ]
+        return fine_light(self.images, poses, window=Window(*window), factor=factor)
 
     def mask(self, frame: int, linear: LinearFrame) -> np.ndarray:
         """Pixels whose centre lies inside the half-maximum contour and shows the wall."""

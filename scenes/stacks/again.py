@@ -23,6 +23,11 @@ _PHOTOGRAPHED = (
     "exposure_s",
     "saturated_fraction",
     "seed",
+    "bound_x_px",
+    "bound_y_px",
+    "bound_semi_major_px",
+    "bound_semi_minor_px",
+    "bound_d_mm",
 )
 """Labels that depend on the exposure, not on the scene's geometry."""
 

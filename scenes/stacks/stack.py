@@ -17,6 +17,7 @@ from estimator.files import Stack, StackWriter, fingerprint, read_stack, require
 from optics.viewing import PathCamera
 from scenes.description import CameraSettings, Scene
 from scenes.rendering import LinearFrame, Renderer
+from scenes.stacks.bound import Bounds
 from scenes.stacks.photography import Photography, file_name
 from scenes.stacks.size import least_bytes
 from scenes.world import World, kinematics, spot_labels
@@ -88,6 +89,14 @@ class _Metered(NamedTuple):
     durations: list[float]
 
 
+class _Exposed(NamedTuple):
+    """The light during one exposure of a frame, its time, and the labels of its bound."""
+
+    light: np.ndarray
+    exposure_s: float
+    bound: dict[str, float]
+
+
 def _render_frames(
     renderer: Renderer, photography: Photography, writer: StackWriter, progress: Callable[[], None]
 ) -> None:
@@ -96,6 +105,7 @@ def _render_frames(
     A frame is metered while the next one is rendered. Then its sub-frames (motion blur) follow.
     """
     scene = renderer.scene
+    bounds = Bounds(renderer) if scene.exposures.bound else None
     metering: deque[Future[_Metered]] = deque()
     writing: deque[Future[None]] = deque()
     with ThreadPoolExecutor(max_workers=2) as pool:
@@ -103,10 +113,27 @@ def _render_frames(
         def finish_one() -> None:
             metered = metering.popleft().result()
             lights = [
-                renderer.exposed(metered.frame, metered.sharp, exposure_s=duration).radiance
+                renderer.exposed(metered.frame, metered.sharp, exposure_s=duration)
                 for duration in metered.durations
             ]
-            writing.append(pool.submit(_photograph, renderer, photography, writer, metered, lights))
+            bound = [
+                bounds.labels(
+                    metered.frame,
+                    light.radiance,
+                    exposure_s=duration,
+                    sub_frames=light.sub_frames,
+                )
+                if bounds
+                else {}
+                for light, duration in zip(lights, metered.durations, strict=True)
+            ]
+            exposed = [
+                _Exposed(light.radiance, duration, own)
+                for light, duration, own in zip(lights, metered.durations, bound, strict=True)
+            ]
+            writing.append(
+                pool.submit(_photograph, renderer, photography, writer, metered, exposed)
+            )
             if len(writing) > _QUEUE:
                 writing.popleft().result()
 
@@ -138,13 +165,18 @@ def _photograph(
     photography: Photography,
     writer: StackWriter,
     metered: _Metered,
-    lights: list[np.ndarray],
+    exposures: list[_Exposed],
 ) -> None:
     spot = spot_labels(renderer.world, metered.frame)
     spot["visible_fraction"] = metered.sharp.visible_fraction
-    for order, (light, duration) in enumerate(zip(lights, metered.durations, strict=True)):
+    for order, exposed in enumerate(exposures):
         photography.write(
-            writer, light, order=order, exposure_s=duration, mask=metered.mask, labels=spot
+            writer,
+            exposed.light,
+            order=order,
+            exposure_s=exposed.exposure_s,
+            mask=metered.mask,
+            labels=spot | exposed.bound,
         )
 
 

@@ -11,7 +11,6 @@ import itertools
 import json
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
@@ -72,7 +71,7 @@ def _image_entry(image: _Image, out: Path) -> dict[str, Any]:
     shutil.copyfile(image.stack.path_of(image.labels.file_name), out / name)
     microscope = read_microscope(image.stack.folder / "microscope.json")
     return {
-        **asdict(image.labels),
+        **image.labels.row(),
         "id": image.id,
         "file_name": name,
         "width": microscope.width_px,
@@ -98,5 +97,5 @@ def _annotations(
             "segmentation": {"size": encoded["size"], "counts": encoded["counts"].decode()},
             "area": int(run_lengths.area(encoded)),
             "bbox": run_lengths.toBbox(encoded).tolist(),
-            **{k: v for k, v in asdict(image.labels).items() if k.startswith(_ELLIPSES)},
+            **{k: v for k, v in image.labels.row().items() if k.startswith(_ELLIPSES)},
         }

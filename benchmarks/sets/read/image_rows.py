@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,7 @@ class Row:
 
     def line(self) -> dict[str, Any]:
         """The line of metadata.jsonl: labels of the image and parameters of its stack."""
-        line = asdict(self.labels)
+        line = self.labels.row()
         for name in ("file_name", "mask_file_name"):
             line[name] = f"{self.planned.name}/{line[name]}"
         return {

@@ -16,6 +16,9 @@ from optics import InputError
 
 _RESAMPLED = 1000  # the ends of a 95 % interval vary by 3 % of its width
 _FEWEST_STACKS = 3  # fewer are not enough for a bootstrap
+_MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in sigmas
+_BOUNDS = {"semi_minor_px": "bound_semi_minor_px", "distance_mm": "bound_d_mm"}
+"""Label with the bound of a quantity."""
 _WIDE = 1.96  # sigmas that contain 95 % of normal errors
 
 
@@ -42,6 +45,9 @@ class Standing(NamedTuple):
         rmse: root of the mean square error of the found images.
         within_1: fraction of the errors below the stated σ; 0.683 if σ is right.
         within_196: fraction below 1.96 σ; 0.950 if σ is right.
+        over_bound: median of the absolute error divided by the image's Cramér-Rao bound, as a
+            multiple of the median of a normal error of that size: 1 cannot be beaten without bias.
+            NaN if the labels have no bound.
     """
 
     entry: str
@@ -54,6 +60,7 @@ class Standing(NamedTuple):
     rmse: Figure
     within_1: Figure
     within_196: Figure
+    over_bound: Figure
 
 
 Standings = dict[tuple[str, str], list[Standing]]
@@ -156,6 +163,7 @@ def _standing(
     stated = is_found & (sigmas > 0) & np.isfinite(sigmas)
     false = np.array([i.outcome in (Outcome.MISPLACED, Outcome.INVENTED) for i in images])
     part = np.divide(known, sigmas, out=np.full(known.shape, math.inf), where=stated)
+    ratio = errors / (_MEDIAN_OF_NORMAL * np.array([_bound(image, quantity) for image in images]))
     return Standing(
         entry=name,
         rank=Figure(),
@@ -167,6 +175,7 @@ def _standing(
         rmse=_figure(np.sqrt(resampled.mean(known**2, is_found))),
         within_1=_figure(resampled.mean(part <= 1, stated)),
         within_196=_figure(resampled.mean(part <= _WIDE, stated)),
+        over_bound=_figure(resampled.quantile(ratio, seen & ~np.isnan(ratio), 0.5)),
     )
 
 
@@ -176,6 +185,11 @@ def _absolute_error(image: Judged, quantity: str) -> float:
         error = abs(image.errors[quantity])
         return math.inf if math.isnan(error) else error
     return math.inf if image.outcome in (Outcome.MISSED, Outcome.MISPLACED) else math.nan
+
+
+def _bound(image: Judged, quantity: str) -> float:
+    name = _BOUNDS.get(quantity)
+    return getattr(image.circumstances.labels, name) if name else math.nan
 
 
 class _Resampled:

@@ -1,0 +1,194 @@
+"""The Cramér-Rao bound of the ellipse in an image."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import optics
+from scenes.camera import light_information
+from scenes.description import SceneError
+from scenes.rendering import Renderer
+from scenes.stacks.ellipse_information import Affine, ellipse_information
+from scenes.world import World
+
+_STEP_MM = 0.02  # of the tip, for differences of ellipses: 3 px, in which they are straight
+_BEND = 0.1  # most difference between forward and backward, as part of both together
+_SHARP, _SMOOTH = 4, 2  # places along a side of a pixel for a cone's edge, and for other light
+# Around the ellipse, in semi-axes: a cone's light ends at its edge, a lens's has tails.
+_EDGE, _TAILS, _MARGIN_PX = 1.05, 3.0, 6
+_MOST_PARTS = 9  # of an exposure; more change the mean light little
+_WORST_CONDITION = 1e12  # beyond it, the image does not determine the ellipse
+
+
+class EllipseMotion(NamedTuple):
+    """How the ellipses of a stack's frames and the distances change with the tip.
+
+    Attributes:
+        ellipses: the half-maximum ellipse of each frame.
+        jacobian: change of x, y, g11, g22, g12 by the tip, n x 5 x 3, px/mm and 1/mm; NaN where
+            the ellipse jumps, as the half-maximum of a lens may near the wall.
+        approach: change of the distance d by the tip, n x 3.
+    """
+
+    ellipses: list[Affine]
+    jacobian: NDArray[np.float64]
+    approach: NDArray[np.float64]
+
+
+def ellipse_motion(world: World) -> EllipseMotion:
+    """Differences of the true ellipses and distances for a beam of constant direction.
+
+    Args:
+        world: the scene and everything derived from it.
+    """
+    beam = world.truth.beam
+    tip, axis = np.asarray(beam.tip), np.asarray(beam.axis)
+    steps = _STEP_MM * np.concatenate([np.eye(3), -np.eye(3)])
+    moved = optics.spot_truth(
+        world.wall,
+        world.microscope,
+        world.table,
+        tip=(tip[:, None] + steps).reshape(-1, 3),
+        axis=np.repeat(axis, len(steps), axis=0),
+        half_angle=world.cone.half_angle,
+        apex_offset=world.cone.apex_offset,
+    )
+    here, there = _ellipses(world.truth.half_max), _ellipses(moved.half_max)
+    jacobian = np.empty((len(tip), 5, 3))
+    approach = np.empty((len(tip), 3))
+    distance = np.asarray(moved.distance).reshape(-1, len(steps))
+    for frame, ellipse in enumerate(here):
+        own = there[frame * len(steps) : (frame + 1) * len(steps)]
+        for k in range(3):
+            jacobian[frame, :, k] = _slope(ellipse, ahead=own[k], behind=own[k + 3])
+        approach[frame] = (distance[frame, :3] - distance[frame, 3:]) / (2 * _STEP_MM)
+    return EllipseMotion(here, jacobian, approach)
+
+
+def _ellipses(ellipse: optics.Ellipse) -> list[Affine]:
+    centre = np.asarray(ellipse.centre)
+    columns = (*centre.T, ellipse.semi_major, ellipse.semi_minor, ellipse.angle)
+    return [Affine(*values) for values in np.stack([*map(np.asarray, columns)], axis=1).tolist()]
+
+
+def _slope(ellipse: Affine, *, ahead: Affine, behind: Affine) -> NDArray[np.float64]:
+    """Change per mm; NaN if it is not the same ahead and behind."""
+    forward, backward = _change(ellipse, ahead, ellipse), _change(ellipse, ellipse, behind)
+    in_px = np.array([1.0, 1.0, *[ellipse.semi_major] * 3])
+    bend = np.linalg.norm((forward - backward) * in_px)
+    if not bend <= _BEND * np.linalg.norm((forward + backward) * in_px):
+        return np.full(5, np.nan)
+    return np.asarray((forward + backward) / (2 * _STEP_MM))
+
+
+def _even(place: float, size: int) -> int:
+    """The nearest even column or row in the image: a Bayer filter repeats every two pixels."""
+    return min(max(2 * round(place / 2), 0), size)
+
+
+def _change(ellipse: Affine, ahead: Affine, behind: Affine) -> NDArray[np.float64]:
+    """Difference of two ellipses close to a third, as x, y, g11, g22, g12."""
+    cosine, sine = np.cos(ellipse.angle), np.sin(ellipse.angle)
+    axes = np.array([[cosine, sine], [-sine, cosine]])
+    matrix = axes @ (_matrix(ahead) - _matrix(behind)) @ axes.T
+    a, b = ellipse.semi_major, ellipse.semi_minor
+    return np.array(
+        [
+            ahead.x - behind.x,
+            ahead.y - behind.y,
+            matrix[0, 0] / (2 * a * a),
+            matrix[1, 1] / (2 * b * b),
+            matrix[0, 1] / (a * a + b * b),
+        ]
+    )
+
+
+def _matrix(ellipse: Affine) -> NDArray[np.float64]:
+    """Second moments: squares of the semi-axes, in image coordinates."""
+    cosine, sine = np.cos(ellipse.angle), np.sin(ellipse.angle)
+    axes = np.array([[cosine, -sine], [sine, cosine]])
+    return np.asarray(axes @ np.diag([ellipse.semi_major**2, ellipse.semi_minor**2]) @ axes.T)
+
+
+class Bounds:
+    """Bounds of the images of one stack.
+
+    Args:
+        renderer: of the stack's scene.
+
+    Raises:
+        SceneError: the light is sampled at random, so that differences of images have no meaning.
+    """
+
+    def __init__(self, renderer: Renderer) -> None:
+        scene = renderer.scene
+        if renderer.images.random:
+            raise SceneError(
+                "exposures.bound needs light without random numbers. Set exposures.bound = false; "
+                "or source.kind other than 'photons', phantom.indirect other than 'traced', and "
+                "microscope.numerical_aperture = 0."
+            )
+        self._renderer, self._scene = renderer, scene
+        self._motion = ellipse_motion(renderer.world)
+        has_tails = renderer.world.table is not None or renderer.world.wall_spread is not None
+        self._reach = _TAILS if has_tails else _EDGE
+        self._factor = _SMOOTH if has_tails else _SHARP
+
+    def labels(
+        self, frame: int, radiance: np.ndarray, *, exposure_s: float, sub_frames: int
+    ) -> dict[str, float]:
+        """The labels bound_* of one image; without them if the image does not determine an ellipse.
+
+        Args:
+            frame: number of the frame.
+            radiance: noise-free light during the exposure, H x W x 3.
+            exposure_s: exposure time, s.
+            sub_frames: number of sub-frames in that light.
+        """
+        ellipse = self._motion.ellipses[frame]
+        window = self._window(ellipse)
+        if window is None:
+            return {}
+        top, bottom, left, right = window
+        fine = self._renderer.fine_light(
+            frame, exposure_s, min(sub_frames, _MOST_PARTS), window=window, factor=self._factor
+        )
+        exposure = exposure_s * self._scene.exposures.sensitivity_mm2_sr_mj
+        information = light_information(
+            radiance[top:bottom, left:right], exposure=exposure, settings=self._scene.camera
+        )
+        found = ellipse_information(
+            fine.direct,
+            fine.reflectance,
+            information,
+            ellipse=ellipse,
+            corner=(left, top),
+            factor=self._factor,
+        )
+        return self._stated(frame, found)
+
+    def _window(self, ellipse: Affine) -> tuple[int, int, int, int] | None:
+        reach = self._reach * ellipse.semi_major + _MARGIN_PX
+        height, width = (self._scene.microscope.height_px, self._scene.microscope.width_px)
+        top, bottom = (_even(ellipse.y + s * reach, height) for s in (-1, 1))
+        left, right = (_even(ellipse.x + s * reach, width) for s in (-1, 1))
+        return None if bottom - top < 1 or right - left < 1 else (top, bottom, left, right)
+
+    def _stated(self, frame: int, information: NDArray[np.float64]) -> dict[str, float]:
+        ellipse = self._motion.ellipses[frame]
+        scale = np.array([1.0, 1.0, ellipse.semi_major, ellipse.semi_minor, ellipse.semi_major])
+        in_px = information / np.outer(scale, scale)
+        if not np.all(np.isfinite(in_px)) or np.linalg.cond(in_px) > _WORST_CONDITION:
+            return {}
+        variance = np.diag(np.linalg.inv(in_px))
+        by_tip = self._motion.jacobian[frame].T @ information @ self._motion.jacobian[frame]
+        towards = self._motion.approach[frame]
+        variances = dict(
+            zip(("x_px", "y_px", "semi_major_px", "semi_minor_px"), variance, strict=False)
+        )
+        if np.all(np.isfinite(by_tip)) and np.linalg.cond(by_tip) < _WORST_CONDITION:
+            variances["d_mm"] = towards @ np.linalg.solve(by_tip, towards)
+        return {f"bound_{name}": float(np.sqrt(v)) for name, v in variances.items() if v > 0}
