@@ -214,8 +214,8 @@ def _table(quantity: _Quantity, total: list[Standing], entries: Mapping[str, Ent
     caption = (
         f"{quantity.title}, on {total[0].visible} visible images. σ as the entry states it; ideal "
         f"are {100 * _ONE:.1f} and {100 * _WIDE:.1f} %. The bound is that of Cramér and Rao for "
-        "each image, for an estimator that knows the wall and the shape of the light. Times are as the "
-        "entries state them, or wall times of this run."
+        "each image, for an estimator that knows the wall and the shape of the light. Times are as "
+        "the entries state them, or wall times of this run."
     )
     return Table([Column(heading) for heading in headings], rows, caption, "leaderboard.csv")
 
