@@ -14,6 +14,7 @@ Files of a set:
         SPLIT/metadata.jsonl  one line per image: `FrameLabels` with file names relative to SPLIT,
                               and its stack, condition and scene parameters
         README.md             data card; its YAML head lists the splits for Hugging Face
+        croissant.json        the same for data loaders (MLCommons Croissant)
         histograms.png, samples.png, spec.toml, LICENSE
         manifest.json         size and SHA-256 of every other file; written last, so a set with a
                               manifest is complete

@@ -12,7 +12,7 @@ import jinja2
 import numpy as np
 import tomli_w
 
-from benchmarks.sets.make import pictures
+from benchmarks.sets.make import croissant, pictures
 from benchmarks.sets.read import LabelledSet, Row, rows
 from estimator.files import written_whole
 
@@ -43,15 +43,20 @@ class Range(NamedTuple):
 
 
 def write_card(labelled: LabelledSet) -> None:
-    """Write README.md with its figures, LICENSE, spec.toml and every split's metadata.jsonl.
+    """Write README.md with its figures, LICENSE, spec.toml, croissant.json and the label tables.
 
     Args:
         labelled: a set with all its stacks.
     """
     images = list(rows(labelled))
-    for split in labelled.splits:
-        lines = [json.dumps(row.line()) + "\n" for row in images if row.planned.split == split]
-        _write(labelled.folder / split / "metadata.jsonl", "".join(lines))
+    tables = {
+        split: [row.line() for row in images if row.planned.split == split]
+        for split in labelled.splits
+    }
+    for split, lines in tables.items():
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        _write(labelled.folder / split / "metadata.jsonl", text)
+    _write(labelled.folder / croissant.FILE, croissant.croissant(labelled, tables))
     licence = _LICENCES.get(labelled.licence, f"{labelled.licence}\n")
     _write(labelled.folder / "LICENSE", licence)
     _write(labelled.folder / "spec.toml", tomli_w.dumps(labelled.description["spec"]))
@@ -65,6 +70,7 @@ def write_card(labelled: LabelledSet) -> None:
         counts=_counts(images),
         images=len(images),
         ranges=_ranges(images),
+        bounded=any("bound_semi_minor_px" in line for lines in tables.values() for line in lines),
         varied=sorted(labelled.stacks[0].parameters),
     )
     _write(labelled.folder / "README.md", text)
