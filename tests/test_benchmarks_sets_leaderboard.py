@@ -71,6 +71,13 @@ def test_an_entry_that_leaves_out_the_difficult_images_does_not_win() -> None:
     assert found["choosy"].rmse.value == pytest.approx(0.1)
 
 
+def test_an_entry_that_finds_nothing_is_the_last() -> None:
+    found = total({"blind": judged([[math.inf] * 3] * 4), "bad": judged([[9.0] * 3] * 4)})
+    assert (found["bad"].rank.value, found["blind"].rank.value) == (1, 2)
+    assert found["blind"].missed.value == 1.0
+    assert standings({"blind": judged([[math.inf]])}, E1) == {}
+
+
 def test_an_interval_is_that_of_independent_stacks_and_not_of_images() -> None:
     # Each stack has one error in all of its 50 images, so there are 40 values and not 2000.
     rng = np.random.default_rng(1)

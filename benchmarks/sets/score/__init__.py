@@ -9,6 +9,7 @@ leaderboard   The leaderboard as a page
 measures      Counts, errors and calibration of σ for a group of images
 outcomes      Outcome of each image: spot found, missed, misplaced ...
 plain_spots   Plain spots files: the few columns that others can write without eyespot
+sample        The small labelled set that comes with eyespot
 scoring       The whole run: reads or measures spots, scores them, prints and writes tables
 spots_of_set  Spots of a set: read from files, or measured by our estimator
 standings     Ranks of the estimators on the same images, with intervals over stacks

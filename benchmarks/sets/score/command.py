@@ -7,9 +7,14 @@ from typing import Annotated, Literal
 
 import typer
 
+from optics import InputError
+
 
 def score(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Labelled set or stack.")],
+    folder: Annotated[
+        Path | None,
+        typer.Argument(metavar="DIR", help="Labelled set or stack; not needed with --sample."),
+    ] = None,
     spots: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -29,6 +34,14 @@ def score(
         Literal["literal", "subpixel", "both"] | None,
         typer.Option(help="Also measure the images with our estimator, and score its spots."),
     ] = None,
+    sample: Annotated[
+        bool,
+        typer.Option(
+            "--sample",
+            help="Score on the small set that comes with eyespot: spots files, --mode, or our "
+            "sub-pixel mode if no spots are given.",
+        ),
+    ] = False,
     against: Annotated[
         Literal["half_max", "cone"],
         typer.Option(
@@ -48,6 +61,13 @@ def score(
     ] = None,
 ) -> None:
     """Compare an estimator's spots with the labels of a set."""
+    from benchmarks.sets.score.sample import sample_folder
     from benchmarks.sets.score.scoring import run
 
+    if sample:
+        # The first argument is then a spots file, too.
+        spots, folder = [*([folder] if folder else []), *(spots or [])], sample_folder()
+        mode = mode or (None if spots or entries else "subpixel")
+    if folder is None:
+        raise InputError("DIR is missing: the set or stack to score on. Or give --sample.")
     run(folder, spots or [], entries=entries, mode=mode, against=against, split=split, out=out)

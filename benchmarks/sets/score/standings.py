@@ -76,16 +76,14 @@ def standings(judged: Mapping[str, Sequence[Judged]], quantity: str) -> Standing
 
     Returns:
         Standings on all images, and by condition; conditions with one group are left out. Empty if
-        no entry measures the quantity.
+        no entry measures the quantity. An entry that finds no spot is the last on the ellipse.
 
     Raises:
         InputError: the entries have no image in common.
     """
-    measuring = {
-        name: images
-        for name, images in judged.items()
-        if any(math.isfinite(image.errors.get(quantity, math.nan)) for image in images)
-    }
+    measuring = {name: images for name, images in judged.items() if _measures(images, quantity)}
+    if not any(_has_errors(images, quantity) for images in measuring.values()):
+        return {}
     shared = _shared(measuring)
     return {
         (condition, group): _ranked(
@@ -93,6 +91,15 @@ def standings(judged: Mapping[str, Sequence[Judged]], quantity: str) -> Standing
         )
         for condition, group, places in _groups(shared)
     }
+
+
+def _measures(images: Sequence[Judged], quantity: str) -> bool:
+    finds_nothing = not any(image.outcome is Outcome.FOUND for image in images)
+    return _has_errors(images, quantity) or (finds_nothing and quantity != "distance_mm")
+
+
+def _has_errors(images: Sequence[Judged], quantity: str) -> bool:
+    return any(math.isfinite(image.errors.get(quantity, math.nan)) for image in images)
 
 
 def _shared(judged: Mapping[str, Sequence[Judged]]) -> dict[str, list[Judged]]:
