@@ -40,6 +40,7 @@ COMMANDS = {
     "scene check": "scenes.stacks.command:check",
     "dataset make": "benchmarks.sets.make.command:make",
     "dataset verify": "benchmarks.sets.make.command:verify",
+    "dataset push": "benchmarks.sets.make.command:push",
     "study static": "benchmarks.studies.static.command:static",
     "study table-one": "benchmarks.studies.table_one.command:table_one",
     "study medium": "benchmarks.studies.medium.command:medium",
@@ -52,7 +53,7 @@ COMMANDS = {
 
 GROUPS = {
     "scene": "Write and check scene files.",
-    "dataset": "Make and verify labelled sets. `eyespot dataset SPEC` is `dataset make SPEC`.",
+    "dataset": "Labelled sets: make, verify, push. `eyespot dataset SPEC` is `dataset make SPEC`.",
     "study": "Run a study; each writes a report, CSV files and figures.",
 }
 """The first words of commands that have two."""

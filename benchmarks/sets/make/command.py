@@ -1,4 +1,4 @@
-"""The commands `eyespot dataset make` and `eyespot dataset verify`."""
+"""The commands `eyespot dataset make`, `verify` and `push`."""
 
 from __future__ import annotations
 
@@ -104,6 +104,26 @@ def verify(
     from benchmarks.sets.make.manifest import verify_set
 
     print(f"{folder}: complete, {verify_set(folder)} files match the manifest.")
+
+
+def push(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the set.")],
+    repository: Annotated[
+        str,
+        typer.Argument(metavar="OWNER/NAME", help="Dataset repository; created if missing."),
+    ],
+    private: Annotated[
+        bool, typer.Option("--private", help="Make a new repository private.")
+    ] = False,
+    endpoint: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="Address of another Hub (default: huggingface.co)."),
+    ] = None,
+) -> None:
+    """Upload a complete set to the Hugging Face Hub."""
+    from benchmarks.sets.make.push import push_set
+
+    print(f"Wrote {push_set(folder, repository, private=private, endpoint=endpoint)}.")
 
 
 def _shard(text: str | None) -> Shard:

@@ -1,0 +1,72 @@
+"""`eyespot dataset push` against a stand-in for the Hub on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import huggingface_hub.constants
+import pytest
+from typer.testing import CliRunner
+
+import eyespot
+from benchmarks.sets.make.manifest import verify_set
+from benchmarks.sets.make.push import push_set
+from benchmarks.sets.read import SetError
+from benchmarks.sets.score import sample_folder
+from optics import InputError
+from tests.hub_stand_in import StandIn, stand_in
+
+TOKEN = "stand-in"
+
+# What huggingface_hub calls in its own HTTP library is deprecated there.
+pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=:DeprecationWarning")
+
+
+@pytest.fixture
+def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[StandIn]:
+    monkeypatch.setenv("HF_TOKEN", TOKEN)
+    monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_DISABLE_XET", True)
+    monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_DISABLE_PROGRESS_BARS", True)
+    with stand_in(TOKEN) as server:
+        yield server
+
+
+def test_the_set_arrives_whole(hub: StandIn, tmp_path: Path) -> None:
+    command = ["dataset", "push", str(sample_folder()), "a-lab/sample", "--endpoint", hub.address]
+    done = CliRunner().invoke(eyespot.app, command)
+    assert done.exit_code == 0, done.output
+    assert f"Wrote {hub.address}/datasets/a-lab/sample/commit/" in done.output
+    for name, content in hub.files["a-lab/sample"].items():
+        path = tmp_path / "copy" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    assert verify_set(tmp_path / "copy") == verify_set(sample_folder())
+
+
+def test_a_refused_token_is_one_message_with_the_remedy(
+    hub: StandIn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HF_TOKEN", "another")
+    with pytest.raises(InputError, match=r"did not take .* as a-lab/sample.*hf auth login"):
+        push_set(sample_folder(), "a-lab/sample", endpoint=hub.address)
+    assert not hub.files
+
+
+def test_a_name_that_no_repository_has_is_refused(hub: StandIn) -> None:
+    with pytest.raises(InputError, match=r"did not take .* as a lab/sample"):
+        push_set(sample_folder(), "a lab/sample", endpoint=hub.address)
+
+
+def test_a_hub_that_cannot_be_reached_is_one_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HF_TOKEN", TOKEN)
+    with stand_in(TOKEN) as server:
+        address = server.address
+    with pytest.raises(InputError, match="did not take"):
+        push_set(sample_folder(), "a-lab/sample", endpoint=address)
+
+
+def test_what_is_no_complete_set_is_not_sent(hub: StandIn, tmp_path: Path) -> None:
+    with pytest.raises(SetError, match="not a labelled set"):
+        push_set(tmp_path, "a-lab/sample", endpoint=hub.address)
+    assert not hub.files
