@@ -6,10 +6,13 @@ import hashlib
 import json
 import shutil
 import sys
+import threading
 import tomllib
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -40,6 +43,11 @@ FORMATS: list[Format] = ["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "r
 
 
 # The library webdataset does not close the shards that it reads.
+class QuietHandler(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
 LEAVES_FILES_OPEN = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 
@@ -206,6 +214,32 @@ def test_shards_are_the_same_bytes_each_time_and_no_larger_than_asked(
     keys = [sample["__key__"] for sample in reader]
     assert len(keys) == len(set(keys)) == 12
     assert keys == sorted(keys)
+
+
+@LEAVES_FILES_OPEN
+def test_shards_stream_from_a_web_server(drawn: Path, tmp_path: Path) -> None:
+    out = tmp_path / "shards"
+    webdataset_format.write(stacks_of(drawn), out, lambda: None, shard_bytes=150_000)
+    shards = sorted(path.name for path in out.glob("train-*.tar"))
+    handler = partial(QuietHandler, directory=str(out))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            address = f"http://127.0.0.1:{server.server_address[1]}"
+            pattern = f"{address}/train-{{000000..{len(shards) - 1:06d}}}.tar"
+            reader = webdataset.WebDataset(pattern, shardshuffle=False, empty_check=False)
+            samples = list(reader.decode("rgb8"))
+        finally:
+            server.shutdown()
+            thread.join()
+    assert len(shards) > 1
+    assert [sample["__key__"] for sample in samples] == sorted(
+        f"train/{name}/{Path(row.file_name).stem}"
+        for name in STACKS["train"]
+        for row in read_stack(drawn / "train" / name).labels
+    )
+    assert all(sample["png"].shape == (*SHAPE, 3) for sample in samples)
 
 
 @pytest.mark.parametrize("to", ["rosbag1", "rosbag2"])

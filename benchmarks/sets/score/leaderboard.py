@@ -94,6 +94,25 @@ class LeaderboardRow(NamedTuple):
     seed: str
 
 
+class _Shown(NamedTuple):
+    """A line of standings.csv and, without the last three, of the page's table."""
+
+    rank: Annotated[str, Column("rank")]
+    entry: Annotated[str, Column("entry")]
+    median: Annotated[str, Column("median |e|")]
+    ninth_decile: Annotated[str, Column("90 % of |e|")]
+    rmse: Annotated[str, Column("RMSE if found")]
+    missed: Annotated[str, Column("missed")]
+    false_spots: Annotated[str, Column("false spots")]
+    within_1_sigma: Annotated[str, Column("within 1 σ")]
+    within_196_sigma: Annotated[str, Column("within 1.96 σ")]
+    over_bound: Annotated[str, Column("error / bound")]
+    ms_per_frame: Annotated[str, Column("ms per frame")]
+    command: str
+    versions: str
+    seed: str
+
+
 class _Made(NamedTuple):
     """How an entry was made."""
 
@@ -141,6 +160,10 @@ def leaderboard(result: Score, entries: Mapping[str, Entry], *, name: str) -> Re
             Section("How the entries were made", _made(entries)),
         ],
         data=[
+            *(
+                Data("standings.csv", _Shown, _shown(quantity, found[ALL, ALL], entries))
+                for quantity, found in list(ranked.items())[:1]
+            ),
             Data("leaderboard.csv", LeaderboardRow, [r for r in rows if r.condition == ALL]),
             Data("leaderboard_by_condition.csv", LeaderboardRow, rows),
             "score.csv",
@@ -181,22 +204,22 @@ def _section(quantity: _Quantity, found: Standings, entries: Mapping[str, Entry]
 
 
 def _table(quantity: _Quantity, total: list[Standing], entries: Mapping[str, Entry]) -> Table:
-    digits, unit = quantity.digits, quantity.unit
-    headings = (
-        "rank",
-        "entry",
-        f"median |e| ({unit})",
-        f"90 % of |e| ({unit})",
-        f"RMSE if found ({unit})",
-        "missed (%)",
-        "false spots per 100 images",
-        "within 1 σ (%)",
-        "within 1.96 σ (%)",
-        "error / bound",
-        "ms per frame",
+    caption = (
+        f"{quantity.title} ({quantity.unit}), on {total[0].visible} visible images; missed and "
+        "within are in %, false spots per 100 images. σ as the entry states it; ideal are "
+        f"{100 * _ONE:.1f} and {100 * _WIDE:.1f} %. The bound is that of Cramér and Rao for each "
+        "image, for an estimator that knows the wall and the shape of the light. Times are as the "
+        "entries state them, or wall times of this run."
     )
-    rows = [
-        (
+    return Table.of(_Shown, _shown(quantity, total, entries), caption, data="leaderboard.csv")
+
+
+def _shown(
+    quantity: _Quantity, total: list[Standing], entries: Mapping[str, Entry]
+) -> list[_Shown]:
+    digits = quantity.digits
+    return [
+        _Shown(
             _rank(standing.rank),
             standing.entry,
             _interval(standing.median, digits),
@@ -208,16 +231,12 @@ def _table(quantity: _Quantity, total: list[Standing], entries: Mapping[str, Ent
             _interval(standing.within_196, 1, scale=100),
             _interval(standing.over_bound, 1),
             _milliseconds(entries[standing.entry]),
+            entries[standing.entry].command,
+            entries[standing.entry].versions,
+            entries[standing.entry].seed,
         )
         for standing in total
     ]
-    caption = (
-        f"{quantity.title}, on {total[0].visible} visible images. σ as the entry states it; ideal "
-        f"are {100 * _ONE:.1f} and {100 * _WIDE:.1f} %. The bound is that of Cramér and Rao for "
-        "each image, for an estimator that knows the wall and the shape of the light. Times are as "
-        "the entries state them, or wall times of this run."
-    )
-    return Table([Column(heading) for heading in headings], rows, caption, "leaderboard.csv")
 
 
 def _by_condition(quantity: _Quantity, found: Standings) -> Section:

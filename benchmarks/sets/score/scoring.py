@@ -24,6 +24,7 @@ from benchmarks.sets.score.groups import Score, score
 from benchmarks.sets.score.leaderboard import leaderboard
 from benchmarks.sets.score.measures import Counts, Errors
 from benchmarks.sets.score.outcomes import Against, Outcome
+from benchmarks.sets.score.sample import sample_folder
 from benchmarks.sets.score.spots_of_set import Mode, read_set_spots, track_set
 from benchmarks.sets.score.table import tables
 from estimator import SpotRecord, write_spots
@@ -136,10 +137,16 @@ def _own_entry(mode: Mode, folder: Path, ms_per_frame: float) -> Entry:
     """The entry of a mode of our estimator; the time includes the reading of the images."""
     return Entry(
         name=mode,
-        command=f"eyespot score {folder.resolve().name} --mode {mode}",
+        command=f"eyespot score {_named(folder)} --mode {mode}",
         versions=", ".join(f"{name} {versions()[name]}" for name in _TRACKING),
         ms_per_frame=ms_per_frame,
     )
+
+
+def _named(folder: Path) -> str:
+    """How a command names a set; the path on this machine means nothing to others."""
+    is_sample = folder.resolve() == sample_folder().resolve()
+    return "--sample" if is_sample else folder.resolve().name
 
 
 def _check(names: Sequence[str]) -> None:
