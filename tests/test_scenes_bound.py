@@ -247,7 +247,11 @@ def test_a_sharp_spot_has_about_the_bound_of_a_uniform_disc(bounded: Bounded) ->
     assert radius * math.sqrt(3) / 3 < row.bound_semi_minor_px < radius * math.sqrt(3) * 3
 
 
-def test_light_with_random_numbers_has_no_bound(tmp_path: Path) -> None:
-    scene = scenes.load_scene(None, [*SCENE, "exposures.bound=true", 'phantom.indirect="traced"'])
+@pytest.mark.parametrize(
+    "change",
+    ['phantom.indirect="traced"', 'phantom.spread="own"', "microscope.numerical_aperture=0.03"],
+)
+def test_light_with_random_numbers_has_no_bound(change: str, tmp_path: Path) -> None:
+    scene = scenes.load_scene(None, [*SCENE, "exposures.bound=true", change])
     with pytest.raises(SceneError, match=r"exposures\.bound needs light without random numbers"):
         scenes.render_stack(scene, tmp_path / "stack")

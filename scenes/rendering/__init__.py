@@ -8,7 +8,7 @@ glass           Images by photons through the lens as glass, without its irradia
 images          Noise-free images for any pose of the tip
 path_sensor     Mitsuba plugin: the microscope behind a viewing path
 photons         The glue lens as glass, through which Mitsuba traces photons
-pixels          Renders a subset of the pixels, sampled on a regular grid
+pixels          Renders a subset of the pixels, or places within them, on a regular grid
 placement       Rigid transforms and the wall of a Mitsuba scene
 plugins         Mitsuba plugins: lens and cone as emitters, and a noise-free integrator
 reach           Which pixels change when the tip moves

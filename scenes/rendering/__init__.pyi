@@ -1,6 +1,8 @@
 from . import build as build
 from . import rivals as rivals
 from .differentiable import PhotonImage as PhotonImage
+from .fine_light import FineWall as FineWall
+from .fine_light import Window as Window
 from .glass import glass_images as glass_images
 from .images import Images as Images
 from .images import images_of as images_of

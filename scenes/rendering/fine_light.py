@@ -1,15 +1,11 @@
-"""The light on the wall in a part of an image, apart from the wall's picture, finer than pixels.
-
-Import after `load_mitsuba`.
-"""
+"""The light on the wall in a part of an image, apart from the wall's picture, finer than pixels."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from scenes.rendering.images import DOWN, PARKED_MM, ColourImages, Images
@@ -36,91 +32,107 @@ class Pose(NamedTuple):
     moment: Moment | None
 
 
+class FineWall(NamedTuple):
+    """The wall without the beam, at `factor` x `factor` places of each pixel of a window.
+
+    Attributes:
+        unlit: radiance without the beam, rows x columns x 3.
+        reflectance: of the wall, rows x columns x 3.
+        window: the window.
+        factor: number of places along a side of a pixel.
+    """
+
+    unlit: np.ndarray
+    reflectance: np.ndarray
+    window: Window
+    factor: int
+
+    def part(self, window: Window) -> FineWall:
+        """The same in a part of the window."""
+        rows = slice(*(self.factor * (row - self.window.top) for row in window[:2]))
+        columns = slice(*(self.factor * (column - self.window.left) for column in window[2:]))
+        return FineWall(
+            self.unlit[rows, columns], self.reflectance[rows, columns], window, self.factor
+        )
+
+
 class FineLight(NamedTuple):
-    """Light and wall at `factor` x `factor` places of each pixel of a window.
+    """Light and wall at the same places.
 
     Attributes:
         direct: light of the beam that the wall reflects, divided by the reflectance, in the unit of
             radiance, rows x columns x 3; 0 where something else than the wall is seen.
         reflectance: of the wall, rows x columns x 3; 0 elsewhere.
-        window: the window.
-        factor: number of places along a side of a pixel.
     """
 
     direct: np.ndarray
     reflectance: np.ndarray
-    window: Window
-    factor: int
 
 
-def fine_light(
-    images: Images | ColourImages, poses: Sequence[Pose], *, window: Window, factor: int
-) -> FineLight:
-    """The light of the beam in a window, as its mean over some poses.
+def fine_wall(
+    images: Images | ColourImages, moment: Moment | None, *, window: Window, factor: int
+) -> FineWall:
+    """The wall in a window without the beam.
 
-    The reflectance follows from two images without the beam, of which one has even light from all
-    sides added. It is that of the middle pose.
+    The reflectance follows from two images, of which one has even light from all sides added.
 
     Args:
         images: the images of a scene whose light is not sampled randomly.
-        poses: poses during an exposure, in order of time.
+        moment: what [unrest] moves.
         window: the window.
         factor: places along a side of a pixel.
     """
-    if isinstance(images, ColourImages):
-        seen = [_seen(own, poses, window, factor) for own in images.by_colour]
-        direct, reflectance = (
-            np.stack([each[part][..., k] for k, each in enumerate(seen)], axis=-1)
-            for part in (0, 1)
+    both = [
+        _in_colours(
+            images, partial(_unlit, moment=moment, window=window, factor=factor, added=added)
         )
-    else:
-        direct, reflectance = _seen(images, poses, window, factor)
-    return FineLight(direct, reflectance, window, factor)
+        for added in (0.0, _ALL_SIDES)
+    ]
+    return FineWall(both[0], both[1] - both[0], window, factor)
 
 
-def _seen(
-    images: Images, poses: Sequence[Pose], window: Window, factor: int
-) -> tuple[np.ndarray, np.ndarray]:
-    def radiance() -> tuple[np.ndarray, np.ndarray]:
-        return _fine_image(images.mitsuba_scene, window, factor)
+def fine_light(images: Images | ColourImages, poses: Sequence[Pose], wall: FineWall) -> FineLight:
+    """The light of the beam on a wall, as its mean over some poses.
 
-    middle = poses[len(poses) // 2]
-    images.place(tip=PARKED_MM, axis=DOWN, moment=middle.moment)
-    unlit, _ = radiance()
-    parameters = mi.traverse(images.mitsuba_scene)
-    even = mi.Color3f(parameters["integrator.uniform"])
-    brighter = even + _ALL_SIDES
-    dr.make_opaque(even, brighter)
-    parameters["integrator.uniform"] = brighter
-    parameters.update()
-    reflectance = radiance()[0] - unlit
-    parameters["integrator.uniform"] = even
-    parameters.update()
-    usable = reflectance > _LEAST_REFLECTANCE
-    direct = np.zeros_like(unlit)
+    Args:
+        images: the images of a scene whose light is not sampled randomly.
+        poses: poses during an exposure.
+        wall: the wall.
+    """
+    usable = wall.reflectance > _LEAST_REFLECTANCE
+    lit = np.zeros_like(wall.unlit)
     for pose in poses:
-        images.place(tip=pose.tip, axis=pose.axis, moment=pose.moment)
-        lit, wall = radiance()
-        usable &= wall[..., None] > 0
-        direct += lit - unlit
-    reflectance = np.where(usable, reflectance, 0.0)
-    share = np.where(usable, len(poses) * reflectance, 1.0)
-    return np.where(usable, direct, 0.0) / share, reflectance
+        seen = _in_colours(images, partial(_lit, pose=pose, wall=wall))
+        usable &= ~np.isnan(seen)
+        lit += seen
+    reflectance = np.where(usable, wall.reflectance, np.float32(0.0))
+    direct = np.where(usable, lit / len(poses) - wall.unlit, np.float32(0.0))
+    return FineLight(direct / np.where(usable, reflectance, np.float32(1.0)), reflectance)
 
 
-def _fine_image(mitsuba_scene: Any, window: Window, factor: int) -> tuple[np.ndarray, np.ndarray]:
-    """Radiance and whether the wall is seen, at the places of a regular grid."""
-    sensor, integrator = mitsuba_scene.sensors()[0], mitsuba_scene.integrator()
-    width, height = sensor.film().size()
-    rows, columns = (window.bottom - window.top) * factor, (window.right - window.left) * factor
-    index = dr.arange(mi.UInt32, rows * columns)
-    place = (mi.Point2f(index % columns, index // columns) + 0.5) / factor
-    place = (place + mi.Point2f(window.left, window.top)) / mi.Point2f(width, height)
-    ray, part = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
-    light, _, seen = integrator.sample(mitsuba_scene, sensor.sampler(), ray)
-    colours, wall = dr.ravel(light * part), mi.Float(seen[0])
-    dr.eval(colours, wall)
-    return (
-        np.array(colours).reshape(rows, columns, 3),
-        np.array(wall).reshape(rows, columns),
-    )
+def _in_colours(images: Images | ColourImages, image: Callable[[Images], np.ndarray]) -> np.ndarray:
+    """An image whose colours may have their own lines of sight."""
+    if isinstance(images, ColourImages):
+        seen = [image(own)[..., colour] for colour, own in enumerate(images.by_colour)]
+        return np.stack(seen, axis=-1)
+    return image(images)
+
+
+def _unlit(
+    images: Images, moment: Moment | None, window: Window, factor: int, added: float
+) -> np.ndarray:
+    """Radiance without the beam, with more even light from all sides."""
+    from scenes.rendering.pixels import fine_image, more_even_light  # Mitsuba needs its variant
+
+    images.place(tip=PARKED_MM, axis=DOWN, moment=moment)
+    with more_even_light(images.mitsuba_scene, added):
+        return fine_image(images.mitsuba_scene, window, factor=factor)[0]
+
+
+def _lit(images: Images, pose: Pose, wall: FineWall) -> np.ndarray:
+    """Radiance with the beam; NaN where something else than the wall is seen."""
+    from scenes.rendering.pixels import fine_image
+
+    images.place(tip=pose.tip, axis=pose.axis, moment=pose.moment)
+    radiance, seen = fine_image(images.mitsuba_scene, wall.window, factor=wall.factor)
+    return np.where(seen[..., None] > 0, radiance, np.float32(np.nan))

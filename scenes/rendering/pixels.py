@@ -1,4 +1,4 @@
-"""Renders a subset of the pixels of an image, sampled on a regular grid.
+"""Renders a subset of the pixels of an image, or places within pixels, on a regular grid.
 
 Import after `load_mitsuba`.
 """
@@ -6,6 +6,8 @@ Import after `load_mitsuba`.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
@@ -44,3 +46,48 @@ def pixel_means(
     colours, part = dr.ravel(radiance / side**2), wall / side**2
     dr.eval(colours, part)  # in one kernel
     return np.array(colours).reshape(-1, 3), np.array(part)
+
+
+def fine_image(
+    mitsuba_scene: Any, window: tuple[int, int, int, int], *, factor: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radiance at several places of each pixel of a window.
+
+    Args:
+        mitsuba_scene: a scene with `SpotIntegrator`.
+        window: top, bottom, left and right, px.
+        factor: places along a side of a pixel.
+
+    Returns:
+        Radiance, rows x columns x 3, and 1 where the wall is seen, rows x columns; both float32.
+    """
+    top, bottom, left, right = window
+    sensor, integrator = mitsuba_scene.sensors()[0], mitsuba_scene.integrator()
+    rows, columns = (bottom - top) * factor, (right - left) * factor
+    index, corner = dr.arange(mi.UInt32, rows * columns), mi.Vector2f(left, top)
+    # As data, so that every window uses the same kernel.
+    side = mi.UInt32(columns)
+    dr.make_opaque(side, corner)
+    place = (mi.Vector2f(index % side, index // side) + 0.5) / factor + corner
+    size = mi.Vector2f(sensor.film().size())
+    ray, part = sensor.sample_ray(0.0, 0.5, mi.Point2f(place / size), mi.Point2f(0.5))
+    light, _, seen = integrator.sample(mitsuba_scene, sensor.sampler(), ray)
+    colours, wall = dr.ravel(light * part), mi.Float(seen[0])
+    dr.eval(colours, wall)
+    return np.array(colours).reshape(rows, columns, 3), np.array(wall).reshape(rows, columns)
+
+
+@contextmanager
+def more_even_light(mitsuba_scene: Any, added: float) -> Iterator[None]:
+    """Add irradiance from all sides to every surface within a block."""
+    parameters = mi.traverse(mitsuba_scene)
+    even = mi.Color3f(parameters["integrator.uniform"])
+    more = even + added
+    dr.make_opaque(even, more)
+    parameters["integrator.uniform"] = more
+    parameters.update()
+    try:
+        yield
+    finally:
+        parameters["integrator.uniform"] = even
+        parameters.update()

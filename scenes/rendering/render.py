@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from scenes.description import Scene
+from scenes.rendering.fine_light import (
+    FineLight,
+    FineWall,
+    Pose,
+    Window,
+    fine_light,
+    fine_wall,
+)
 from scenes.rendering.images import images_of
 from scenes.world import World
-
-if TYPE_CHECKING:
-    from scenes.rendering.fine_light import FineLight
 
 # A contour that moves by less than 0.25 px is blurred by 0.25 px / sqrt(12) = 0.07 px, which is
 # negligible beside the 0.3 px of the pixel itself. The image of the tip, which is not measured, may
@@ -158,33 +163,35 @@ class Renderer:
         fixed = camera.dark_signal_e + camera.read_noise_e**2 + rounding
         return float(np.max(np.abs(new - old) * electrons / np.sqrt(new * electrons + fixed)))
 
-    def fine_light(
-        self,
-        frame: int,
-        exposure_s: float,
-        sub_frames: int,
-        *,
-        window: tuple[int, int, int, int],
-        factor: int,
-    ) -> FineLight:
-        """Light of the beam and reflectance of the wall in a part of a frame, finer than pixels.
+    def fine_wall(self, frame: int, *, window: tuple[int, int, int, int], factor: int) -> FineWall:
+        """The wall in a part of a frame without the beam, finer than pixels.
 
         Args:
             frame: number of the frame.
-            exposure_s: exposure time, s.
-            sub_frames: equal parts of the exposure; their middles are averaged.
             window: top, bottom, left and right, px.
             factor: places along a side of a pixel.
         """
-        from scenes.rendering.fine_light import Pose, Window, fine_light
+        moment = self.world.unrest.at(frame, self.world.times[frame])
+        return fine_wall(self.images, moment, window=Window(*window), factor=factor)
 
+    def fine_light(
+        self, frame: int, wall: FineWall, *, exposure_s: float, sub_frames: int
+    ) -> FineLight:
+        """Light of the beam on that wall during an exposure.
+
+        Args:
+            frame: number of the frame.
+            wall: the wall.
+            exposure_s: exposure time, s.
+            sub_frames: equal parts of the exposure; their middles are averaged.
+        """
         places = (np.arange(sub_frames) + 0.5) / sub_frames - 0.5
         times = self.world.times[frame] + exposure_s * places
         poses = [
             Pose(tip, axis, self.world.unrest.at(frame, time))
             for time, tip, axis in zip(times, *self.world.motion.at(times), strict=True)
         ]
-        return fine_light(self.images, poses, window=Window(*window), factor=factor)
+        return fine_light(self.images, poses, wall)
 
     def mask(self, frame: int, linear: LinearFrame) -> np.ndarray:
         """Pixels whose centre lies inside the half-maximum contour and shows the wall."""

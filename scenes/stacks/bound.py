@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,15 +11,15 @@ from numpy.typing import NDArray
 import optics
 from scenes.camera import light_information
 from scenes.description import SceneError
-from scenes.rendering import Renderer
+from scenes.rendering import FineWall, Renderer, Window
 from scenes.stacks.ellipse_information import Affine, ellipse_information
 from scenes.world import World
 
 _STEP_MM = 0.02  # of the tip, for differences of ellipses: 3 px, in which they are straight
 _BEND = 0.1  # most difference between forward and backward, as part of both together
-_SHARP, _SMOOTH = 4, 2  # places along a side of a pixel for a cone's edge, and for other light
+_SHARP, _SMOOTH = 4, 1  # places along a side of a pixel for a cone's edge, and for other light
 # Around the ellipse, in semi-axes: a cone's light ends at its edge, a lens's has tails.
-_EDGE, _TAILS, _MARGIN_PX = 1.05, 3.0, 6
+_EDGE, _TAILS, _MARGIN_PX = 1.05, 2.5, 6
 _MOST_PARTS = 9  # of an exposure; more change the mean light little
 _WORST_CONDITION = 1e12  # beyond it, the image does not determine the ellipse
 
@@ -125,17 +126,17 @@ class Bounds:
 
     def __init__(self, renderer: Renderer) -> None:
         scene = renderer.scene
-        if renderer.images.random:
+        if renderer.images.random or renderer.world.wall_spread is not None:
             raise SceneError(
                 "exposures.bound needs light without random numbers. Set exposures.bound = false; "
-                "or source.kind other than 'photons', phantom.indirect other than 'traced', and "
-                "microscope.numerical_aperture = 0."
+                "or source.kind other than 'photons', phantom.indirect other than 'traced', "
+                "phantom.spread = 'none', and microscope.numerical_aperture = 0."
             )
         self._renderer, self._scene = renderer, scene
         self._motion = ellipse_motion(renderer.world)
-        has_tails = renderer.world.table is not None or renderer.world.wall_spread is not None
-        self._reach = _TAILS if has_tails else _EDGE
-        self._factor = _SMOOTH if has_tails else _SHARP
+        is_sharp = renderer.world.table is None
+        self._reach, self._factor = (_EDGE, _SHARP) if is_sharp else (_TAILS, _SMOOTH)
+        self._at_rest: FineWall | None = None
 
     def labels(
         self, frame: int, radiance: np.ndarray, *, exposure_s: float, sub_frames: int
@@ -149,12 +150,15 @@ class Bounds:
             sub_frames: number of sub-frames in that light.
         """
         ellipse = self._motion.ellipses[frame]
-        window = self._window(ellipse)
-        if window is None:
+        window = self._window([ellipse])
+        if window.bottom - window.top < 2 or window.right - window.left < 2:
             return {}
         top, bottom, left, right = window
         fine = self._renderer.fine_light(
-            frame, exposure_s, min(sub_frames, _MOST_PARTS), window=window, factor=self._factor
+            frame,
+            self._wall(frame, window),
+            exposure_s=exposure_s,
+            sub_frames=min(sub_frames, _MOST_PARTS),
         )
         exposure = exposure_s * self._scene.exposures.sensitivity_mm2_sr_mj
         information = light_information(
@@ -170,12 +174,26 @@ class Bounds:
         )
         return self._stated(frame, found)
 
-    def _window(self, ellipse: Affine) -> tuple[int, int, int, int] | None:
-        reach = self._reach * ellipse.semi_major + _MARGIN_PX
-        height, width = (self._scene.microscope.height_px, self._scene.microscope.width_px)
-        top, bottom = (_even(ellipse.y + s * reach, height) for s in (-1, 1))
-        left, right = (_even(ellipse.x + s * reach, width) for s in (-1, 1))
-        return None if bottom - top < 1 or right - left < 1 else (top, bottom, left, right)
+    def _wall(self, frame: int, window: Window) -> FineWall:
+        """The wall in a frame; if nothing but the tip moves, it is rendered once."""
+        if not self._scene.unrest.still:
+            return self._renderer.fine_wall(frame, window=window, factor=self._factor)
+        if self._at_rest is None:
+            whole = self._window(self._motion.ellipses)
+            self._at_rest = self._renderer.fine_wall(frame, window=whole, factor=self._factor)
+        return self._at_rest.part(window)
+
+    def _window(self, ellipses: Sequence[Affine]) -> Window:
+        """The part of the image that contains the light of all these ellipses."""
+        height, width = self._scene.microscope.height_px, self._scene.microscope.width_px
+        reach = [self._reach * ellipse.semi_major + _MARGIN_PX for ellipse in ellipses]
+        around = list(zip(ellipses, reach, strict=True))
+        return Window(
+            top=_even(min(ellipse.y - r for ellipse, r in around), height),
+            bottom=_even(max(ellipse.y + r for ellipse, r in around), height),
+            left=_even(min(ellipse.x - r for ellipse, r in around), width),
+            right=_even(max(ellipse.x + r for ellipse, r in around), width),
+        )
 
     def _stated(self, frame: int, information: NDArray[np.float64]) -> dict[str, float]:
         ellipse = self._motion.ellipses[frame]
