@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import datasets
+import numpy as np
 import pytest
 
 from benchmarks.sets.make.card import write_card
@@ -39,6 +41,10 @@ def carded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path.write_text(json.dumps(content | more))
     for stack in folder.glob("*/*/stack.toml"):
         stack.write_text(stack.read_text() + "\n[cone]\nhalf_angle = 0.05\n")
+    # Images of one stack have a label that the others lack.
+    table = folder / "train" / "a" / "metadata.jsonl"
+    lines = [json.loads(line) | {"bound_d_mm": 0.001} for line in table.read_text().splitlines()]
+    table.write_text("".join(json.dumps(line) + "\n" for line in lines))
     write_card(read_set(folder))
     return folder
 
@@ -58,6 +64,15 @@ def test_the_library_of_the_format_reads_labels_and_images(carded: Path) -> None
     paths = {f"train/{row.line()['file_name']}" for row in train}
     assert {path for path, _ in found["images"]} == paths
     assert all(size == [160, 120] for _, size in found["images"])
+
+
+def test_a_label_that_only_some_images_have_is_a_column_of_all_splits(
+    carded: Path, tmp_path: Path
+) -> None:
+    loaded = datasets.load_dataset(str(carded), cache_dir=str(tmp_path))
+    known = {split: np.isfinite(loaded[split]["bound_d_mm"]) for split in ("train", "adverse")}
+    assert known["train"].sum() == 4  # images of the stack a
+    assert not known["adverse"].any()
 
 
 def test_every_column_of_a_set_has_a_meaning(carded: Path) -> None:

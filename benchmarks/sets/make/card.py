@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
@@ -49,10 +50,7 @@ def write_card(labelled: LabelledSet) -> None:
         labelled: a set with all its stacks.
     """
     images = list(rows(labelled))
-    tables = {
-        split: [row.line() for row in images if row.planned.split == split]
-        for split in labelled.splits
-    }
+    tables = _tables(labelled, images)
     for split, lines in tables.items():
         text = "".join(json.dumps(line) + "\n" for line in lines)
         _write(labelled.folder / split / "metadata.jsonl", text)
@@ -70,10 +68,28 @@ def write_card(labelled: LabelledSet) -> None:
         counts=_counts(images),
         images=len(images),
         ranges=_ranges(images),
-        bounded=any("bound_semi_minor_px" in line for lines in tables.values() for line in lines),
+        bounded=any("bound_semi_minor_px" in row.line() for row in images),
         varied=sorted(labelled.stacks[0].parameters),
     )
     _write(labelled.folder / "README.md", text)
+
+
+def _tables(labelled: LabelledSet, images: Sequence[Row]) -> dict[str, list[dict[str, Any]]]:
+    """The lines of each split, all with the same columns.
+
+    A label that only some images have is NaN in the others. JSON's null would be stricter, but
+    Hugging Face's loader refuses a set in which one split has nothing but null in a column.
+    """
+    lines = [(row.planned.split, row.line()) for row in images]
+    columns = dict.fromkeys(name for _, line in lines for name in line)
+    return {
+        split: [
+            {name: line.get(name, math.nan) for name in columns}
+            for own, line in lines
+            if own == split
+        ]
+        for split in labelled.splits
+    }
 
 
 def _counts(images: Sequence[Row]) -> list[Count]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -124,8 +123,7 @@ def _files(labelled: LabelledSet, split: str) -> list[dict[str, Any]]:
 
 
 def _labels(split: str, lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The label table; a column that not every line has is left out, as its type is not known."""
-    common = [name for name in lines[0] if all(name in line for line in lines)]
+    """The label table; its lines have the same columns."""
     return {
         "@type": "cr:RecordSet",
         "@id": split,
@@ -144,7 +142,7 @@ def _labels(split: str, lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
                     "extract": {"column": name},
                 },
             }
-            for name in common
+            for name in lines[0]
         ],
     }
 
@@ -184,6 +182,6 @@ def _type(values: Sequence[Any]) -> str:
         return "sc:Boolean"
     if all(isinstance(value, int) for value in values):
         return "sc:Integer"
-    if all(isinstance(value, int | float) and math.isfinite(value) for value in values):
+    if all(isinstance(value, int | float) for value in values):
         return "sc:Float"
     return "sc:Text"
