@@ -134,8 +134,8 @@ def write_set(folder: Path) -> None:
 
 
 def check_set(folder: Path) -> None:
-    # Two stacks of two frames, masks, radiances and five other files; eight files of the set.
-    assert verify_set(folder / "set") == 2 * (2 * 3 + 5) + 8
+    # Two stacks of two frames, masks, radiances and five other files; nine files of the set.
+    assert verify_set(folder / "set") == 2 * (2 * 3 + 5) + 9
 
 
 def write_run(folder: Path) -> None:

@@ -77,3 +77,8 @@ def test_every_file_of_the_packages_is_in_the_wheel(fresh_python):
 def test_the_command_of_the_wheel_runs(fresh_python):
     command = fresh_python.with_name("eyespot")
     assert "validate" in run_away_from_the_checkout(fresh_python, command, "--help")
+
+
+def test_the_sample_set_is_scored_from_the_wheel(fresh_python):
+    command = fresh_python.with_name("eyespot")
+    assert "40" in run_away_from_the_checkout(fresh_python, command, "score", "--sample")
