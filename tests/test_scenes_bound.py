@@ -207,6 +207,16 @@ def test_the_ellipse_moves_with_the_tip_as_geometry_says() -> None:
     assert grown == pytest.approx(np.full(2, 1 / world.scene.source.cone_k), rel=0.02)
 
 
+def test_a_restless_view_moves_the_ellipses_but_not_their_derivatives() -> None:
+    still, drifting = (
+        ellipse_motion(World(scenes.load_scene(None, [*SCENE, *unrest])))
+        for unrest in ((), ("unrest.drift_mm_s=[0.005, 0.0]",))
+    )
+    assert abs(drifting.ellipses[2].x - still.ellipses[2].x) > 1
+    # Differences of ellipses that are rounded after a shift.
+    np.testing.assert_allclose(drifting.jacobian, still.jacobian, atol=1e-6)
+
+
 Bounded = dict[int, tuple[FrameLabels, ...]]
 
 

@@ -57,7 +57,10 @@ def ellipse_motion(world: World) -> EllipseMotion:
         half_angle=world.cone.half_angle,
         apex_offset=world.cone.apex_offset,
     )
-    here, there = _ellipses(world.truth.half_max), _ellipses(moved.half_max)
+    # The view's drift and shake shift both in the same way.
+    views = np.repeat(world.unrest.views(world.times), len(steps), axis=0)
+    in_view = moved.half_max._replace(centre=np.asarray(moved.half_max.centre) + views)
+    here, there = _ellipses(world.truth.half_max), _ellipses(in_view)
     jacobian = np.empty((len(tip), 5, 3))
     approach = np.empty((len(tip), 3))
     distance = np.asarray(moved.distance).reshape(-1, len(steps))
