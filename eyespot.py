@@ -41,6 +41,9 @@ COMMANDS = {
     "dataset make": "benchmarks.sets.make.command:make",
     "dataset verify": "benchmarks.sets.make.command:verify",
     "dataset push": "benchmarks.sets.make.command:push",
+    "rivals run": "benchmarks.rivals.command:run",
+    "rivals tune": "benchmarks.rivals.command:tune",
+    "rivals train": "benchmarks.rivals.command:train",
     "study static": "benchmarks.studies.static.command:static",
     "study table-one": "benchmarks.studies.table_one.command:table_one",
     "study medium": "benchmarks.studies.medium.command:medium",
@@ -54,6 +57,7 @@ COMMANDS = {
 GROUPS = {
     "scene": "Write and check scene files.",
     "dataset": "Labelled sets: make, verify, push. `eyespot dataset SPEC` is `dataset make SPEC`.",
+    "rivals": "Compare with other software and a learned estimator; tune and train them.",
     "study": "Run a study; each writes a report, CSV files and figures.",
 }
 """The first words of commands that have two."""

@@ -23,7 +23,7 @@ MAY_IMPORT_OF_OURS = {
     "benchmarks": set(PACKAGES),
 }
 MAY_BE_IMPORTED_BY = {
-    "cv2": {"estimator", "scenes"},
+    "cv2": {"estimator", "scenes", "benchmarks"},
     "mitsuba": {"scenes"},
     "drjit": {"scenes"},
     "optimistix": {"optics", "calibration", "benchmarks"},
@@ -31,6 +31,7 @@ MAY_BE_IMPORTED_BY = {
     "jaxlib": {"optics", "calibration", "benchmarks"},
     "equinox": {"optics", "calibration", "benchmarks"},
     "lineax": {"calibration"},
+    "optax": {"benchmarks"},
 }
 
 

@@ -5,7 +5,6 @@ frame_kinds  The kinds of drawn frames, with the limits of the errors on them
 lookalikes   Bright things that are no spots: lamps' reflexes, text, polygons and rings
 methods      The compared methods: both modes of the estimator, and other software
 own_frames   Frames drawn in NumPy alone, by other formulas than those of `scenes`
-pupil        The detector of `pupil-detectors`, in its own environment
 renders      Frames rendered by Mitsuba, with their labels
 speed        Time per frame of both modes on the same frames
 spotless     Frames without a spot: false spots, and how soon a lost spot is found again

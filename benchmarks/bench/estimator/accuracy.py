@@ -21,10 +21,10 @@ from rich.table import Column, Table
 from benchmarks.bench import show, table
 from benchmarks.bench.estimator.frame_kinds import FrameKind, cramer_rao_bound, frame_kinds
 from benchmarks.bench.estimator.methods import METHODS, MethodInput, available
-from benchmarks.bench.estimator.pupil import PACKAGE, why_unavailable
 from benchmarks.bench.estimator.renders import LIMITS, RENDERS, rendered
 from benchmarks.bench.estimator.speed import Times, frame_times
 from benchmarks.bench.estimator.spotless import false_spots, frames_until_found
+from benchmarks.rivals import PACKAGE, why_unavailable
 from estimator.image import GREY_WEIGHTS
 from scenes.drawn import SHAPE, Drawing, Truth, frame_of
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.bench.estimator.pupil import PupilDetector, why_unavailable
+from benchmarks.rivals import PupilDetector, contour_ellipse, why_unavailable
 from estimator import LiteralSettings, Spot, SubpixelSettings, TrackState, measure
 from estimator.detector import EdgeFit, Region, contour_of, contour_points, regions_in
 from estimator.image import Window
@@ -83,13 +83,8 @@ def ellipse_on_edges(view: MethodInput) -> Measured:
 
 def ellipse_on_contour(view: MethodInput) -> Measured:
     """scikit-image alone: EllipseModel through the longest contour at Otsu's threshold."""
-    from skimage.color import rgb2gray
-    from skimage.filters import threshold_otsu
-    from skimage.measure import find_contours
-
-    grey = rgb2gray(view.crop())
-    contours = find_contours(grey, threshold_otsu(grey))
-    return _ellipse_model(max(contours, key=len)[:, ::-1]) if contours else _MISSED
+    model = contour_ellipse(view.crop())
+    return Measured(min(model.axis_lengths)) if model else _MISSED
 
 
 def pupil(view: MethodInput) -> Measured:
@@ -97,7 +92,8 @@ def pupil(view: MethodInput) -> Measured:
     from skimage.color import rgb2gray
     from skimage.util import img_as_ubyte
 
-    return Measured(_pupil_detector().semi_minor(img_as_ubyte(rgb2gray(view.crop()))))
+    found = _pupil_detector().ellipse(img_as_ubyte(rgb2gray(view.crop())))
+    return Measured(min(found.first, found.second)) if found else _MISSED
 
 
 METHODS: dict[str, Callable[[MethodInput], Measured]] = {

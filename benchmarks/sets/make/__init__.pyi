@@ -1,3 +1,4 @@
+from .cluster import cores as cores
 from .cluster import local_workers as local_workers
 from .generate import Shard as Shard
 from .generate import make_set as make_set

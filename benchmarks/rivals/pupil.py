@@ -2,46 +2,70 @@
 
 The environment is created in the user's cache on first use. This file also runs there as a script:
 it reads crops from its standard input, each after a line with height and width, and prints one line
-per crop.
+per crop: centre, axes and angle of the ellipse, the detector's confidence, and the processor time
+that it has used so far.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import json
 import math
 import os
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 PACKAGE = "pupil-detectors==2.0.2"
 _SECONDS_TO_BUILD = 300
-_SMALLEST_PX, _LARGEST_PX = 20, 400  # range of diameters
+PROPERTIES: Mapping[str, float] = {"pupil_size_min": 20, "pupil_size_max": 400}
+"""Properties that differ from the package's own: the range of diameters, px."""
 
 
 class PupilUnavailable(RuntimeError):
     """The package is not available; the message says why."""
 
 
-class PupilDetector:
-    """A process that finds a pupil (a dark ellipse, the negative of a spot) in grey crops."""
+class PupilEllipse(NamedTuple):
+    """The ellipse of a pupil: centre and semi-axes, px, and the angle of the first axis, rad."""
 
-    def __init__(self) -> None:
+    x: float
+    y: float
+    first: float
+    second: float
+    angle: float
+    confidence: float
+
+
+class PupilDetector:
+    """A process that finds a pupil (a dark ellipse, the negative of a spot) in grey crops.
+
+    Args:
+        properties: of `Detector2D`, by name.
+
+    Attributes:
+        seconds: processor time of the process so far, s.
+    """
+
+    def __init__(self, properties: Mapping[str, float] = PROPERTIES) -> None:
+        self.seconds = 0.0
         self._process = subprocess.Popen(
             # -I: modules of this folder must not hide those of the package.
-            [str(_environment()), "-I", __file__],
+            [str(_environment()), "-I", __file__, json.dumps(dict(properties))],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
         )
 
-    def semi_minor(self, crop: np.ndarray) -> float:
-        """Semi-minor axis of the bright ellipse of an 8-bit grey crop, px; NaN if not found."""
+    def ellipse(self, crop: np.ndarray) -> PupilEllipse | None:
+        """The bright ellipse of an 8-bit grey crop; None if not found."""
         process = self._process
         assert process.stdin and process.stdout and process.stderr
         with contextlib.suppress(BrokenPipeError):
@@ -52,7 +76,9 @@ class PupilDetector:
         if not line:
             said = process.stderr.read().decode().strip().splitlines()
             raise PupilUnavailable(said[-1] if said else "its process ended")
-        return float(line)
+        *ellipse, self.seconds = (float(word) for word in line.split())
+        found = PupilEllipse(*ellipse)
+        return found if min(found.first, found.second) > 0 else None
 
     def close(self) -> None:
         """End the process."""
@@ -65,7 +91,7 @@ def why_unavailable() -> str | None:
     try:
         detector = PupilDetector()
         try:
-            detector.semi_minor(np.zeros((100, 100), np.uint8))
+            detector.ellipse(np.zeros((100, 100), np.uint8))
         finally:
             detector.close()
     except PupilUnavailable as error:
@@ -102,17 +128,21 @@ def _run(command: list[str]) -> None:
         raise PupilUnavailable(reasons[-1]) from error
 
 
-def _serve(crops: BinaryIO) -> None:
+def _serve(crops: BinaryIO, properties: Mapping[str, float]) -> None:
     from pupil_detectors import Detector2D  # type: ignore[import-not-found]
 
     detector = Detector2D()
-    detector.update_properties({"pupil_size_min": _SMALLEST_PX, "pupil_size_max": _LARGEST_PX})
+    detector.update_properties(properties)
     while line := crops.readline():
         shape = tuple(int(side) for side in line.split())
         crop = np.frombuffer(crops.read(math.prod(shape)), np.uint8).reshape(shape).copy()
-        semi_minor = min(detector.detect(crop)["ellipse"]["axes"]) / 2
-        print(semi_minor if semi_minor > 0 else math.nan, flush=True)
+        found = detector.detect(crop)
+        ellipse = found["ellipse"]
+        axes = (axis / 2 for axis in ellipse["axes"])
+        turned = math.radians(ellipse["angle"])
+        said = (*ellipse["center"], *axes, turned, found["confidence"], time.process_time())
+        print(*said, flush=True)
 
 
 if __name__ == "__main__":
-    _serve(sys.stdin.buffer)
+    _serve(sys.stdin.buffer, json.loads(sys.argv[1]))

@@ -1,0 +1,25 @@
+"""Rivals: other ways to measure a spot, each an entry whose spots `eyespot score` ranks.
+
+command        The commands `eyespot rivals run`, `tune` and `train`
+constants      The free constants of the entries, chosen on train splits
+entries        All entries by name
+entry          What an entry is: a frame goes in, an ellipse or a miss comes out
+eyespot_modes  eyespot's own modes as entries
+learned/       A small network from frame to ellipse and distance
+learned_entry  The network as an entry
+opencv         OpenCV: threshold, contour, ellipse fit
+pupil          The detector of pupil-detectors, in its own environment
+pupil_entry    pupil-detectors as an entry
+running        Runs entries over the stacks of a set
+scikit_image   scikit-image's EllipseModel: with RANSAC, or through a contour
+tuning         Chooses the constants on the split train
+
+DIR of `eyespot rivals run SET --out DIR`:
+
+    DIR/ENTRY/SPLIT/STACK.csv  the spots of a stack; of several exposures: STACK.EXPOSURE.csv
+        ENTRY/entry.json       name, command, versions, constants, processor time per frame
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

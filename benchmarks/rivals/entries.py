@@ -1,0 +1,171 @@
+"""All entries by name, each with what it is and how it is made."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from benchmarks.rivals.entry import Entry
+from optics import InputError
+
+
+class Kind(NamedTuple):
+    """A kind of entry.
+
+    Attributes:
+        about: what it is, for entry.json and the documentation.
+        make: makes it from its constants and the weights of the network.
+        packages: distributions whose versions matter.
+        grid: values to try of each free constant, in the order in which they are chosen; the
+            first one is the start.
+    """
+
+    about: str
+    make: Callable[[Mapping[str, Any], Path], Entry]
+    packages: tuple[str, ...]
+    grid: Mapping[str, tuple[Any, ...]] = {}
+
+
+def _opencv(constants: Mapping[str, Any], weights: Path) -> Entry:
+    from benchmarks.rivals.opencv import OpenCV
+
+    return OpenCV(constants)
+
+
+def _ransac(constants: Mapping[str, Any], weights: Path) -> Entry:
+    from benchmarks.rivals.scikit_image import Ransac
+
+    return Ransac(constants)
+
+
+def _contour(constants: Mapping[str, Any], weights: Path) -> Entry:
+    from benchmarks.rivals.scikit_image import OtsuContour
+
+    return OtsuContour()
+
+
+def _pupil(constants: Mapping[str, Any], weights: Path) -> Entry:
+    from benchmarks.rivals.pupil_entry import Pupil
+
+    return Pupil(constants)
+
+
+def _mode(mode: Any, constants: Mapping[str, Any], weights: Path) -> Entry:
+    from benchmarks.rivals.eyespot_modes import EyespotMode
+
+    return EyespotMode(mode, constants)
+
+
+def _learned(direct: bool, constants: Mapping[str, Any], weights: Path) -> Entry:
+    from benchmarks.rivals.learned_entry import LearnedEntry
+
+    return LearnedEntry(weights, direct=direct)
+
+
+_FIT = {
+    "blur_px": (2.0, 0.0, 1.0, 3.0, 5.0),
+    "hull": (True, False),
+    "grow_px": (0.5, 0.0),
+    "fit": ("direct", "plain", "ams"),
+}
+_OPENCV = ("opencv-python-headless",)
+_SKIMAGE = ("scikit-image",)
+_LEARNED = ("equinox", "jax", "opencv-python-headless")
+
+KINDS: dict[str, Kind] = {
+    "subpixel": Kind(
+        "eyespot's sub-pixel mode: the half-maximum contour",
+        functools.partial(_mode, "subpixel"),
+        ("eyespot",),
+    ),
+    "literal": Kind(
+        "eyespot's literal mode: the paper's Algorithms 1 and 2, started by a click",
+        functools.partial(_mode, "literal"),
+        ("eyespot",),
+        {"threshold": (60, 30, 40, 50, 80, 100, 140, 200)},
+    ),
+    "pixels": Kind(
+        "eyespot's mode pixels: ellipse of the sub-pixel mode, distance by all pixels",
+        functools.partial(_mode, "pixels"),
+        ("eyespot",),
+    ),
+    "learned": Kind(
+        "network from crop to ellipse; distance from the ellipse by the true beam",
+        functools.partial(_learned, False),
+        _LEARNED,
+    ),
+    "learned-direct": Kind(
+        "the same network; distance straight from the crop and its place",
+        functools.partial(_learned, True),
+        _LEARNED,
+    ),
+    "opencv-otsu": Kind(
+        "OpenCV: Otsu's threshold, largest contour, ellipse fit",
+        _opencv,
+        _OPENCV,
+        {"level": (0,), **_FIT},
+    ),
+    "opencv-fixed": Kind(
+        "OpenCV: fixed threshold, largest contour, ellipse fit",
+        _opencv,
+        _OPENCV,
+        {"level": (60, 30, 40, 50, 70, 80, 100, 140, 200), **_FIT},
+    ),
+    "opencv-relative": Kind(
+        "OpenCV: threshold between median and maximum, largest contour, ellipse fit",
+        _opencv,
+        _OPENCV,
+        {"level": (0.5, 0.3, 0.35, 0.4, 0.45, 0.55, 0.6), **_FIT},
+    ),
+    "skimage-ransac": Kind(
+        "scikit-image: edges around the brightest blob, EllipseModel with RANSAC",
+        _ransac,
+        _SKIMAGE,
+        {
+            "level": (0.5, 0.4, 0.45, 0.55, 0.0),
+            "edge_px": (2.0, 1.0, 3.0, 5.0),
+            "inlier_px": (2.0, 1.0, 4.0, 6.0),
+            "trials": (100, 300),
+        },
+    ),
+    "skimage-otsu": Kind(
+        "scikit-image: EllipseModel through the longest contour at Otsu's threshold",
+        _contour,
+        _SKIMAGE,
+    ),
+    "pupil-detectors": Kind(
+        "the 2D detector of pupil-detectors on the frame's negative",
+        _pupil,
+        (),
+        {
+            "smaller": (3, 1, 2, 4),
+            "intensity_range": (40, 12, 23, 60, 80),
+            "blur_size": (5, 3, 9),
+            "largest": (400, 200),
+        },
+    ),
+}
+"""The entries, by the name of their folder."""
+
+
+def unavailable(name: str) -> str | None:
+    """Why an entry cannot run on this machine; None if it can."""
+    if name != "pupil-detectors":
+        return None
+    from benchmarks.rivals.pupil import why_unavailable
+
+    return why_unavailable()
+
+
+def chosen(names: list[str]) -> list[str]:
+    """The names, or all of them if there are none; each one is checked.
+
+    Raises:
+        InputError: an unknown name.
+    """
+    for name in names:
+        if name not in KINDS:
+            raise InputError(f"no entry is called {name}. They are: {', '.join(KINDS)}.")
+    return names or list(KINDS)

@@ -1,0 +1,192 @@
+"""Trains the network on a set, resumable after every epoch, with a curve of its losses.
+
+An epoch shows each frame of the split `train` once, in a random order and in one of its windows,
+and empty windows of a quarter of the frames. All that is random follows from the seed and the
+epoch's number, so that a stopped training ends as one that was not. Single precision, in which
+convolutions are twice as fast.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from benchmarks.rivals.learned.crops import evened
+from benchmarks.rivals.learned.network import SpotNetwork, loss
+from benchmarks.rivals.learned.samples import WINDOWS, Samples
+from estimator.files import written_whole
+
+BATCH = 32
+_EMPTY = 4  # one frame in so many also shows its empty window
+_RATE, _DECAY = 1e-3, 1e-3  # of AdamW; the rate falls to 0 along a half cosine
+_WARM = 0.05  # part of the steps in which the rate rises
+_STEEPEST = 1.0  # norm to which gradients are clipped
+
+_KEPT, CURVE = "checkpoint.eqx", "curve.csv"
+
+
+class Epoch(NamedTuple):
+    """A line of the curve.
+
+    Attributes:
+        epoch: its number, from 1.
+        train: mean loss of its batches, without its weights (`network.loss`).
+        validation: the same on the windows of the split `validation`.
+        size_error: RMS error of the logarithm of the spot's mean radius, validation.
+        presence: part of the validation's windows that is rightly called empty or not.
+    """
+
+    epoch: int
+    train: float
+    validation: float
+    size_error: float
+    presence: float
+
+
+class _State(NamedTuple):
+    network: SpotNetwork
+    optimiser: Any
+    epoch: jax.Array
+
+
+def train(
+    samples: Samples,
+    validation: Samples,
+    out: Path,
+    *,
+    epochs: int,
+    seed: int,
+    stop: int | None = None,
+    show: Callable[[Epoch], None] = lambda epoch: None,
+) -> SpotNetwork:
+    """Train, or continue from the last epoch that `out` holds.
+
+    Args:
+        samples: of the split `train`.
+        validation: of the split `validation`; only reported.
+        out: folder for the checkpoint and curve.csv.
+        epochs: along which the learning rate falls to 0.
+        stop: the last epoch; None for all.
+        seed: of the first weights and the order of the frames.
+        show: called after each epoch.
+    """
+    with jax.enable_x64(False):
+        return _train(samples, validation, out, epochs, stop or epochs, seed, show)
+
+
+def _train(
+    samples: Samples,
+    validation: Samples,
+    out: Path,
+    epochs: int,
+    stop: int,
+    seed: int,
+    show: Callable[[Epoch], None],
+) -> SpotNetwork:
+    frames = len(samples.present)
+    steps = epochs * math.ceil((frames + frames // _EMPTY) / BATCH)
+    rule = _rule(steps)
+    state = _state(out, rule, seed)
+
+    @eqx.filter_jit
+    def step(network: SpotNetwork, optimiser: Any, batch: tuple[np.ndarray, ...]) -> Any:
+        (_, lost), slopes = eqx.filter_value_and_grad(loss, has_aux=True)(network, *batch)
+        changes, optimiser = rule.update(slopes, optimiser, eqx.filter(network, eqx.is_array))
+        return eqx.apply_updates(network, changes), optimiser, lost
+
+    curve = read_curve(out / CURVE)[: int(state.epoch)]
+    for epoch in range(int(state.epoch), stop):
+        network, optimiser, losses = state.network, state.optimiser, []
+        for batch in _batches(samples, epoch, seed):
+            network, optimiser, lost = step(network, optimiser, batch)
+            losses.append(lost)
+        state = _State(network, optimiser, jnp.asarray(epoch + 1))
+        curve.append(Epoch(epoch + 1, float(np.mean(losses)), *_judged(network, validation)))
+        _write_curve(out / CURVE, curve)
+        # The last to be written: a curve with an epoch too many is cut when the run goes on.
+        with written_whole(out / _KEPT, replace=True) as partial:
+            eqx.tree_serialise_leaves(partial, state)
+        show(curve[-1])
+    return state.network
+
+
+def kept_network(out: Path) -> tuple[SpotNetwork, int]:
+    """The network of the checkpoint in a folder and the number of its epochs; 0 without one."""
+    with jax.enable_x64(False):
+        state = _state(out, _rule(1), seed=0)
+        return state.network, int(state.epoch)
+
+
+def _rule(steps: int) -> Any:
+    rate = optax.warmup_cosine_decay_schedule(0.0, _RATE, round(_WARM * steps), steps)
+    return optax.chain(optax.clip_by_global_norm(_STEEPEST), optax.adamw(rate, weight_decay=_DECAY))
+
+
+def _state(out: Path, rule: Any, seed: int) -> _State:
+    """The state after the last epoch, or that before the first one."""
+    network = SpotNetwork(key=jax.random.key(seed))
+    state = _State(network, rule.init(eqx.filter(network, eqx.is_array)), jnp.asarray(0))
+    kept = out / _KEPT
+    return eqx.tree_deserialise_leaves(kept, state) if kept.is_file() else state
+
+
+def _batches(samples: Samples, epoch: int, seed: int) -> Iterator[tuple[np.ndarray, ...]]:
+    rng = np.random.default_rng([seed, epoch])
+    frames = len(samples.present)
+    empty = rng.choice(frames, frames // _EMPTY, replace=False)
+    shown = np.concatenate(
+        [
+            np.stack([np.arange(frames), rng.integers(WINDOWS, size=frames)], axis=1),
+            np.stack([empty, np.full(empty.size, WINDOWS)], axis=1),
+        ]
+    )
+    shown = rng.permutation(shown)
+    # The last batch is filled with the first samples: every batch has the shape that is compiled.
+    shown = np.concatenate([shown, shown[: -len(shown) % BATCH]])
+    for first in range(0, len(shown), BATCH):
+        frame, window = shown[first : first + BATCH].T
+        windows, *others = (each[frame, window] for each in samples)
+        yield evened(windows), *others
+
+
+_outputs = eqx.filter_jit(lambda network, windows, places: jax.vmap(network)(windows, places))
+_losses = eqx.filter_jit(loss)
+
+
+def _judged(network: SpotNetwork, validation: Samples) -> tuple[float, float, float]:
+    """Loss, size error and presence on a blob's window of each frame, and on the empty one."""
+    shown = (1, WINDOWS)
+    windows, *others = (np.concatenate([each[:, k] for k in shown]) for each in validation)
+    windows = evened(windows)
+    places, targets, present = others
+    said = _outputs(network, windows, places)
+    off = (np.asarray(said.mean) - targets)[present == 1, 2]
+    right = (np.asarray(said.presence) > 0) == (present == 1)
+    _, lost = _losses(network, windows, places, targets, present)
+    return float(lost), float(np.sqrt(np.mean(off**2))), float(right.mean())
+
+
+def read_curve(path: Path) -> list[Epoch]:
+    """The lines of a curve.csv; none if the file is missing."""
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        _, *rows = csv.reader(file)
+    return [Epoch(int(row[0]), *map(float, row[1:])) for row in rows]
+
+
+def _write_curve(path: Path, curve: list[Epoch]) -> None:
+    with written_whole(path, replace=True) as partial:
+        with partial.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(Epoch._fields)
+            writer.writerows(curve)

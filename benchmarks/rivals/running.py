@@ -1,0 +1,210 @@
+"""Runs entries over the stacks of a set: their answers as spots files, and their times."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+import multiprocessing
+import os
+import shlex
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from benchmarks.reporting import versions, write_json
+from benchmarks.rivals.constants import Constants, read_constants
+from benchmarks.rivals.entries import KINDS, unavailable
+from benchmarks.rivals.entry import Answer, Entry, Recording
+from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of
+from estimator import (
+    Frame,
+    Range,
+    Ranger,
+    Spot,
+    SpotRecord,
+    open_source,
+    read_microscope,
+    write_spots,
+)
+from estimator.files import require_space, written_whole
+from estimator.run import progress
+from optics import InputError
+from scenes import Scene
+from scenes.world import true_calibration
+
+_LEAST_BYTES = 2**20  # of the spots files
+_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")} | {
+    "OPENCV_FOR_THREADS_NUM": "1"
+}
+
+
+class Answers(NamedTuple):
+    """The answers of an entry on one exposure of a stack."""
+
+    entry: str
+    exposure: str
+    records: list[SpotRecord]
+    seconds: list[float]
+
+
+def run_entries(
+    folder: Path,
+    out: Path,
+    *,
+    entries: Sequence[str],
+    splits: Sequence[str],
+    constants: Path,
+    weights: Path,
+    workers: int,
+) -> None:
+    """Write OUT/ENTRY/SPLIT/STACK.csv and OUT/ENTRY/entry.json for each entry.
+
+    Args:
+        folder: a set or a stack.
+        out: new folder.
+        entries: names in `KINDS`; those that cannot run here are left out with a message.
+        splits: of the set; none for all.
+        constants: file of the free constants.
+        weights: of the network.
+        workers: processes.
+
+    Raises:
+        InputError: the input is invalid, or `out` exists.
+    """
+    stacks = [entry for entry in stacks_of(folder) if not splits or entry.split in splits]
+    if not stacks:
+        raise InputError(f"{folder} has no split {' or '.join(splits)}. Choose another --split.")
+    known = read_constants(constants)
+    able = _able(entries)
+    with written_whole(out) as whole:
+        whole.mkdir()
+        require_space(out, _LEAST_BYTES)
+        seconds: dict[str, list[float]] = {name: [] for name in able}
+        with progress("Measuring stacks", total=len(stacks)) as advance:
+            for stack, sequences in _measured(stacks, able, known, weights, workers):
+                exposures = {sequence.exposure for sequence in sequences}
+                for sequence in sequences:
+                    suffix = f".{sequence.exposure}" if len(exposures) > 1 else ""
+                    file = whole / sequence.entry / f"{qualified_name(stack)}{suffix}.csv"
+                    file.parent.mkdir(parents=True, exist_ok=True)
+                    write_spots(file, sequence.records)
+                    seconds[sequence.entry] += sequence.seconds
+                advance()
+        for name in able:
+            write_json(whole / name / "entry.json", _about(name, known, seconds[name]))
+    print(f"Wrote {out}: {len(able)} entries on {len(stacks)} stacks.")
+
+
+def _frames(folder: Path, exposure: str) -> Iterable[Frame]:
+    return open_source(folder, exposure=exposure)
+
+
+def measure_stack(
+    stack: SetStack,
+    name: str,
+    made: Entry,
+    *,
+    distances: bool = True,
+    frames: Callable[[Path, str], Iterable[Frame]] = _frames,
+) -> Iterable[Answers]:
+    """The answers of an entry on a stack, one sequence for each exposure.
+
+    Args:
+        stack: of a set.
+        name: of the entry.
+        made: the entry.
+        distances: whether ellipses are turned into distances, too.
+        frames: reads the frames of a stack's folder and an exposure.
+    """
+    microscope = read_microscope(stack.folder / "microscope.json")
+    opened = stack.open()
+    beam = true_calibration(Scene.model_validate(opened.description["scene"]))
+    ranger = Ranger(beam, microscope) if distances and not made.own_distance else None
+    for exposure in exposures_of(opened):
+        made.begin(Recording.of(microscope, beam, opened.exposed(exposure)[0]))
+        records, seconds = [], []
+        for frame in frames(stack.folder, exposure):
+            began = time.process_time() + made.seconds_elsewhere
+            answer = made.read(frame)
+            seconds.append(time.process_time() + made.seconds_elsewhere - began)
+            records.append(_record(frame, name, answer, ranger))
+        yield Answers(name, exposure, records, seconds)
+
+
+def _record(frame: Frame, name: str, answer: Answer, ranger: Ranger | None) -> SpotRecord:
+    found: Range | None = answer.range
+    if ranger is not None and isinstance(answer.result, Spot):
+        found = ranger.distance(answer.result, frame=frame.image, exposure_s=frame.exposure_s)
+    return SpotRecord(
+        frame=frame.index,
+        file_name=frame.file_name,
+        time_s=frame.time_s,
+        mode=name,
+        result=answer.result,
+        distance_mm=found.distance_mm if found else math.nan,
+        sigma_distance_mm=found.sigma_mm if found else math.nan,
+    )
+
+
+def _able(entries: Sequence[str]) -> list[str]:
+    able = []
+    for name in entries:
+        if reason := unavailable(name):
+            print(f"{name} is left out: {reason}", file=sys.stderr)
+        else:
+            able.append(name)
+    if not able:
+        raise InputError("none of the entries can run on this machine. Name another --entry.")
+    return able
+
+
+def _measured(
+    stacks: Sequence[SetStack], names: list[str], known: Constants, weights: Path, workers: int
+) -> Iterable[tuple[SetStack, list[Answers]]]:
+    """Each stack with the answers of all entries, as soon as a worker has them."""
+    os.environ |= _ONE_THREAD  # workers read these when they start
+    spawn = multiprocessing.get_context("spawn")
+    tasks = [(stack, names, known, weights) for stack in stacks]
+    with ProcessPoolExecutor(min(workers, len(stacks)), mp_context=spawn) as pool:
+        yield from zip(stacks, pool.map(_answers, tasks), strict=True)
+
+
+_made: dict[str, Entry] = {}
+"""The entries of a worker: the network and the detector's process are started once."""
+
+
+def _answers(task: tuple[SetStack, list[str], Constants, Path]) -> list[Answers]:
+    stack, names, known, weights = task
+    found: list[Answers] = []
+    for name in names:
+        if name not in _made:
+            _made[name] = KINDS[name].make(known.get(name, {}), weights)
+        found += measure_stack(stack, name, _made[name])
+    return found
+
+
+def _about(name: str, known: Constants, seconds: list[float]) -> dict[str, Any]:
+    """Content of entry.json.
+
+    The time is the processor time of a frame, the median, without that of its distance.
+    """
+    kind = KINDS[name]
+    own = {package: importlib.metadata.version(package) for package in kind.packages}
+    if name == "pupil-detectors":
+        from benchmarks.rivals.pupil import PACKAGE
+
+        package, _, version = PACKAGE.partition("==")
+        own[package] = version
+    return {
+        "name": name,
+        "about": kind.about,
+        "command": shlex.join(["eyespot", *sys.argv[1:]]),
+        "versions": {"python": versions()["python"], **own},
+        "seed": None,
+        "constants": known.get(name, {}),
+        "ms_per_frame": round(1e3 * statistics.median(seconds), 3),
+    }
