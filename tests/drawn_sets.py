@@ -75,7 +75,9 @@ def write_stack(folder: Path, labels: Sequence[FrameLabels], *, seed: int = 0) -
     with StackWriter(folder) as writer:
         kinematics = np.array([[n / 20 - 0.1, 1, 2, n / 20, 0, 0, -1] for n in range(20)])
         writer.describe(
-            stack={"scene": load_scene(None, [f"seed={seed}"]).model_dump(mode="json")},
+            stack={
+                "scene": load_scene(None, [f"seed={seed}"]).model_dump(mode="json", by_alias=True)
+            },
             microscope=MICROSCOPE,
             kinematics=kinematics,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import math
 import multiprocessing
@@ -21,6 +22,7 @@ from benchmarks.rivals.entries import KINDS, unavailable
 from benchmarks.rivals.entry import Answer, Entry, Recording
 from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of
 from estimator import (
+    Calibration,
     Frame,
     Range,
     Ranger,
@@ -99,6 +101,12 @@ def run_entries(
     print(f"Wrote {out}: {len(able)} entries on {len(stacks)} stacks.")
 
 
+@functools.cache
+def _beam(source: str) -> Calibration:
+    """The true beam of a scene's source; one object for all stacks, whose light is traced once."""
+    return true_calibration(Scene.model_validate_json(source))
+
+
 def _frames(folder: Path, exposure: str) -> Iterable[Frame]:
     return open_source(folder, exposure=exposure)
 
@@ -122,7 +130,9 @@ def measure_stack(
     """
     microscope = read_microscope(stack.folder / "microscope.json")
     opened = stack.open()
-    beam = true_calibration(Scene.model_validate(opened.description["scene"]))
+    beam = _beam(
+        Scene.model_validate(opened.description["scene"]).model_dump_json(include={"source"})
+    )
     ranger = Ranger(beam, microscope) if distances and not made.own_distance else None
     for exposure in exposures_of(opened):
         made.begin(Recording.of(microscope, beam, opened.exposed(exposure)[0]))

@@ -8,6 +8,7 @@ exposure, the peak's brightness.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -149,6 +150,7 @@ def _vertex(grid: np.ndarray, cost: np.ndarray, index: int) -> float:
     return float(grid[index] + 0.5 * _STEP * (before - after) / (before - 2 * least + after))
 
 
+@functools.lru_cache(2)  # several microscopes may look at one lens
 def lens_curve(calibration: Calibration, *, wall_curvature: float) -> LensCurve:
     """Trace a calibrated lens. Loads JAX; takes some 20 s.
 

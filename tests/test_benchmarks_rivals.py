@@ -1,0 +1,177 @@
+"""Rivals: every entry measures a spot whose ellipse is known, and misses where there is none."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.rivals.constants import read_constants
+from benchmarks.rivals.entries import KINDS
+from benchmarks.rivals.entry import Entry, Recording, plain_spot
+from benchmarks.rivals.learned import WEIGHTS
+from benchmarks.rivals.pupil import why_unavailable
+from benchmarks.rivals.running import run_entries
+from benchmarks.rivals.tuning import tune
+from benchmarks.sets.read.stacks import stacks_of
+from benchmarks.sets.score.conditions import circumstances_of
+from benchmarks.sets.score.spots_of_set import read_set_spots
+from estimator import Calibration, Frame, MicroscopeFile, NoSpot, Spot, read_microscope
+from optics import InputError
+from scenes import Scene
+from scenes.drawn import Drawing, Truth, frame_of
+from scenes.world import true_calibration
+from tests.drawn_sets import write_set
+
+WRITTEN = Path(__file__).parent / "files-0.1" / "small-v1" / "train" / "0000"
+TRUTH = Truth(x=301.3, y=222.8, semi_major=66.2, semi_minor=58.4, angle=0.6)
+# A level that is right for one exposure: that of the drawing.
+HALF = Drawing(truth=TRUTH).ambient + Drawing(truth=TRUTH).amplitude / 2
+AT_HALF = {"literal": {"threshold": round(HALF)}, "opencv-fixed": {"level": HALF}}
+ALONE = ("opencv-otsu", "opencv-fixed", "opencv-relative", "skimage-ransac", "skimage-otsu")
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_set(tmp_path_factory.mktemp("drawn") / "set")
+
+
+def microscope() -> MicroscopeFile:
+    return read_microscope(WRITTEN / "microscope.json")
+
+
+def beam() -> Calibration:
+    return true_calibration(Scene.model_validate({"schema": 1, "source": {"kind": "cone"}}))
+
+
+def measured(name: str, image: np.ndarray, constants: Mapping[str, Any] | None = None) -> Any:
+    known = read_constants().get(name, {}) if constants is None else constants
+    entry: Entry = KINDS[name].make(known, WEIGHTS)
+    entry.begin(Recording(microscope(), beam(), (TRUTH.x, TRUTH.y)))
+    return entry.read(Frame(index=0, file_name="", time_s=0.0, image=image)).result
+
+
+@pytest.mark.parametrize(
+    ("name", "tolerance_px"),
+    [
+        # Noise of 3 grey values on an edge 2 px wide leaves 0.02 px (the Cramér-Rao bound).
+        ("subpixel", 0.1),
+        # A contour through whole pixels: up to half a pixel, and a level that noise of 3 greys
+        # and the blur before it move by a fraction of the edge's width of 2 px.
+        *((name, 1.0) for name in ("literal", *ALONE)),
+        # 64 cells of 3.6 px: the network is right to a third of a cell.
+        ("learned", 1.2),
+    ],
+)
+def test_an_entry_finds_the_ellipse_that_was_drawn(name: str, tolerance_px: float) -> None:
+    image = frame_of(Drawing(truth=TRUTH), np.random.default_rng(1))
+    spot = measured(name, image, AT_HALF.get(name))
+    assert isinstance(spot, Spot)
+    found = np.array(spot.ellipse)
+    wanted = TRUTH.x, TRUTH.y, TRUTH.semi_major, TRUTH.semi_minor
+    assert np.abs(found[:4] - wanted).max() < tolerance_px
+    # The axes differ by 7.8 px: an error of the ellipse turns it by that over the difference.
+    assert abs(math.remainder(found[4] - TRUTH.angle, math.pi)) < max(tolerance_px, 0.2) / 7.8 * 2
+
+
+@pytest.mark.slow  # builds an environment
+def test_pupil_detectors_finds_the_ellipse_that_was_drawn() -> None:
+    if reason := why_unavailable():
+        pytest.skip(reason)
+    image = frame_of(Drawing(truth=TRUTH), np.random.default_rng(1))
+    spot = measured("pupil-detectors", image)
+    assert isinstance(spot, Spot)
+    # Its contour lies on pixels of a frame of half the size.
+    assert abs(spot.semi_minor_px - TRUTH.semi_minor) < 4
+
+
+@pytest.mark.parametrize("name", ["subpixel", "learned"])
+def test_an_entry_that_can_refuse_does_where_there_is_no_spot(name: str) -> None:
+    truth = replace(TRUTH, semi_major=60.0, semi_minor=60.0)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        empty = frame_of(Drawing(truth=truth, amplitude=0.0), rng)
+        assert isinstance(measured(name, empty), NoSpot)
+
+
+def test_a_plain_spot_has_its_longer_axis_first_whichever_is_given_first() -> None:
+    wanted = plain_spot(1.0, 2.0, 30.0, 20.0, 0.4).ellipse
+    for turns in (-1, 0, 1, 2):
+        same = plain_spot(1.0, 2.0, 30.0, 20.0, 0.4 + turns * math.pi).ellipse
+        other = plain_spot(1.0, 2.0, 20.0, 30.0, 0.4 + (turns + 0.5) * math.pi).ellipse
+        # Rounding of an angle of a few pi.
+        assert np.allclose([same, other], [wanted, wanted], atol=1e-12)
+
+
+def test_what_the_entries_write_is_what_a_score_reads(drawn: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run_entries(
+        drawn,
+        out,
+        entries=["opencv-otsu", "skimage-otsu"],
+        splits=["train"],
+        constants=constants_of(tmp_path),
+        weights=WEIGHTS,
+        workers=1,
+    )
+    stacks = stacks_of(drawn)
+    for name in ("opencv-otsu", "skimage-otsu"):
+        records = read_set_spots(out / name, stacks, circumstances_of(stacks))
+        # Four images of stack a, and of stack b four in each of its two exposures.
+        assert len(records) == 12
+        assert all(record.file_name.startswith("train/") for record in records.values())
+        assert all(isinstance(record.result, Spot) for record in records.values())
+        about = json.loads((out / name / "entry.json").read_text())
+        assert about["name"] == name
+        assert about["ms_per_frame"] > 0
+
+
+def constants_of(folder: Path) -> Path:
+    path = folder / "constants.json"
+    path.write_text(json.dumps({"entries": {"opencv-otsu": {"constants": {"level": 0}}}}))
+    return path
+
+
+def test_a_file_that_is_no_table_of_constants_is_named(drawn: Path, tmp_path: Path) -> None:
+    (tmp_path / "other.json").write_text("[]")
+    with pytest.raises(InputError, match=r"other\.json: not a file of `eyespot rivals tune`"):
+        read_constants(tmp_path / "other.json")
+
+
+def test_a_split_that_the_set_lacks_is_named(drawn: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no split test"):
+        run_entries(
+            drawn,
+            tmp_path / "out",
+            entries=["opencv-otsu"],
+            splits=["test"],
+            constants=constants_of(tmp_path),
+            weights=WEIGHTS,
+            workers=1,
+        )
+
+
+def test_tuning_sees_the_split_train_only_and_finds_the_better_level(
+    drawn: Path, tmp_path: Path
+) -> None:
+    """Frames of the other split are removed, so that reading them would fail."""
+    for image in (drawn / "adverse").rglob("*.png"):
+        image.unlink()
+    tune(drawn, tmp_path / "c.json", entries=["opencv-relative"], every=1, workers=1)
+    found = json.loads((tmp_path / "c.json").read_text())
+    assert found["stacks"] == ["train/a", "train/b"]
+    # Drawn edges are symmetric: their half maximum is the middle between dark and bright.
+    assert abs(found["entries"]["opencv-relative"]["constants"]["level"] - 0.5) <= 0.1
+
+
+def test_every_free_constant_of_an_entry_is_in_the_file_that_comes_with_eyespot() -> None:
+    known = read_constants()
+    for name, kind in KINDS.items():
+        assert set(known.get(name, {})) == set(kind.grid), name
+        assert all(known[name][constant] in values for constant, values in kind.grid.items())
