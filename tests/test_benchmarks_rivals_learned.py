@@ -148,6 +148,7 @@ def test_no_wall_of_a_named_set_was_shown_in_training() -> None:
         assert not shown & walls, name
 
 
+@pytest.mark.slow  # renders
 def test_on_walls_never_shown_the_network_beats_the_blob_and_covers_what_it_states(
     tmp_path: Path,
 ) -> None:
