@@ -9,6 +9,7 @@ eye_file       The format of eye files
 magnification  What a pixel sees on the wall, and the local magnification there
 medium         Media of one index, or with the gradient of a crystalline lens
 path           Viewing paths: what lies between the microscope and the retina
+side_camera    A pinhole beside the axis: one half of a stereo pair
 trace          Rays traced from the microscope through a path into the eye
 viewing_lens   Contact lenses and wide-field lenses
 """
