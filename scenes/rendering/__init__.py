@@ -6,6 +6,7 @@ ellipsoid       A stretched eyeball as a mesh
 fine_light      Light of the beam and reflectance of the wall, finer than pixels
 glass           Images by photons through the lens as glass, without its irradiance table
 images          Noise-free images for any pose of the tip
+lines           Radiance along given lines of sight, for any other camera
 path_sensor     Mitsuba plugin: the microscope behind a viewing path
 photons         The glue lens as glass, through which Mitsuba traces photons
 pixels          Renders a subset of the pixels, or places within them, on a regular grid

@@ -6,6 +6,7 @@ from .fine_light import Window as Window
 from .glass import glass_images as glass_images
 from .images import Images as Images
 from .images import images_of as images_of
+from .lines import radiance_along as radiance_along
 from .photons import photon_image as photon_image
 from .render import LinearFrame as LinearFrame
 from .render import Renderer as Renderer
