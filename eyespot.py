@@ -50,6 +50,7 @@ COMMANDS = {
     "study pose": "benchmarks.studies.pose.command:pose",
     "study eccentricity": "benchmarks.studies.eccentricity.command:eccentricity",
     "study eye": "benchmarks.studies.eye.command:eye",
+    "study rivals": "benchmarks.studies.rivals.command:rivals",
     "study dynamic": "benchmarks.studies.dynamic.command:dynamic",
 }
 """The function behind each command: its parameters are the options, its docstring is the help."""
