@@ -123,8 +123,9 @@ _HELP = (
     "picture is steepest across the outline. The wall's height in a pair is the one at which the "
     "textures of both images agree best; the instrument is left out. The light guide is a disc "
     f"of {LAMP_RADIUS_MM:g} mm radius, {LAMP_ABOVE_MM:g} mm from the pole, for the shadow, and a "
-    "point for the pair. The spot is an ideal cone's; the bell-shaped spot of a lens is measured "
-    "a hundred times less well on a textured wall."
+    "point for the pair. The spot is an ideal cone's. On the set `static-v1` a lens's bell-shaped "
+    "spot is measured with an error of 1.2 px, a cone's with 0.014 px (RMS of e₁′), "
+    "because the wall is textured; with a lens the spot's advantage is that much smaller."
 )
 
 

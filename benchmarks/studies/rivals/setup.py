@@ -117,11 +117,12 @@ def beam_of(one: Place) -> optics.Beam:
 def views(path: str) -> Views:
     """The microscopes that look through a path."""
     lens = PATHS[path]
-    return _views(_through(lens), bare=lens is None)
+    inverted = lens is not None and lens.startswith("wide-field")
+    return _views(_through(lens), bare=lens is None, inverted=inverted)
 
 
 @eqx.filter_jit
-def _views(seen: ViewingPath, *, bare: bool) -> Views:
+def _views(seen: ViewingPath, *, bare: bool, inverted: bool) -> Views:
     half = math.tan(math.radians(CONVERGENCE_DEG / 2)) * (PINHOLE_HEIGHT_MM + RADIUS_MM)
     if bare:
         centre: optics.Camera = optics.microscope(
@@ -131,7 +132,8 @@ def _views(seen: ViewingPath, *, bare: bool) -> Views:
         centre = path_camera(seen, scale=SCALE_MM_PX, upright=True)
     left, right = (
         side_camera(seen, aside=jnp.array([x, 0.0]), scale=SCALE_MM_PX, upright=True)
-        for x in (-half, half)
+        # A stereo inverter turns both images, and exchanges them; else near would look far.
+        for x in ((half, -half) if inverted else (-half, half))
     )
     return Views(*(_centred_on_pole(camera) for camera in (centre, left, right)))
 
