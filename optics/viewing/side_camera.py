@@ -110,7 +110,7 @@ class SideCamera(Camera):
 def side_camera(
     path: ViewingPath,
     *,
-    aside: Float[ArrayLike, "2"],
+    aside: Float[ArrayLike, "2"] | tuple[float, float],
     scale: ScalarLike,
     upright: bool = False,
 ) -> SideCamera:

@@ -12,6 +12,7 @@ import numpy as np
 import optics
 from optics.viewing import (
     ViewingPath,
+    WideFieldLens,
     bare_path,
     load_eye,
     load_viewing_lens,
@@ -117,7 +118,7 @@ def beam_of(one: Place) -> optics.Beam:
 def views(path: str) -> Views:
     """The microscopes that look through a path."""
     lens = PATHS[path]
-    inverted = lens is not None and lens.startswith("wide-field")
+    inverted = lens is not None and isinstance(load_viewing_lens(lens), WideFieldLens)
     return _views(_through(lens), bare=lens is None, inverted=inverted)
 
 
