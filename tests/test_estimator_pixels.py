@@ -25,7 +25,7 @@ from estimator.pixels.texture import LENGTHS_MM, Texture, texture_of
 from estimator.run import Options
 from estimator.sources import open_source
 from optics import InputError
-from optics.wall_light import ConeMean, irradiance_and_slopes, square_lattice
+from optics.wall_light import UniformCone, irradiance_and_slopes, square_lattice
 from optics.wall_light.pose_light import BeamFrame
 from scenes import Scene, render_stack
 
@@ -56,11 +56,10 @@ def _light(frame, *, corner=(-30.5, -30.5), side=10.0):
     )
     value, slopes = irradiance_and_slopes(
         lattice,
-        ConeMean.of(_HALF_ANGLE, _APEX),
+        UniformCone.of(_HALF_ANGLE, _APEX),
         frame,
         own=np.zeros(2),
         spread=np.eye(2),
-        aside=np.zeros(3),
     )
     return np.asarray(value), np.asarray(slopes), np.asarray(lattice.area).ravel()
 

@@ -132,11 +132,17 @@ class PoseTrack:
         pose = self._poses[following - 1]
         return pose, time_s - pose.time_s
 
-    def position_at(self, time_s: float) -> np.ndarray | None:
-        """The tip's position at a time, mm, between two poses; None outside of all of them."""
+    def interpolated(self, time_s: float) -> Pose | None:
+        """The pose at a time between two poses; None outside of all of them."""
         following = bisect.bisect_right(self._times, time_s)
         if not 0 < following < len(self._times):
             return None
-        before, after = self._poses[following - 1 : following + 1]
-        share = (time_s - before.time_s) / (after.time_s - before.time_s)
-        return np.asarray(before.position_mm) * (1 - share) + np.asarray(after.position_mm) * share
+        pair = self._poses[following - 1 : following + 1]
+        share = (time_s - pair[0].time_s) / (pair[1].time_s - pair[0].time_s)
+        shares = np.array([1 - share, share])
+        x, y, z = (shares @ [pose.position_mm for pose in pair]).tolist()
+        before, after = np.array([pose.rotation for pose in pair])
+        # q and -q are the same rotation.
+        turn = shares @ np.stack([before, math.copysign(1.0, before @ after) * after])
+        i, j, k, w = (turn / np.linalg.norm(turn)).tolist()
+        return Pose(time_s=time_s, position_mm=(x, y, z), rotation=(i, j, k, w))

@@ -1,2 +1,3 @@
 from .beam import NODES as NODES
+from .beam import Sweep as Sweep
 from .ranger import PixelRanger as PixelRanger

@@ -17,9 +17,14 @@ if TYPE_CHECKING:
 POSE = 5
 """Numbers of a pose's change, as `optics.wall_light.BeamFrame` has them: two shifts of the spot
 along the wall, mm; a growth of the distance, mm; and two turns of the beam about the spot, rad."""
-NODES, SHARES = np.array([-0.5, 0.0, 0.5]) * math.sqrt(0.6), np.array([5.0, 8.0, 5.0]) / 18.0
-"""Nodes of Gauss's rule of three points over an interval of length 1, and their weights. The light
-of a tip that moves during the exposure is averaged with them."""
+NODES = np.array([-0.5, 0.0, 0.5])
+"""Times of a sweep's points, from the exposure's middle, over the exposure."""
+_SWEPT = 0.1
+"""Way of the light between two of the positions that stand for a moving tip, over a cell's side. An
+edge that moves on by this much leaves a cell that it cuts wrong by a few hundredths of the step at
+most, and only if the cell is cut during a part of the exposure."""
+_STILL_PX = 0.5  # way of the light that is not averaged
+_WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
 
 
 class Pose(NamedTuple):
@@ -46,11 +51,23 @@ class Pose(NamedTuple):
         return spot - (self.distance + change[2]) * axis, axis
 
 
+class Sweep(NamedTuple):
+    """A tool's motion during an exposure, as the robot says it.
+
+    Attributes:
+        tip: place of the tip at `NODES`, relative to the exposure's middle, mm, eye frame.
+        axis: its direction there, less that at the middle.
+    """
+
+    tip: Float[np.ndarray, "3 3"]
+    axis: Float[np.ndarray, "3 3"]
+
+
 class BeamLight:
     """Irradiance of the wall by one beam under one microscope.
 
     Args:
-        mean: the beam's light, see `optics.wall_light.MeanLight`.
+        mean: the beam's light, see `optics.wall_light.CellBeam`.
         microscope: the camera and the wall.
         spread: turns independent numbers of variance 1 into errors of the beam's own parameters.
     """
@@ -93,30 +110,52 @@ class BeamLight:
         lattice: Lattice,
         pose: Pose,
         own: Float[np.ndarray, "q"],
-        path: Float[np.ndarray, "3 3"] | None = None,
+        *,
+        window: Window,
+        sweep: Sweep | None = None,
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "5+q n"]]:
         """Irradiance of the cells per unit power, 1/mm², and its derivatives by pose and beam.
 
         Args:
-            lattice: from `lattice`.
+            lattice: of the window, from `lattice`.
             pose: the pose.
             own: changes of the beam's own parameters, in the terms of `spread`.
-            path: where the tip is at `NODES` of the exposure, relative to its middle, mm; None for
-                a tip at rest.
+            window: the cells.
+            sweep: motion during the exposure; None for a tip at rest. The derivatives are those of
+                the middle, which are good enough to find where the light fits.
         """
         from optics.wall_light import BeamFrame, irradiance_alone, irradiance_and_slopes
 
         given: dict[str, Any] = {"own": own, "spread": self.spread}
-        begin, middle, end = np.zeros((3, 3)) if path is None else path
-        parts = lattice, self.mean, BeamFrame(*pose)
-        value, slopes = map(np.asarray, irradiance_and_slopes(*parts, **given, aside=middle))
-        if path is not None:
-            # The derivatives at the middle are good enough to find where the light fits.
-            ends = sum(
-                np.asarray(irradiance_alone(*parts, **given, aside=at)) for at in (begin, end)
-            )
-            value = SHARES[1] * value + SHARES[0] * ends
+        at_rest = irradiance_and_slopes(lattice, self.mean, BeamFrame(*pose), **given)
+        value, slopes = map(np.asarray, at_rest)
+        moved = [] if sweep is None else self._moved(pose, sweep, window)
+        if moved:
+            parts = [irradiance_alone(lattice, self.mean, BeamFrame(*at), **given) for at in moved]
+            value = np.mean(np.asarray(parts), axis=0)
         return value, slopes
+
+    def _moved(self, pose: Pose, sweep: Sweep, window: Window) -> list[Pose]:
+        """The pose in the middles of equal parts of the exposure; none if the light rests."""
+        way = sweep.tip[-1] - sweep.tip[0] + pose.distance * (sweep.axis[-1] - sweep.axis[0])
+        along = float(way @ pose.axis)
+        across = float(np.linalg.norm(way - along * pose.axis))
+        swept_px = (across + _WIDENS * abs(along)) / self.scale_mm_px
+        if swept_px < _STILL_PX:
+            return []
+        count = math.ceil(swept_px / (_SWEPT * window.side))
+        times = ((np.arange(count) + 0.5) / count - 0.5)[:, None]
+        tips, axes = (
+            # The parabola through the motion's three points, of which the second is 0.
+            2 * times * ((times - 0.5) * part[0] + (times + 0.5) * part[2])
+            for part in sweep
+        )
+        axes += pose.axis
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        return [
+            pose._replace(tip=pose.tip + tip, axis=axis)
+            for tip, axis in zip(tips, axes, strict=True)
+        ]
 
     def irradiance_alone(
         self, lattice: Lattice, pose: Pose, own: Float[np.ndarray, "q"]
@@ -124,16 +163,8 @@ class BeamLight:
         """Irradiance of the cells for a tip at rest, without derivatives."""
         from optics.wall_light import BeamFrame, irradiance_alone
 
-        return np.asarray(
-            irradiance_alone(
-                lattice,
-                self.mean,
-                BeamFrame(*pose),
-                own=own,
-                spread=self.spread,
-                aside=np.zeros(3),
-            )
-        )
+        beam = BeamFrame(*pose)
+        return np.asarray(irradiance_alone(lattice, self.mean, beam, own=own, spread=self.spread))
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

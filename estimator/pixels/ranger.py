@@ -18,7 +18,7 @@ from estimator.files import (
     kept_arrays,
 )
 from estimator.image import Spot
-from estimator.pixels.beam import BeamLight
+from estimator.pixels.beam import BeamLight, Sweep
 from estimator.pixels.solver import Direction
 from estimator.pixels.tracker import PoseTracker
 from optics import InputError
@@ -72,7 +72,7 @@ class PixelRanger:
         frame: np.ndarray,
         axis: Any = None,
         axis_sigma_rad: float = math.radians(1.0),
-        path_mm: np.ndarray | None = None,
+        sweep: Sweep | None = None,
     ) -> Range:
         """The pose in the next frame.
 
@@ -81,16 +81,15 @@ class PixelRanger:
             frame: H x W x 3, in which the spot was measured.
             axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame.
             axis_sigma_rad: standard deviation of the axis across itself.
-            path_mm: where the tip was at `NODES` of the exposure, relative to its middle, (3, 3),
-                eye frame; None if unknown.
+            sweep: motion during the exposure, from the robot; None if unknown.
         """
         direction = None if axis is None else Direction(np.asarray(axis), axis_sigma_rad)
-        return self._tracker.read(frame, spot, direction, path_mm)
+        return self._tracker.read(frame, spot, direction, sweep)
 
 
 def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
     """The cone's mean light, and how its own parameters scatter."""
-    from optics.wall_light import ConeMean
+    from optics.wall_light import UniformCone
 
     values, names = calibration.values, list(calibration.values)
     first = "k" if "k" in values else "half_angle"
@@ -98,7 +97,7 @@ def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
     per = -1.0 / (1.0 + values["k"] ** 2) if first == "k" else 1.0
     at = [names.index(first), names.index("b")]
     covariance = calibration.covariance[np.ix_(at, at)] * np.outer([per, 1.0], [per, 1.0])
-    return ConeMean.of(angle, values["b"]), _root(covariance)
+    return UniformCone.of(angle, values["b"]), _root(covariance)
 
 
 def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarray]:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve, lapack
 
-from estimator.pixels.beam import POSE, BeamLight, Pose
+from estimator.pixels.beam import POSE, BeamLight, Pose, Sweep
 from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.texture import Texture
 
@@ -79,7 +79,7 @@ class FrameState:
         log_ambient: of the ambient light over the beam's power, 1/mm².
         direction: of the beam by the robot, or None.
         ambient_prior: mean and standard deviation of `log_ambient`.
-        path: of the tip during the exposure, see `BeamLight.irradiance`.
+        sweep: motion during the exposure.
         slant: growth of the ambient light to the right and downwards.
         blur_px2: variance of the image's blur.
     """
@@ -90,7 +90,7 @@ class FrameState:
     log_ambient: float
     direction: Direction | None
     ambient_prior: tuple[float, float]
-    path: Float[np.ndarray, "3 3"] | None = None
+    sweep: Sweep | None = None
     slant: tuple[float, float] = (0.0, 0.0)
     blur_px2: float = 0.0
 
@@ -179,12 +179,17 @@ class Solver:
         """
         frames = [*(state for state, _ in kept), frame]
         newest, size = len(kept), OWN * (len(kept) + 1) + len(own)
+        blur = OWN * newest + BLUR
         gone, damping, converged = np.zeros(size), _LEAST_DAMPING, False
         lines = [line for _, line in kept]
         lines.append(self.linear(frame, own, trust=trust))
         hessian, gradient, cost, factor = self._system(frames, lines, own, gone)
         for _ in range(steps):
-            step = _inverse(hessian, damping=damping) @ gradient
+            inverse = _inverse(hessian, damping=damping)
+            step = inverse @ gradient
+            excess = frame.blur_px2 + step[blur]
+            if excess < 0:  # an image is never sharper than sharp: the best step that ends there
+                step -= inverse[:, blur] * (excess / inverse[blur, blur])
             distance = float(np.sqrt(step @ hessian @ step / size))
             moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
             trial = None
@@ -232,7 +237,9 @@ class Solver:
     ) -> Linear:
         """A frame's model at its state."""
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
-        irradiance, slopes = self.beam.irradiance(self.lattice, frame.pose, own, frame.path)
+        irradiance, slopes = self.beam.irradiance(
+            self.lattice, frame.pose, own, window=self.window, sweep=frame.sweep
+        )
         level = np.exp(frame.log_ambient)
         growth = np.maximum(1.0 + np.array(frame.slant) @ _SIDES, _FAINTEST)
         bend = _laplacian(irradiance) / (2.0 * self.window.side**2)

@@ -9,6 +9,7 @@ their share.
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +20,13 @@ LENGTHS_MM = (0.08, 0.32, 1.28)
 """Correlation lengths: from a few pixels to the size of a spot."""
 _USUAL = (0.04, 0.06, 0.06)
 """Standard deviations of the parts before a frame was seen, relative: the order of a retina's."""
-_STRENGTH = 1.0  # of what is usual, as the shape of an inverse gamma distribution
+_FACTOR = 3.0
+"""Within this factor of what is usual are two thirds of all walls: the prior is log-normal, so that
+a wall may also be quite even."""
 _LEAST = 1e-3  # standard deviation, relative; a wall that is quite even has no inverse
 _WITHIN = 0.52
 """Mean distance of two points of a square, over its side."""
-_STEPS = 6  # of the estimate; each brings it nearer by a factor of about three
+_STEPS = 12  # of the estimate; each brings it nearer by a factor of about three
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +85,9 @@ def texture_of(
         found = np.einsum("i,jik,k->j", own, kernels, own, optimize=True)
         expected = np.einsum("ik,jik->j", projected, kernels, optimize=True)
         # Steps of a majorising function (Zhou et al. 2019), with the prior's share.
-        found += 2.0 * _STRENGTH * usual / variances**2
-        expected += 2.0 * (_STRENGTH + 1.0) / variances
+        excess = 2.0 * np.log(variances / usual) / (2.0 * math.log(_FACTOR)) ** 2 / variances
+        found += np.maximum(-excess, 0.0)
+        expected += np.maximum(excess, 0.0)
         variances = np.maximum(variances * np.sqrt(found / expected), _LEAST**2)
     return Texture(variances)
 

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from estimator.distance import Range, RangeFlag, TipPose
 from estimator.image import CameraNoise, Spot
-from estimator.pixels.beam import NODES, POSE, BeamLight
+from estimator.pixels.beam import POSE, BeamLight, Sweep
 from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.mix import Mix, evener_mix, plain_mix
 from estimator.pixels.solver import OWN, Direction, FrameState, Linear, Solution, Solver
@@ -37,7 +37,6 @@ _UNDECIDED = 16.0  # difference of cost that keeps a second pose possible: four 
 _SAME = 3.0  # standard deviations within which two poses are one
 _FAR = 4.0  # a cell this far from what all else says of it, in standard deviations, has other light
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
-_STILL_PX = 1.0  # way of the tip during the exposure that does not show
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 _PLACE_PX = 0.05  # error of the spot's place by the image model, on rendered frames of known pose
 
@@ -97,7 +96,7 @@ class PoseTracker:
         image: np.ndarray,
         spot: Spot,
         direction: Direction | None = None,
-        path_mm: Float[np.ndarray, "3 3"] | None = None,
+        sweep: Sweep | None = None,
     ) -> Range:
         """The pose in the next frame, or why there is none.
 
@@ -105,21 +104,17 @@ class PoseTracker:
             image: H x W x 3.
             spot: from `measure`.
             direction: of the beam, from the robot.
-            path_mm: where the tip was at `beam.NODES` of the exposure, relative to its middle, eye
-                frame; None if unknown.
+            sweep: motion during the exposure, from the robot; None if unknown.
         """
-        if path_mm is not None:
-            way = np.linalg.norm(path_mm[-1] - path_mm[0]) / (NODES[-1] - NODES[0])
-            path_mm = path_mm if way > _STILL_PX * self.beam.scale_mm_px else None
         channels = self.noise.channels(image)
         usable = np.all(image < self.noise.full_scale, axis=-1)
         flag = RangeFlag.NOT_CONVERGED
         if self._beliefs:
-            self._follow(channels, usable, spot, path_mm)
+            self._follow(channels, usable, spot, sweep)
             flag = self._flag()
         if flag is not RangeFlag.NONE:
             # Where the past does not explain the frame, it may be wrong.
-            self._begin(channels, usable, spot, direction, path_mm)
+            self._begin(channels, usable, spot, direction, sweep)
             flag = self._flag()
         if flag is not RangeFlag.NONE:
             self.forget()
@@ -141,7 +136,7 @@ class PoseTracker:
         usable: Bool[np.ndarray, "h w"],
         spot: Spot,
         direction: Direction | None,
-        path: Float[np.ndarray, "3 3"] | None,
+        sweep: Sweep | None,
     ) -> None:
         """Explain a frame by itself."""
         window = Window.around(np.array([spot.x_px, spot.y_px]), _reach(spot))
@@ -151,7 +146,7 @@ class PoseTracker:
         own = np.zeros(self.beam.spread.shape[1])
         starts = scanned_starts(
             solver,
-            lambda pose: FrameState(cells, pose, 0.0, 0.0, direction, _AMBIENT, path),
+            lambda pose: FrameState(cells, pose, 0.0, 0.0, direction, _AMBIENT, sweep),
             spot,
             own,
             likely_directions(self.beam, spot, direction),
@@ -186,7 +181,7 @@ class PoseTracker:
         channels: Float[np.ndarray, "h w 3"],
         usable: Bool[np.ndarray, "h w"],
         spot: Spot,
-        path: Float[np.ndarray, "3 3"] | None,
+        sweep: Sweep | None,
     ) -> None:
         """Explain a frame together with earlier ones."""
         assert self._mix is not None
@@ -201,7 +196,7 @@ class PoseTracker:
             if off > _CENTRED * held or abs(math.log(held / reach)) > _SIZED:
                 solver = solver.at(Window.around(centre, reach))
                 kept = [(state, solver.linear(state, own)) for state, _ in kept]
-            start = self._start(belief.newest, solver, cells, point, own, path)
+            start = self._start(belief.newest, solver, cells, point, own, sweep)
             solution = _robust(solver, kept, start, own)
             followed.append(_Belief(solver, self._kept(solver, solution), solution))
         self._beliefs = _distinct(followed)
@@ -213,7 +208,7 @@ class PoseTracker:
         cells: CellLight,
         point: Float[np.ndarray, "3"],
         own: Float[np.ndarray, "q"],
-        path: Float[np.ndarray, "3 3"] | None,
+        sweep: Sweep | None,
     ) -> FrameState:
         """The last pose where the spot is now, at the distance that suits its light."""
         prior = (last.log_ambient, _AMBIENT_STAYS)
@@ -223,7 +218,7 @@ class PoseTracker:
             pose = self.beam.pose(point - factor * last.pose.distance * axis, axis)
             if pose is not None:
                 frame = replace(
-                    last, cells=cells, pose=pose, direction=None, ambient_prior=prior, path=path
+                    last, cells=cells, pose=pose, direction=None, ambient_prior=prior, sweep=sweep
                 )
                 found.append(solver.scanned(frame, own))
         best, _ = min(found, key=lambda one: one[1])

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.detector import LiteralSettings, SubpixelSettings, TrackState, measure
 from estimator.distance import AT_REST, Budget, Budgets, Motion, Range, RangeFlag, Ranger
-from estimator.files import Pose, PoseTrack, Quaternion, Stated, turned
+from estimator.files import Calibration, Pose, PoseTrack, Quaternion, Stated, turned
 from estimator.image import NoSpot, Reason, Spot
 from estimator.run import internal_errors
 from optics import InputError
@@ -182,8 +182,7 @@ class Reader:
             return Reading(result, None, age_s)
         axis = None
         if pose is not None and self._eye_from_robot is not None:
-            beam = self._ranger.calibration.beam_in_tool
-            axis = turned(turned(beam, pose.rotation), self._eye_from_robot)
+            axis = self._beam_axis(pose, self._ranger.calibration)
         distance = self._ranger.distance(
             result,
             axis=axis,
@@ -192,8 +191,7 @@ class Reader:
             exposure_s=self._exposure_s or own,
         )
         motion = AT_REST if pose is None else self._motion(pose, poses, age_s)
-        towards = None if axis is None else np.array(axis)
-        budget = self._budgets.of(result, distance, axis=towards, motion=motion)
+        budget = self._budgets.of(result, distance, axis=axis, motion=motion)
         return Reading(result, distance, age_s, budget)
 
     def _by_pixels(
@@ -206,19 +204,27 @@ class Reader:
         times: tuple[float, float],
     ) -> Range:
         """The pose by all pixels; `times` are the frame's and its exposure, s."""
-        from estimator.pixels import NODES
+        from estimator.pixels import NODES, Sweep
 
-        axis = path = None
+        axis = sweep = None
         if self._eye_from_robot is not None and pose is not None:
-            beam = ranger.calibration.beam_in_tool
-            axis = np.array(turned(turned(beam, pose.rotation), self._eye_from_robot))
-            places = [poses.position_at(times[0] + node * times[1]) for node in (0.0, *NODES)]
-            if (middle := places[0]) is not None:
-                known = [place - middle for place in places[1:] if place is not None]
+            axis = self._beam_axis(pose, ranger.calibration)
+            places = [poses.interpolated(times[0] + node * times[1]) for node in (0.0, *NODES)]
+            known = [place for place in places if place is not None]
+            if len(known) == len(places):
                 turn = self._eye_from_robot
-                path = np.array([turned(way, turn) for way in known]) if len(known) == 3 else None
+                tips = np.array([turned(place.position_mm, turn) for place in known])
+                axes = np.stack([self._beam_axis(place, ranger.calibration) for place in known])
+                sweep = Sweep(tips[1:] - tips[0], axes[1:] - axes[0])
         return ranger.distance(
-            spot, frame=image, axis=axis, axis_sigma_rad=self._axis_sigma_rad, path_mm=path
+            spot, frame=image, axis=axis, axis_sigma_rad=self._axis_sigma_rad, sweep=sweep
+        )
+
+    def _beam_axis(self, pose: Pose, calibration: Calibration) -> np.ndarray:
+        """The beam's direction at a pose of the robot, eye frame."""
+        assert self._eye_from_robot is not None
+        return np.array(
+            turned(turned(calibration.beam_in_tool, pose.rotation), self._eye_from_robot)
         )
 
     def _motion(self, pose: Pose, poses: PoseTrack, age_s: float) -> Motion:

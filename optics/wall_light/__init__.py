@@ -6,6 +6,7 @@ lens           Light of a glue lens, as line integrals around pixels
 parameters     Conversion between a glue lens and the parameters of its light
 pixel_light    Wall points behind pixels, and their radiance
 pose_light     Light on a lattice by a beam whose pose is sought, compiled for the rig
+solid_angle    Light of a uniform cone on cells: shares of its solid angle, in closed form
 table          The light of a lens on a grid, to first order in its parameters
 table_samples  Samples of this table by quadrature, denser at edges
 """

@@ -1,6 +1,6 @@
-from .cells import ConeMean as ConeMean
+from .cells import CellBeam as CellBeam
 from .cells import Lattice as Lattice
-from .cells import MeanLight as MeanLight
+from .cells import Sides as Sides
 from .cells import image_lattice as image_lattice
 from .cells import lattice_irradiance as lattice_irradiance
 from .cone import Cone as Cone
@@ -17,6 +17,7 @@ from .pose_light import irradiance_alone as irradiance_alone
 from .pose_light import irradiance_and_slopes as irradiance_and_slopes
 from .pose_light import pixels_see as pixels_see
 from .pose_light import square_lattice as square_lattice
+from .solid_angle import UniformCone as UniformCone
 from .table import LensTable as LensTable
 from .table_samples import TABLE_ERROR as TABLE_ERROR
 from .table_samples import halvings_for as halvings_for

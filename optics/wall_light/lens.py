@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import optics
-from optics.wall_light.pixel_light import WallPixels, off_axis_part
+from optics.wall_light.pixel_light import WallPixels
 from optics.wall_light.table import LensTable
 
 _GAUSS = 3
@@ -52,14 +52,11 @@ class Lens(eqx.Module):
     ) -> Float[Array, "n"]:
         """The line integral around each patch (see `table`)."""
         u, v, du, dv = (part[:, None, None] for part in _border())
-        offset = wall.point + u * wall.right + v * wall.down - tip
-        lateral = off_axis_part(offset, axis)
-        radius = jnp.sqrt(optics.dot(lateral, lateral) + 1e-24)
-        mean = self.table(radius=radius, distance=optics.dot(offset, axis))
-        swept = optics.dot(jnp.cross(axis, lateral), du * wall.right + dv * wall.down)
+        point = wall.point + u * wall.right + v * wall.down
+        step = du * wall.right + dv * wall.down
+        light = jnp.sum(self.table.passing(point, step, tip=tip, axis=axis), axis=0)
         # right x down points out of the eye, against the inward normal.
-        area = -optics.dot(wall.normal, jnp.cross(wall.right, wall.down))
-        return 0.5 * jnp.sum(mean * swept, axis=0) / area
+        return light / -optics.dot(wall.normal, jnp.cross(wall.right, wall.down))
 
     def lit(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]

@@ -82,22 +82,20 @@ def irradiance_and_slopes(
     *,
     own: Float[ArrayLike, "q"],
     spread: Float[ArrayLike, "p q"],
-    aside: Float[ArrayLike, "3"],
 ) -> tuple[Float[Array, "n"], Float[Array, "5+q n"]]:
     """Mean irradiance of the cells per unit power, 1/mm², and its derivatives.
 
     Args:
         lattice: the wall.
-        mean: the beam's light, a `MeanLight`.
+        mean: the beam's light, a `CellBeam`.
         beam: the pose.
         own: changes of the beam's own parameters, in the terms of `spread`.
         spread: turns `own` into changes of the parameters that `mean.changed` takes.
-        aside: shift of the tip, mm.
 
     Returns:
         The irradiance, and its derivatives by the `POSE` changes and by `own`.
     """
-    light = _light_of(lattice, mean, beam, spread, aside)
+    light = _light_of(lattice, mean, beam, spread)
     z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
     # One evaluation serves all derivatives.
     return jax.vmap(lambda way: jax.jvp(light, (z,), (way,)), out_axes=(None, 0))(jnp.eye(z.size))
@@ -111,11 +109,10 @@ def irradiance_alone(
     *,
     own: Float[ArrayLike, "q"],
     spread: Float[ArrayLike, "p q"],
-    aside: Float[ArrayLike, "3"],
 ) -> Float[Array, "n"]:
     """The irradiance of `irradiance_and_slopes`, in a third of the time."""
     z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
-    return _light_of(lattice, mean, beam, spread, aside)(z)
+    return _light_of(lattice, mean, beam, spread)(z)
 
 
 def _light_of(
@@ -123,7 +120,6 @@ def _light_of(
     mean: Any,
     beam: BeamFrame,
     spread: Float[ArrayLike, "p q"],
-    aside: Float[ArrayLike, "3"],
 ) -> Callable[[Array], Array]:
     """The irradiance as a function of the changes of pose and beam."""
     tip, axis = jnp.asarray(beam.tip), jnp.asarray(beam.axis)
@@ -133,7 +129,7 @@ def _light_of(
         turned = axis + z[3] * jnp.asarray(beam.first) + z[4] * jnp.asarray(beam.second)
         turned = turned / jnp.linalg.norm(turned)
         moved = spot + z[0] * jnp.asarray(beam.right) + z[1] * jnp.asarray(beam.down)
-        moved += jnp.asarray(aside) - (beam.distance + z[2]) * turned
+        moved -= (beam.distance + z[2]) * turned
         changed = mean.changed(jnp.asarray(spread) @ z[POSE:])
         return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()
 

@@ -22,6 +22,10 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, ScalarLike
 
+import optics
+from optics.wall_light.cells import Sides
+from optics.wall_light.pixel_light import off_axis_part
+
 
 class Grid(NamedTuple):
     """Positions of a table's samples.
@@ -74,6 +78,27 @@ class LensTable(eqx.Module):
         # A disc that is larger than the envelope has all the light too.
         scale = jnp.square(envelope * jnp.maximum(x, 1.0))
         return jnp.where(distance > 0.0, mean / scale, 0.0)
+
+    def through(
+        self, sides: Sides, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
+    ) -> Float[Array, "..."]:
+        """Light between each side and the axis, per unit power."""
+        return jnp.sum(self.passing(sides.node, sides.step, tip=tip, axis=axis), axis=-1)
+
+    def passing(
+        self,
+        point: Float[Array, "... 3"],
+        step: Float[Array, "... 3"],
+        *,
+        tip: Float[Array, "3"],
+        axis: Float[Array, "3"],
+    ) -> Float[Array, "..."]:
+        """The line integral's part of a step at a point of the wall, both mm, per unit power."""
+        offset = point - tip
+        lateral = off_axis_part(offset, axis)
+        radius = jnp.sqrt(optics.dot(lateral, lateral) + 1e-24)
+        swept = optics.dot(jnp.cross(axis, lateral), step)
+        return 0.5 * self(radius=radius, distance=optics.dot(offset, axis)) * swept
 
     def changed(self, by: Float[Array, "p"]) -> LensTable:
         """The table with the lens's parameters changed."""
