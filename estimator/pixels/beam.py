@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,10 +20,12 @@ POSE = 5
 along the wall, mm; a growth of the distance, mm; and two turns of the beam about the spot, rad."""
 NODES = np.array([-0.5, 0.0, 0.5])
 """Times of a sweep's points, from the exposure's middle, over the exposure."""
-_SWEPT = 0.1
+_SWEPT = 0.15
 """Way of the light between two of the positions that stand for a moving tip, over a cell's side. An
 edge that moves on by this much leaves a cell that it cuts wrong by a few hundredths of the step at
 most, and only if the cell is cut during a part of the exposure."""
+_POSITIONS_SHARP, _POSITIONS = 12, 4
+"""Most of these positions, for light with and without a sharp edge."""
 _STILL_PX = 0.5  # way of the light that is not averaged
 _WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
 
@@ -70,12 +73,18 @@ class BeamLight:
         mean: the beam's light, see `optics.wall_light.CellBeam`.
         microscope: the camera and the wall.
         spread: turns independent numbers of variance 1 into errors of the beam's own parameters.
+        sharp: whether the light ends at an edge.
     """
 
     def __init__(
-        self, mean: Any, microscope: MicroscopeFile, spread: Float[np.ndarray, "p q"]
+        self,
+        mean: Any,
+        microscope: MicroscopeFile,
+        spread: Float[np.ndarray, "p q"],
+        *,
+        sharp: bool,
     ) -> None:
-        self.mean, self.spread = mean, spread
+        self.mean, self.spread, self.sharp = mean, spread, sharp
         self.camera = microscope.ideal_microscope()
         self.wall = microscope.wall()
         self.scale_mm_px = microscope.scale_mm_px
@@ -131,20 +140,24 @@ class BeamLight:
         value, slopes = map(np.asarray, at_rest)
         moved = [] if sweep is None else self._moved(pose, sweep, window)
         if moved:
-            parts = [irradiance_alone(lattice, self.mean, BeamFrame(*at), **given) for at in moved]
-            value = np.mean(np.asarray(parts), axis=0)
+            value = np.zeros_like(value)
+        for share, at in moved:
+            value += share * np.asarray(
+                irradiance_alone(lattice, self.mean, BeamFrame(*at), **given)
+            )
         return value, slopes
 
-    def _moved(self, pose: Pose, sweep: Sweep, window: Window) -> list[Pose]:
-        """The pose in the middles of equal parts of the exposure; none if the light rests."""
+    def _moved(self, pose: Pose, sweep: Sweep, window: Window) -> list[tuple[float, Pose]]:
+        """Poses during the exposure with their shares of its light; none if the light rests."""
         way = sweep.tip[-1] - sweep.tip[0] + pose.distance * (sweep.axis[-1] - sweep.axis[0])
         along = float(way @ pose.axis)
         across = float(np.linalg.norm(way - along * pose.axis))
         swept_px = (across + _WIDENS * abs(along)) / self.scale_mm_px
         if swept_px < _STILL_PX:
             return []
-        count = math.ceil(swept_px / (_SWEPT * window.side))
-        times = ((np.arange(count) + 0.5) / count - 0.5)[:, None]
+        most = _POSITIONS_SHARP if self.sharp else _POSITIONS
+        nodes, shares = _gauss(min(math.ceil(swept_px / (_SWEPT * window.side)), most))
+        times = 0.5 * nodes[:, None]
         tips, axes = (
             # The parabola through the motion's three points, of which the second is 0.
             2 * times * ((times - 0.5) * part[0] + (times + 0.5) * part[2])
@@ -153,8 +166,8 @@ class BeamLight:
         axes += pose.axis
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         return [
-            pose._replace(tip=pose.tip + tip, axis=axis)
-            for tip, axis in zip(tips, axes, strict=True)
+            (0.5 * share, pose._replace(tip=pose.tip + tip, axis=axis))
+            for share, tip, axis in zip(shares, tips, axes, strict=True)
         ]
 
     def irradiance_alone(
@@ -165,6 +178,12 @@ class BeamLight:
 
         beam = BeamFrame(*pose)
         return np.asarray(irradiance_alone(lattice, self.mean, beam, own=own, spread=self.spread))
+
+
+@functools.cache
+def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss's nodes between -1 and 1, and their weights."""
+    return np.polynomial.legendre.leggauss(count)
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -59,7 +59,7 @@ class PixelRanger:
         self.microscope = view = calibrated_view(microscope, calibration.values)
         lens = calibration.model == "lens"
         mean, spread = _lens(calibration, view) if lens else _cone(calibration)
-        self._tracker = PoseTracker(BeamLight(mean, view, spread), microscope.noise)
+        self._tracker = PoseTracker(BeamLight(mean, view, spread, sharp=not lens), microscope.noise)
 
     def forget(self) -> None:
         """Fit the next frame by itself."""
