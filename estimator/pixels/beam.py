@@ -26,7 +26,10 @@ edge that moves on by this much leaves a cell that it cuts wrong by a few hundre
 most, and only if the cell is cut during a part of the exposure."""
 _POSITIONS_SHARP, _POSITIONS = 12, 4
 """Most of these positions, for light with and without a sharp edge."""
-_STILL_PX = 0.5  # way of the light that is not averaged
+_FEWEST_POSITIONS = 3
+_FLOOR_SHARP, _FLOOR = 5e-4, 2e-3
+"""Relative errors of the light of a cone, in closed form, and of a lens, from a table."""
+_STILL_SHARP_PX, _STILL_PX = 0.1, 0.5  # way of the light that is not averaged
 _WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
 
 
@@ -85,6 +88,7 @@ class BeamLight:
         sharp: bool,
     ) -> None:
         self.mean, self.spread, self.sharp = mean, spread, sharp
+        self.floor = _FLOOR_SHARP if sharp else _FLOOR
         self.camera = microscope.ideal_microscope()
         self.wall = microscope.wall()
         self.scale_mm_px = microscope.scale_mm_px
@@ -122,8 +126,8 @@ class BeamLight:
         *,
         window: Window,
         sweep: Sweep | None = None,
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "5+q n"]]:
-        """Irradiance of the cells per unit power, 1/mm², and its derivatives by pose and beam.
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "5+q n"], Float[np.ndarray, "n"]]:
+        """Irradiance of the cells per unit power, 1/mm².
 
         Args:
             lattice: of the window, from `lattice`.
@@ -132,12 +136,16 @@ class BeamLight:
             window: the cells.
             sweep: motion during the exposure; None for a tip at rest. The derivatives are those of
                 the middle, which are good enough to find where the light fits.
+
+        Returns:
+            The irradiance, its derivatives by pose and beam, and what the motion changed of it.
         """
         from optics.wall_light import BeamFrame, irradiance_alone, irradiance_and_slopes
 
         given: dict[str, Any] = {"own": own, "spread": self.spread}
-        at_rest = irradiance_and_slopes(lattice, self.mean, BeamFrame(*pose), **given)
-        value, slopes = map(np.asarray, at_rest)
+        both = irradiance_and_slopes(lattice, self.mean, BeamFrame(*pose), **given)
+        at_rest, slopes = map(np.asarray, both)
+        value = at_rest
         moved = [] if sweep is None else self._moved(pose, sweep, window)
         if moved:
             value = np.zeros_like(value)
@@ -145,7 +153,7 @@ class BeamLight:
             value += share * np.asarray(
                 irradiance_alone(lattice, self.mean, BeamFrame(*at), **given)
             )
-        return value, slopes
+        return value, slopes, value - at_rest
 
     def _moved(self, pose: Pose, sweep: Sweep, window: Window) -> list[tuple[float, Pose]]:
         """Poses during the exposure with their shares of its light; none if the light rests."""
@@ -153,10 +161,11 @@ class BeamLight:
         along = float(way @ pose.axis)
         across = float(np.linalg.norm(way - along * pose.axis))
         swept_px = (across + _WIDENS * abs(along)) / self.scale_mm_px
-        if swept_px < _STILL_PX:
+        if swept_px < (_STILL_SHARP_PX if self.sharp else _STILL_PX):
             return []
         most = _POSITIONS_SHARP if self.sharp else _POSITIONS
-        nodes, shares = _gauss(min(math.ceil(swept_px / (_SWEPT * window.side)), most))
+        count = max(math.ceil(swept_px / (_SWEPT * window.side)), _FEWEST_POSITIONS)
+        nodes, shares = _gauss(min(count, most))
         times = 0.5 * nodes[:, None]
         tips, axes = (
             # The parabola through the motion's three points, of which the second is 0.

@@ -30,9 +30,11 @@ growth from the window's middle to its right and lower sides, and the variance o
 _SLANT = 0.5  # standard deviation; a film of water shines to one side
 _BLUR_PX2 = 2.0  # standard deviation of the blur's variance; a focus 0.5 mm off at NA 0.05 is 3.5
 _FAINTEST = 0.05  # of the ambient light in the middle
-_FLOOR = 2e-3  # of the light: errors of the image model, such as the table's
-_CUT = 0.1
-"""Error of a pixel that a sharp edge cuts, over the step: what a renderer's 2 x 2 samples leave."""
+_CUT = 0.02
+"""Error of a pixel that an edge cuts, over the step: no camera sees all of a pixel alike."""
+_SMEAR = 0.15
+"""Error of what motion changes in the light, over the change: a robot says some 200 poses a second,
+and a hand's tremor has its way between them."""
 _DARKEST = 1e-6  # full wells
 _RIDGE = 1e-12  # of a state's own information, so that one without any does not matter
 _DONE, _SMALL = 0.1, 0.3
@@ -237,7 +239,7 @@ class Solver:
     ) -> Linear:
         """A frame's model at its state."""
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
-        irradiance, slopes = self.beam.irradiance(
+        irradiance, slopes, smeared = self.beam.irradiance(
             self.lattice, frame.pose, own, window=self.window, sweep=frame.sweep
         )
         level = np.exp(frame.log_ambient)
@@ -247,7 +249,7 @@ class Solver:
         # A wide blur of a sharp edge would undershoot in this first order.
         total = np.maximum(irradiance + frame.blur_px2 * bend, 0.0) + ambient
         model = np.exp(frame.log_gain) * total
-        weight = self._weight(frame, light, usable, model)
+        weight = self._weight(frame, light, usable, model, error=_SMEAR * smeared / total)
         deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
         seen = np.maximum(light, np.maximum(deviation, _DARKEST))
         return Linear(
@@ -286,9 +288,15 @@ class Solver:
         return suited, float(cost) + _prior_cost(suited)
 
     def _weight(
-        self, frame: FrameState, light: np.ndarray, usable: np.ndarray, model: np.ndarray
+        self,
+        frame: FrameState,
+        light: np.ndarray,
+        usable: np.ndarray,
+        model: np.ndarray,
+        *,
+        error: np.ndarray | float = 0.0,
     ) -> np.ndarray:
-        """1 over the variances of the cells' log light, by camera and image model."""
+        """1 over the variances of the cells' log light, by camera, image model and its error."""
         # The level is that of both, so that neither a wrong model nor a dark cell has too much
         # weight.
         level = np.maximum(np.sqrt(np.maximum(light, _DARKEST) * model), _DARKEST)
@@ -296,7 +304,7 @@ class Solver:
         slope = np.hypot(*np.gradient(np.log(model).reshape(COUNT, COUNT))).ravel()
         # Light enters at the bright side of a cell, where the reflectance differs.
         aside = np.minimum(slope / 12.0, 0.5) * self.side_mm
-        variance += _FLOOR**2 + 0.5 * self.texture.roughness * aside
+        variance += np.square(error) + self.beam.floor**2 + 0.5 * self.texture.roughness * aside
         # As many pixels as a side is long are cut by a sharp edge.
         variance += np.square(slope * _CUT) / self.window.side**3
         return np.where(usable, 1.0 / variance, 0.0)

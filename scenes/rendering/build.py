@@ -97,9 +97,6 @@ def mover(scene: Scene, mitsuba_scene: Any) -> Callable[[np.ndarray, np.ndarray]
         values = {"source.tip": mi.Point3f(tip), "source.axis": mi.Vector3f(axis)}
         if scene.instrument.visible:
             values["instrument.to_world"] = mi.Transform4f(rigid_transform(tip, axis))
-        if scene.source.kind == "cone":
-            apex = tip + scene.source.cone_apex_offset_mm * axis
-            values["source.light.to_world"] = mi.Transform4f(rigid_transform(apex, axis))
         parameters.update(values)
 
     return move
@@ -109,15 +106,14 @@ def _source(world: World) -> dict[str, Any]:
     scene, table = world.scene, world.table
     placed = {"tip": mi.ScalarPoint3f(0, 0, 0), "axis": mi.ScalarVector3f(0, 0, 1)}
     if table is None:
-        half_angle = world.cone.half_angle
-        intensity = scene.source.power_mw / (2 * math.pi * (1 - math.cos(half_angle)))
-        light = {
-            "type": "spot",
-            "cutoff_angle": math.degrees(half_angle),
-            "beam_width": math.degrees(half_angle),
-            "intensity": {"type": "rgb", "value": intensity},
+        return {
+            "type": "eyespot_cone",
+            **placed,
+            "power": scene.source.power_mw,
+            "half_angle": world.cone.half_angle,
+            "apex_offset": world.cone.apex_offset,
+            "sample_width": _sample_width(world),
         }
-        return {"type": "eyespot_cone", **placed, "light": light}
     return {
         "type": "eyespot_lens",
         **placed,
@@ -130,6 +126,15 @@ def _source(world: World) -> dict[str, Any]:
         "lens": scene.source.lens,
         "medium_index": world.medium_index,
     }
+
+
+def _sample_width(world: World) -> float:
+    """Width on the wall of the square of the image that a camera ray stands for, mm."""
+    middle = np.asarray(world.microscope.principal_point)
+    point, direction = world.microscope.ray(middle + np.array([[-0.5, 0.0], [0.5, 0.0]]))
+    (left, right) = np.asarray(world.wall.intersect(point, direction).point)
+    a_side = math.isqrt(world.scene.microscope.samples - 1) + 1
+    return float(np.linalg.norm(right - left)) / a_side
 
 
 def _instrument(scene: Scene) -> dict[str, Any]:

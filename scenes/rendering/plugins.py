@@ -55,30 +55,52 @@ class _PointEmitter(mi.Emitter):
 class ConeEmitter(_PointEmitter):
     """An ideal cone whose apex lies inside the fibre; shadow rays end at the plane of the tip.
 
-    It wraps Mitsuba's `spot` and only moves the end of the shadow rays.
+    A camera ray stands for a square of the image. The edge is blurred over the square's width on
+    the wall, or rays on a grid would leave steps of a part of a pixel along it.
     """
 
     def __init__(self, props):
         super().__init__(props)
-        self.light = props["light"]
+        self.power, self.half_angle = mi.Float(props["power"]), props["half_angle"]
+        self.apex_offset, self.width = props["apex_offset"], props["sample_width"]
+        self.solid_angle = 2 * math.pi * (1 - math.cos(self.half_angle))
+
+    def traverse(self, callback):
+        """Parameters that change when the tip moves or the power swings."""
+        super().traverse(callback)
+        callback.put("power", self.power, mi.ParamFlags.Differentiable)
 
     def sample_direction(self, ref, sample, active=True):
-        """Direction to the apex, with the end point moved along it to the plane of the tip."""
-        ds, weight = self.light.sample_direction(ref, sample, active)
+        """Direction to the apex, with its end at the plane of the tip; intensity over r^2."""
+        offset = ref.p - (self.tip + self.apex_offset * self.axis)
+        distance = dr.norm(offset)
+        ds = mi.DirectionSample3f()
+        ds.uv = mi.Point2f(0)
+        ds.n, ds.time, ds.pdf, ds.delta = self.axis, ref.time, 1, True
+        ds.d = -offset / distance
         ds.dist = dr.dot(self.tip - ref.p, self.axis) / dr.dot(ds.d, self.axis)
         ds.p = ref.p + ds.dist * ds.d
-        return ds, weight & (ds.dist > 0)
+        strength = self._lit(offset, ref.n) * self.power / (self.solid_angle * dr.square(distance))
+        return ds, mi.Color3f(strength) & (active & (ds.dist > 0))
+
+    def _lit(self, offset, normal):
+        """Part of a camera ray's square on the wall that is inside the cone."""
+        sine, cosine = math.sin(self.half_angle), math.cos(self.half_angle)
+        along = dr.dot(offset, self.axis)
+        lateral = offset - along * self.axis
+        radius = dr.maximum(dr.norm(lateral), 1e-9)
+        inside = along * sine - radius * cosine  # distance from the cone's surface, mm
+        inwards = sine * self.axis - cosine * lateral / radius
+        slope = dr.norm(inwards - dr.dot(inwards, normal) * normal)  # of it, along the wall
+        return dr.clip(inside / dr.maximum(slope * self.width, 1e-9) + 0.5, 0, 1)
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
         """A ray of light that starts at the plane of the tip."""
-        ray, weight = self.light.sample_ray(time, sample1, sample2, sample3, active)
-        ray.o = ray(dr.dot(self.tip - ray.o, self.axis) / dr.dot(ray.d, self.axis))
-        return ray, weight
-
-    def traverse(self, callback):
-        """Parameters that change when the tip moves."""
-        super().traverse(callback)
-        callback.put("light", self.light, mi.ParamFlags.Differentiable)
+        way = mi.warp.square_to_uniform_cone(sample3, math.cos(self.half_angle))
+        direction = mi.Frame3f(self.axis).to_world(way)
+        apex = self.tip + self.apex_offset * self.axis
+        start = apex - self.apex_offset / dr.dot(direction, self.axis) * direction
+        return mi.Ray3f(start, direction, time), mi.Color3f(self.power) & active
 
 
 class LensEmitter(_PointEmitter):

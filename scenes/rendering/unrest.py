@@ -32,8 +32,7 @@ def unsettler(world: World, mitsuba_scene: Any, *, uniform: np.ndarray) -> Calla
     sensors = [
         name for name in ("sensor", "photon_camera") if f"{name}.principal_point" in parameters
     ]
-    power = "source.light.intensity.value" if world.table is None else "source.power"
-    mean_power = np.array(parameters[power]).ravel()
+    mean_power = float(np.array(parameters["source.power"]).item())
     # A mesh has no transform, and does not turn.
     at_rest = np.array(parameters["wall.to_world"].matrix, float) if unrest.turns else np.eye(4)
 
@@ -47,8 +46,7 @@ def unsettler(world: World, mitsuba_scene: Any, *, uniform: np.ndarray) -> Calla
             turned[:3, :3] = Rotation.from_rotvec(moment.turn).as_matrix()
             values["wall.to_world"] = mi.Transform4f(turned @ at_rest.reshape(4, 4))
         if unrest.power_swing:
-            scaled = (moment.power * mean_power).tolist()
-            values[power] = _opaque(mi.Float(*scaled) if len(scaled) == 1 else mi.Color3f(*scaled))
+            values["source.power"] = _opaque(mi.Float(moment.power * mean_power))
             light = moment.power * uniform + ambient
             values["integrator.uniform"] = _opaque(mi.Color3f(light))
         with _no_warnings():
