@@ -36,6 +36,9 @@ _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
 _UNDECIDED = 16.0  # difference of cost that keeps a second pose possible: four standard deviations
 _SAME = 3.0  # standard deviations within which two poses are one
 _FAR = 4.0  # a cell this far from what all else says of it, in standard deviations, has other light
+_SURPRISE = 1.5
+"""Mean square of a frame's cells less what all else says of them, in variances, above which the
+wall is another one. It is 1 where nothing has moved, with a standard deviation of 0.05."""
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 _PLACE_PX = 0.05  # error of the spot's place by the image model, on rendered frames of known pose
@@ -49,11 +52,14 @@ class _Belief:
         solver: of the window and with the wall's texture.
         kept: frames that are fitted again with each new one.
         solution: of the newest frame and those that were kept then.
+        surprise: mean square of the newest frame's cells less what the other data say of them, in
+            variances; no cell counts more than `_FAR`.
     """
 
     solver: Solver
     kept: list[tuple[FrameState, Linear]]
     solution: Solution
+    surprise: float
 
     @property
     def newest(self) -> FrameState:
@@ -112,6 +118,8 @@ class PoseTracker:
         if self._beliefs:
             self._follow(channels, usable, spot, sweep)
             flag = self._flag()
+            if flag is RangeFlag.NONE and self._beliefs[0].surprise > _SURPRISE:
+                flag = RangeFlag.MISFIT  # of the wall that was learnt: it has moved
         if flag is not RangeFlag.NONE:
             # Where the past does not explain the frame, it may be wrong.
             self._begin(channels, usable, spot, direction, sweep)
@@ -173,7 +181,10 @@ class PoseTracker:
         solver = Solver(self.beam, window, texture)
         again = [_robust(solver, [], one.frames[0], own) for one in found]
         self._beliefs = _distinct(
-            [_Belief(solver, [(one.frames[0], one.linear[0])], one) for one in again]
+            [
+                _Belief(solver, [(one.frames[0], one.linear[0])], one, surprise)
+                for one, surprise in again
+            ]
         )
 
     def _follow(
@@ -197,8 +208,8 @@ class PoseTracker:
                 solver = solver.at(Window.around(centre, reach))
                 kept = [(state, solver.linear(state, own)) for state, _ in kept]
             start = self._start(belief.newest, solver, cells, point, own, sweep)
-            solution = _robust(solver, kept, start, own)
-            followed.append(_Belief(solver, self._kept(solver, solution), solution))
+            solution, surprise = _robust(solver, kept, start, own)
+            followed.append(_Belief(solver, self._kept(solver, solution), solution, surprise))
         self._beliefs = _distinct(followed)
 
     def _start(
@@ -259,16 +270,19 @@ def _robust(
     kept: list[tuple[FrameState, Linear]],
     frame: FrameState,
     own: Float[np.ndarray, "q"],
-) -> Solution:
-    """A solution in which cells with other light than the beam's have little weight."""
+) -> tuple[Solution, float]:
+    """A solution in which cells with other light have little weight, and its `_Belief.surprise`."""
     solution = solver.solve(kept, frame, own, steps=_STEPS)
     far = np.abs(solution.strange(len(kept)))
+    used = solution.linear[-1].weight > 0
+    surprise = float(np.sum(np.minimum(far, _FAR) ** 2) / max(np.count_nonzero(used), 1))
     if (far <= _FAR).all():
-        return solution
+        return solution, surprise
     # The weight of Geman and McClure: a cell's pull falls with the cube of its distance.
     trust = np.where(far > _FAR, (_FAR / np.maximum(far, _FAR)) ** 4, 1.0)
     *earlier, newest = zip(solution.frames, solution.linear, strict=True)
-    return solver.solve(earlier, newest[0], solution.own, steps=_STEPS_AGAIN, trust=trust)
+    again = solver.solve(earlier, newest[0], solution.own, steps=_STEPS_AGAIN, trust=trust)
+    return again, surprise
 
 
 def _distinct(beliefs: list[_Belief]) -> list[_Belief]:
