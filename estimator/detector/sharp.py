@@ -102,7 +102,7 @@ def refine_sharp(
         found,
         (step, rays),
         half=crossing,
-        half_variance=0.0,
+        half_variance=(Sharp.SIZE_PX / ellipse.axes()[1]) ** 2,
         centre_variance=per_slope**2 * doubt / 2,
     )
 

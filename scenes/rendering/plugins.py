@@ -81,7 +81,8 @@ class ConeEmitter(_PointEmitter):
         ds.dist = dr.dot(self.tip - ref.p, self.axis) / dr.dot(ds.d, self.axis)
         ds.p = ref.p + ds.dist * ds.d
         strength = self._lit(offset, ref.n) * self.power / (self.solid_angle * dr.square(distance))
-        return ds, mi.Color3f(strength) & (active & (ds.dist > 0))
+        # At contact the edge lies in the plane of the tip, and its outer half just behind it.
+        return ds, mi.Color3f(strength) & (active & (ds.dist > -self.width))
 
     def _lit(self, offset, normal):
         """Part of a camera ray's square on the wall that is inside the cone."""
