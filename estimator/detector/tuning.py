@@ -232,7 +232,7 @@ class Sharp:
     FORGIVEN = 0.1
     """edge widths | shift of an edge by texture, which always belongs | set by hand for retinas"""
     SIZE_PX = 0.01
-    """px | error of the place of the half level between pixels, the same for all rays | measured on
+    """px | error of the place of the half level between pixels, the same for all rays | fitted to
     rendered cones on an even wall, whose sizes were off by 0.009 px RMS beyond the noise
     """
     SPOILED_RAYS = 3
