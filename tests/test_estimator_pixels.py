@@ -144,7 +144,7 @@ def stack(tmp_path_factory):
         "instrument": {"visible": False},
         "source": {"kind": "cone"},
         "spot": {"eccentricity_mm": 1.5, "incidence_deg": 20.0},
-        "microscope": {"width_px": 360, "height_px": 300, "samples": 64},
+        "microscope": {"width_px": 360, "height_px": 300},
         "motion": {"start_mm": 2.0, "travel_mm": 0.9, "frames": 4, "speed_mm_s": 1.0},
         "exposures": {"kinds": ["metered"]},
     }

@@ -43,8 +43,6 @@ _WALLS = ("uniform", "printed paper", "retina", "photograph")
 _FIELD_MM = 2.2  # half of the photograph's width, where every wall has a picture
 _FRAMES, _LATER = 12, 4  # frames from the fifth on have numbers from 4
 _STACKS, _STACKS_FULL = 1, 4
-_SAMPLES = {"cone": 64}
-"""Samples a pixel of the renderer; few leave an error of 0.1 of the step where an edge cuts."""
 _WIDTH = 160  # characters of the widest table
 _SURE = 1e-6  # relative error of a beam that is known
 
@@ -161,7 +159,6 @@ def _scene(
             "incidence_deg": float(rng.uniform(10, 30)),
             "incidence_azimuth_deg": float(rng.uniform(0, 360)),
         },
-        "microscope": {"samples": _SAMPLES.get(beam, 4)},
         "motion": moves[motion],
         "exposures": {"kinds": ["metered"]},
     }

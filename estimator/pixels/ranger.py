@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from estimator.distance import Range, calibrated_view
 from estimator.files import (
@@ -59,6 +60,7 @@ class PixelRanger:
         self.microscope = view = calibrated_view(microscope, calibration.values)
         lens = calibration.model == "lens"
         mean, spread = _lens(calibration, view) if lens else _cone(calibration)
+        self._libraries = ThreadpoolController()
         self._tracker = PoseTracker(BeamLight(mean, view, spread, sharp=not lens), microscope.noise)
 
     def forget(self) -> None:
@@ -84,7 +86,9 @@ class PixelRanger:
             sweep: motion during the exposure, from the robot; None if unknown.
         """
         direction = None if axis is None else Direction(np.asarray(axis), axis_sigma_rad)
-        return self._tracker.read(frame, spot, direction, sweep)
+        # Several threads would wait for each other longer than they work on matrices of this size.
+        with self._libraries.limit(limits=1, user_api="blas"):
+            return self._tracker.read(frame, spot, direction, sweep)
 
 
 def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
