@@ -231,9 +231,9 @@ class Sharp:
     """
     FORGIVEN = 0.1
     """edge widths | shift of an edge by texture, which always belongs | set by hand for retinas"""
-    SIZE_PX = 0.01
+    SIZE_PX = 0.005
     """px | error of the place of the half level between pixels, the same for all rays | fitted to
-    rendered cones on an even wall, whose sizes were off by 0.009 px RMS beyond the noise
+    rendered cones: sizes of oblique spots are off by 0.005 px RMS, those of circles by 0.009 px
     """
     SPOILED_RAYS = 3
     """rays | neighbours of a ray without an edge that are not used | set by hand for rims of shafts
