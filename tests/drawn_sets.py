@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.sets.score.conditions import Circumstances
 from estimator import FrameLabels, StackWriter
 from scenes import load_scene
 from scenes.drawn import Drawing, Truth, frame_of
@@ -29,6 +30,21 @@ MICROSCOPE = {
     "response": "linear",
     "paper_exposure_s": 0.02,
 }
+
+
+def circumstances(labels: FrameLabels, *, stack: str) -> Circumstances:
+    """Of an image of a cone on an even wall, in a set that lies on no disk."""
+    return Circumstances(
+        labels=labels,
+        stack=stack,
+        split="test",
+        adverse="",
+        pair="",
+        viewing="",
+        scale_mm_px=0.01,
+        source="cone",
+        wall="uniform",
+    )
 
 
 def labels_of(index: int, **known: Any) -> FrameLabels:

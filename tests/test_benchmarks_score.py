@@ -27,7 +27,7 @@ from benchmarks.sets.score.measures import Errors
 from benchmarks.sets.score.spots_of_set import read_set_spots
 from benchmarks.sets.score.table import tables
 from estimator import FrameLabels, NoSpot, Reason, Spot, SpotRecord, write_spots
-from tests.drawn_sets import MICROSCOPE, STACKS, labels_of, write_set
+from tests.drawn_sets import MICROSCOPE, STACKS, circumstances, labels_of, write_set
 
 SVG = "{http://www.w3.org/2000/svg}"
 Images = Mapping[str, Circumstances]
@@ -46,16 +46,8 @@ def images(drawn: Path) -> Images:
 def in_memory(count: int, stacks: int = 1, **known: Any) -> dict[str, Circumstances]:
     """Images of a set that lies on no disk."""
     return {
-        f"test/{n % stacks:04d}/frames/{n:06d}.png": Circumstances(
-            labels=replace(labels_of(0), frame=n, **known),
-            stack=f"test/{n % stacks:04d}",
-            split="test",
-            adverse="",
-            pair="",
-            viewing="",
-            scale_mm_px=0.01,
-            source="cone",
-            wall="uniform",
+        f"test/{n % stacks:04d}/frames/{n:06d}.png": circumstances(
+            replace(labels_of(0), frame=n, **known), stack=f"test/{n % stacks:04d}"
         )
         for n in range(count)
     }

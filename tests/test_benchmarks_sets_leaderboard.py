@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import eyespot
 from benchmarks.sets.read.stacks import stacks_of
-from benchmarks.sets.score.conditions import Circumstances, circumstances_of
+from benchmarks.sets.score.conditions import circumstances_of
 from benchmarks.sets.score.entries import entries_in
 from benchmarks.sets.score.groups import ALL
 from benchmarks.sets.score.outcomes import Judged, Outcome
@@ -24,7 +24,7 @@ from benchmarks.sets.score.plain_spots import read_any_spots
 from benchmarks.sets.score.standings import Standing, standings
 from estimator import FrameLabels
 from optics import InputError
-from tests.drawn_sets import labels_of, write_set
+from tests.drawn_sets import circumstances, labels_of, write_set
 
 E1 = "semi_minor_px"
 
@@ -37,17 +37,7 @@ def judged(
     for stack, own in enumerate(errors):
         for frame, error in enumerate(own):
             labels = replace(labels_of(0), frame=frame, file_name=f"{frame}.png", medium=medium)
-            about = Circumstances(
-                labels=labels,
-                stack=f"test/{stack:04d}",
-                split="test",
-                adverse="",
-                pair="",
-                viewing="",
-                scale_mm_px=0.01,
-                source="cone",
-                wall="uniform",
-            )
+            about = circumstances(labels, stack=f"test/{stack:04d}")
             found = math.isfinite(error)
             outcome = Outcome.FOUND if found else Outcome.MISSED
             measured = {E1: error} if found else {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -39,8 +39,8 @@ class Constants(NamedTuple):
 class OpenCV(Entry):
     """Threshold and `fitEllipse`, frame by frame."""
 
-    def __init__(self, constants: Mapping[str, object]) -> None:
-        self._constants = Constants(**constants)  # type: ignore[arg-type]
+    def __init__(self, constants: Mapping[str, Any]) -> None:
+        self._constants = Constants(**constants)
 
     def read(self, frame: Frame) -> Answer:
         """The ellipse of the largest bright region."""

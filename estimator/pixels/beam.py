@@ -73,7 +73,7 @@ class BeamLight:
     """Irradiance of the wall by one beam under one microscope.
 
     Args:
-        mean: the beam's light, see `optics.wall_light.CellBeam`.
+        source: the beam's light, see `optics.wall_light.CellBeam`.
         microscope: the camera and the wall.
         spread: turns independent numbers of variance 1 into errors of the beam's own parameters.
         sharp: whether the light ends at an edge.
@@ -81,13 +81,13 @@ class BeamLight:
 
     def __init__(
         self,
-        mean: Any,
+        source: Any,
         microscope: MicroscopeFile,
         spread: Float[np.ndarray, "p q"],
         *,
         sharp: bool,
     ) -> None:
-        self.mean, self.spread, self.sharp = mean, spread, sharp
+        self.source, self.spread, self.sharp = source, spread, sharp
         self.floor = _FLOOR_SHARP if sharp else _FLOOR
         self.camera = microscope.ideal_microscope()
         self.wall = microscope.wall()
@@ -143,7 +143,7 @@ class BeamLight:
         from optics.wall_light import BeamFrame, irradiance_alone, irradiance_and_slopes
 
         given: dict[str, Any] = {"own": own, "spread": self.spread}
-        both = irradiance_and_slopes(lattice, self.mean, BeamFrame(*pose), **given)
+        both = irradiance_and_slopes(lattice, self.source, BeamFrame(*pose), **given)
         at_rest, slopes = map(np.asarray, both)
         value = at_rest
         moved = [] if sweep is None else self._moved(pose, sweep, window)
@@ -151,7 +151,7 @@ class BeamLight:
             value = np.zeros_like(value)
         for share, at in moved:
             value += share * np.asarray(
-                irradiance_alone(lattice, self.mean, BeamFrame(*at), **given)
+                irradiance_alone(lattice, self.source, BeamFrame(*at), **given)
             )
         return value, slopes, value - at_rest
 
@@ -186,7 +186,7 @@ class BeamLight:
         from optics.wall_light import BeamFrame, irradiance_alone
 
         beam = BeamFrame(*pose)
-        return np.asarray(irradiance_alone(lattice, self.mean, beam, own=own, spread=self.spread))
+        return np.asarray(irradiance_alone(lattice, self.source, beam, own=own, spread=self.spread))
 
 
 @functools.cache

@@ -59,9 +59,11 @@ class PixelRanger:
         self.calibration = calibration
         self.microscope = view = calibrated_view(microscope, calibration.values)
         lens = calibration.model == "lens"
-        mean, spread = _lens(calibration, view) if lens else _cone(calibration)
+        source, spread = _lens(calibration, view) if lens else _cone(calibration)
         self._libraries = ThreadpoolController()
-        self._tracker = PoseTracker(BeamLight(mean, view, spread, sharp=not lens), microscope.noise)
+        self._tracker = PoseTracker(
+            BeamLight(source, view, spread, sharp=not lens), microscope.noise
+        )
 
     def forget(self) -> None:
         """Fit the next frame by itself."""
@@ -92,7 +94,7 @@ class PixelRanger:
 
 
 def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
-    """The cone's mean light, and how its own parameters scatter."""
+    """The cone's light, and how its own parameters scatter."""
     from optics.wall_light import UniformCone
 
     values, names = calibration.values, list(calibration.values)

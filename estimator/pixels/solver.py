@@ -41,7 +41,6 @@ _DONE, _SMALL = 0.1, 0.3
 """In standard deviations: a shorter step ends the iteration; a last step as short is an answer."""
 _LEAST_DAMPING = 1e-3
 
-
 _ALONG = (np.arange(COUNT) + 0.5) / (0.5 * COUNT) - 1.0
 _SIDES = np.stack([np.tile(_ALONG, COUNT), np.repeat(_ALONG, COUNT)])
 """Place of each cell to the right of the window's middle and below it, over half of its side."""

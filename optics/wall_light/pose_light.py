@@ -77,7 +77,7 @@ def square_lattice(
 @eqx.filter_jit
 def irradiance_and_slopes(
     lattice: Lattice,
-    mean: Any,
+    source: Any,
     beam: BeamFrame,
     *,
     own: Float[ArrayLike, "q"],
@@ -87,15 +87,15 @@ def irradiance_and_slopes(
 
     Args:
         lattice: the wall.
-        mean: the beam's light, a `CellBeam`.
+        source: the beam's light, a `CellBeam`.
         beam: the pose.
         own: changes of the beam's own parameters, in the terms of `spread`.
-        spread: turns `own` into changes of the parameters that `mean.changed` takes.
+        spread: turns `own` into changes of the parameters that `source.changed` takes.
 
     Returns:
         The irradiance, and its derivatives by the `POSE` changes and by `own`.
     """
-    light = _light_of(lattice, mean, beam, spread)
+    light = _light_of(lattice, source, beam, spread)
     z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
     # One evaluation serves all derivatives.
     return jax.vmap(lambda way: jax.jvp(light, (z,), (way,)), out_axes=(None, 0))(jnp.eye(z.size))
@@ -104,7 +104,7 @@ def irradiance_and_slopes(
 @eqx.filter_jit
 def irradiance_alone(
     lattice: Lattice,
-    mean: Any,
+    source: Any,
     beam: BeamFrame,
     *,
     own: Float[ArrayLike, "q"],
@@ -112,12 +112,12 @@ def irradiance_alone(
 ) -> Float[Array, "n"]:
     """The irradiance of `irradiance_and_slopes`, in a third of the time."""
     z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
-    return _light_of(lattice, mean, beam, spread)(z)
+    return _light_of(lattice, source, beam, spread)(z)
 
 
 def _light_of(
     lattice: Lattice,
-    mean: Any,
+    source: Any,
     beam: BeamFrame,
     spread: Float[ArrayLike, "p q"],
 ) -> Callable[[Array], Array]:
@@ -130,7 +130,7 @@ def _light_of(
         turned = turned / jnp.linalg.norm(turned)
         moved = spot + z[0] * jnp.asarray(beam.right) + z[1] * jnp.asarray(beam.down)
         moved -= (beam.distance + z[2]) * turned
-        changed = mean.changed(jnp.asarray(spread) @ z[POSE:])
+        changed = source.changed(jnp.asarray(spread) @ z[POSE:])
         return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()
 
     return light

@@ -20,19 +20,9 @@ def noise_figure(findings: RivalFindings) -> Figure:
     """Standard deviation against distance: a panel for each path, a line style for each c."""
 
     def draw(axes: Axes, _: str, path: str) -> None:
-        for sensor, colour in _COLOURS.items():
+        for sensor in _COLOURS:
             rows = [r for r in findings.expected if (r.sensor, r.path) == (sensor, path)]
-            for c, line in zip(dict.fromkeys(r.c_mm for r in rows), _LINES, strict=False):
-                own = [row for row in rows if row.c_mm == c]
-                axes.plot(
-                    [row.d_mm for row in own],
-                    [row.sigma_mm for row in own],
-                    line,
-                    color=colour,
-                    marker=_MARKS[sensor],
-                    ms=3,
-                    label=f"{sensor}, c = {c:g} mm",
-                )
+            _lines(axes, sensor, [(row.c_mm, row.d_mm, row.sigma_mm) for row in rows])
         axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--")
         axes.set_yscale("log")
         axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
@@ -54,19 +44,9 @@ def path_figure(findings: RivalFindings) -> Figure:
 
     def draw(axes: Axes, _: str, path: str) -> None:
         limit_lines(axes, ACCEPTABLE_ERROR_MM)
-        for sensor, colour in _COLOURS.items():
+        for sensor in _COLOURS:
             rows = [r for r in findings.wrong if r[:3] == (sensor, path, Wrong.PATH)]
-            for c, line in zip(dict.fromkeys(r.c_mm for r in rows), _LINES, strict=False):
-                own = [row for row in rows if row.c_mm == c]
-                axes.plot(
-                    [row.d_mm for row in own],
-                    [row.error_mm for row in own],
-                    line,
-                    color=colour,
-                    marker=_MARKS[sensor],
-                    ms=3,
-                    label=f"{sensor}, c = {c:g} mm",
-                )
+            _lines(axes, sensor, [(row.c_mm, row.d_mm, row.error_mm) for row in rows])
 
     return small_multiples(
         draw,
@@ -78,6 +58,20 @@ def path_figure(findings: RivalFindings) -> Figure:
         legend_columns=3,
         sharey=True,
     )
+
+
+def _lines(axes: Axes, sensor: Sensor, points: list[tuple[float, float, float]]) -> None:
+    """Lines of a sensor's values against distance, one for each c, from (c, d, value)."""
+    for c, line in zip(dict.fromkeys(c for c, _, _ in points), _LINES, strict=False):
+        own = [(d, value) for at, d, value in points if at == c]
+        axes.plot(
+            *zip(*own, strict=True),
+            line,
+            color=_COLOURS[sensor],
+            marker=_MARKS[sensor],
+            ms=3,
+            label=f"{sensor}, c = {c:g} mm",
+        )
 
 
 def reading_figure(findings: RivalFindings) -> Figure:
