@@ -52,7 +52,7 @@ def _frame(tip, axis, distance):
 
 def _light(frame, *, corner=(-30.5, -30.5), side=10.0):
     lattice = square_lattice(
-        _CAMERA, _WALL, corner=np.array(corner), side=np.asarray(side), count=COUNT
+        _CAMERA, _WALL, corner=np.array(corner), right=np.array([side, 0.0]), count=COUNT
     )
     value, slopes = irradiance_and_slopes(
         lattice,

@@ -7,5 +7,6 @@ from .budgets import Motion as Motion
 from .range import Range as Range
 from .range import RangeFlag as RangeFlag
 from .range import TipPose as TipPose
+from .range import WallMemory as WallMemory
 from .ranger import Ranger as Ranger
 from .view import calibrated_view as calibrated_view

@@ -44,6 +44,39 @@ _MEANINGS = {
 }
 
 
+class WallMemory(Enum):
+    """What the mode pixels knew of the wall when it fitted a frame.
+
+    NONE: nothing is known, as in the other modes. NEW: the frame is the first of its wall. KNOWN:
+    earlier frames showed the wall. MOVED: they did, and the wall has moved in the image since: the
+    eye has turned or the microscope has drifted. DROPPED: they do not explain the frame wherever
+    the wall is, so that what they showed was forgotten.
+    """
+
+    NONE = ""
+    NEW = "new"
+    KNOWN = "known"
+    MOVED = "moved"
+    DROPPED = "dropped"
+
+    @property
+    def meaning(self) -> str:
+        """What was done, and what it means for the distance, in a sentence or two."""
+        return _MEMORIES[self]
+
+
+_MEMORIES = {
+    WallMemory.NONE: "The mode does not learn the wall.",
+    WallMemory.NEW: "The frame is the first of its wall and was fitted by itself.",
+    WallMemory.KNOWN: "Earlier frames showed the wall where it is.",
+    WallMemory.MOVED: "The wall has moved in the image, and what earlier frames showed of it was "
+    "moved with it. If the microscope has drifted, the eye is no longer where the microscope file "
+    "says; the standard deviations contain that.",
+    WallMemory.DROPPED: "The wall is not the one that earlier frames showed, or it has moved too "
+    "far. The frame was fitted by itself.",
+}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TipPose:
     """Tip and axis of the beam in the eye frame.
@@ -79,6 +112,7 @@ class Range:
             pixels: the pose.
         chi_squared: of the mode pixels, per cell: 1 where beam, wall and camera explain the light.
         missing: why there is no distance, where the model says it.
+        wall: what the mode pixels knew of the wall.
     """
 
     distance_mm: float
@@ -88,6 +122,7 @@ class Range:
     sigma_image_mm: float = math.nan
     chi_squared: float = math.nan
     missing: RangeFlag = RangeFlag.OUT_OF_RANGE
+    wall: WallMemory = WallMemory.NONE
 
     @property
     def flag(self) -> RangeFlag:

@@ -27,7 +27,8 @@ SCHEMA_VERSION = 2
 HISTORY = {
     1: "the format of eyespot 0.1; files written since may have the reason internal_error",
     2: "distance_low_mm, distance_high_mm and largest_cause: the distance's 95 % interval, and "
-    "what makes it wide; tip, axis, their covariance and chi_squared of the mode pixels",
+    "what makes it wide; tip, axis, their covariance, chi_squared and wall_memory of the mode "
+    "pixels",
 }
 """What changed with each version of the format that is read."""
 
@@ -53,7 +54,7 @@ _INTERVAL = ("distance_low_mm", "distance_high_mm")
 _POSE = tuple(f"{part}_{x}{unit}" for part, unit in (("tip", "_mm"), ("axis", "")) for x in "xyz")
 _POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in _UPPER)
 _POSES = (*_POSE, *_POSE_COVARIANCES, "chi_squared")
-_SINCE_2 = (*_INTERVAL, "largest_cause", *_POSES)
+_SINCE_2 = (*_INTERVAL, "largest_cause", *_POSES, "wall_memory")
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in _UPPER)
 COLUMNS = (
     "frame",
@@ -70,7 +71,7 @@ COLUMNS = (
 )
 _KINDS: dict[str, type] = {
     **dict.fromkeys(("frame", "schema_version"), int),
-    **dict.fromkeys(("file_name", "mode", "status", "reason", "largest_cause"), str),
+    **dict.fromkeys(("file_name", "mode", "status", "reason", "largest_cause", "wall_memory"), str),
 }
 """Type of a Parquet column; the others are floats."""
 
@@ -110,6 +111,8 @@ class SpotRecord:
         distance_high_mm: its end.
         largest_cause: what makes it wide: one of `estimator.distance.Cause`; empty if unknown.
         pose: tip and axis of the mode pixels; None of the others.
+        wall_memory: what the mode pixels knew of the wall: one of `estimator.distance.WallMemory`;
+            empty in the others.
     """
 
     frame: int
@@ -124,6 +127,7 @@ class SpotRecord:
     distance_high_mm: float = field(default=math.nan)
     largest_cause: str = ""
     pose: BeamPose | None = None
+    wall_memory: str = ""
 
     @property
     def status(self) -> str:
@@ -273,6 +277,7 @@ def _line(record: SpotRecord) -> list[str]:
         *(_cell(getattr(record, name)) for name in _INTERVAL),
         record.largest_cause,
         *map(_cell, _pose_cells(record.pose)),
+        record.wall_memory,
         str(SCHEMA_VERSION),
     ]
 
@@ -321,6 +326,7 @@ def _record(row: dict[str, str]) -> SpotRecord:
         **{name: values[name] for name in (*_DISTANCES, *_INTERVAL)},
         largest_cause=row.get("largest_cause", ""),
         pose=_pose(values),
+        wall_memory=row.get("wall_memory", ""),
     )
 
 

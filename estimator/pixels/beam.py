@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from estimator.files import MicroscopeFile
 from estimator.pixels.cells import COUNT, Window
+from estimator.pixels.wall_motion import WallMotion
 
 if TYPE_CHECKING:
     from optics.wall_light import Lattice
@@ -18,13 +19,14 @@ if TYPE_CHECKING:
 POSE = 5
 """Numbers of a pose's change, as `optics.wall_light.BeamFrame` has them: two shifts of the spot
 along the wall, mm; a growth of the distance, mm; and two turns of the beam about the spot, rad."""
-NODES = np.array([-0.5, 0.0, 0.5])
-"""Times of a sweep's points, from the exposure's middle, over the exposure."""
+NODES = np.linspace(-0.5, 0.5, 17)
+"""Times of a sweep's points, from the exposure's middle, over the exposure. A hand trembles ten
+times a second, and a dark retina may need a tenth of one."""
 _SWEPT = 0.15
 """Way of the light between two of the positions that stand for a moving tip, over a cell's side. An
 edge that moves on by this much leaves a cell that it cuts wrong by a few hundredths of the step at
 most, and only if the cell is cut during a part of the exposure."""
-_POSITIONS_SHARP, _POSITIONS = 12, 4
+_POSITIONS_SHARP, _POSITIONS = 12, 6
 """Most of these positions, for light with and without a sharp edge."""
 _FEWEST_POSITIONS = 3
 _FLOOR_SHARP, _FLOOR = 5e-4, 2e-3
@@ -65,8 +67,15 @@ class Sweep(NamedTuple):
         axis: its direction there, less that at the middle.
     """
 
-    tip: Float[np.ndarray, "3 3"]
-    axis: Float[np.ndarray, "3 3"]
+    tip: Float[np.ndarray, "17 3"]
+    axis: Float[np.ndarray, "17 3"]
+
+    def at(self, times: Float[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
+        """Tip and axis at times of the exposure, n x 3, as in `tip` and `axis`."""
+        tip, axis = (
+            np.stack([np.interp(times, NODES, line) for line in part.T], axis=-1) for part in self
+        )
+        return tip, axis
 
 
 class BeamLight:
@@ -111,12 +120,12 @@ class BeamLight:
         point, normal = pixels_see(self.camera, self.wall, np.asarray(pixels, float))
         return np.asarray(point), np.asarray(normal)
 
-    def lattice(self, window: Window) -> Lattice:
-        """The wall behind a window's cells."""
+    def lattice(self, window: Window, motion: WallMotion) -> Lattice:
+        """The wall that a window's cells show after a motion of the wall's picture."""
         from optics.wall_light import square_lattice
 
-        corner, side = window.corner_px, np.asarray(float(window.side))
-        return square_lattice(self.camera, self.wall, corner=corner, side=side, count=COUNT)
+        corner, right = motion.image_px(window.corner_px), window.side * motion.ways[:, 0]
+        return square_lattice(self.camera, self.wall, corner=corner, right=right, count=COUNT)
 
     def irradiance(
         self,
@@ -157,21 +166,16 @@ class BeamLight:
 
     def _moved(self, pose: Pose, sweep: Sweep, window: Window) -> list[tuple[float, Pose]]:
         """Poses during the exposure with their shares of its light; none if the light rests."""
-        way = sweep.tip[-1] - sweep.tip[0] + pose.distance * (sweep.axis[-1] - sweep.axis[0])
-        along = float(way @ pose.axis)
-        across = float(np.linalg.norm(way - along * pose.axis))
-        swept_px = (across + _WIDENS * abs(along)) / self.scale_mm_px
+        ways = np.diff(sweep.tip + pose.distance * sweep.axis, axis=0)
+        along = ways @ pose.axis
+        across = np.linalg.norm(ways - along[:, None] * pose.axis, axis=1)
+        swept_px = float(np.sum(across + _WIDENS * np.abs(along))) / self.scale_mm_px
         if swept_px < (_STILL_SHARP_PX if self.sharp else _STILL_PX):
             return []
         most = _POSITIONS_SHARP if self.sharp else _POSITIONS
         count = max(math.ceil(swept_px / (_SWEPT * window.side)), _FEWEST_POSITIONS)
         nodes, shares = _gauss(min(count, most))
-        times = 0.5 * nodes[:, None]
-        tips, axes = (
-            # The parabola through the motion's three points, of which the second is 0.
-            2 * times * ((times - 0.5) * part[0] + (times + 0.5) * part[2])
-            for part in sweep
-        )
+        tips, axes = sweep.at(0.5 * nodes)
         axes += pose.axis
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         return [

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from estimator.pixels.wall_motion import STILL, WallMotion
+
 COUNT = 26
 """Cells along each side of a lattice. The time of a frame grows with its sixth power."""
 
@@ -37,6 +39,11 @@ class Window(NamedTuple):
         """Outer corner of the first pixel; pixel centres are integers."""
         return np.array([self.left - 0.5, self.top - 0.5])
 
+    @property
+    def middle_px(self) -> Float[np.ndarray, "2"]:
+        """Middle of the lattice."""
+        return self.corner_px + 0.5 * COUNT * self.side
+
     def centres(self) -> Float[np.ndarray, "count count 2"]:
         """Centres of the cells, px."""
         along = self.side * (np.arange(COUNT) + 0.5)
@@ -51,6 +58,7 @@ class CellLight:
         light: per pixel, full wells.
         usable: whether a pixel is neither saturated nor hidden.
         variance: of a pixel with some light, full wells².
+        motion: of the wall, in whose pixels the windows are.
     """
 
     def __init__(
@@ -58,17 +66,26 @@ class CellLight:
         light: Float[np.ndarray, "h w"],
         usable: Bool[np.ndarray, "h w"],
         variance: Callable[[np.ndarray], np.ndarray],
+        motion: WallMotion = STILL,
     ) -> None:
-        self.shape, self.variance = light.shape, variance
-        self._light = cv2.integral(light.astype(np.float32), sdepth=cv2.CV_64F)
-        self._bad = cv2.integral((~usable).astype(np.uint8), sdepth=cv2.CV_32S)
+        self.shape, self.variance, self.motion, self._corner = light.shape, variance, motion, (0, 0)
+        light, bad = light.astype(np.float32), (~usable).astype(np.float32)
+        if motion != STILL:
+            middle = 0.5 * np.array(light.shape[1::-1])
+            left, top = np.round(motion.map_px(middle) - middle).astype(int).tolist()
+            self._corner = left, top
+            light = motion.on_map(light, self._corner, outside=0.0)
+            bad = motion.on_map(bad, self._corner, outside=1.0)
+        self._light = cv2.integral(light, sdepth=cv2.CV_64F)
+        self._bad = cv2.integral((bad > 0).astype(np.uint8), sdepth=cv2.CV_32S)
 
     def means(
         self, window: Window
     ) -> tuple[Float[np.ndarray, "count count"], Bool[np.ndarray, "count count"]]:
         """Mean light of each cell, and whether the cell is in the image and all of it usable."""
-        rows = window.top + window.side * np.arange(COUNT + 1)
-        columns = window.left + window.side * np.arange(COUNT + 1)
+        left, top = self._corner
+        rows = window.top - top + window.side * np.arange(COUNT + 1)
+        columns = window.left - left + window.side * np.arange(COUNT + 1)
         height, width = self.shape
         at = np.ix_(np.clip(rows, 0, height), np.clip(columns, 0, width))
 

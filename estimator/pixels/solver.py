@@ -12,6 +12,7 @@ variance would forget that the errors of map and poses hang together, and drift.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -24,9 +25,11 @@ from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.texture import Texture
 
 GAIN, AMBIENT, SLANT, BLUR = POSE, POSE + 1, slice(POSE + 2, POSE + 4), POSE + 4
-OWN = POSE + 5
+SHIFT = slice(POSE + 5, POSE + 7)
+OWN = POSE + 7
 """States of a frame: those of its pose, log gain, log ambient light, the ambient light's relative
-growth from the window's middle to its right and lower sides, and the variance of the blur, px²."""
+growth from the window's middle to its right and lower sides, the variance of the blur, px², and how
+far the wall has moved to the right and downwards in the image, px."""
 _SLANT = 0.5  # standard deviation; a film of water shines to one side
 _BLUR_PX2 = 2.0  # standard deviation of the blur's variance; a focus 0.5 mm off at NA 0.05 is 3.5
 _FAINTEST = 0.05  # of the ambient light in the middle
@@ -40,6 +43,7 @@ _RIDGE = 1e-12  # of a state's own information, so that one without any does not
 _DONE, _SMALL = 0.1, 0.3
 """In standard deviations: a shorter step ends the iteration; a last step as short is an answer."""
 _LEAST_DAMPING = 1e-3
+_LATTICES = 8  # of motions of the wall; each has 400 KB
 
 _ALONG = (np.arange(COUNT) + 0.5) / (0.5 * COUNT) - 1.0
 _SIDES = np.stack([np.tile(_ALONG, COUNT), np.repeat(_ALONG, COUNT)])
@@ -64,7 +68,7 @@ class Linear(NamedTuple):
     """
 
     residual: Float[np.ndarray, "n"]
-    slopes: Float[np.ndarray, "10 n"]
+    slopes: Float[np.ndarray, "12 n"]
     shared: Float[np.ndarray, "q n"]
     weight: Float[np.ndarray, "n"]
 
@@ -83,6 +87,9 @@ class FrameState:
         sweep: motion during the exposure.
         slant: growth of the ambient light to the right and downwards.
         blur_px2: variance of the image's blur.
+        grain: how the map that is known grows to the right and downwards, 1/px; None if no map is.
+        shift: of the wall since `cells` were cut, px.
+        shift_sigma: its standard deviation before the frame was seen, px.
     """
 
     cells: CellLight
@@ -94,6 +101,9 @@ class FrameState:
     sweep: Sweep | None = None
     slant: tuple[float, float] = (0.0, 0.0)
     blur_px2: float = 0.0
+    grain: Float[np.ndarray, "2 n"] | None = None
+    shift: tuple[float, float] = (0.0, 0.0)
+    shift_sigma: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +114,7 @@ class Solution:
         frames: with their new states.
         linear: their models at these states.
         own: changes of the beam's own parameters, see `BeamLight`.
-        covariance: of all states: 10 of each frame, then the beam's own.
+        covariance: of all states: 12 of each frame, then the beam's own.
         cost: -2 log likelihood, up to a constant of the data.
         texture_map: log reflectance of the cells.
         factor: Cholesky factor of the precision of this map.
@@ -126,6 +136,18 @@ class Solution:
         total = sum(line.weight @ np.square(line.residual) for line in self.linear)
         total -= sum((line.weight * line.residual) @ self.texture_map for line in self.linear)
         return float(total / max(sum(np.count_nonzero(line.weight) for line in self.linear), 1))
+
+    def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "12"]:
+        """How the newest frame's states move if the log light of all frames' cells changes."""
+        weighted = [line.weight * more for line, more in zip(self.linear, changes, strict=True)]
+        texture_map = cho_solve(self.factor, np.sum(weighted, axis=0))
+        pulls, shared = [], np.zeros(len(self.own))
+        for line, pull in zip(self.linear, weighted, strict=True):
+            rest = pull - line.weight * texture_map
+            pulls.append(line.slopes @ rest)
+            shared += line.shared @ rest
+        at = OWN * (len(self.linear) - 1)
+        return self.covariance[at : at + OWN] @ np.concatenate([*pulls, shared])
 
     def strange(self, k: int) -> Float[np.ndarray, "n"]:
         """How far cells of frame k are from what the other data say, in standard deviations."""
@@ -150,7 +172,8 @@ class Solver:
 
     def __init__(self, beam: BeamLight, window: Window, texture: Texture) -> None:
         self.beam, self.window, self.texture = beam, window, texture
-        self.lattice = beam.lattice(window)
+        kept = functools.lru_cache(maxsize=_LATTICES)
+        self.lattice = kept(functools.partial(beam.lattice, window))
         self.side_mm = window.side * beam.scale_mm_px
         covariance = texture.covariance(COUNT, self.side_mm)
         self._roughly = float(np.sum(texture.variances))
@@ -159,6 +182,18 @@ class Solver:
     def at(self, window: Window) -> Solver:
         """The solver of another window on the same wall."""
         return Solver(self.beam, window, self.texture)
+
+    def known(self, lines: list[Linear]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """Log reflectance of the cells by frames, and its variance."""
+        factor = self._factor(lines)
+        inverse, _ = lapack.dpotri(factor[0], lower=True)
+        return _map(lines, factor), np.diag(inverse).copy()
+
+    def grain(self, lines: list[Linear]) -> Float[np.ndarray, "2 n"]:
+        """How the log reflectance by frames grows to the right and downwards, 1/px."""
+        texture_map = _map(lines, self._factor(lines)).reshape(COUNT, COUNT)
+        down, right = np.gradient(texture_map, self.window.side)
+        return np.stack([right.ravel(), down.ravel()])
 
     def solve(
         self,
@@ -239,7 +274,7 @@ class Solver:
         """A frame's model at its state."""
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
         irradiance, slopes, smeared = self.beam.irradiance(
-            self.lattice, frame.pose, own, window=self.window, sweep=frame.sweep
+            self.lattice(frame.cells.motion), frame.pose, own, window=self.window, sweep=frame.sweep
         )
         level = np.exp(frame.log_ambient)
         growth = np.maximum(1.0 + np.array(frame.slant) @ _SIDES, _FAINTEST)
@@ -251,8 +286,9 @@ class Solver:
         weight = self._weight(frame, light, usable, model, error=_SMEAR * smeared / total)
         deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
         seen = np.maximum(light, np.maximum(deviation, _DARKEST))
+        grain = np.zeros((2, total.size)) if frame.grain is None else frame.grain
         return Linear(
-            residual=np.where(usable, np.log(seen / model), 0.0),
+            residual=np.where(usable, np.log(seen / model) + np.array(frame.shift) @ grain, 0.0),
             slopes=np.concatenate(
                 [
                     slopes[:POSE] / total,
@@ -260,6 +296,7 @@ class Solver:
                     ambient / total[None],
                     level * _SIDES / total,
                     bend[None] / total,
+                    -grain,
                 ]
             ),
             shared=slopes[POSE:] / total,
@@ -272,7 +309,7 @@ class Solver:
         The least squares are in the light, so that the bright cells decide.
         """
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
-        irradiance = self.beam.irradiance_alone(self.lattice, frame.pose, own)
+        irradiance = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
         both = np.stack([irradiance, np.ones(irradiance.size)], axis=-1)[usable]
         gain, offset = np.linalg.lstsq(both, light[usable], rcond=None)[0]
         gain = max(gain, _DARKEST)
@@ -313,8 +350,7 @@ class Solver:
     ) -> tuple[np.ndarray, np.ndarray, float, tuple[np.ndarray, bool]]:
         """Hessian of all states, gradient downhill, cost, and the factor of the map's precision."""
         size = gone.size
-        weight = np.sum([line.weight for line in lines], axis=0)
-        factor = cho_factor(self._precision + np.diag(weight), lower=True)
+        factor = self._factor(lines)
         cross = np.zeros((size, COUNT**2))
         hessian, gradient = np.zeros((size, size)), np.zeros(size)
         texture_map = _map(lines, factor)
@@ -334,6 +370,11 @@ class Solver:
         hessian[last, last] += 1.0
         gradient[last] -= own
         return hessian, gradient, self._cost(frames, lines, own, gone, factor), factor
+
+    def _factor(self, lines: list[Linear]) -> tuple[np.ndarray, bool]:
+        """Cholesky factor of the precision of the map by frames."""
+        weight = np.sum([line.weight for line in lines], axis=0)
+        return cho_factor(self._precision + np.diag(weight), lower=True)
 
     def _cost(
         self,
@@ -368,6 +409,7 @@ class Solver:
             log_ambient=frame.log_ambient + change[AMBIENT],
             slant=tuple(np.add(frame.slant, change[SLANT]).tolist()),
             blur_px2=frame.blur_px2 + float(change[BLUR]),
+            shift=tuple(np.add(frame.shift, change[SHIFT]).tolist()),
         )
 
 
@@ -408,6 +450,8 @@ def _prior(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
     pull[SLANT] = np.array(frame.slant) / -(_SLANT**2)
     precision[BLUR, BLUR] = _BLUR_PX2**-2
     pull[BLUR] = -frame.blur_px2 / _BLUR_PX2**2
+    precision[SHIFT, SHIFT] = frame.shift_sigma**-2 * np.eye(2)
+    pull[SHIFT] = np.array(frame.shift) / -(frame.shift_sigma**2)
     if frame.direction is not None:
         across = np.stack([frame.pose.first, frame.pose.second])
         weight = frame.direction.sigma**-2
@@ -420,6 +464,7 @@ def _prior_cost(frame: FrameState) -> float:
     mean, sigma = frame.ambient_prior
     cost = ((frame.log_ambient - mean) / sigma) ** 2
     cost += sum(x * x for x in frame.slant) / _SLANT**2 + (frame.blur_px2 / _BLUR_PX2) ** 2
+    cost += sum(x * x for x in frame.shift) / frame.shift_sigma**2
     if frame.direction is not None:
         off = np.cross(frame.pose.axis, frame.direction.axis)
         cost += float(off @ off) / frame.direction.sigma**2

@@ -8,20 +8,24 @@ forgets its beginning drifts.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.distance import Range, RangeFlag, TipPose
+from estimator.distance import Range, RangeFlag, TipPose, WallMemory
 from estimator.image import CameraNoise, Spot
 from estimator.pixels.beam import POSE, BeamLight, Sweep
 from estimator.pixels.cells import COUNT, CellLight, Window
+from estimator.pixels.drift import drift_covariance
 from estimator.pixels.mix import Mix, evener_mix, plain_mix
+from estimator.pixels.registration import registered
 from estimator.pixels.solver import OWN, Direction, FrameState, Linear, Solution, Solver
 from estimator.pixels.starts import likely_directions, scanned_starts
 from estimator.pixels.texture import Texture, texture_of
+from estimator.pixels.wall_motion import STILL, WallMotion
 
 _REACH = 2.0  # of the half-maximum ellipse; farther out there is hardly any light
 _BESIDE_PX = 6.0
@@ -36,11 +40,17 @@ _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
 _UNDECIDED = 16.0  # difference of cost that keeps a second pose possible: four standard deviations
 _SAME = 3.0  # standard deviations within which two poses are one
 _FAR = 4.0  # a cell this far from what all else says of it, in standard deviations, has other light
-_SURPRISE = 1.5
+_MOVED, _SURPRISE = 1.2, 1.5
 """Mean square of a frame's cells less what all else says of them, in variances, above which the
-wall is another one. It is 1 where nothing has moved, with a standard deviation of 0.05."""
+wall has moved, and above which it is another one. It is 1 where nothing has moved, with a standard
+deviation of 0.05."""
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
+_DRIFTED_PX = 1.0  # of the wall since the first frame, which is worth a word
+_SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
+_STAYS_PX = 0.1  # shift of a wall that keeps still; one that moved may move as far again
+_CALMS = 0.9  # of the shake that is expected, from frame to frame
+_MOVES_ON_PX = 4.0  # of the wall from frame to frame; a microscope shakes by one or two
 _PLACE_PX = 0.05  # error of the spot's place by the image model, on rendered frames of known pose
 
 
@@ -54,12 +64,16 @@ class _Belief:
         solution: of the newest frame and those that were kept then.
         surprise: mean square of the newest frame's cells less what the other data say of them, in
             variances; no cell counts more than `_FAR`.
+        step: motion of the wall in the image since the frame before.
+        shake_before_px: `shake_px` of the frame before.
     """
 
     solver: Solver
     kept: list[tuple[FrameState, Linear]]
     solution: Solution
     surprise: float
+    step: WallMotion = STILL
+    shake_before_px: float = 0.0
 
     @property
     def newest(self) -> FrameState:
@@ -71,6 +85,28 @@ class _Belief:
         """Standard deviations of the newest frame's pose."""
         at = OWN * (len(self.solution.frames) - 1)
         return np.sqrt(np.diag(self.solution.covariance)[at : at + POSE])
+
+    @property
+    def way_px(self) -> float:
+        """How far the wall has moved in the image since the frame before."""
+        middle = self.newest.cells.motion.image_px(self.solver.window.middle_px)
+        return math.hypot(*(self.step.image_px(middle) - middle))
+
+    @property
+    def shake_px(self) -> float:
+        """How far the image may jump from frame to frame, as it did of late."""
+        return max(min(self.way_px, _MOVES_ON_PX), _CALMS * self.shake_before_px)
+
+    @property
+    def expected_motion(self) -> WallMotion:
+        """Of the wall in the next frame: it moves on as it did, unless it only shakes."""
+        motion = self.newest.cells.motion
+        return self.step.after(motion) if self.way_px > _MOVES_ON_PX else motion
+
+    def drift(self, frame: FrameState) -> Float[np.ndarray, "2"]:
+        """How far the wall has moved in the image from the map's begin to a frame, px."""
+        middle = self.solver.window.middle_px
+        return frame.cells.motion.image_px(middle) - middle
 
     def differs(self, other: _Belief) -> bool:
         """Whether the newest pose is another one."""
@@ -92,9 +128,12 @@ class PoseTracker:
         self.beam, self.noise = beam, noise
         self._beliefs: list[_Belief] = []
         self._mix: Mix | None = None
+        self._drift = np.zeros(2)  # of the view, px, by the maps that were forgotten
 
     def forget(self) -> None:
         """Start anew with the next frame, on a wall that is not known."""
+        if self._beliefs:
+            self._drift = self._drift + self._beliefs[0].drift(self._beliefs[0].newest)
         self._beliefs = []
 
     def read(
@@ -114,22 +153,33 @@ class PoseTracker:
         """
         channels = self.noise.channels(image)
         usable = np.all(image < self.noise.full_scale, axis=-1)
-        flag = RangeFlag.NOT_CONVERGED
+        flag, wall = RangeFlag.NOT_CONVERGED, WallMemory.NEW
         if self._beliefs:
             self._follow(channels, usable, spot, sweep)
             flag = self._flag()
-            if flag is RangeFlag.NONE and self._beliefs[0].surprise > _SURPRISE:
-                flag = RangeFlag.MISFIT  # of the wall that was learnt: it has moved
+            best = self._beliefs[0]
+            drift = math.hypot(*(self._drift + best.drift(best.newest)))
+            wall = WallMemory.MOVED if drift > _DRIFTED_PX else WallMemory.KNOWN
+            if flag is RangeFlag.NONE and best.surprise > _SURPRISE:
+                flag = RangeFlag.MISFIT  # of the wall that was learnt
         if flag is not RangeFlag.NONE:
             # Where the past does not explain the frame, it may be wrong.
+            wall = WallMemory.DROPPED if self._beliefs else WallMemory.NEW
+            self.forget()
             self._begin(channels, usable, spot, direction, sweep)
             flag = self._flag()
         if flag is not RangeFlag.NONE:
             self.forget()
-            return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=flag)
-        best = self._beliefs[0].solution
+            return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=flag, wall=wall)
+        best = self._beliefs[0]
         others = tuple(float(one.newest.pose.distance) for one in self._beliefs[1:])
-        return _range(best, others, _PLACE_PX * self.beam.scale_mm_px)
+        # Where the view was in the first frame, if it shakes, nobody knows.
+        place = self.beam.scale_mm_px * math.hypot(_PLACE_PX, best.shake_px)
+        doubt = np.diag([place**2, place**2, 0.0, 0.0, 0.0])
+        drifts = [self._drift + best.drift(frame) for frame in best.solution.frames]
+        if np.any(drifts):
+            doubt += drift_covariance(best.solver, best.solution, drifts)
+        return _range(best.solution, others, doubt, wall)
 
     def _flag(self) -> RangeFlag:
         """Whether the newest frame is explained."""
@@ -196,20 +246,40 @@ class PoseTracker:
     ) -> None:
         """Explain a frame together with earlier ones."""
         assert self._mix is not None
-        cells = self._cells(channels, usable, self._mix)
+        mix = self._mix
+
+        def cells(motion: WallMotion) -> CellLight:
+            return self._cells(channels, usable, mix, motion)
+
         centre, reach = np.array([spot.x_px, spot.y_px]), _reach(spot)
         point = self.beam.wall_points(centre[None])[0][0]
         followed = []
         for belief in self._beliefs:
             solver, kept, own = belief.solver, belief.kept, belief.solution.own
+            motion = belief.expected_motion
+            on_map = motion.map_px(centre)
             held = 0.5 * COUNT * solver.window.side
-            off = np.abs(centre - solver.window.corner_px - held).max()
+            off = np.abs(on_map - solver.window.corner_px - held).max()
             if off > _CENTRED * held or abs(math.log(held / reach)) > _SIZED:
-                solver = solver.at(Window.around(centre, reach))
+                solver = solver.at(Window.around(on_map, reach))
                 kept = [(state, solver.linear(state, own)) for state, _ in kept]
-            start = self._start(belief.newest, solver, cells, point, own, sweep)
-            solution, surprise = _robust(solver, kept, start, own)
-            followed.append(_Belief(solver, self._kept(solver, solution), solution, surprise))
+            start = self._start(belief.newest, solver, cells(motion), point, own, sweep)
+            start = replace(
+                start,
+                grain=solver.grain([line for _, line in kept]),
+                shift_sigma=_STAYS_PX + belief.shake_px,
+            )
+            found, surprise = _wherever(solver, kept, start, own, cells)
+            followed.append(
+                _Belief(
+                    solver=solver,
+                    kept=self._kept(solver, found),
+                    solution=found,
+                    surprise=surprise,
+                    step=found.frames[-1].cells.motion.since(belief.newest.cells.motion),
+                    shake_before_px=belief.shake_px,
+                )
+            )
         self._beliefs = _distinct(followed)
 
     def _start(
@@ -255,14 +325,45 @@ class PoseTracker:
         return [*kept, newest]
 
     def _cells(
-        self, channels: Float[np.ndarray, "h w 3"], usable: Bool[np.ndarray, "h w"], mix: Mix
+        self,
+        channels: Float[np.ndarray, "h w 3"],
+        usable: Bool[np.ndarray, "h w"],
+        mix: Mix,
+        motion: WallMotion = STILL,
     ) -> CellLight:
-        return CellLight(mix.light(channels), usable, lambda light: mix.variance(self.noise, light))
+        return CellLight(
+            mix.light(channels), usable, lambda light: mix.variance(self.noise, light), motion
+        )
 
 
 def _reach(spot: Spot) -> float:
     """From the spot's centre, px, to where there is hardly any light."""
     return _REACH * spot.semi_major_px + _BESIDE_PX
+
+
+def _wherever(
+    solver: Solver,
+    kept: list[tuple[FrameState, Linear]],
+    frame: FrameState,
+    own: Float[np.ndarray, "q"],
+    cells: Callable[[WallMotion], CellLight],
+) -> tuple[Solution, float]:
+    """As `_robust`, wherever the wall is now; `cells` is the frame's light after its motion."""
+    solution, surprise = _robust(solver, kept, frame, own)
+    if surprise > _MOVED:
+        known, variance = solver.known([line for _, line in kept])
+        step = registered(solver.linear(frame, own), known, variance, solver.window)
+        moved = replace(frame, cells=cells(frame.cells.motion.after(step)))
+        again, less = _robust(solver, kept, moved, own)
+        if less < surprise:
+            solution, surprise = again, less
+    newest = solution.frames[-1]
+    if math.hypot(*newest.shift) > _SHIFTED_PX:
+        motion = newest.cells.motion.after(WallMotion(*newest.shift))
+        newest = replace(newest, cells=cells(motion), shift=(0.0, 0.0))
+        solution.frames[-1] = newest
+        solution.linear[-1] = solver.linear(newest, solution.own)
+    return solution, surprise
 
 
 def _robust(
@@ -296,11 +397,16 @@ def _distinct(beliefs: list[_Belief]) -> list[_Belief]:
     return kept
 
 
-def _range(solution: Solution, others_mm: tuple[float, ...], place_mm: float) -> Range:
+def _range(
+    solution: Solution,
+    others_mm: tuple[float, ...],
+    doubt: Float[np.ndarray, "5 5"],
+    wall: WallMemory,
+) -> Range:
+    """Of the newest frame; `doubt` is a covariance that its fit does not know of."""
     at = OWN * (len(solution.frames) - 1)
     pose = solution.frames[-1].pose
-    covariance = solution.covariance[at : at + POSE, at : at + POSE].copy()
-    covariance[[0, 1], [0, 1]] += place_mm**2
+    covariance = solution.covariance[at : at + POSE, at : at + POSE] + doubt
     across = np.stack([pose.first, pose.second])
     # The tip moves with the spot, along the axis, and with the turns about the spot.
     slopes = np.zeros((POSE, POSE))
@@ -319,4 +425,5 @@ def _range(solution: Solution, others_mm: tuple[float, ...], place_mm: float) ->
         others_mm=others_mm,
         poses=(found,),
         chi_squared=solution.chi_squared,
+        wall=wall,
     )

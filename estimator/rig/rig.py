@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from estimator.distance import TipPose
+from estimator.distance import TipPose, WallMemory
 from estimator.files import POSE_TOPIC
 from estimator.image import NoSpot, Reason, Spot
 from estimator.rig.recent_poses import RecentPoses
@@ -186,6 +186,8 @@ def _output(reading: Reading, fault: str, counts: dict[str, str]) -> Output:
         details |= {f"other_distance_{n}_mm": d for n, d in enumerate(distance.others_mm, 1)}
     largest = reading.budget.largest if reading.budget else None
     said = {"largest_cause": largest.cause.value} if largest else {}
+    if distance is not None and distance.wall is not WallMemory.NONE:
+        said["wall_memory"] = distance.wall.value
     best = distance.poses[0] if distance and distance.poses else None
     doubt = fault or reading.doubt
     level = Doubt.DOUBTFUL if doubt else Doubt.NONE

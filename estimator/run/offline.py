@@ -45,6 +45,7 @@ class Tracking:
         distances: number of frames with a distance.
         no_spot: number of frames without a spot, by reason.
         doubtful: number of doubtful distances by `RangeFlag`.
+        wall_memory: number of frames by `WallMemory`, in the mode pixels.
         pose_ages_s: ages of the robot's poses, where there are poses (8 bytes a frame).
         ended: how it came to its end.
         fault: what broke it; empty unless `ended` is BROKEN or DISK_FULL.
@@ -55,6 +56,7 @@ class Tracking:
     distances: int = 0
     no_spot: Counter[str] = field(default_factory=Counter)
     doubtful: Counter[str] = field(default_factory=Counter)
+    wall_memory: Counter[str] = field(default_factory=Counter)
     pose_ages_s: array[float] = field(default_factory=lambda: array("d"))
     ended: Ended = Ended.COMPLETE
     fault: str = ""
@@ -88,6 +90,8 @@ class Tracking:
             self.no_spot[record.reason] += 1
         elif doubt:
             self.doubtful[doubt] += 1
+        if record.wall_memory:
+            self.wall_memory[record.wall_memory] += 1
         if not math.isnan(record.pose_age_s):
             self.pose_ages_s.append(record.pose_age_s)
 
@@ -219,6 +223,7 @@ def record_of(frame: Frame, reading: Reading, mode: str) -> SpotRecord:
         distance_high_mm=high,
         largest_cause=budget.largest.cause.value if budget and budget.largest else "",
         pose=_pose(reading),
+        wall_memory=reading.range.wall.value if reading.range else "",
     )
 
 

@@ -6,8 +6,11 @@ from typing import Any
 
 from rich.table import Table
 
+from estimator.distance import WallMemory
 from estimator.run.offline import Tracking
 from estimator.sources import Source
+
+_TOLD = (WallMemory.MOVED.value, WallMemory.DROPPED.value)
 
 
 def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) -> dict[str, Any]:
@@ -21,6 +24,7 @@ def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) ->
         "no_spot": dict(tracking.no_spot.most_common()),
         "distances": tracking.distances,
         "doubtful_distances": tracking.doubtful,
+        "wall_memory": tracking.wall_memory,
         "median_pose_age_s": tracking.median_pose_age_s,
         "seconds": round(seconds, 3),
         "ended": tracking.ended.value,
@@ -43,6 +47,11 @@ def table_of(summary: dict[str, Any]) -> Table:
     for flag, count in summary["doubtful_distances"].items():
         table.add_row(f"distance {flag.replace('_', ' ')}", str(count))
     notes = []
+    notes += [
+        f"in {count} of the frames: {_sentence(WallMemory(memory))}"
+        for memory, count in summary["wall_memory"].items()
+        if memory in _TOLD
+    ]
     if summary["unrelated"]:
         notes.append("every image measured by itself; --sequence follows the spot")
     elif "ambiguous" in summary["no_spot"]:
@@ -51,3 +60,7 @@ def table_of(summary: dict[str, Any]) -> Table:
         notes.append(f"median age of the pose: {1e3 * summary['median_pose_age_s']:.1f} ms")
     table.caption = "\n".join(notes) or None
     return table
+
+
+def _sentence(memory: WallMemory) -> str:
+    return memory.meaning[0].lower() + memory.meaning[1:]

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, Float
 
 import optics
 
@@ -67,7 +67,8 @@ def image_lattice(
     surface: optics.Surface,
     *,
     corner: Float[Array, "2"],
-    side: ScalarLike,
+    right: Float[Array, "2"],
+    down: Float[Array, "2"],
     rows: int,
     columns: int,
 ) -> Lattice:
@@ -77,7 +78,8 @@ def image_lattice(
         camera: the microscope, without distortion.
         surface: the wall.
         corner: (u, v) of the first cell's outer corner, px; pixel centres are integers.
-        side: of a cell, px.
+        right: way to the next column, px.
+        down: way to the next row, px, a quarter turn from `right`.
         rows: number of cells downwards.
         columns: number of cells to the right.
     """
@@ -99,20 +101,19 @@ def image_lattice(
         return Sides(begin, end, point, share[:, None] * step)
 
     v, u = jnp.meshgrid(jnp.arange(rows + 1.0), jnp.arange(columns + 1.0), indexing="ij")
-    corners = corner + jnp.asarray(side) * jnp.stack([u, v], axis=-1)
-    centres = (corners[:-1, :-1] + 0.5 * jnp.asarray(side)).reshape(-1, 2)
+    corners = corner + u[..., None] * right + v[..., None] * down
+    centres = (corners[:-1, :-1] + 0.5 * (right + down)).reshape(-1, 2)
 
     def centre(at: Array) -> tuple[Array, Array]:
         meeting = surface.intersect(*camera.ray(at))
         return meeting.point, meeting.normal
 
-    def moved(by: tuple[float, float]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        way = jnp.broadcast_to(jnp.asarray(side) * jnp.array(by), centres.shape)
-        return jax.jvp(centre, (centres,), (way,))
+    def moved(way: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        return jax.jvp(centre, (centres,), (jnp.broadcast_to(way, centres.shape),))
 
-    (_, normal), (right, _) = moved((1.0, 0.0))
-    _, (down, _) = moved((0.0, 1.0))
-    area = -optics.dot(normal, jnp.cross(right, down))
+    (_, normal), (to_right, _) = moved(right)
+    _, (downwards, _) = moved(down)
+    area = -optics.dot(normal, jnp.cross(to_right, downwards))
     return Lattice(
         across=line(corners[:, :-1], corners[:, 1:]),
         along=line(corners[:-1], corners[1:]),

@@ -65,12 +65,19 @@ def square_lattice(
     wall: optics.Surface,
     *,
     corner: Float[ArrayLike, "2"],
-    side: Float[ArrayLike, ""],
+    right: Float[ArrayLike, "2"],
     count: int,
 ) -> Lattice:
-    """A compiled `image_lattice` of count x count cells; pass `corner` and `side` as arrays."""
+    """A compiled `image_lattice` of count x count cells; pass `corner` and `right` as arrays."""
+    way = jnp.asarray(right)
     return image_lattice(
-        camera, wall, corner=jnp.asarray(corner), side=side, rows=count, columns=count
+        camera,
+        wall,
+        corner=jnp.asarray(corner),
+        right=way,
+        down=jnp.stack([-way[1], way[0]]),
+        rows=count,
+        columns=count,
     )
 
 

@@ -1,0 +1,66 @@
+"""What a drift of the microscope would do to a pose.
+
+The wall moves in the image when the eye turns or when the microscope drifts, and one spot cannot
+tell which. If it is the eye, the microscope file still says where the wall is. If it is the
+microscope, each pixel sees another part of the wall than the file says, with another slope. The
+pose is right in the first case and pulled in the second, so the pull belongs to its errors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from estimator.pixels.beam import POSE
+from estimator.pixels.solver import Solution, Solver
+from estimator.pixels.wall_motion import WallMotion
+
+_STEP_PX = 0.5  # of the numerical derivative
+_SHARE = 0.3
+"""Error of the pull, over its size: it is a linear forecast. On rendered drifts of up to 1.3 mm
+shifts and turns were within 10 to 30 % of it, mostly."""
+_PER_WAY = 0.03  # error of the distance's pull, over the drift
+
+
+def drift_covariance(
+    solver: Solver, solution: Solution, drifts_px: list[Float[np.ndarray, "2"]]
+) -> Float[np.ndarray, "5 5"]:
+    """What a drift of the view may have done to the newest pose, in the terms of `POSE`.
+
+    Args:
+        solver: of the solution.
+        solution: with the newest frame last.
+        drifts_px: shift of the image in each frame since the microscope file was right.
+    """
+    pull = _pulled(solver, solution, drifts_px)
+    way, turn = np.linalg.norm(pull[:2]), np.linalg.norm(pull[3:])
+    distance = np.hypot(pull[2], _PER_WAY / _SHARE * way)
+    return np.outer(pull, pull) + np.diag([way, way, distance, turn, turn]) ** 2 * _SHARE**2
+
+
+def _pulled(
+    solver: Solver, solution: Solution, drifts_px: list[Float[np.ndarray, "2"]]
+) -> Float[np.ndarray, "5"]:
+    """How far the newest pose would be off."""
+    beam, own = solver.beam, solution.own
+    changes, way = [], np.zeros(3)
+    for frame, drift in zip(solution.frames, drifts_px, strict=True):
+        length, motion = float(np.linalg.norm(drift)), frame.cells.motion
+        part = _STEP_PX / max(length, _STEP_PX)
+        middle = motion.image_px(solver.window.middle_px)
+        (here, there), _ = beam.wall_points(np.stack([middle, middle - part * drift]))
+        way = (there - here) / part
+        other = beam.pose(frame.pose.tip + there - here, frame.pose.axis)
+        if other is None:
+            return np.zeros(POSE)
+        right, down = (-part * drift).tolist()
+        drifted = WallMotion(right, down).after(motion)
+        seen, fitted = (
+            beam.irradiance_alone(solver.lattice(where), at, own)
+            for where, at in ((drifted, other), (motion, frame.pose))
+        )
+        changes.append((seen - fitted) / (fitted + np.exp(frame.log_ambient)) / part)
+    pull = solution.answer(changes)[:POSE]
+    newest = solution.frames[-1].pose
+    pull[:2] -= way @ np.stack([newest.right, newest.down], axis=-1)
+    return pull
