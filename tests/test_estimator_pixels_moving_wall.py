@@ -1,18 +1,14 @@
 """The mode pixels when the wall moves in the image, and when the tip moves on a curve."""
 
-from pathlib import Path
-
 import numpy as np
 
 from estimator.distance import WallMemory
-from estimator.files import Calibration, read_poses, write_calibration
 from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.registration import registered
 from estimator.pixels.solver import OWN, Linear
 from estimator.pixels.wall_motion import WallMotion
-from estimator.run import Options
 from estimator.sources import open_source
-from scenes import Scene, render_stack
+from tests.pixel_stacks import cone_stack, readings_of
 
 
 def test_a_point_of_the_map_comes_back_from_the_image():
@@ -79,62 +75,9 @@ def test_a_shift_of_the_wall_is_found_although_the_light_has_changed():
     assert abs(found.turn) < 0.005
 
 
-def _stack(folder: Path, **tables):
-    scene = {
-        "schema": 1,
-        "seed": 11,
-        "phantom": {"wall": "printed paper", "texture_seed": 4},
-        "instrument": {"visible": False},
-        "source": {"kind": "cone"},
-        "spot": {"eccentricity_mm": 1.5, "incidence_deg": 20.0},
-        "microscope": {"width_px": 360, "height_px": 300},
-        "motion": {"start_mm": 2.0, "travel_mm": 0.9, "frames": 6, "speed_mm_s": 1.0},
-        "exposures": {"kinds": ["metered"]},
-    }
-    return render_stack(Scene.model_validate(scene | tables), folder)
-
-
-def _reader(stack, folder: Path):
-    values = {"k": 20.0, "b": -5.117}
-    calibration = Calibration(
-        model="planar",
-        values=values,
-        covariance=np.diag([1e-8, 1e-10]),
-        medium="air",
-        medium_index=1.0,
-        fitted_on="the cone that was rendered",
-        data_sha256="0" * 64,
-        software="a test",
-    )
-    write_calibration(folder / "cone.json", calibration)
-    return Options.of(
-        {
-            "mode": "pixels",
-            "calibration": folder / "cone.json",
-            "microscope": stack.folder / "microscope.json",
-            "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
-        }
-    ).reader()
-
-
-def _read(stack, folder: Path):
-    """What the wall was known as, the distance's error and chi squared of the pose, by frame."""
-    reader, poses = _reader(stack, folder), read_poses(stack.folder / "kinematics.csv")
-    for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
-        found = reader.read(
-            frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
-        ).range
-        assert found is not None
-        (pose,) = found.poses
-        turns = pose.across @ (pose.axis - np.array(labels.axis))
-        off = np.concatenate([pose.tip_mm - np.array(labels.tip_mm), turns])
-        chi_squared = off @ np.linalg.solve(pose.covariance, off)
-        yield found.wall, found.distance_mm - labels.d_mm, chi_squared
-
-
 def test_a_wall_that_turns_with_the_eye_is_registered(tmp_path):
-    stack = _stack(tmp_path / "stack", unrest={"rotation_deg_s": (3.0, 2.0, 0.0)})
-    readings = list(_read(stack, tmp_path))
+    stack = cone_stack(tmp_path / "stack", unrest={"rotation_deg_s": (3.0, 2.0, 0.0)})
+    readings = list(readings_of(stack, tmp_path))
     assert readings[0][0] is WallMemory.NEW
     assert {wall for wall, _, _ in readings[1:]} == {WallMemory.MOVED}
     # Once its motion is known. Printed paper leaves a few micrometres; a map that stayed behind by
@@ -145,8 +88,8 @@ def test_a_wall_that_turns_with_the_eye_is_registered(tmp_path):
 
 
 def test_a_drift_of_the_microscope_is_within_the_stated_errors(tmp_path):
-    stack = _stack(tmp_path / "stack", unrest={"drift_mm_s": (0.4, 0.3)})
-    readings = list(_read(stack, tmp_path))
+    stack = cone_stack(tmp_path / "stack", unrest={"drift_mm_s": (0.4, 0.3)})
+    readings = list(readings_of(stack, tmp_path))
     assert {wall for wall, _, _ in readings[1:]} == {WallMemory.MOVED}
     # The tip is up to 0.45 mm off; the microscope file cannot know that, the standard errors do.
     assert max(chi_squared for _, _, chi_squared in readings) < 30
@@ -154,7 +97,7 @@ def test_a_drift_of_the_microscope_is_within_the_stated_errors(tmp_path):
 
 def test_a_light_that_moves_on_a_curve_is_averaged_along_it(tmp_path):
     # A retina is dark: the camera meters exposures of some 60 ms, in which a hand's tremor turns.
-    stack = _stack(
+    stack = cone_stack(
         tmp_path / "stack",
         phantom={"wall": "uniform", "reflectance": 0.1},
         motion={
@@ -167,6 +110,6 @@ def test_a_light_that_moves_on_a_curve_is_averaged_along_it(tmp_path):
     )
     times = [frame.exposure_s for frame in open_source(stack.folder)]
     assert min(times) > 0.03
-    readings = list(_read(stack, tmp_path))
+    readings = list(readings_of(stack, tmp_path))
     assert max(abs(distance) for _, distance, _ in readings) < 0.005
     assert max(chi_squared for _, _, chi_squared in readings) < 30

@@ -2,12 +2,16 @@
 
 beam     The light of a calibrated beam on the cells of a window, with its derivatives
 cells    The light of a frame on a lattice of square cells
+drift    What a drift of the microscope would do to a pose
 mix      The mixture of a camera's channels in which the wall is most even
 ranger   Distances and poses, for a calibration and a microscope file
+registration  Where the wall's map lies in a frame in which the wall has moved
+robot    How the tool has moved from the first frame to another one, as the robot says it
 solver   Poses of some frames by Gauss-Newton, with the wall's texture eliminated
 starts   Poses from which the fit of a first frame starts
 texture  The wall's texture as a Gaussian process
 tracker  Follows the pose from frame to frame
+wall_motion  Where the wall's picture is in an image: shifted and turned since its map was begun
 """
 
 import lazy_loader

@@ -51,6 +51,16 @@ class Pose(NamedTuple):
         """O, where the beam meets the wall, mm."""
         return self.tip + self.distance * self.axis
 
+    @property
+    def slopes(self) -> Float[np.ndarray, "5 5"]:
+        """Derivatives of the tip and of the axis's turns by a change."""
+        # The tip moves with the spot, along the axis, and with the turns about the spot.
+        across = np.stack([self.first, self.second])
+        slopes = np.zeros((POSE, POSE))
+        slopes[:3] = np.stack([self.right, self.down, -self.axis, *(-self.distance * across)], -1)
+        slopes[3, 3] = slopes[4, 4] = 1.0
+        return slopes
+
     def moved(self, change: Float[np.ndarray, "5"]) -> tuple[np.ndarray, np.ndarray]:
         """Tip and axis after a change."""
         axis = self.axis + change[3] * self.first + change[4] * self.second

@@ -20,6 +20,7 @@ from estimator.files import (
 )
 from estimator.image import Spot
 from estimator.pixels.beam import BeamLight, Sweep
+from estimator.pixels.robot import RobotPose
 from estimator.pixels.solver import Direction
 from estimator.pixels.tracker import PoseTracker
 from optics import InputError
@@ -77,6 +78,7 @@ class PixelRanger:
         axis: Any = None,
         axis_sigma_rad: float = math.radians(1.0),
         sweep: Sweep | None = None,
+        robot: RobotPose | None = None,
     ) -> Range:
         """The pose in the next frame.
 
@@ -86,11 +88,12 @@ class PixelRanger:
             axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame.
             axis_sigma_rad: standard deviation of the axis across itself.
             sweep: motion during the exposure, from the robot; None if unknown.
+            robot: where the robot says the tool is; None if it does not.
         """
         direction = None if axis is None else Direction(np.asarray(axis), axis_sigma_rad)
         # Several threads would wait for each other longer than they work on matrices of this size.
         with self._libraries.limit(limits=1, user_api="blas"):
-            return self._tracker.read(frame, spot, direction, sweep)
+            return self._tracker.read(frame, spot, direction, sweep, robot)
 
 
 def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:

@@ -13,6 +13,7 @@ variance would forget that the errors of map and poses hang together, and drift.
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from scipy.linalg import cho_factor, cho_solve, lapack
 
 from estimator.pixels.beam import POSE, BeamLight, Pose, Sweep
 from estimator.pixels.cells import COUNT, CellLight, Window
+from estimator.pixels.robot import Motion, RobotPose, motion_between
 from estimator.pixels.texture import Texture
 
 GAIN, AMBIENT, SLANT, BLUR = POSE, POSE + 1, slice(POSE + 2, POSE + 4), POSE + 4
@@ -85,6 +87,7 @@ class FrameState:
         direction: of the beam by the robot, or None.
         ambient_prior: mean and standard deviation of `log_ambient`.
         sweep: motion during the exposure.
+        robot: where the robot says the tool is.
         slant: growth of the ambient light to the right and downwards.
         blur_px2: variance of the image's blur.
         grain: how the map that is known grows to the right and downwards, 1/px; None if no map is.
@@ -99,6 +102,7 @@ class FrameState:
     direction: Direction | None
     ambient_prior: tuple[float, float]
     sweep: Sweep | None = None
+    robot: RobotPose | None = None
     slant: tuple[float, float] = (0.0, 0.0)
     blur_px2: float = 0.0
     grain: Float[np.ndarray, "2 n"] | None = None
@@ -365,6 +369,12 @@ class Solver:
             mine = slice(OWN * k, OWN * (k + 1))
             hessian[mine, mine] += precision
             gradient[mine] += pull - precision @ gone[mine]
+        for k, motion in _motions(frames, gone):
+            slopes = np.concatenate([motion.first_slopes, motion.slopes], axis=1)
+            weighted = slopes.T * motion.weight
+            at = np.r_[:POSE, OWN * k : OWN * k + POSE]
+            hessian[np.ix_(at, at)] += weighted @ slopes
+            gradient[at] += weighted @ motion.rest
         hessian -= cross @ cho_solve(factor, cross.T)
         last = np.arange(size - len(own), size)
         hessian[last, last] += 1.0
@@ -391,6 +401,7 @@ class Solver:
             here = gone[OWN * k : OWN * (k + 1)]
             precision, pull = _prior(frame)
             cost += float(here @ precision @ here - 2.0 * pull @ here) + _prior_cost(frame)
+        cost += sum(motion.cost for _, motion in _motions(frames, gone))
         return float(cost + own @ own)
 
     def _moved(self, frame: FrameState, change: np.ndarray) -> FrameState | None:
@@ -438,6 +449,15 @@ def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:
 
 def _map(lines: list[Linear], factor: tuple[np.ndarray, bool]) -> np.ndarray:
     return cho_solve(factor, np.sum([line.weight * line.residual for line in lines], axis=0))
+
+
+def _motions(frames: list[FrameState], gone: np.ndarray) -> Iterator[tuple[int, Motion]]:
+    """What the robot says of later frames and the first one, after changes of their states."""
+    first = frames[0]
+    for k, frame in enumerate(frames[1:], 1):
+        motion = motion_between((first.pose, first.robot), (frame.pose, frame.robot))
+        if motion is not None:
+            yield k, motion.after(gone[OWN * k : OWN * k + POSE], gone[:POSE])
 
 
 def _prior(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:

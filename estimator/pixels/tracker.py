@@ -22,6 +22,7 @@ from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.drift import drift_covariance
 from estimator.pixels.mix import Mix, evener_mix, plain_mix
 from estimator.pixels.registration import registered
+from estimator.pixels.robot import RobotPose
 from estimator.pixels.solver import OWN, Direction, FrameState, Linear, Solution, Solver
 from estimator.pixels.starts import likely_directions, scanned_starts
 from estimator.pixels.texture import Texture, texture_of
@@ -108,6 +109,11 @@ class _Belief:
         middle = self.solver.window.middle_px
         return frame.cells.motion.image_px(middle) - middle
 
+    @property
+    def drifted_px(self) -> float:
+        """Length of the newest frame's drift."""
+        return math.hypot(*self.drift(self.newest))
+
     def differs(self, other: _Belief) -> bool:
         """Whether the newest pose is another one."""
         mine, its = self.newest.pose, other.newest.pose
@@ -142,6 +148,7 @@ class PoseTracker:
         spot: Spot,
         direction: Direction | None = None,
         sweep: Sweep | None = None,
+        robot: RobotPose | None = None,
     ) -> Range:
         """The pose in the next frame, or why there is none.
 
@@ -150,23 +157,23 @@ class PoseTracker:
             spot: from `measure`.
             direction: of the beam, from the robot.
             sweep: motion during the exposure, from the robot; None if unknown.
+            robot: where the robot says the tool is; None if it does not.
         """
         channels = self.noise.channels(image)
         usable = np.all(image < self.noise.full_scale, axis=-1)
         flag, wall = RangeFlag.NOT_CONVERGED, WallMemory.NEW
         if self._beliefs:
-            self._follow(channels, usable, spot, sweep)
+            self._follow(channels, usable, spot, sweep, robot)
             flag = self._flag()
             best = self._beliefs[0]
-            drift = math.hypot(*(self._drift + best.drift(best.newest)))
-            wall = WallMemory.MOVED if drift > _DRIFTED_PX else WallMemory.KNOWN
+            wall = WallMemory.MOVED if best.drifted_px > _DRIFTED_PX else WallMemory.KNOWN
             if flag is RangeFlag.NONE and best.surprise > _SURPRISE:
                 flag = RangeFlag.MISFIT  # of the wall that was learnt
         if flag is not RangeFlag.NONE:
             # Where the past does not explain the frame, it may be wrong.
             wall = WallMemory.DROPPED if self._beliefs else WallMemory.NEW
             self.forget()
-            self._begin(channels, usable, spot, direction, sweep)
+            self._begin(channels, usable, spot, direction, sweep, robot)
             flag = self._flag()
         if flag is not RangeFlag.NONE:
             self.forget()
@@ -195,6 +202,7 @@ class PoseTracker:
         spot: Spot,
         direction: Direction | None,
         sweep: Sweep | None,
+        robot: RobotPose | None,
     ) -> None:
         """Explain a frame by itself."""
         window = Window.around(np.array([spot.x_px, spot.y_px]), _reach(spot))
@@ -204,7 +212,7 @@ class PoseTracker:
         own = np.zeros(self.beam.spread.shape[1])
         starts = scanned_starts(
             solver,
-            lambda pose: FrameState(cells, pose, 0.0, 0.0, direction, _AMBIENT, sweep),
+            lambda pose: FrameState(cells, pose, 0.0, 0.0, direction, _AMBIENT, sweep, robot),
             spot,
             own,
             likely_directions(self.beam, spot, direction),
@@ -243,6 +251,7 @@ class PoseTracker:
         usable: Bool[np.ndarray, "h w"],
         spot: Spot,
         sweep: Sweep | None,
+        robot: RobotPose | None,
     ) -> None:
         """Explain a frame together with earlier ones."""
         assert self._mix is not None
@@ -268,6 +277,8 @@ class PoseTracker:
                 start,
                 grain=solver.grain([line for _, line in kept]),
                 shift_sigma=_STAYS_PX + belief.shake_px,
+                # Where the microscope drifts, the eye frame moves against the robot.
+                robot=robot if belief.drifted_px < _DRIFTED_PX else None,
             )
             found, surprise = _wherever(solver, kept, start, own, cells)
             followed.append(
@@ -408,15 +419,11 @@ def _range(
     pose = solution.frames[-1].pose
     covariance = solution.covariance[at : at + POSE, at : at + POSE] + doubt
     across = np.stack([pose.first, pose.second])
-    # The tip moves with the spot, along the axis, and with the turns about the spot.
-    slopes = np.zeros((POSE, POSE))
-    slopes[:3] = np.stack([pose.right, pose.down, -pose.axis, *(-pose.distance * across)], axis=-1)
-    slopes[3, 3] = slopes[4, 4] = 1.0
     found = TipPose(
         tip_mm=np.asarray(pose.tip),
         axis=np.asarray(pose.axis),
         distance_mm=float(pose.distance),
-        covariance=slopes @ covariance @ slopes.T,
+        covariance=pose.slopes @ covariance @ pose.slopes.T,
         across=across,
     )
     return Range(

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _NO_POSES = PoseTrack(())
 _SPAN_S = 0.05
 """Of the poses that a velocity is taken from: ten of the rig's, half of a frame."""
+_ROBOT_MM = 0.005  # standard deviation of a place by the robot, against another one
 
 
 class Reading(NamedTuple):
@@ -94,6 +95,7 @@ class Reader:
         self._exposure_s = exposure_s
         self._eye_from_robot = eye_from_robot
         self._axis_sigma_rad = math.radians((stated or Stated()).axis_sigma_deg)
+        self._clock_sigma_s = (stated or Stated()).clock_sigma_s
         self._budgets = Budgets(ranger, stated or Stated()) if ranger else None
         self._pixel_ranger = pixel_ranger
         self._state = TrackState(at_px=start)
@@ -204,9 +206,9 @@ class Reader:
         times: tuple[float, float],
     ) -> Range:
         """The pose by all pixels; `times` are the frame's and its exposure, s."""
-        from estimator.pixels import NODES, Sweep
+        from estimator.pixels import NODES, RobotPose, Sweep
 
-        axis = sweep = None
+        axis = sweep = robot = None
         if self._eye_from_robot is not None and pose is not None:
             axis = self._beam_axis(pose, ranger.calibration)
             places = [poses.interpolated(times[0] + node * times[1]) for node in (0.0, *NODES)]
@@ -216,8 +218,15 @@ class Reader:
                 tips = np.array([turned(place.position_mm, turn) for place in known])
                 axes = np.stack([self._beam_axis(place, ranger.calibration) for place in known])
                 sweep = Sweep(tips[1:] - tips[0], axes[1:] - axes[0])
+                speed = math.hypot(*self._motion(pose, poses, 0.0).velocity_mm_s)
+                robot = RobotPose(tips[0], axes[0], _ROBOT_MM + speed * self._clock_sigma_s)
         return ranger.distance(
-            spot, frame=image, axis=axis, axis_sigma_rad=self._axis_sigma_rad, sweep=sweep
+            spot,
+            frame=image,
+            axis=axis,
+            axis_sigma_rad=self._axis_sigma_rad,
+            sweep=sweep,
+            robot=robot,
         )
 
     def _beam_axis(self, pose: Pose, calibration: Calibration) -> np.ndarray:

@@ -1,0 +1,65 @@
+"""Small rendered stacks of a known cone for tests of the mode pixels, and what it reads in them."""
+
+from pathlib import Path
+
+import numpy as np
+
+from estimator.files import Calibration, read_poses, write_calibration
+from estimator.run import Options
+from estimator.sources import open_source
+from scenes import Scene, render_stack
+
+
+def cone_stack(folder: Path, **tables):
+    """A withdrawal from printed paper, with tables of the scene replaced."""
+    scene = {
+        "schema": 1,
+        "seed": 11,
+        "phantom": {"wall": "printed paper", "texture_seed": 4},
+        "instrument": {"visible": False},
+        "source": {"kind": "cone"},
+        "spot": {"eccentricity_mm": 1.5, "incidence_deg": 20.0},
+        "microscope": {"width_px": 360, "height_px": 300},
+        "motion": {"start_mm": 2.0, "travel_mm": 0.9, "frames": 6, "speed_mm_s": 1.0},
+        "exposures": {"kinds": ["metered"]},
+    }
+    return render_stack(Scene.model_validate(scene | tables), folder)
+
+
+def _reader(stack, folder: Path):
+    values = {"k": 20.0, "b": -5.117}
+    calibration = Calibration(
+        model="planar",
+        values=values,
+        covariance=np.diag([1e-8, 1e-10]),
+        medium="air",
+        medium_index=1.0,
+        fitted_on="the cone that was rendered",
+        data_sha256="0" * 64,
+        software="a test",
+    )
+    write_calibration(folder / "cone.json", calibration)
+    return Options.of(
+        {
+            "mode": "pixels",
+            "calibration": folder / "cone.json",
+            "microscope": stack.folder / "microscope.json",
+            "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
+        }
+    ).reader()
+
+
+def readings_of(stack, folder: Path, poses=None):
+    """What the wall was known as, the distance's error and chi squared of the pose, by frame."""
+    reader = _reader(stack, folder)
+    poses = poses or read_poses(stack.folder / "kinematics.csv")
+    for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
+        found = reader.read(
+            frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
+        ).range
+        assert found is not None
+        (pose,) = found.poses
+        turns = pose.across @ (pose.axis - np.array(labels.axis))
+        off = np.concatenate([pose.tip_mm - np.array(labels.tip_mm), turns])
+        chi_squared = off @ np.linalg.solve(pose.covariance, off)
+        yield found.wall, found.distance_mm - labels.d_mm, chi_squared
