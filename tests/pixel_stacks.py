@@ -26,23 +26,31 @@ def cone_stack(folder: Path, **tables):
     return render_stack(Scene.model_validate(scene | tables), folder)
 
 
-def _reader(stack, folder: Path):
+def calibration_in(folder: Path) -> Path:
+    """The calibration file of the cone that is rendered."""
     values = {"k": 20.0, "b": -5.117}
-    calibration = Calibration(
-        model="planar",
-        values=values,
-        covariance=np.diag([1e-8, 1e-10]),
-        medium="air",
-        medium_index=1.0,
-        fitted_on="the cone that was rendered",
-        data_sha256="0" * 64,
-        software="a test",
+    path = folder / "cone.json"
+    write_calibration(
+        path,
+        Calibration(
+            model="planar",
+            values=values,
+            covariance=np.diag([1e-8, 1e-10]),
+            medium="air",
+            medium_index=1.0,
+            fitted_on="the cone that was rendered",
+            data_sha256="0" * 64,
+            software="a test",
+        ),
     )
-    write_calibration(folder / "cone.json", calibration)
+    return path
+
+
+def _reader(stack, folder: Path):
     return Options.of(
         {
             "mode": "pixels",
-            "calibration": folder / "cone.json",
+            "calibration": calibration_in(folder),
             "microscope": stack.folder / "microscope.json",
             "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
         }

@@ -54,6 +54,8 @@ def test_a_robot_that_moves_as_the_beam_says_nothing_new_and_slopes_are_differen
     for k, change in enumerate(step * np.eye(5)):
         later = motion_between((pose_0, robot_0), (_moved(pose, change), robot))
         first = motion_between((_moved(pose_0, change), robot_0), (pose, robot))
+        assert later is not None
+        assert first is not None
         # Of second order in the step.
         np.testing.assert_allclose(-later.rest / step, motion.slopes[:, k], atol=1e-4)
         np.testing.assert_allclose(-first.rest / step, motion.first_slopes[:, k], atol=1e-4)

@@ -5,6 +5,7 @@ cells    The light of a frame on a lattice of square cells
 drift    What a drift of the microscope would do to a pose
 mix      The mixture of a camera's channels in which the wall is most even
 ranger   Distances and poses, for a calibration and a microscope file
+reference  What an image of the wall without the spot says of the wall
 registration  Where the wall's map lies in a frame in which the wall has moved
 robot    How the tool has moved from the first frame to another one, as the robot says it
 solver   Poses of some frames by Gauss-Newton, with the wall's texture eliminated

@@ -20,6 +20,7 @@ from estimator.files import (
 )
 from estimator.image import Spot
 from estimator.pixels.beam import BeamLight, Sweep
+from estimator.pixels.reference import Reference
 from estimator.pixels.robot import RobotPose
 from estimator.pixels.solver import Direction
 from estimator.pixels.tracker import PoseTracker
@@ -37,6 +38,7 @@ class PixelRanger:
     Args:
         calibration: of a cone or a lens; its standard errors count.
         microscope: with the camera's noise.
+        reference: image of the wall without the spot, H x W x 3; None if there is none.
 
     Raises:
         InputError: the microscope file lacks the camera's noise or has what the mode does not
@@ -45,7 +47,12 @@ class PixelRanger:
 
     model = "pixels"
 
-    def __init__(self, calibration: Calibration, microscope: MicroscopeFile) -> None:
+    def __init__(
+        self,
+        calibration: Calibration,
+        microscope: MicroscopeFile,
+        reference: np.ndarray | None = None,
+    ) -> None:
         if microscope.noise is None:
             raise InputError(
                 "the mode pixels needs the camera's noise, which the microscope file lacks. "
@@ -63,7 +70,9 @@ class PixelRanger:
         source, spread = _lens(calibration, view) if lens else _cone(calibration)
         self._libraries = ThreadpoolController()
         self._tracker = PoseTracker(
-            BeamLight(source, view, spread, sharp=not lens), microscope.noise
+            BeamLight(source, view, spread, sharp=not lens),
+            microscope.noise,
+            None if reference is None else Reference(reference, microscope.noise),
         )
 
     def forget(self) -> None:

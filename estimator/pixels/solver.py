@@ -13,7 +13,7 @@ variance would forget that the errors of map and poses hang together, and drift.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -172,30 +172,43 @@ class Solver:
         beam: the light of the beam.
         window: the lattice.
         texture: of the wall.
+        reference: what an image without the spot says of a window's cells: information, and its
+            product with the best guess of their log reflectance; None without such an image.
     """
 
-    def __init__(self, beam: BeamLight, window: Window, texture: Texture) -> None:
+    def __init__(
+        self,
+        beam: BeamLight,
+        window: Window,
+        texture: Texture,
+        reference: Callable[[Window], tuple[np.ndarray, np.ndarray]] | None = None,
+    ) -> None:
         self.beam, self.window, self.texture = beam, window, texture
+        self._reference = reference
         kept = functools.lru_cache(maxsize=_LATTICES)
         self.lattice = kept(functools.partial(beam.lattice, window))
         self.side_mm = window.side * beam.scale_mm_px
         covariance = texture.covariance(COUNT, self.side_mm)
         self._roughly = float(np.sum(texture.variances))
         self._precision = cho_solve(cho_factor(covariance, lower=True), np.eye(COUNT**2))
+        self._pull = np.zeros(COUNT**2)
+        if reference is not None:
+            information, self._pull = reference(window)
+            self._precision += information
 
     def at(self, window: Window) -> Solver:
         """The solver of another window on the same wall."""
-        return Solver(self.beam, window, self.texture)
+        return Solver(self.beam, window, self.texture, self._reference)
 
     def known(self, lines: list[Linear]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Log reflectance of the cells by frames, and its variance."""
         factor = self._factor(lines)
         inverse, _ = lapack.dpotri(factor[0], lower=True)
-        return _map(lines, factor), np.diag(inverse).copy()
+        return self._map(lines, factor), np.diag(inverse).copy()
 
     def grain(self, lines: list[Linear]) -> Float[np.ndarray, "2 n"]:
         """How the log reflectance by frames grows to the right and downwards, 1/px."""
-        texture_map = _map(lines, self._factor(lines)).reshape(COUNT, COUNT)
+        texture_map = self._map(lines, self._factor(lines)).reshape(COUNT, COUNT)
         down, right = np.gradient(texture_map, self.window.side)
         return np.stack([right.ravel(), down.ravel()])
 
@@ -267,7 +280,7 @@ class Solver:
             own=own,
             covariance=_inverse(hessian),
             cost=cost,
-            texture_map=_map(lines, factor),
+            texture_map=self._map(lines, factor),
             factor=factor,
             converged=converged,
         )
@@ -357,7 +370,7 @@ class Solver:
         factor = self._factor(lines)
         cross = np.zeros((size, COUNT**2))
         hessian, gradient = np.zeros((size, size)), np.zeros(size)
-        texture_map = _map(lines, factor)
+        texture_map = self._map(lines, factor)
         for k, (frame, line) in enumerate(zip(frames, lines, strict=True)):
             at = np.r_[OWN * k : OWN * (k + 1), size - len(own) : size]
             slopes = np.concatenate([line.slopes, line.shared])
@@ -381,6 +394,13 @@ class Solver:
         gradient[last] -= own
         return hessian, gradient, self._cost(frames, lines, own, gone, factor), factor
 
+    def _map(self, lines: list[Linear], factor: tuple[np.ndarray, bool]) -> np.ndarray:
+        """Log reflectance of the cells by frames."""
+        return cho_solve(factor, self._weighted(lines))
+
+    def _weighted(self, lines: list[Linear]) -> np.ndarray:
+        return self._pull + np.sum([line.weight * line.residual for line in lines], axis=0)
+
     def _factor(self, lines: list[Linear]) -> tuple[np.ndarray, bool]:
         """Cholesky factor of the precision of the map by frames."""
         weight = np.sum([line.weight for line in lines], axis=0)
@@ -394,7 +414,7 @@ class Solver:
         gone: np.ndarray,
         factor: tuple[np.ndarray, bool],
     ) -> float:
-        weighted = np.sum([line.weight * line.residual for line in lines], axis=0)
+        weighted = self._weighted(lines)
         cost = float(sum(line.weight @ np.square(line.residual) for line in lines))
         cost -= float(weighted @ cho_solve(factor, weighted))
         for k, frame in enumerate(frames):
@@ -445,10 +465,6 @@ def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:
     own = step[OWN * k : OWN * (k + 1)]
     shared = step[size - len(line.shared) :]
     return line._replace(residual=line.residual - own @ line.slopes - shared @ line.shared)
-
-
-def _map(lines: list[Linear], factor: tuple[np.ndarray, bool]) -> np.ndarray:
-    return cho_solve(factor, np.sum([line.weight * line.residual for line in lines], axis=0))
 
 
 def _motions(frames: list[FrameState], gone: np.ndarray) -> Iterator[tuple[int, Motion]]:

@@ -7,6 +7,7 @@ forgets its beginning drifts.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from estimator.pixels.beam import POSE, BeamLight, Sweep
 from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.drift import drift_covariance
 from estimator.pixels.mix import Mix, evener_mix, plain_mix
+from estimator.pixels.reference import Reference
 from estimator.pixels.registration import registered
 from estimator.pixels.robot import RobotPose
 from estimator.pixels.solver import OWN, Direction, FrameState, Linear, Solution, Solver
@@ -128,10 +130,14 @@ class PoseTracker:
     Args:
         beam: its light.
         noise: of the camera.
+        reference: the wall without the spot; None if there is no image of it.
     """
 
-    def __init__(self, beam: BeamLight, noise: CameraNoise) -> None:
+    def __init__(
+        self, beam: BeamLight, noise: CameraNoise, reference: Reference | None = None
+    ) -> None:
         self.beam, self.noise = beam, noise
+        self._reference = reference
         self._beliefs: list[_Belief] = []
         self._mix: Mix | None = None
         self._drift = np.zeros(2)  # of the view, px, by the maps that were forgotten
@@ -172,9 +178,17 @@ class PoseTracker:
         if flag is not RangeFlag.NONE:
             # Where the past does not explain the frame, it may be wrong.
             wall = WallMemory.DROPPED if self._beliefs else WallMemory.NEW
+            if self._beliefs:
+                self._reference = None  # nor does it
             self.forget()
             self._begin(channels, usable, spot, direction, sweep, robot)
             flag = self._flag()
+            if self._reference is not None:
+                wall = WallMemory.KNOWN
+                if flag is not RangeFlag.NONE or self._beliefs[0].surprise > _SURPRISE:
+                    self._reference, wall = None, WallMemory.DROPPED
+                    self._begin(channels, usable, spot, direction, sweep, robot)
+                    flag = self._flag()
         if flag is not RangeFlag.NONE:
             self.forget()
             return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=flag, wall=wall)
@@ -208,7 +222,7 @@ class PoseTracker:
         window = Window.around(np.array([spot.x_px, spot.y_px]), _reach(spot))
         mix = plain_mix(channels, spot)
         cells = self._cells(channels, usable, mix)
-        solver = Solver(self.beam, window, Texture.usual())
+        solver = Solver(self.beam, window, Texture.usual(), self._known(mix))
         own = np.zeros(self.beam.spread.shape[1])
         starts = scanned_starts(
             solver,
@@ -236,7 +250,7 @@ class PoseTracker:
         texture = texture_of(
             line.residual, line.weight, line.slopes, count=COUNT, side_mm=solver.side_mm
         )
-        solver = Solver(self.beam, window, texture)
+        solver = Solver(self.beam, window, texture, self._known(mix))
         again = [_robust(solver, [], one.frames[0], own) for one in found]
         self._beliefs = _distinct(
             [
@@ -244,6 +258,11 @@ class PoseTracker:
                 for one, surprise in again
             ]
         )
+
+    def _known(self, mix: Mix) -> Callable[[Window], tuple[np.ndarray, np.ndarray]] | None:
+        """What the reference says of the wall in a mixture of channels."""
+        reference = self._reference
+        return None if reference is None else functools.partial(reference.known, mix=mix)
 
     def _follow(
         self,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, get_type_hints
 
+import numpy as np
 import typer
 from pydantic import (
     BaseModel,
@@ -145,6 +146,11 @@ class Options(BaseModel):
         )
     )
 
+    reference: Annotated[Path | None, _Text("FILE")] = Field(
+        None,
+        description="Image of the same wall by the same camera with the beam switched off: the "
+        "mode pixels then knows the wall before it sees the spot.",
+    )
     stated: Annotated[Path | None, _Text("FILE")] = Field(
         None,
         description="Stated uncertainties (TOML) of eye radius, pinhole, touch, axis and clocks, "
@@ -188,6 +194,11 @@ class Options(BaseModel):
                 raise InputError(f"{name} has no effect without {other}. Give both, or neither.")
         microscope, ranger = self.microscope_file(), None
         settings = self._settings(microscope)
+        if self.reference is not None and self.mode != "pixels":
+            raise InputError(
+                f"reference has no effect in the mode {self.mode}. Leave it out, or take the mode "
+                "pixels."
+            )
         if self.mode == "pixels":
             return self._pixels_reader(settings, microscope)
         if self.calibration is not None and microscope is not None:
@@ -235,8 +246,25 @@ class Options(BaseModel):
             exposure_s=self.exposure_s,
             eye_from_robot=self.eye_from_robot,
             stated=read_stated(self.stated) if self.stated else None,
-            pixel_ranger=PixelRanger(read_calibration(self.calibration), microscope),
+            pixel_ranger=PixelRanger(
+                read_calibration(self.calibration), microscope, self._reference_image(microscope)
+            ),
         )
+
+    def _reference_image(self, microscope: MicroscopeFile) -> np.ndarray | None:
+        from estimator.sources import open_source
+
+        if self.reference is None:
+            return None
+        image = next(iter(open_source(self.reference))).image
+        size = (microscope.width_px, microscope.height_px)
+        if image.shape[1::-1] != size:
+            width, height = image.shape[1::-1]
+            raise InputError(
+                f"{self.reference} is {width}x{height} px, but the microscope file is made for "
+                f"{size[0]}x{size[1]} px. Take the reference with the same camera settings."
+            )
+        return image
 
     def microscope_file(self) -> MicroscopeFile | None:
         """Read the microscope file; None if none is given.
