@@ -15,6 +15,9 @@ load               Long measurements: `eyespot track` of many frames, and a `Rea
                    camera's pace
 output             Tables and sentences on the terminal, processor times, and memory
 photon_fit         Accuracy of a lens fitted through its own glass, with Mitsuba behind JAX
+pixel_adverse      The mode pixels where beams, walls and cameras are not as it believes
+pixel_coverage     Whether the stated errors of the mode pixels hold, on many single frames
+pixel_frames       Rendered stacks of a drawn scene, read in the mode pixels
 pixel_pose         Accuracy and stated errors of the mode pixels on rendered stacks
 render_efficiency  Noise and time of a rendered spot, compared with common ways to render it
 render_speed       Time of a labelled frame, from the scene to files on disk

@@ -18,6 +18,7 @@ MAKE_BENCH = (
     "image_fit",
     "frame_pose",
     "pixel_pose",
+    "pixel_adverse",
     "study_speed",
     "viewing_speed",
     "dataset_speed",
@@ -49,7 +50,7 @@ def main(
         typer.Option(
             "--full",
             help="Use more or larger frames in render_speed, estimator.accuracy, image_fit, "
-            "pixel_pose, load, estimator.stated_errors.",
+            "pixel_pose, pixel_adverse, load, estimator.stated_errors.",
         ),
     ] = False,
     seed: Annotated[

@@ -1,0 +1,104 @@
+"""The mode pixels where the world is not as it believes: beams, walls, cameras, other tools.
+
+Each row is a few stacks on printed paper and on a drawn retina (`pixel_frames`). A pose that is
+far off and not doubtful is a silent error; frames that the sub-pixel mode measures should be
+measured here too.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from benchmarks.bench.output import show, table
+from benchmarks.bench.pixel_frames import Circumstances, Reading, readings_of
+from benchmarks.evaluation import rms
+from scenes import load_mitsuba
+
+_FRAMES = 8
+_BEAMS, _WALLS = ("cone", "dome, vitreous"), ("printed paper", "retina")
+_WIDTH = 150  # characters of the table
+_SILENT = 36.0
+"""Chi squared of five numbers, above which a pose is silently wrong: once in a million."""
+
+
+@dataclass(frozen=True)
+class _Adverse:
+    """A row: what is unlike the other benches."""
+
+    tables: dict[str, dict[str, Any]] = field(default_factory=dict)
+    sigmas: dict[str, float] = field(default_factory=dict)
+
+
+_ROWS = {
+    "as it should be": _Adverse(),
+    "beam known to 0.5 %": _Adverse(
+        sigmas={"numerical_aperture": 0.005, "sag": 0.005, "k": 0.005, "b": 0.005}
+    ),
+    "shake 1 px, power 5 %": _Adverse({"unrest": {"shake_px": 1.0, "power_swing": 0.05}}),
+    "eye turns, 5°/s": _Adverse({"unrest": {"rotation_deg_s": (4.0, 3.0, 0.0)}}),
+    "microscope drifts, 0.7 mm/s": _Adverse({"unrest": {"drift_mm_s": (0.6, 0.3)}}),
+    "wet wall": _Adverse({"phantom": {"coat": "wet"}}),
+    "defocus, 0.5 mm at NA 0.05": _Adverse(
+        {"microscope": {"numerical_aperture": 0.05, "focus_mm": 0.5, "samples": 64}}
+    ),
+    "Bayer": _Adverse({"camera": {"bayer": "RGGB"}}),
+    "JPEG 90": _Adverse({"camera": {"jpeg_quality": 90}}),
+    "instrument in view": _Adverse({"instrument": {"visible": True}}),
+    "a second tool": _Adverse({"second_tool": {"visible": True}}),
+}
+
+
+def run(*, full: bool) -> None:
+    """Render, read, and print the errors (`full` draws three times as many stacks)."""
+    load_mitsuba()
+    readings: dict[str, list[Reading]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, row in _ROWS.items():
+            rng, own = np.random.default_rng(7), readings.setdefault(name, [])  # the same draws
+            for number in range(3 if full else 1):
+                for beam in _BEAMS:
+                    for wall in _WALLS:
+                        motion = "hand" if number % 2 else "withdrawal"
+                        tables = _of_wall(row.tables, wall)
+                        what = Circumstances(beam, wall, motion, _FRAMES, tables, row.sigmas)
+                        own += readings_of(what, rng, Path(folder) / f"{name} {len(own)}")
+    show(_table(readings), width=_WIDTH)
+
+
+def _of_wall(tables: dict[str, dict[str, Any]], wall: str) -> dict[str, dict[str, Any]]:
+    """The tables, with the wall in the same one."""
+    more = {"phantom": {"wall": wall}}
+    return {name: own | more.get(name, {}) for name, own in tables.items()}
+
+
+def _table(readings: dict[str, list[Reading]]) -> Table:
+    made = table(
+        f"mode pixels, {len(_BEAMS)} beams on {len(_WALLS)} walls",
+        *("circumstance", "frames", "sub-pixel", "pixels", "doubtful", "wall moved / dropped"),
+        *("d RMS, µm", "median", "stated", "tip, µm", "axis, °", "chi²_5 / 5", "silently wrong"),
+        caption=f"silently wrong: chi squared of the pose above {_SILENT:g}; median, of |error|",
+    )
+    for name, some in readings.items():
+        posed = [one for one in some if one.posed]
+        made.add_row(
+            name,
+            f"{len(some)}",
+            f"{sum(one.found for one in some)}",
+            f"{len(posed)}",
+            f"{sum(bool(one.doubt) for one in some)}",
+            " / ".join(f"{sum(one.memory == m for one in some)}" for m in ("moved", "dropped")),
+            f"{1e3 * rms([one.distance_mm for one in posed]):.1f}",
+            f"{1e3 * np.median(np.abs([one.distance_mm for one in posed])):.1f}",
+            f"{1e3 * rms([one.sigma_mm for one in posed]):.1f}",
+            f"{1e3 * rms([one.tip_mm for one in posed]):.1f}",
+            f"{rms([one.axis_deg for one in posed]):.2f}",
+            f"{np.mean([one.mahalanobis for one in posed]) / 5:.2f}",
+            f"{sum(one.mahalanobis > _SILENT for one in posed)}",
+        )
+    return made

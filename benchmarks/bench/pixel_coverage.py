@@ -1,0 +1,109 @@
+"""Whether the stated errors of the mode pixels hold: many stacks of one frame, a draw each.
+
+    python -m benchmarks.bench.pixel_coverage FILE.jsonl 500
+
+A line of the file is a frame of one beam and one wall. What the file has is not measured again, so
+that a stopped run goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+from scipy.stats import binom, chi2
+
+from benchmarks.bench.output import show, table
+from benchmarks.bench.pixel_frames import BEAMS, WALLS, Circumstances, readings_of
+from scenes import load_mitsuba
+
+_SEED = 20261124
+_WIDTH = 150  # characters of the table
+_LEVELS = {1.0: 0.6827, 1.96: 0.95}
+_WRONG = 1e-4
+"""Over the number of frames: probability of a chi squared that no honest pose has."""
+
+
+def main(
+    file: Annotated[Path, typer.Argument(help="Lines of frames that were measured; grows.")],
+    stacks: Annotated[int, typer.Argument(min=1, help="Stacks on each wall, of all beams.")],
+) -> None:
+    """Render and read single frames, and print how many are within their stated errors."""
+    load_mitsuba()
+    done = _lines(file)
+    have = {(line["wall"], line["number"]) for line in done}
+    with file.open("a") as out:
+        for number in range(stacks):
+            for wall in WALLS:
+                if (wall, number) not in have:
+                    line = _measured(wall, number)
+                    out.write(json.dumps(line) + "\n")
+                    out.flush()
+                    done.append(line)
+    show(_table(done), width=_WIDTH)
+
+
+def _lines(file: Path) -> list[dict[str, Any]]:
+    if not file.exists():
+        return []
+    # A line that a kill cut off has no end.
+    whole = [line for line in file.read_text().splitlines(keepends=True) if line.endswith("\n")]
+    file.write_text("".join(whole))
+    return [json.loads(line) for line in whole]
+
+
+def _measured(wall: str, number: int) -> dict[str, Any]:
+    rng = np.random.default_rng([_SEED, WALLS.index(wall), number])
+    beam = list(BEAMS)[number % len(BEAMS)]
+    motion = "hand" if number % 2 else "withdrawal"
+    with tempfile.TemporaryDirectory() as folder:
+        what = Circumstances(beam, wall, motion, 2)
+        (first,) = islice(readings_of(what, rng, Path(folder) / "stack"), 1)
+    return first._asdict() | {"number": number}
+
+
+def _table(lines: list[dict[str, Any]]) -> Table:
+    made = table(
+        "first frames, one a stack: within the stated errors",
+        *("wall", "stacks", "with a pose", "d RMS, µm", "median", "d within 1 σ", "1.96 σ"),
+        *("chi²_5 within 68 %", "95 %", "largest", "wrong"),
+        caption="in brackets: 99 % limits of an honest estimator; wrong: chi squared beyond p = "
+        f"{_WRONG:g} over the number of frames",
+    )
+    for wall in WALLS:
+        some = [line for line in lines if line["wall"] == wall]
+        posed = [
+            one for one in some if one["distance_mm"] == one["distance_mm"] and not one["doubt"]
+        ]
+        if not posed:
+            continue
+        d, sigma = (np.array([one[key] for one in posed]) for key in ("distance_mm", "sigma_mm"))
+        pose = np.array([one["mahalanobis"] for one in posed])
+        limit = chi2.isf(_WRONG / len(posed), 5)
+        made.add_row(
+            wall,
+            f"{len(some)}",
+            f"{len(posed)}",
+            f"{1e3 * np.sqrt(np.mean(d**2)):.1f}",
+            f"{1e3 * np.median(np.abs(d)):.1f}",
+            *(_share(np.abs(d) < z * sigma, level) for z, level in _LEVELS.items()),
+            *(_share(pose < chi2.ppf(level, 5), level) for level in _LEVELS.values()),
+            f"{pose.max():.1f}",
+            f"{np.count_nonzero(pose > limit)}",
+        )
+    return made
+
+
+def _share(inside: np.ndarray, level: float) -> str:
+    low, high = 100 * binom.ppf([0.005, 0.995], len(inside), level) / len(inside)
+    return f"{100 * inside.mean():.0f} % [{low:.0f}-{high:.0f}]"
+
+
+if __name__ == "__main__":
+    typer.run(main)
