@@ -26,9 +26,8 @@ _SWEPT = 0.15
 """Way of the light between two of the positions that stand for a moving tip, over a cell's side. An
 edge that moves on by this much leaves a cell that it cuts wrong by a few hundredths of the step at
 most, and only if the cell is cut during a part of the exposure."""
-_POSITIONS_SHARP, _POSITIONS = 12, 6
-"""Most of these positions, for light with and without a sharp edge."""
-_FEWEST_POSITIONS = 3
+_POSITIONS_SHARP, _POSITIONS = (3, 6, 12), (3, 6)
+"""Numbers of these positions, for light with and without a sharp edge; each is compiled once."""
 _FLOOR_SHARP, _FLOOR = 5e-4, 2e-3
 """Relative errors of the light of a cone, in closed form, and of a lens, from a table."""
 _STILL_SHARP_PX, _STILL_PX = 0.1, 0.5  # way of the light that is not averaged
@@ -159,39 +158,31 @@ class BeamLight:
         Returns:
             The irradiance, its derivatives by pose and beam, and what the motion changed of it.
         """
-        from optics.wall_light import BeamFrame, irradiance_alone, irradiance_and_slopes
+        from optics.wall_light import BeamFrame, irradiance_along, irradiance_and_slopes
 
         given: dict[str, Any] = {"own": own, "spread": self.spread}
         both = irradiance_and_slopes(lattice, self.source, BeamFrame(*pose), **given)
         at_rest, slopes = map(np.asarray, both)
         value = at_rest
-        moved = [] if sweep is None else self._moved(pose, sweep, window)
-        if moved:
-            value = np.zeros_like(value)
-        for share, at in moved:
-            value += share * np.asarray(
-                irradiance_alone(lattice, self.source, BeamFrame(*at), **given)
-            )
+        if sweep is not None and (moved := self._moved(pose, sweep, window)) is not None:
+            value = np.asarray(irradiance_along(lattice, self.source, **moved, **given))
         return value, slopes, value - at_rest
 
-    def _moved(self, pose: Pose, sweep: Sweep, window: Window) -> list[tuple[float, Pose]]:
-        """Poses during the exposure with their shares of its light; none if the light rests."""
+    def _moved(self, pose: Pose, sweep: Sweep, window: Window) -> dict[str, np.ndarray] | None:
+        """Tips, axes and their shares of the exposure's light; None if the light rests."""
         ways = np.diff(sweep.tip + pose.distance * sweep.axis, axis=0)
         along = ways @ pose.axis
         across = np.linalg.norm(ways - along[:, None] * pose.axis, axis=1)
         swept_px = float(np.sum(across + _WIDENS * np.abs(along))) / self.scale_mm_px
         if swept_px < (_STILL_SHARP_PX if self.sharp else _STILL_PX):
-            return []
-        most = _POSITIONS_SHARP if self.sharp else _POSITIONS
-        count = max(math.ceil(swept_px / (_SWEPT * window.side)), _FEWEST_POSITIONS)
-        nodes, shares = _gauss(min(count, most))
+            return None
+        needed = math.ceil(swept_px / (_SWEPT * window.side))
+        counts = _POSITIONS_SHARP if self.sharp else _POSITIONS
+        nodes, shares = _gauss(next((count for count in counts if count >= needed), counts[-1]))
         tips, axes = sweep.at(0.5 * nodes)
         axes += pose.axis
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        return [
-            (0.5 * share, pose._replace(tip=pose.tip + tip, axis=axis))
-            for share, tip, axis in zip(shares, tips, axes, strict=True)
-        ]
+        return {"tips": pose.tip + tips, "axes": axes, "shares": 0.5 * shares}
 
     def irradiance_alone(
         self, lattice: Lattice, pose: Pose, own: Float[np.ndarray, "q"]

@@ -144,7 +144,7 @@ class Solution:
     def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "12"]:
         """How the newest frame's states move if the log light of all frames' cells changes."""
         weighted = [line.weight * more for line, more in zip(self.linear, changes, strict=True)]
-        texture_map = cho_solve(self.factor, np.sum(weighted, axis=0))
+        texture_map = _solved(self.factor, np.sum(weighted, axis=0))
         pulls, shared = [], np.zeros(len(self.own))
         for line, pull in zip(self.linear, weighted, strict=True):
             rest = pull - line.weight * texture_map
@@ -206,10 +206,9 @@ class Solver:
         inverse, _ = lapack.dpotri(factor[0], lower=True)
         return self._map(lines, factor), np.diag(inverse).copy()
 
-    def grain(self, lines: list[Linear]) -> Float[np.ndarray, "2 n"]:
-        """How the log reflectance by frames grows to the right and downwards, 1/px."""
-        texture_map = self._map(lines, self._factor(lines)).reshape(COUNT, COUNT)
-        down, right = np.gradient(texture_map, self.window.side)
+    def grain(self, texture_map: Float[np.ndarray, "n"]) -> Float[np.ndarray, "2 n"]:
+        """How a map of the cells grows to the right and downwards, 1/px."""
+        down, right = np.gradient(texture_map.reshape(COUNT, COUNT), self.window.side)
         return np.stack([right.ravel(), down.ravel()])
 
     def solve(
@@ -236,7 +235,8 @@ class Solver:
         gone, damping, converged = np.zeros(size), _LEAST_DAMPING, False
         lines = [line for _, line in kept]
         lines.append(self.linear(frame, own, trust=trust))
-        hessian, gradient, cost, factor = self._system(frames, lines, own, gone)
+        told = _motions(frames)
+        hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
         for _ in range(steps):
             inverse = _inverse(hessian, damping=damping)
             step = inverse @ gradient
@@ -254,7 +254,9 @@ class Solver:
                 trial.append(fresh._replace(weight=lines[-1].weight))
                 here = gone + step
                 here[OWN * newest : OWN * (newest + 1)] = 0.0
-                new_cost = self._cost([*frames[:-1], moved], trial, new_own, here, factor)
+                then = [*frames[:-1], moved]
+                new_told = [*told[:-1], *_motions([frames[0], moved])] if kept else told
+                new_cost = self._cost(then, trial, new_told, new_own, here, factor)
             if trial is None or not new_cost <= cost + 1e-9 * abs(cost):
                 if distance < _SMALL and damping <= _LEAST_DAMPING:
                     converged = True  # at the minimum, within what the derivatives are good for
@@ -266,8 +268,8 @@ class Solver:
             assert moved is not None
             frame, own, gone = moved, new_own, here
             damping = max(0.1 * damping, _LEAST_DAMPING)
-            frames[-1], lines = frame, [*trial[:-1], fresh]
-            hessian, gradient, cost, factor = self._system(frames, lines, own, gone)
+            frames[-1], lines, told = frame, [*trial[:-1], fresh], new_told
+            hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
             converged = distance < _SMALL
             if distance < _DONE:
                 break
@@ -363,7 +365,12 @@ class Solver:
         return np.where(usable, 1.0 / variance, 0.0)
 
     def _system(
-        self, frames: list[FrameState], lines: list[Linear], own: np.ndarray, gone: np.ndarray
+        self,
+        frames: list[FrameState],
+        lines: list[Linear],
+        told: list[Motion | None],
+        own: np.ndarray,
+        gone: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, float, tuple[np.ndarray, bool]]:
         """Hessian of all states, gradient downhill, cost, and the factor of the map's precision."""
         size = gone.size
@@ -382,21 +389,21 @@ class Solver:
             mine = slice(OWN * k, OWN * (k + 1))
             hessian[mine, mine] += precision
             gradient[mine] += pull - precision @ gone[mine]
-        for k, motion in _motions(frames, gone):
+        for k, motion in _motions_after(told, gone):
             slopes = np.concatenate([motion.first_slopes, motion.slopes], axis=1)
             weighted = slopes.T * motion.weight
             at = np.r_[:POSE, OWN * k : OWN * k + POSE]
             hessian[np.ix_(at, at)] += weighted @ slopes
             gradient[at] += weighted @ motion.rest
-        hessian -= cross @ cho_solve(factor, cross.T)
+        hessian -= cross @ _solved(factor, cross.T)
         last = np.arange(size - len(own), size)
         hessian[last, last] += 1.0
         gradient[last] -= own
-        return hessian, gradient, self._cost(frames, lines, own, gone, factor), factor
+        return hessian, gradient, self._cost(frames, lines, told, own, gone, factor), factor
 
     def _map(self, lines: list[Linear], factor: tuple[np.ndarray, bool]) -> np.ndarray:
         """Log reflectance of the cells by frames."""
-        return cho_solve(factor, self._weighted(lines))
+        return _solved(factor, self._weighted(lines))
 
     def _weighted(self, lines: list[Linear]) -> np.ndarray:
         return self._pull + np.sum([line.weight * line.residual for line in lines], axis=0)
@@ -404,24 +411,27 @@ class Solver:
     def _factor(self, lines: list[Linear]) -> tuple[np.ndarray, bool]:
         """Cholesky factor of the precision of the map by frames."""
         weight = np.sum([line.weight for line in lines], axis=0)
-        return cho_factor(self._precision + np.diag(weight), lower=True)
+        precision = self._precision.copy()
+        precision[np.diag_indices(COUNT**2)] += weight
+        return cho_factor(precision, lower=True, overwrite_a=True, check_finite=False)
 
     def _cost(
         self,
         frames: list[FrameState],
         lines: list[Linear],
+        told: list[Motion | None],
         own: np.ndarray,
         gone: np.ndarray,
         factor: tuple[np.ndarray, bool],
     ) -> float:
         weighted = self._weighted(lines)
         cost = float(sum(line.weight @ np.square(line.residual) for line in lines))
-        cost -= float(weighted @ cho_solve(factor, weighted))
+        cost -= float(weighted @ _solved(factor, weighted))
         for k, frame in enumerate(frames):
             here = gone[OWN * k : OWN * (k + 1)]
             precision, pull = _prior(frame)
             cost += float(here @ precision @ here - 2.0 * pull @ here) + _prior_cost(frame)
-        cost += sum(motion.cost for _, motion in _motions(frames, gone))
+        cost += sum(motion.cost for _, motion in _motions_after(told, gone))
         return float(cost + own @ own)
 
     def _moved(self, frame: FrameState, change: np.ndarray) -> FrameState | None:
@@ -460,6 +470,10 @@ def _inverse(hessian: np.ndarray, *, damping: float = 0.0) -> np.ndarray:
     return size[:, None] * np.linalg.pinv(scaled, hermitian=True) * size
 
 
+def _solved(factor: tuple[np.ndarray, bool], values: np.ndarray) -> np.ndarray:
+    return cho_solve(factor, values, check_finite=False)
+
+
 def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:
     """A linear model after a step of all states."""
     own = step[OWN * k : OWN * (k + 1)]
@@ -467,11 +481,15 @@ def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:
     return line._replace(residual=line.residual - own @ line.slopes - shared @ line.shared)
 
 
-def _motions(frames: list[FrameState], gone: np.ndarray) -> Iterator[tuple[int, Motion]]:
-    """What the robot says of later frames and the first one, after changes of their states."""
-    first = frames[0]
-    for k, frame in enumerate(frames[1:], 1):
-        motion = motion_between((first.pose, first.robot), (frame.pose, frame.robot))
+def _motions(frames: list[FrameState]) -> list[Motion | None]:
+    """What the robot says of the later frames and the first one."""
+    first, *later = frames
+    return [motion_between((first.pose, first.robot), (one.pose, one.robot)) for one in later]
+
+
+def _motions_after(told: list[Motion | None], gone: np.ndarray) -> Iterator[tuple[int, Motion]]:
+    """What the robot says, by the frame's number, after changes of the states."""
+    for k, motion in enumerate(told, 1):
         if motion is not None:
             yield k, motion.after(gone[OWN * k : OWN * k + POSE], gone[:POSE])
 

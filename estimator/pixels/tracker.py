@@ -285,16 +285,17 @@ class PoseTracker:
         for belief in self._beliefs:
             solver, kept, own = belief.solver, belief.kept, belief.solution.own
             motion = belief.expected_motion
-            on_map = motion.map_px(centre)
+            on_map, texture_map = motion.map_px(centre), belief.solution.texture_map
             held = 0.5 * COUNT * solver.window.side
             off = np.abs(on_map - solver.window.corner_px - held).max()
             if off > _CENTRED * held or abs(math.log(held / reach)) > _SIZED:
                 solver = solver.at(Window.around(on_map, reach))
                 kept = [(state, solver.linear(state, own)) for state, _ in kept]
+                texture_map, _ = solver.known([line for _, line in kept])
             start = self._start(belief.newest, solver, cells(motion), point, own, sweep)
             start = replace(
                 start,
-                grain=solver.grain([line for _, line in kept]),
+                grain=solver.grain(texture_map),
                 shift_sigma=_STAYS_PX + belief.shake_px,
                 # Where the microscope drifts, the eye frame moves against the robot.
                 robot=robot if belief.drifted_px < _DRIFTED_PX else None,

@@ -122,6 +122,38 @@ def irradiance_alone(
     return _light_of(lattice, source, beam, spread)(z)
 
 
+@eqx.filter_jit
+def irradiance_along(
+    lattice: Lattice,
+    source: Any,
+    *,
+    tips: Float[ArrayLike, "k 3"],
+    axes: Float[ArrayLike, "k 3"],
+    shares: Float[ArrayLike, "k"],
+    own: Float[ArrayLike, "q"],
+    spread: Float[ArrayLike, "p q"],
+) -> Float[Array, "n"]:
+    """The irradiance by a beam that moves, 1/mm²: the mean over places with their shares.
+
+    Args:
+        lattice: the wall.
+        source: as `irradiance_and_slopes` takes it.
+        tips: places of the tip, mm.
+        axes: unit vectors towards the wall.
+        shares: of each place in the light; their sum is 1.
+        own: changes of the beam's own parameters, in the terms of `spread`.
+        spread: as `irradiance_and_slopes` takes it.
+    """
+    changed = source.changed(jnp.asarray(spread) @ jnp.asarray(own))
+
+    def add(total: Array, place: tuple[Array, Array, Array]) -> tuple[Array, None]:
+        tip, axis, share = place
+        return total + share * lattice_irradiance(lattice, changed, tip=tip, axis=axis), None
+
+    places = jnp.asarray(tips), jnp.asarray(axes), jnp.asarray(shares)
+    return jax.lax.scan(add, jnp.zeros(lattice.area.shape), places)[0].ravel()
+
+
 def _light_of(
     lattice: Lattice,
     source: Any,
