@@ -66,7 +66,7 @@ class Camera(eqx.Module):
         shift = middle - jnp.array(offset) - self.project(point)
         return eqx.tree_at(lambda c: c.principal_point, self, self.principal_point + shift)
 
-    def _line_of_sight(
+    def line_of_sight(
         self, at_pole: Float[Array, "*batch 2"], slope: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
         """Point and unit direction of lines that cross the pole's height at (X, Y), mm.
@@ -149,7 +149,7 @@ class Microscope(Camera):
             jnp.asarray(pixels) - self.principal_point, self.distortion, self.inverse_focal
         )
         xy = offset * jnp.array([1.0, -1.0]) * self.scale
-        return self._line_of_sight(xy, self.inverse_working_distance * xy)
+        return self.line_of_sight(xy, self.inverse_working_distance * xy)
 
     def camera_matrix(self) -> Float[Array, "3 3"]:
         """OpenCV's matrix K for a camera at F that looks down (x right, y down, z away), px."""

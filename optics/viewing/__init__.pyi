@@ -16,6 +16,9 @@ from .path import back_focus as back_focus
 from .path import equivalent_power as equivalent_power
 from .path import lines_of_sight as lines_of_sight
 from .path import viewing_path as viewing_path
+from .pencil import Pencils as Pencils
+from .pencil import focal_depth as focal_depth
+from .pencil import pencils as pencils
 from .side_camera import SideCamera as SideCamera
 from .side_camera import bare_path as bare_path
 from .side_camera import side_camera as side_camera

@@ -5,14 +5,14 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, ScalarLike
 
 from optics import Camera, InputError, Surface, components
+from optics.viewing.chebyshev import chebyshev_nodes, series, series_and_slope
 from optics.viewing.path import ViewingPath, lines_of_sight
 from optics.viewing.trace import SEEN, VIGNETTED
 
-_TERMS = 28
+TERMS = 28  # of the Chebyshev series of a camera
 _NEWTON_STEPS = 8
 _SCAN = 400
 _WIDEST_AIM_MM = 14.0
@@ -61,12 +61,12 @@ class PathCamera(Camera):
     @property
     def magnification(self) -> Float[Array, ""]:
         """a(0), mm on the retina per mm of t; negative through a wide-field lens."""
-        return _series(self.crossing, -1.0)
+        return series(self.crossing, -1.0)
 
     @property
     def inverse_working_distance(self) -> Float[Array, ""]:
         """kappa of the paraxial pinhole inside the eye, b(0)/a(0), 1/mm."""
-        return _series(self.steepness, -1.0) / self.magnification
+        return series(self.steepness, -1.0) / self.magnification
 
     def field(self, surface: Surface) -> Float[Array, ""]:
         """Largest eccentricity c on a wall that the microscope sees, mm."""
@@ -92,11 +92,11 @@ class PathCamera(Camera):
         self, pixels: Float[ArrayLike, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
         """Line of sight of pixels inside the eye, as `Camera.ray` describes it."""
-        aim = self._aim(pixels)
+        aim = self.aim(pixels)
         # Without `keepdims`, as XLA does not vectorise a loop whose innermost length is 1.
-        place = self._place(jnp.sum(aim * aim, axis=-1))
-        crossing, steepness = _series(self.crossing, place), _series(self.steepness, place)
-        return self._line_of_sight(crossing[..., None] * aim, steepness[..., None] * aim)
+        place = self.place(jnp.sum(aim * aim, axis=-1))
+        crossing, steepness = series(self.crossing, place), series(self.steepness, place)
+        return self.line_of_sight(crossing[..., None] * aim, steepness[..., None] * aim)
 
     def sees(self, points: Float[ArrayLike, "*batch 3"]) -> Bool[Array, "*batch"]:
         """Whether points lie inside the field and the iris does not hide them."""
@@ -107,9 +107,9 @@ class PathCamera(Camera):
 
     def transmittance(self, pixels: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch"]:
         """Fraction of the light of pixels that passes the surfaces; 0 behind the iris."""
-        t2 = jnp.sum(jnp.square(self._aim(pixels)), axis=-1)
+        t2 = jnp.sum(jnp.square(self.aim(pixels)), axis=-1)
         visible = t2 <= jnp.minimum(self.widest, self.pupil) ** 2
-        return jnp.where(visible, _series(self.passing, self._place(t2)), 0.0)
+        return jnp.where(visible, series(self.passing, self.place(t2)), 0.0)
 
     def on_sensor_of(self, other: PathCamera) -> PathCamera:
         """This camera with the sensor of another: a line of sight's aim decides on its pixel.
@@ -126,13 +126,13 @@ class PathCamera(Camera):
         """Pixels per mm of t; negative if the image is turned upright."""
         return self.orientation * jnp.abs(self.magnification) / self.scale
 
-    def _aim(self, pixels: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch 2"]:
+    def aim(self, pixels: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Where lines of sight aim, (x, y), mm; their distance from the axis is t."""
         offset = (jnp.asarray(pixels) - self.principal_point) / self.px_per_aim
         return offset * jnp.array([1.0, -1.0])
 
-    def _place(self, t2: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-        """Argument of the series, in [-1, 1]; 1 outside the field."""
+    def place(self, t2: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """Argument of the series at aims whose distances from the axis have these squares."""
         return jnp.minimum(2.0 * t2 / self.widest**2 - 1.0, 1.0)
 
     def _aim_per_mm(
@@ -149,11 +149,11 @@ class PathCamera(Camera):
         growth = 4.0 * squared / self.widest**2
 
         def step(_: int, ratio: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-            value, derivative = _series_and_slope(terms, self._place(ratio**2 * squared))
+            value, derivative = series_and_slope(terms, self.place(ratio**2 * squared))
             residual = ratio * value - 1.0
             return ratio - residual / (value + growth * ratio**2 * derivative)
 
-        start = 1.0 / _series_and_slope(terms, -jnp.ones_like(above))[0]
+        start = 1.0 / series_and_slope(terms, -jnp.ones_like(above))[0]
         # Unrolled, the loop would take seconds to compile wherever it is used.
         return jax.lax.fori_loop(0, _NEWTON_STEPS, step, start)
 
@@ -181,7 +181,7 @@ def path_camera(path: ViewingPath, *, scale: ScalarLike, upright: bool = False) 
 @eqx.filter_jit
 def _camera(path: ViewingPath, scale: Float[Array, ""], upright: bool) -> PathCamera:
     widest, pupil = jax.lax.stop_gradient(_limits(path))
-    nodes, to_series = _chebyshev(_TERMS)
+    nodes, to_series = chebyshev_nodes(TERMS)
     t = widest * jnp.sqrt((nodes + 1.0) / 2.0)
     seen = lines_of_sight(path, t)
     a, b = to_series @ (seen.height / t), to_series @ (seen.slope / t)
@@ -194,7 +194,7 @@ def _camera(path: ViewingPath, scale: Float[Array, ""], upright: bool) -> PathCa
         passing=to_series @ seen.transmittance,
         widest=widest,
         pupil=pupil,
-        orientation=jnp.sign(_series(a, -1.0)) if upright else jnp.ones(()),
+        orientation=jnp.sign(series(a, -1.0)) if upright else jnp.ones(()),
     )
 
 
@@ -227,27 +227,3 @@ def _limits(path: ViewingPath) -> tuple[Float[Array, ""], Float[Array, ""]]:
     field = jnp.where(everywhere[0], _WIDEST_AIM_MM, low[0])
     pupil = jnp.where(everywhere[1], jnp.inf, low[1])
     return jnp.minimum(_SAFE * field, _BEYOND_THE_IRIS * pupil), pupil
-
-
-def _chebyshev(terms: int) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
-    """Chebyshev's nodes, and the matrix from values there to coefficients (Trefethen 2013)."""
-    angles = np.pi * (np.arange(terms) + 0.5) / terms
-    matrix = 2.0 / terms * np.cos(np.outer(np.arange(terms), angles))
-    matrix[0] /= 2.0
-    return jnp.asarray(np.cos(angles)), jnp.asarray(matrix)
-
-
-def _series(terms: Float[Array, "terms"], place: ScalarLike) -> Float[Array, "*batch"]:
-    return _series_and_slope(list(terms), jnp.asarray(place, float))[0]
-
-
-def _series_and_slope(
-    terms: list[Float[Array, "*batch"]], place: Float[Array, "*batch"]
-) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """A Chebyshev series and its derivative by Clenshaw's recurrence."""
-    after, last = jnp.zeros_like(place), jnp.zeros_like(place)
-    slope_after, slope_last = after, last
-    for term in reversed(terms[1:]):
-        slope_after, slope_last = slope_last, 2.0 * (last + place * slope_last) - slope_after
-        after, last = last, term + 2.0 * place * last - after
-    return terms[0] + place * last - after, last + place * slope_last - slope_after

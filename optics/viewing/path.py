@@ -14,7 +14,7 @@ from optics import InputError
 from optics.viewing.conic import Conic
 from optics.viewing.eye import Eye
 from optics.viewing.medium import Medium
-from optics.viewing.trace import Element, Iris, Refracting, ThinLens, trace
+from optics.viewing.trace import Element, Iris, Refracting, ThinLens, TracedRays, trace
 from optics.viewing.viewing_lens import ContactLens, ViewingLens
 
 FORMS = ("phakic", "aphakic", "pseudophakic")
@@ -27,6 +27,8 @@ _IMPLANT_INDEX, _IMPLANT_THICKNESS_MM = 1.55, 0.8
 """An artificial lens of hydrophobic acrylic, with faces of equal curvature (assumed), in the middle
 of the crystalline lens's place (assumed). Its power is what makes the eye emmetropic."""
 _START_MM = 1.0  # above the first element; rays are straight there
+_SKEW_START_MM = 20.0
+"""Height above the cornea's vertex at which skew lines start: above every viewing lens."""
 
 
 class ViewingPath(eqx.Module):
@@ -130,6 +132,30 @@ def lines_of_sight(path: ViewingPath, aim: Float[Array, "*batch"]) -> LinesOfSig
     slope = rays.direction[..., 0] / rays.direction[..., 2]
     height = rays.point[..., 0] + slope * (path.pole_depth - rays.point[..., 2])
     return LinesOfSight(height, slope, rays.transmittance, rays.status)
+
+
+def skew_lines(
+    path: ViewingPath, aim: Float[Array, "*batch 2"], slope: Float[Array, "*batch 2"]
+) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch 2"], TracedRays]:
+    """Trace lines that need not meet the axis.
+
+    Args:
+        path: the viewing path; its pinhole does not matter.
+        aim: where the lines, before any refraction, cross the plane of the cornea's vertex, mm.
+        slope: their growth per mm of depth there.
+
+    Returns:
+        X and Y at the depth of the pole, mm, their growth per mm of depth inside the eye, and the
+        rays behind the last surface.
+    """
+    one = jnp.ones_like(aim[..., :1])
+    origin = jnp.concatenate([aim - _SKEW_START_MM * slope, -_SKEW_START_MM * one], axis=-1)
+    direction = jnp.concatenate([slope, one], axis=-1)
+    direction = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
+    rays = trace(path.elements, origin, direction)
+    slope = rays.direction[..., :2] / rays.direction[..., 2:]
+    below = path.pole_depth - rays.point[..., 2:]
+    return rays.point[..., :2] + below * slope, slope, rays
 
 
 def equivalent_power(elements: tuple[Element, ...]) -> Float[Array, ""]:

@@ -8,11 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, ScalarLike
 
 from optics import Camera, InputError
-from optics.viewing.path import ViewingPath
-from optics.viewing.trace import SEEN, TracedRays, trace
+from optics.viewing.path import ViewingPath, skew_lines
+from optics.viewing.trace import SEEN, TracedRays
 
-_START_MM = 20.0
-"""Height above the cornea's vertex at which rays start: above every viewing lens."""
 _NEWTON_STEPS = 6
 _STEP_MM = 1e-4  # of the derivatives; Newton's steps then gain four digits each
 
@@ -48,7 +46,7 @@ class SideCamera(Camera):
     ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
         """Line of sight of pixels inside the eye, as `Camera.ray` describes it."""
         at_pole, slope, _ = self._lines(self._aim(pixels))
-        return self._line_of_sight(at_pole, slope)
+        return self.line_of_sight(at_pole, slope)
 
     def project(self, points: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
         """Image of points inside the eye, by Newton's method on the traced lines of sight.
@@ -80,14 +78,7 @@ class SideCamera(Camera):
     ) -> tuple[Float[Array, "*batch 2"], Float[Array, "*batch 2"], TracedRays]:
         """X and Y at the pole's height, their growth per mm of descent, and the rays."""
         slope = (aim - self.aside) * self.path.pinhole_closeness
-        one = jnp.ones_like(aim[..., :1])
-        origin = jnp.concatenate([aim - _START_MM * slope, -_START_MM * one], axis=-1)
-        direction = jnp.concatenate([slope, one], axis=-1)
-        direction = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
-        rays = trace(self.path.elements, origin, direction)
-        slope = rays.direction[..., :2] / rays.direction[..., 2:]
-        below = self.path.pole_depth - rays.point[..., 2:]
-        return rays.point[..., :2] + below * slope, slope, rays
+        return skew_lines(self.path, aim, slope)
 
     def _aims_at(self, points: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
         """Where the lines of sight aim that meet points."""

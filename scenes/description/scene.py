@@ -101,11 +101,6 @@ class Scene(BaseModel):
                 "microscope.distortion = zeros",
                 list(self.microscope.distortion),
             ),
-            (
-                self.microscope.numerical_aperture == 0,
-                "microscope.numerical_aperture = 0",
-                self.microscope.numerical_aperture,
-            ),
             (self.source.kind != "photons", "source.kind = 'lens' or 'cone'", self.source.kind),
         ):
             if not wanted:

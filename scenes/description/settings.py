@@ -228,8 +228,8 @@ class MicroscopeSettings(_Settings):
         0.0,
         ge=0,
         le=0.3,
-        description="Numerical aperture towards the eye; 0: a pinhole, sharp at all heights. Above "
-        "0 the wall is blurred where it is out of focus; set samples to 64 then.",
+        description="Numerical aperture in air, towards the eye; 0: a pinhole, sharp at all "
+        "heights. Above 0 the wall is blurred where it is out of focus; set samples to 64 then.",
     )
     focus_mm: Place = Field(0.0, description="Height above the pole that is in focus.")
     samples: int = Field(

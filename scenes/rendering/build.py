@@ -27,6 +27,8 @@ _FIBRE_REFLECTANCE, _SHAFT_REFLECTANCE = 0.15, 0.3
 # The end face lies this far behind the plane of the tip, so that it does not block its own beam
 # (the margin of Mitsuba's float32 intersections is about 1 um at 11 mm).
 _FACE_GAP_MM = 0.003
+_OUTERMOST = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+"""The middle of the microscope's pupil and four places of its edge."""
 
 
 def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
@@ -221,6 +223,8 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
             "px_per_aim": float(camera.px_per_aim),
             "widest": float(camera.widest),
             "pupil": min(float(camera.pupil), float(camera.widest)),
+            "aperture_slope": _aperture_slope(scene),
+            **_pencils(world),
         }
     names = ("k1", "k2", "p1", "p2", "k3")
     return {
@@ -232,6 +236,13 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
         "focus_height": scene.microscope.focus_mm - scene.phantom.radius_mm,
         **dict(zip(names, scene.microscope.distortion, strict=True)),
     }
+
+
+def _pencils(world: World) -> dict[str, Any]:
+    """The series of `PathSensor`'s pencils, as text; nothing for a pinhole."""
+    if (found := world.pencils) is None:
+        return {}
+    return {"pencils": json.dumps(np.concatenate([found.across, found.along]).tolist())}
 
 
 def _aperture_slope(scene: Scene) -> float:
@@ -274,7 +285,7 @@ def _inside_the_eye(world: World) -> float:
     point, direction = (np.asarray(a) for a in world.microscope.ray(borders))
     if slope := _aperture_slope(scene):
         # The outermost lines of sight of a thin lens; they cross the central ones at the focus.
-        aside = slope * np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+        aside = np.pad(slope * _OUTERMOST, [(0, 0), (0, 1)])
         below = (settings.focus_mm - r - point[:, 2:]) / direction[:, 2:]
         point, direction = point + below * direction, direction / -direction[:, 2:]
         direction = (direction + aside[:, None]).reshape(-1, 3)
@@ -320,5 +331,10 @@ def _entry_of_window(world: World) -> float:
             f"the window of {settings.width_px} x {settings.height_px} px looks past the eyeball. "
             "Lower spot.eccentricity_mm or microscope.window_offset_px."
         )
-    entry = wall.intersect(inside.point[seen], -direction[seen]).point[:, 2]
+    if world.pencils is not None:
+        aside = _aperture_slope(world.scene) * _OUTERMOST
+        point, direction = world.pencils.ray(pixels[seen], aside[:, None])
+        inside = wall.intersect(point, direction)
+        seen = inside.status != optics.MISS
+    entry = wall.intersect(inside.point[seen], -direction[seen]).point[..., 2]
     return float(entry.min()) - 1e-3 * world.scene.phantom.radius_mm

@@ -19,6 +19,9 @@ class PathSensor(mi.Sensor):
 
     They start at a height inside the eye. The iris, or the edge of the field, hides the rest of the
     image. Vignetting is that of `MicroscopeSensor`.
+
+    With an aperture, a pixel has the lines of sight of `optics.viewing.Pencils`. The iris stops all
+    of them where it stops the central one.
     """
 
     def __init__(self, props):
@@ -30,6 +33,10 @@ class PathSensor(mi.Sensor):
         self.pole_height, self.entry_height = props["pole_height"], props["entry_height"]
         self.centre = mi.Vector2f(props["principal_point"])
         self.vignetting = props["vignetting"]
+        self.aperture_slope = props["aperture_slope"]
+        self.m_needs_sample_3 = self.aperture_slope > 0
+        if self.aperture_slope:
+            self.pencils = json.loads(props["pencils"])
 
     def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
         """Line of sight of a position on the film, and the fraction of light that arrives."""
@@ -41,8 +48,16 @@ class PathSensor(mi.Sensor):
         crossing, steepness, passing = (
             _series(terms, place) for terms in (self.crossing, self.steepness, self.passing)
         )
-        at_entry = (crossing - steepness * (self.entry_height - self.pole_height)) * aim
-        slope = steepness * aim
+        at_pole, slope = crossing * aim, steepness * aim
+        if self.aperture_slope:
+            aside = self.aperture_slope * mi.warp.square_to_uniform_disk_concentric(aperture_sample)
+            across, grown_across, along, grown_along = (
+                _series(terms, place) for terms in self.pencils
+            )
+            turned = dr.dot(aim, aside) * aim
+            at_pole += across * aside + along * turned
+            slope += grown_across * aside + grown_along * turned
+        at_entry = at_pole - slope * (self.entry_height - self.pole_height)
         ray = mi.Ray3f(
             mi.Point3f(at_entry.x, at_entry.y, self.entry_height),
             dr.normalize(mi.Vector3f(slope.x, slope.y, -1)),

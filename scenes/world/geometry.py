@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 import optics
+from optics.viewing import PathCamera, Pencils
 from scenes.description import Scene
-from scenes.world.view import SceneCamera, bare_camera
+from scenes.world.view import SceneCamera, bare_camera, scene_pencils
 
 _RIM_POINTS = 64
 
@@ -115,6 +116,14 @@ class Geometry:
             height=settings.height_px,
             offset=settings.window_offset_px,
         )
+
+    @cached_property
+    def pencils(self) -> Pencils | None:
+        """Lines of sight through the microscope's pupil behind [viewing]; None for a pinhole."""
+        camera = self.microscope
+        if not isinstance(camera, PathCamera) or not self.scene.microscope.numerical_aperture:
+            return None
+        return scene_pencils(self.scene, camera, channel=1)
 
     @cached_property
     def window_border(self) -> np.ndarray:

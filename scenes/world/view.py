@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 import optics
-from optics.viewing import PathCamera, load_eye, load_viewing_lens, path_camera, viewing_path
+from optics.viewing import (
+    PathCamera,
+    Pencils,
+    ViewingPath,
+    focal_depth,
+    load_eye,
+    load_viewing_lens,
+    path_camera,
+    pencils,
+    viewing_path,
+)
 from scenes.description import Scene, SceneError
 
 SceneCamera = optics.Microscope | PathCamera
@@ -43,7 +53,19 @@ def colour_cameras(scene: Scene, wall: optics.Surface) -> tuple[PathCamera, ...]
     return red.on_sensor_of(green), green, blue.on_sensor_of(green)
 
 
-def _through_the_eye(scene: Scene, wall: optics.Surface, *, channel: int) -> PathCamera:
+def scene_pencils(scene: Scene, camera: PathCamera, *, channel: int) -> Pencils:
+    """Lines of sight through the microscope's pupil about those of one colour's camera."""
+    # One microscope for all colours, focused in green.
+    depth = focal_depth(_path(scene, channel=1), focus=scene.microscope.focus_mm)
+    return pencils(_path(scene, channel=channel), camera, depth=depth)
+
+
+def _path(scene: Scene, *, channel: int) -> ViewingPath:
+    """The viewing path of a colour.
+
+    Raises:
+        SceneError: the microscope's pinhole lies below the viewing lens or the cornea.
+    """
     viewing, height = scene.viewing, scene.microscope.pinhole_height_mm
     eye = load_eye(
         viewing.eye,
@@ -60,7 +82,7 @@ def _through_the_eye(scene: Scene, wall: optics.Surface, *, channel: int) -> Pat
             f"{highest:.1f} mm; got {height:g} mm. Set it to 200, as of a real microscope, or to "
             "inf."
         )
-    path = viewing_path(
+    return viewing_path(
         eye,
         lens,
         form=viewing.form,
@@ -68,6 +90,11 @@ def _through_the_eye(scene: Scene, wall: optics.Surface, *, channel: int) -> Pat
         pupil_radius=viewing.pupil_mm / 2,
         pinhole_distance=height - cornea,
     )
+
+
+def _through_the_eye(scene: Scene, wall: optics.Surface, *, channel: int) -> PathCamera:
+    viewing, medium = scene.viewing, scene.source.medium
+    path = _path(scene, channel=channel)
     camera = path_camera(path, scale=scene.microscope.scale_mm_px, upright=viewing.upright)
     field = float(camera.field(wall))
     if not field > _SMALLEST_FIELD_MM:

@@ -1,0 +1,109 @@
+"""The pencils of a microscope's pupil against exact lines of sight and Gaussian optics."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import optics
+from optics import viewing
+
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
+SCALE = 0.0067
+PINHOLE_MM = 200.0
+APERTURE = 0.02
+
+
+def seen_through(lens, *, focus, eye="navarro", **options):
+    """A path, its camera and its pencils."""
+    found = viewing.viewing_path(
+        viewing.load_eye(eye, wavelength_nm=555.0),
+        None if lens is None else viewing.load_viewing_lens(lens),
+        pinhole_distance=PINHOLE_MM,
+        **options,
+    )
+    camera = viewing.path_camera(found, scale=SCALE)
+    depth = viewing.focal_depth(found, focus=focus)
+    return found, camera, viewing.pencils(found, camera, depth=depth), float(depth)
+
+
+@pytest.mark.parametrize(
+    "lens, options", [("flat", {}), ("wide-field-90", {}), ("flat", {"form": "aphakic"})]
+)
+def test_lines_through_a_place_of_the_pupil_are_those_of_a_pinhole_there(lens, options):
+    path, camera, pencils, depth = seen_through(lens, focus=1.0, **options)
+    retina = optics.Ellipsoid(path.retina_semi_axes)
+    # Beside the axis, along the meridian and in between.
+    aim = jnp.array([[0.0, 0.0], [0.8, 0.0], [1.2, -0.6], [0.0, 1.5]])
+    flipped = jnp.array([1.0, -1.0])  # v grows towards -Y
+    pixels = camera.principal_point + aim * camera.px_per_aim * flipped
+
+    # A line through the plane in focus and a place of the pupil: a pinhole there.
+    def beside(slope):
+        return viewing.side_camera(path, aside=-(depth + PINHOLE_MM) * slope, scale=SCALE)
+
+    @jax.jit
+    def missed(slope, side):
+        point, direction = pencils.ray(pixels, slope)
+        at = side.principal_point + (aim - depth * slope) * side.px_per_aim * flipped
+        ends = [retina.intersect(*ray).point for ray in ((point, direction), side.ray(at))]
+        return jnp.linalg.norm(ends[0] - ends[1], axis=-1)
+
+    slope = APERTURE * jnp.array([0.8, 0.6])
+    whole, half = (missed(part, beside(part)) for part in (slope, slope / 2))
+    # 1.5 % of the blur of a millimetre out of focus, 0.02 mm.
+    assert whole.max() < 3e-4
+    # To first order: half the slope leaves a quarter of the error, on the axis an eighth. Terms of
+    # both orders may cancel.
+    assert np.all(half < 0.7 * whole)
+
+
+@pytest.mark.parametrize("focus", [0.0, 2.0])
+@pytest.mark.parametrize("lens, form", [("flat", "phakic"), ("wide-field-90", "aphakic")])
+def test_heights_times_angles_are_invariant_between_object_and_image(focus, lens, form):
+    """Lagrange and Helmholtz: n u y is the same in front of the path and in the eye."""
+    path, camera, pencils, depth = seen_through(lens, focus=focus, form=form)
+    small = 1e-6
+    pixel = camera.principal_point + jnp.array([small, 0.0]) * camera.px_per_aim
+    focal_plane = focus + float(camera.pole_height)
+
+    def at_focus(ray):
+        point, direction = ray
+        along = (focal_plane - point[2]) / direction[2]
+        return point + along * direction, direction[:2] / -direction[2]
+
+    centre, slope = at_focus(camera.ray(pixel))
+    other, steeper = at_focus(pencils.ray(pixel, jnp.array([small, 0.0])))
+    # In focus all lines of a pixel meet.
+    np.testing.assert_allclose(other[:2], centre[:2], atol=1e-6 * small)
+    height_in_air = small * (1 + depth / PINHOLE_MM)
+    inside = float(path.medium_index) * (steeper[0] - slope[0]) * centre[0]
+    assert float(inside) == pytest.approx(small * height_in_air, rel=1e-6)
+
+
+def test_the_lens_s_gradient_is_traced_too():
+    _, camera, pencils, _ = seen_through("flat", focus=0.0, eye="liou-brennan")
+    ray = pencils.ray(camera.principal_point, jnp.array([APERTURE, 0.0]))
+    # In focus on the pole.
+    np.testing.assert_allclose(ray[0][:2], 0.0, atol=1e-9)
+
+
+def test_pencils_can_be_differentiated_by_the_eye():
+    eye = viewing.load_eye("navarro", wavelength_nm=555.0)
+
+    def spread(length):
+        path = viewing.viewing_path(eye, viewing.load_viewing_lens("flat"))
+        path = viewing.ViewingPath(
+            path.elements, path.pinhole_closeness, length, path.retina_semi_axes
+        )
+        camera = viewing.path_camera(path, scale=SCALE)
+        found = viewing.pencils(path, camera, depth=viewing.focal_depth(path, focus=1.0))
+        point, _ = found.ray(camera.principal_point, jnp.array([APERTURE, 0.0]))
+        return point[0]
+
+    step = 1e-4
+    length = eye.axial_length
+    slope = (spread(length + step) - spread(length - step)) / (2 * step)
+    # Central differences err by the step squared.
+    assert float(jax.jacfwd(spread)(length)) == pytest.approx(float(slope), rel=1e-5)
