@@ -64,7 +64,7 @@ def test_an_eye_that_is_a_pinhole_is_fitted_and_read_exactly(kappa):
     """Without noise no prior pulls, so the parameters return to the solver's 1e-6."""
     eye = Pinhole(*map(jnp.asarray, (SCALE_MM_PX, kappa, RETINA.mean)))
     seen = seen_by(eye, recipes.withdrawals())
-    found = recipes.fitted_pinhole(seen, jnp.zeros((3, 9, 4)))
+    found = recipes.fitted_pinhole(seen, jnp.zeros((3, 9, 5)))
     assert float(found.kappa) == pytest.approx(kappa, abs=1e-5)
     assert float(found.scale) == pytest.approx(SCALE_MM_PX, rel=1e-5)
     assert float(found.radius) == pytest.approx(RETINA.mean, abs=1e-4)

@@ -3,10 +3,14 @@ from .cone_fit import ConeFit as ConeFit
 from .cone_fit import JointPrior as JointPrior
 from .cone_fit import fit_cone as fit_cone
 from .cone_trials import BORESIGHT_SIGMA as BORESIGHT_SIGMA
+from .cone_trials import NUISANCES as NUISANCES
 from .cone_trials import ConeTrial as ConeTrial
+from .cone_trials import Group as Group
 from .cone_trials import Prior as Prior
 from .cone_trials import beam_directions as beam_directions
+from .cone_trials import misfit as misfit
 from .cone_trials import phantom_wall as phantom_wall
+from .cone_trials import whitening_of as whitening_of
 from .eye_priors import OUTLINE_PER_MM as OUTLINE_PER_MM
 from .eye_priors import RETINA as RETINA
 from .eye_priors import SIZE_PER_MM as SIZE_PER_MM

@@ -166,10 +166,8 @@ class Group(eqx.Module):
             *(stacked(list(leaves)) for leaves in zip(*(t.ellipses for t in trials), strict=True))
         )
         covariances = stacked([t.covariances for t in trials])
-        shape = jax.vmap(jax.vmap(optics.mismatch_covariance))(ellipses, covariances)
-        missed = jnp.square(jnp.array([outline_sigmas[n] for n in numbers]))
-        shape += missed[:, None, None, None] * jnp.eye(5)
-        whitening = jnp.linalg.inv(jnp.linalg.cholesky(shape))
+        missed = jnp.array([outline_sigmas[n] for n in numbers])
+        whitening = jax.vmap(whitening_of)(ellipses, covariances, missed)
         frames = np.array([t.readings.size for t in trials])
         real = np.arange(longest) < frames[:, None]
         return cls(
@@ -190,6 +188,20 @@ class Group(eqx.Module):
             data=5 * int(frames.sum()),
             numbers=numbers,
         )
+
+
+def whitening_of(
+    ellipses: optics.Ellipse, covariances: Float[Array, "n 5 5"], missed: ScalarLike
+) -> Float[Array, "n 5 5"]:
+    """Matrices that turn the mismatch of a trial's ellipses into independent terms of variance 1.
+
+    Args:
+        ellipses: one per frame, px.
+        covariances: of (centre u, centre v, semi-major, semi-minor, angle).
+        missed: standard deviation by which the camera's model misses their outline, relative.
+    """
+    shape = jax.vmap(optics.mismatch_covariance)(ellipses, covariances)
+    return jnp.linalg.inv(jnp.linalg.cholesky(shape + jnp.square(missed) * jnp.eye(5)))
 
 
 def spots(

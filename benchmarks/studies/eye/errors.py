@@ -131,7 +131,7 @@ def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
 
 @eqx.filter_jit
 def _calibrated(
-    eyes: tuple[PathCamera, Float[Array, "n 3"], Float[Array, "n trials frames 4"]], spots: Spots
+    eyes: tuple[PathCamera, Float[Array, "n 3"], Float[Array, "n trials frames 5"]], spots: Spots
 ) -> tuple[Seen, Pinhole]:
     """Images of the spots in every eye, n x c x d x tilts, and the pinhole fitted there."""
     flat, calibration = jax.tree.map(jnp.ravel, spots), withdrawals()
@@ -163,13 +163,13 @@ def _fields(eyes: tuple[PathCamera, Float[Array, "n 3"]]) -> Float[Array, "n"]:
     return jax.vmap(lambda camera, axes: camera.field(optics.Ellipsoid(axes)))(*eyes)
 
 
-def _noise(seed: int | None, count: int) -> Float[Array, "n trials frames 4"]:
+def _noise(seed: int | None, count: int) -> Float[np.ndarray, "n trials frames 5"]:
     """Noise of each eye's withdrawals; 0 without a seed, and for the schematic eye."""
-    shape = (*withdrawals().distance.shape, 4)
+    shape = (*withdrawals().distance.shape, 5)
     if seed is None:
-        return jnp.zeros((count, *shape))
-    keys = jax.random.split(jax.random.key(seed), count)
-    return jax.vmap(lambda key: jax.random.normal(key, shape))(keys).at[0].set(0.0)
+        return np.zeros((count, *shape))
+    drawn = [np.random.default_rng([seed, eye]).standard_normal(shape) for eye in range(count)]
+    return np.stack([np.zeros(shape), *drawn[1:]])
 
 
 def together(*groups: Eye) -> Eye:

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, ScalarLike
+from jaxtyping import Array, Bool, Float
 
 import optics
 from optics.viewing import (
@@ -28,7 +28,6 @@ NOMINAL_RADIUS_MM = 12.0
 CONE = {"half_angle": float(np.arctan(1 / 20.0)), "apex_offset": -5.117}
 PINHOLE_ABOVE_MM = 200.0
 _POINTS = 48  # of a contour: its ellipse is within 1e-6 px of 128 points
-_PINHOLE_POINTS = 32  # in a pinhole, which has no aberration: 1e-7 px (`optics.distance`)
 PATHS: dict[str, tuple[str, str]] = {
     "flat, phakic": ("flat", "phakic"),
     "flat, pseudophakic": ("flat", "pseudophakic"),
@@ -61,12 +60,14 @@ class Seen(NamedTuple):
     Attributes:
         centre: of the ellipses, px.
         semi_axes: semi-minor and semi-major, px.
+        angle: of the semi-major axis, rad.
         axis: unit vectors of the beams.
         visible: whether the whole contour is inside the pupil and the field.
     """
 
     centre: Float[Array, "*batch 2"]
     semi_axes: Float[Array, "*batch 2"]
+    angle: Float[Array, "*batch"]
     axis: Float[Array, "*batch 3"]
     visible: Bool[Array, "*batch"]
 
@@ -170,28 +171,6 @@ def image(
         **CONE,
     )
     contour = optics.cone_contour(beam, wall, points=_POINTS).point
-    centre, axes = centre_and_axes(camera.project(contour))
-    return Seen(centre, axes, beam.axis, jnp.all(sees(contour)))
-
-
-def image_at(
-    pinhole: Pinhole, pixel: Float[Array, "2"], axis: Float[Array, "3"], distance: ScalarLike
-) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-    """Centre and semi-axes (minor, major) of the spot whose beam meets the wall at a pixel.
-
-    Args:
-        pinhole: by which it is seen, and the wall.
-        pixel: image of the wall's point that the beam's axis meets, px.
-        axis: unit vector of the beam.
-        distance: d, mm.
-    """
-    camera, wall = pinhole.microscope, pinhole.wall
-    point = wall.intersect(*camera.ray(pixel)).point
-    beam = optics.Beam(tip=point - distance * axis, axis=axis, **CONE)
-    return centre_and_axes(optics.spot_contour(beam, wall, camera, points=_PINHOLE_POINTS))
-
-
-def centre_and_axes(contour: Float[Array, "n 2"]) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-    """Centre and semi-axes (minor, major) of a contour's ellipse, px."""
-    ellipse = optics.ellipse_of_contour(contour)
-    return ellipse.centre, jnp.stack([ellipse.semi_minor, ellipse.semi_major])
+    ellipse = optics.ellipse_of_contour(camera.project(contour))
+    axes = jnp.stack([ellipse.semi_minor, ellipse.semi_major])
+    return Seen(ellipse.centre, axes, ellipse.angle, beam.axis, jnp.all(sees(contour)))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
-from functools import partial
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,10 +20,9 @@ from benchmarks.studies.eye.geometry import (
     Pinhole,
     Seen,
     Spots,
-    image_at,
 )
 from calibration.solvers import gauss_newton_in_blocks
-from calibration.spots import RETINA, SIZE_PER_MM
+from calibration.spots import NUISANCES, RETINA, SIZE_PER_MM, Group, misfit, whitening_of
 from optics.viewing import PathCamera, local_magnification
 
 _SIGMA_PX = 0.1
@@ -33,9 +30,6 @@ _SIGMA_PX = 0.1
 0.1 px (`eyespot validate`)."""
 _TOUCH_MM = 0.05
 """Standard deviation of the distance at which a withdrawal starts: the operator's touch."""
-_PLACE_PX = 1e3
-"""Standard deviation of the beam's place from the first frame's centre: it is free."""
-
 _SPOTS_AT_ONCE = 1024
 
 WITHDRAWALS_C_MM = (0.5, 1.5, 3.0)
@@ -86,54 +80,78 @@ def withdrawals() -> Spots:
 
 
 @eqx.filter_jit
-def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 4"]) -> Pinhole:
+def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhole:
     """Fit a pinhole over a sphere to the ellipses of three withdrawals in one eye.
 
-    As `eyespot fit --model eye`: the beams' axes are known from the robot, the place on the retina
-    only from the image. Where each withdrawal starts is known to 0.05 mm. The priors of the
-    retina's radius and of the spots' sizes are those of the command. Frames whose contour is hidden
-    do not count.
+    As `eyespot fit --model eye`, with the same residuals: the place on the retina is known only
+    from the image. Where each withdrawal starts is known to 0.05 mm. The priors of the retina's
+    radius and of the spots' sizes are those of the command. The beams' axes and the cone are known
+    exactly. Frames whose contour is hidden do not count.
 
     Args:
         seen: images of `withdrawals()`.
-        noise: of centres and semi-axes, in standard deviations of the sub-pixel mode.
+        noise: of centres, semi-major and semi-minor axes and angles, in standard deviations of the
+            sub-pixel mode.
     """
-    distance = withdrawals().distance[0]
-    centre = seen.centre + _SIGMA_PX * noise[..., :2]
-    axes = seen.semi_axes + _SIGMA_PX * noise[..., 2:]
-    weight = jnp.where(seen.visible, 1.0 / _SIGMA_PX, 0.0)[..., None]
-    size_sigma = SIZE_PER_MM * jnp.array(WITHDRAWALS_C_MM)
+    distance, count = withdrawals().distance[0], len(WITHDRAWALS_C_MM)
+    minor, major = jnp.moveaxis(seen.semi_axes, -1, 0)
+    sigma = jnp.broadcast_to(_SIGMA_PX, (*minor.shape, 5))
+    # Noise turns an outline that is nearly round by much.
+    sigma = sigma.at[..., 4].divide(jnp.maximum(major - minor, _SIGMA_PX))
+    off = sigma * noise
+    ellipses = optics.Ellipse(
+        seen.centre + off[..., :2],
+        major + off[..., 2],
+        minor + off[..., 3],
+        seen.angle + off[..., 4],
+    )
+    covariances = sigma[..., None] ** 2 * jnp.eye(5)
+    nothing = jnp.zeros(count)
+    whitening = jax.vmap(whitening_of)(ellipses, covariances, nothing)
+    every = Group(
+        ellipses=ellipses,
+        whitening=jnp.where(seen.visible[..., None, None], whitening, 0.0),
+        readings=jnp.broadcast_to(distance - distance[0], minor.shape),
+        motions=seen.axis[:, 0],
+        axes=seen.axis[:, 0],
+        principal_points=jnp.zeros((count, 2)),
+        touch_means=jnp.full(count, distance[0]),
+        touch_sigmas=jnp.full(count, _TOUCH_MM),
+        lean_sigma=nothing,
+        boresight_sigma=nothing,
+        size_sigmas=SIZE_PER_MM * jnp.array(WITHDRAWALS_C_MM),
+        kind="eyeball",
+        data=5 * minor.size,
+        numbers=tuple(range(count)),
+    )
 
     def pinhole(unknown: Float[Array, "3"]) -> Pinhole:
         scale = SCALE_MM_PX * jnp.exp(unknown[0])
         return Pinhole(scale, unknown[1], RETINA.mean + RETINA.sigma * unknown[2])
 
-    def residuals(eye: Float[Array, "3"], own: Float[Array, "4"], trial: _Trial) -> Array:
-        pixel = trial.place + _PLACE_PX * own[:2]
-        moved = distance + _TOUCH_MM * own[2]
-        see = partial(image_at, pinhole(eye))
-        expected_centre, expected_axes = jax.vmap(see, (None, 0, 0))(pixel, trial.axis, moved)
-        grown = expected_axes * (1.0 + trial.size_sigma * own[3])
-        off = trial.weight * jnp.hstack([expected_centre - trial.centre, grown - trial.axes])
+    def residuals(eye: Float[Array, "3"], own: Float[Array, "4"], trial: Group) -> Array:
+        found = pinhole(eye)
+        values = _NO_TILT | {
+            "half_angle": CONE["half_angle"],
+            "b": CONE["apex_offset"],
+            "eye_radius": found.radius,
+        }
+        # The robot's axis is known, so only these nuisances are free.
+        nuisances = jnp.zeros(len(NUISANCES)).at[_FREE].set(own)
+        alone = jax.tree.map(lambda leaf: leaf[None], trial)
         # Every trial carries its part of the retina's prior.
-        return jnp.concatenate([off.ravel(), eye[2:] / math.sqrt(len(WITHDRAWALS_C_MM)), own])
+        return jnp.concatenate(
+            [misfit(alone, found.microscope, values, nuisances[None]), eye[2:] / math.sqrt(count)]
+        )
 
-    trials = _Trial(seen.centre[:, 0], seen.axis, centre, axes, weight, size_sigma)
-    start = jnp.zeros(3), jnp.zeros((len(WITHDRAWALS_C_MM), 4))
+    start = jnp.zeros(3), jnp.zeros((count, len(_FREE)))
     # The problem is nearly linear. 1e-6 of kappa or of a touch moves no distance by 1e-5 mm.
-    eye, _, _ = gauss_newton_in_blocks(residuals, *start, trials, tolerance=1e-6)
+    eye, _, _ = gauss_newton_in_blocks(residuals, *start, every, tolerance=1e-6)
     return pinhole(eye)
 
 
-class _Trial(NamedTuple):
-    """One withdrawal as it was measured, and what is known of it."""
-
-    place: Float[Array, "2"]
-    axis: Float[Array, "n 3"]
-    centre: Float[Array, "n 2"]
-    axes: Float[Array, "n 2"]
-    weight: Float[Array, "n 1"]
-    size_sigma: Float[Array, ""]
+_FREE = np.array([NUISANCES.index(name) for name in ("touch", "u", "v", "size")])
+_NO_TILT = {"tilt_x": 0.0, "tilt_y": 0.0}
 
 
 def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[np.ndarray, "n"]:
