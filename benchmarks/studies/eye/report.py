@@ -48,11 +48,11 @@ def report(findings: EyeFindings) -> Report:
                 ),
                 Table.of(
                     Limit,
-                    [row for row in limits if row.tilt == "any"],
-                    "c up to which 95 % of the eyes stay within 0.1 and 0.5 mm, tilted beams "
-                    "included; empty if the limit is exceeded at c = 0. No c is counted at which "
-                    "fewer than 95 % of the eyes show the whole spot: an artificial lens ends "
-                    "within the pupil.",
+                    limits,
+                    "c in mm up to which half and 95 % of the eyes stay within 0.1 and 0.5 mm: "
+                    "perpendicular beams (square), and tilted ones, too (any). Empty if the limit "
+                    "is exceeded at c = 0. No c is counted at which fewer than 95 % of the eyes "
+                    "show the whole spot: an artificial lens ends within the pupil.",
                     data="limits.csv",
                 ),
                 _RECIPES,
