@@ -83,6 +83,8 @@ class FrameLabels:
             of the spread light's peak. NaN, and not in the file, if the wall does not spread it.
         red_shift_*, blue_shift_*: where red and blue show O, against green; NaN, and not in the
             file, for a pinhole.
+        reflex_*: where the brightest reflex of the microscope's lamp shows the lamp's centre; NaN,
+            and not in the file, if the scene shows none.
         view_*: shift of the image by drift and shake, which the ellipses contain; NaN, and not in
             the file, if the view keeps still. So are the next two.
         eye_turn_*: rotation vector of the eyeball, and with it of the wall's picture, degrees.
@@ -140,6 +142,8 @@ class FrameLabels:
     red_shift_y_px: float = math.nan
     blue_shift_x_px: float = math.nan
     blue_shift_y_px: float = math.nan
+    reflex_x_px: float = math.nan
+    reflex_y_px: float = math.nan
     view_x_px: float = math.nan
     view_y_px: float = math.nan
     eye_turn_x_deg: float = math.nan

@@ -11,6 +11,7 @@ magnification  What a pixel sees on the wall, and the local magnification there
 medium         Media of one index, or with the gradient of a crystalline lens
 path           Viewing paths: what lies between the microscope and the retina
 pencil         The pencils of a microscope with a lens's pupil
+reflex         Reflexes of a lamp at the surfaces of a path: Purkinje's images
 side_camera    A pinhole beside the axis: one half of a stereo pair
 trace          Rays traced from the microscope through a path into the eye
 viewing_lens   Contact lenses and wide-field lenses

@@ -19,6 +19,8 @@ from .path import viewing_path as viewing_path
 from .pencil import Pencils as Pencils
 from .pencil import focal_depth as focal_depth
 from .pencil import pencils as pencils
+from .reflex import Reflex as Reflex
+from .reflex import reflexes as reflexes
 from .side_camera import SideCamera as SideCamera
 from .side_camera import bare_path as bare_path
 from .side_camera import side_camera as side_camera

@@ -33,6 +33,10 @@ class Conic(eqx.Module):
         self.curvature = jnp.asarray(curvature, float)
         self.asphericity = jnp.asarray(asphericity, float)
 
+    def reversed(self) -> Conic:
+        """The same surface for light that comes back: depths count upwards."""
+        return Conic(depth=-self.depth, curvature=-self.curvature, asphericity=self.asphericity)
+
     def distance(
         self, origin: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch"], Bool[Array, "*batch"]]:

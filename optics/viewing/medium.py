@@ -37,6 +37,14 @@ class Medium(eqx.Module):
         self.index = jnp.asarray(index, float)
         self.gradient = None if gradient is None else jnp.asarray(gradient, float)
 
+    def reversed(self, thickness: ScalarLike) -> Medium:
+        """The same medium for light that comes back from a surface `thickness` mm behind."""
+        if self.gradient is None:
+            return self
+        n1, n2, n3 = self.gradient
+        index = self.index + n1 * thickness + n2 * jnp.square(thickness)
+        return Medium(index, jnp.stack([-n1 - 2.0 * n2 * thickness, n2, n3]))
+
     def index_at(
         self, point: Float[Array, "*batch 3"], *, front: ScalarLike
     ) -> Float[Array, "*batch"]:

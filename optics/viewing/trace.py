@@ -76,19 +76,24 @@ def trace(
     elements: tuple[Element, ...],
     origin: Float[Array, "*batch 3"],
     direction: Float[Array, "*batch 3"],
+    *,
+    medium: Medium | None = None,
+    front: ScalarLike = 0.0,
 ) -> TracedRays:
-    """Trace rays that start in air through elements in the order in which light meets them.
+    """Trace rays through elements in the order in which light meets them.
 
     Args:
         elements: of the path; each refracting medium ends at the next surface.
         origin: mm, in the frame of `Conic`, in front of the first element.
         direction: unit vectors with a positive third component.
+        medium: in which the rays start; None for air.
+        front: depth of the surface at which that medium begins, mm.
 
     Returns:
         The rays behind the last surface. A vignetted ray is traced on; the values of a ray that
         misses a surface or is reflected have no meaning.
     """
-    point, medium, front = origin, Medium(1.0), jnp.zeros(())
+    point, medium = origin, Medium(1.0) if medium is None else medium
     transmittance = jnp.ones(origin.shape[:-1])
     status = jnp.full(origin.shape[:-1], SEEN)
     for element in elements:

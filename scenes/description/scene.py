@@ -58,6 +58,8 @@ class Scene(BaseModel):
             found.append("indirect light is computed for a sphere of the eyeball's area")
         if self.viewing.through_an_eye and self.viewing.colours == "green":
             found.append("all colours are seen along green's lines of sight")
+        if self.viewing.reflexes:
+            found.append("reflexes are those of a round lamp, reflected once")
         return found
 
     @model_validator(mode="before")
@@ -88,6 +90,11 @@ class Scene(BaseModel):
     @model_validator(mode="after")
     def _looks_through_what_it_can(self) -> Scene:
         if not self.viewing.through_an_eye:
+            if self.viewing.reflexes:
+                raise InputError(
+                    "viewing.reflexes needs an eye whose surfaces reflect; got eye 'none'. Set "
+                    "viewing.eye, for example to navarro."
+                )
             if self.viewing.lens != "none":
                 raise InputError(
                     f"viewing.lens needs an eye behind it; got lens {self.viewing.lens!r} with eye "
@@ -100,6 +107,16 @@ class Scene(BaseModel):
                 not any(self.microscope.distortion),
                 "microscope.distortion = zeros",
                 list(self.microscope.distortion),
+            ),
+            (
+                not self.viewing.reflexes or math.isfinite(self.microscope.pinhole_height_mm),
+                "a finite microscope.pinhole_height_mm for viewing.reflexes",
+                self.microscope.pinhole_height_mm,
+            ),
+            (
+                not self.viewing.reflexes or self.microscope.light == "coaxial",
+                "microscope.light = 'coaxial' for viewing.reflexes",
+                self.microscope.light,
             ),
             (self.source.kind != "photons", "source.kind = 'lens' or 'cone'", self.source.kind),
         ):

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 _FileName = Annotated[str, Field(max_length=4096)]
+_Aside = Annotated[float, Field(ge=-1e3, le=1e3)]
 _Nanometres = Annotated[float, Field(ge=100, le=2000)]
 
 
@@ -47,6 +48,17 @@ class Viewing(BaseModel):
         description="Lines of sight of red and blue: green's, or their own, which takes three "
         "renderings.",
     )
+    reflexes: bool = Field(
+        False,
+        description="Show the lamp of the microscope's coaxial light as the surfaces of the path "
+        "reflect it, each once.",
+    )
+    lamp_mm: tuple[_Aside, _Aside] = Field(
+        (21.0, 0.0),
+        description="Place of that lamp in the plane of the pinhole, X and Y; for its reflexes "
+        "only. The default is 6 degrees beside the axis, 200 mm above the eye.",
+    )
+    lamp_radius_mm: float = Field(5.0, ge=0.1, le=100, description="Radius of that lamp.")
 
     @property
     def through_an_eye(self) -> bool:

@@ -44,6 +44,7 @@ class Images:
         self.mitsuba_scene = self._mi.load_dict(content)
         self._move = build.mover(scene, self.mitsuba_scene)
         self._unsettle = unrest.unsettler(world, self.mitsuba_scene, uniform=uniform)
+        self._reflexes = self._reflexes_at(np.zeros(2))
         self.random = (
             scene.source.kind == "photons"
             or scene.phantom.indirect == "traced"
@@ -74,17 +75,27 @@ class Images:
         """
         self.place(tip=tip, axis=axis, moment=moment)
         if self.reach is None:
-            return self._whole_image(seed)
-        radiance, wall = (still.copy() for still in self._still)
-        pixels = self.reach.pixels(tip=tip, axis=axis)
-        radiance.reshape(-1, 3)[pixels], wall.reshape(-1)[pixels] = self._pixels(pixels)
-        return radiance, wall
+            radiance, wall = self._whole_image(seed)
+        else:
+            radiance, wall = (still.copy() for still in self._still)
+            pixels = self.reach.pixels(tip=tip, axis=axis)
+            radiance.reshape(-1, 3)[pixels], wall.reshape(-1)[pixels] = self._pixels(pixels)
+        reflexes = self._reflexes
+        if moment is not None and self.world.scene.unrest.shifts:
+            reflexes = self._reflexes_at(moment.view_px)
+        return (radiance if reflexes is None else radiance + reflexes), wall
 
     def place(self, *, tip: np.ndarray, axis: np.ndarray, moment: Moment | None = None) -> None:
         """Bring the loaded scene into the state of one pose; see `at`."""
         self._move(tip, axis)
         if moment is not None and not self.world.scene.unrest.still:
             self._unsettle(moment)
+
+    def _reflexes_at(self, view_px: np.ndarray) -> np.ndarray | None:
+        """Light of the lamp's reflexes in an image that is shifted by (x, y) px, H x W x 1."""
+        if self.world.reflections is None:
+            return None
+        return self.world.reflections.image(view_px)[..., None].astype(np.float32)
 
     def _pixels(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         from scenes.rendering.pixels import pixel_means

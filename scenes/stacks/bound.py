@@ -129,11 +129,13 @@ class Bounds:
 
     def __init__(self, renderer: Renderer) -> None:
         scene = renderer.scene
-        if renderer.images.random or renderer.world.wall_spread is not None:
+        spread, reflexes = renderer.world.wall_spread, renderer.world.reflections
+        if renderer.images.random or spread is not None or reflexes is not None:
             raise SceneError(
-                "exposures.bound needs light without random numbers. Set exposures.bound = false; "
-                "or source.kind other than 'photons', phantom.indirect other than 'traced', "
-                "phantom.spread = 'none', and microscope.numerical_aperture = 0."
+                "exposures.bound needs light without random numbers, and of the wall alone. Set "
+                "exposures.bound = false; or source.kind other than 'photons', phantom.indirect "
+                "other than 'traced', phantom.spread = 'none', microscope.numerical_aperture = 0, "
+                "and viewing.reflexes = false."
             )
         self._renderer, self._scene = renderer, scene
         self._motion = ellipse_motion(renderer.world)

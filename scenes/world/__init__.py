@@ -8,6 +8,7 @@ limits        Checks: the tip stays out of the wall, the spot stays in the windo
 motion        Position of the tip over time, and the clocks of camera and robot
 photometry    Brightness: indirect light, and the exposure time of the `paper` frames
 unrest        Where the view, the eyeball and the source's power are at a time
+reflections   The microscope's lamp as the surfaces of a viewing path reflect it
 view          The camera: a pinhole, or the microscope behind a lens and the eye's optics
 world         World: derives each of these once and passes it on
 """

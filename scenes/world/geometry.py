@@ -11,7 +11,8 @@ import numpy as np
 import optics
 from optics.viewing import PathCamera, Pencils
 from scenes.description import Scene
-from scenes.world.view import SceneCamera, bare_camera, scene_pencils
+from scenes.world.reflections import Reflections
+from scenes.world.view import SceneCamera, bare_camera, scene_pencils, scene_reflections
 
 _RIM_POINTS = 64
 
@@ -124,6 +125,19 @@ class Geometry:
         if not isinstance(camera, PathCamera) or not self.scene.microscope.numerical_aperture:
             return None
         return scene_pencils(self.scene, camera, channel=1)
+
+    @cached_property
+    def reflections(self) -> Reflections | None:
+        """Reflexes of the microscope's lamp; None if the scene shows none."""
+        camera = self.microscope
+        if not isinstance(camera, PathCamera) or not self.scene.viewing.reflexes:
+            return None
+        return scene_reflections(self.scene, camera, channel=1)
+
+    @cached_property
+    def brightest_reflex_px(self) -> np.ndarray:
+        """Where the brightest reflex shows the lamp's centre, (x, y) px; NaN without one."""
+        return np.full(2, np.nan) if self.reflections is None else self.reflections.brightest_px()
 
     @cached_property
     def window_border(self) -> np.ndarray:

@@ -55,6 +55,9 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
         labels |= {f"eye_turn_{k}_deg": d for k, d in zip("xyz", degrees, strict=True)}
     if unrest.power_swing:
         labels["relative_power"] = moment.power
+    if world.reflections is not None:
+        x, y = (world.brightest_reflex_px + moment.view_px).tolist()
+        labels |= {"reflex_x_px": x, "reflex_y_px": y}
     ellipses = {"cone": spots.cone, "half_max": spots.half_max}
     if (spread := world.spread_spots) is not None:
         ellipses |= {"spread_cone": spread.cone, "spread_half_max": spread.half_max}

@@ -14,9 +14,11 @@ from optics.viewing import (
     load_viewing_lens,
     path_camera,
     pencils,
+    reflexes,
     viewing_path,
 )
 from scenes.description import Scene, SceneError
+from scenes.world.reflections import Reflections
 
 SceneCamera = optics.Microscope | PathCamera
 
@@ -58,6 +60,12 @@ def scene_pencils(scene: Scene, camera: PathCamera, *, channel: int) -> Pencils:
     # One microscope for all colours, focused in green.
     depth = focal_depth(_path(scene, channel=1), focus=scene.microscope.focus_mm)
     return pencils(_path(scene, channel=channel), camera, depth=depth)
+
+
+def scene_reflections(scene: Scene, camera: PathCamera, *, channel: int) -> Reflections:
+    """Reflexes of the microscope's lamp, seen by one colour's camera."""
+    path = _path(scene, channel=channel)
+    return Reflections.of(scene, camera, path, reflexes(path))
 
 
 def _path(scene: Scene, *, channel: int) -> ViewingPath:

@@ -16,7 +16,7 @@ from scenes.world.light_cache import LensLight, lens_light
 from scenes.world.limits import check_light, check_poses, check_view, check_window
 from scenes.world.motion import Trajectory, frame_times, trajectory
 from scenes.world.unrest import UnrestPath
-from scenes.world.view import colour_cameras, colour_shifts, scene_pencils
+from scenes.world.view import colour_cameras, colour_shifts, scene_pencils, scene_reflections
 
 _CALIBRATED_RANGE_MM = (0.5, 6.0)
 """Distances over which the effective cone of a lens is fitted; as in the paper's trials."""
@@ -145,6 +145,8 @@ class World(Geometry):
         other.microscope = camera.on_sensor_of(self.microscope)
         if self.pencils is not None:
             other.pencils = scene_pencils(self.scene, other.microscope, channel=channel)
+        if self.reflections is not None:
+            other.reflections = scene_reflections(self.scene, other.microscope, channel=channel)
         return other
 
     @cached_property

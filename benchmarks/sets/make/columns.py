@@ -52,6 +52,7 @@ _OTHERS = (
     ),
     (r"bound_d_mm", "The same of the distance from the ellipse, with the beam known, mm."),
     (r"(red|blue)_shift_[xy]_px", "Where this colour shows the spot, against green, px."),
+    (r"reflex_[xy]_px", "Brightest reflex of the microscope's lamp, px."),
     (r"view_[xy]_px", "Shift of the image by drift and shake, px."),
     (r"eye_turn_[xyz]_deg", "Rotation vector of the eyeball, degrees."),
 )
