@@ -146,7 +146,16 @@ def test_colours_are_shifted_apart_as_the_indices_are():
 @pytest.mark.parametrize(
     "viewing, changes, said",
     [
-        ({"eye": "navarro"}, {}, r"sees only c <= 0\.1\d mm: the fundus lies near infinity\. Set"),
+        (
+            {"eye": "navarro"},
+            {},
+            r"sees only c <= 0\.1\d mm: the fundus lies near infinity\. .* set viewing\.lens to flat",
+        ),
+        (
+            {"eye": "navarro", "lens": "flat", "pupil_mm": 0.2},
+            {},
+            r"with a pupil of 0\.2 mm, the microscope sees only c <= 0\.1\d mm\. Raise",
+        ),
         (
             {"eye": "navarro", "lens": "flat"},
             {"spot": {"eccentricity_mm": 4.0}},

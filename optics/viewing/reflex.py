@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from optics import InputError, refract
 from optics.viewing.camera import TERMS
@@ -29,23 +29,25 @@ class Reflex(eqx.Module):
     shows the lamp if the lamp covers the place to which its line returns.
 
     Attributes:
-        surface: number of the surface among the path's refracting ones, from 0.
         returning: Chebyshev coefficients of m.
         strength: Chebyshev coefficients of the part of the light that comes back.
         widest: largest t of the series, mm; up to it the iris stops no line.
     """
 
-    surface: int = eqx.field(static=True)
     returning: Float[Array, "terms"]
     strength: Float[Array, "terms"]
     widest: Float[Array, ""]
 
-    def place(self, aim: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+    @eqx.filter_jit
+    def place(self, aim: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """X and Y to which lines of sight return in the pinhole's plane, mm."""
+        aim = jnp.asarray(aim)
         return series(self.returning, self._argument(aim))[..., None] * aim
 
-    def part(self, aim: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+    @eqx.filter_jit
+    def part(self, aim: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch"]:
         """Part of the light that comes back: Fresnel's, there and back; 0 outside the series."""
+        aim = jnp.asarray(aim)
         inside = jnp.sum(aim * aim, axis=-1) <= self.widest**2
         return jnp.where(inside, series(self.strength, self._argument(aim)), 0.0)
 
@@ -54,7 +56,7 @@ class Reflex(eqx.Module):
 
 
 def reflexes(path: ViewingPath) -> tuple[Reflex, ...]:
-    """The reflexes at every refracting surface of a path; each line is reflected once.
+    """The reflexes at a path's refracting surfaces, in their order; each line is reflected once.
 
     Raises:
         InputError: the path's pinhole is at infinity, and so would be the lamp.
@@ -65,11 +67,11 @@ def reflexes(path: ViewingPath) -> tuple[Reflex, ...]:
             "Give viewing_path(pinhole_distance=...) in mm."
         )
     surfaces = [k for k, element in enumerate(path.elements) if isinstance(element, Refracting)]
-    return tuple(_reflex(path, at, number) for number, at in enumerate(surfaces))
+    return tuple(_reflex(path, at) for at in surfaces)
 
 
 @eqx.filter_jit
-def _reflex(path: ViewingPath, at: int, number: int) -> Reflex:
+def _reflex(path: ViewingPath, at: int) -> Reflex:
     step = _WIDEST_AIM_MM / _SCAN
     _, _, returns = _returned(path, at, step * (1.0 + jnp.arange(_SCAN)))
     # 0 if the first line is lost: then no line is shown.
@@ -78,7 +80,7 @@ def _reflex(path: ViewingPath, at: int, number: int) -> Reflex:
     nodes, to_series = chebyshev_nodes(TERMS)
     t = widest * jnp.sqrt((nodes + 1.0) / 2.0)
     place, strength, _ = _returned(path, at, t)
-    return Reflex(number, to_series @ (place / t), to_series @ strength, widest)
+    return Reflex(to_series @ (place / t), to_series @ strength, widest)
 
 
 def _returned(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
 
@@ -52,10 +50,10 @@ class Reflections(NamedTuple):
         microscope = self.scene.microscope
         height, width = microscope.height_px, microscope.width_px
         v, u = np.mgrid[:height, :width]
-        pixels = np.stack([u, v], axis=-1) - view_px
+        aim = self.camera.aim(np.stack([u, v], axis=-1) - view_px)
         light = np.zeros((height, width))
         for reflex in self.reflexes:
-            place, part = (np.asarray(a) for a in _seen(self.camera, reflex, pixels))
+            place, part = (np.asarray(a) for a in (reflex.place(aim), reflex.part(aim)))
             inside = self.scene.viewing.lamp_radius_mm - np.linalg.norm(
                 place - np.array(self.scene.viewing.lamp_mm), axis=-1
             )
@@ -76,7 +74,7 @@ class Reflections(NamedTuple):
             aim = _aim_at(reflex, away)
             if aim is None:
                 continue
-            part = float(reflex.part(jnp.asarray(aim * outward)))
+            part = float(reflex.part(aim * outward))
             offset = aim * outward * float(self.camera.px_per_aim) * [1.0, -1.0]
             at = np.asarray(self.camera.principal_point) + offset
             if part > best and np.all((at >= -0.5) & (at <= self._last_pixel + 0.5)):
@@ -89,20 +87,14 @@ class Reflections(NamedTuple):
         return np.array([microscope.width_px - 1, microscope.height_px - 1])
 
 
-@jax.jit
-def _seen(camera: PathCamera, reflex: Reflex, pixels: jax.Array) -> tuple[jax.Array, jax.Array]:
-    aim = camera.aim(pixels)
-    return reflex.place(aim), reflex.part(aim)
-
-
 def _aim_at(reflex: Reflex, away: float) -> float | None:
     """Signed distance t at which a line of sight returns to a distance from the axis, mm."""
 
     def missed(t: float) -> float:
-        return float(reflex.place(jnp.array([t, 0.0]))[0]) - away
+        return float(reflex.place(np.array([t, 0.0]))[0]) - away
 
     places = np.linspace(-1.0, 1.0, _PLACES) * float(reflex.widest)
-    returned = np.asarray(reflex.place(jnp.stack([places, 0.0 * places], axis=-1)))[:, 0] - away
+    returned = np.asarray(reflex.place(np.stack([places, 0.0 * places], axis=-1)))[:, 0] - away
     crossed = np.flatnonzero(returned[:-1] * returned[1:] <= 0.0)
     if not crossed.size:
         return None

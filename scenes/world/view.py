@@ -106,11 +106,14 @@ def _through_the_eye(scene: Scene, wall: optics.Surface, *, channel: int) -> Pat
     camera = path_camera(path, scale=scene.microscope.scale_mm_px, upright=viewing.upright)
     field = float(camera.field(wall))
     if not field > _SMALLEST_FIELD_MM:
+        why, lens = "", "set viewing.lens to wide-field-90"
+        if viewing.lens == "none":
+            why = ": the fundus lies near infinity"
+            lens = "set viewing.lens to flat (biconcave in air) or to wide-field-90"
         raise SceneError(
             f"through viewing.lens {viewing.lens!r} and the {viewing.form} eye {viewing.eye!r} "
-            f"filled with {medium} the microscope sees only c <= {field:.2f} mm: the fundus lies "
-            "near infinity. Set viewing.lens to flat (biconcave in air) or to wide-field-90, or "
-            "raise pupil_mm."
+            f"filled with {medium}, with a pupil of {viewing.pupil_mm:g} mm, the microscope sees "
+            f"only c <= {field:.2f} mm{why}. Raise viewing.pupil_mm, or {lens}."
         )
     return camera
 
