@@ -69,6 +69,14 @@ def test_an_eye_that_is_a_pinhole_is_fitted_and_read_exactly(kappa):
     assert float(found.scale) == pytest.approx(SCALE_MM_PX, rel=1e-5)
     assert float(found.radius) == pytest.approx(RETINA.mean, abs=1e-4)
 
+    # A withdrawal that is hidden, and whose contours have no values, says nothing.
+    hidden = seen.visible.at[2].set(False)
+    gone = jax.tree.map(lambda leaf: leaf.at[2].set(jnp.nan), seen._replace(visible=hidden * 1.0))
+    gone = gone._replace(visible=hidden, axis=seen.axis)
+    assert float(recipes.fitted_pinhole(gone, jnp.zeros((3, 9, 5))).kappa) == pytest.approx(
+        kappa, abs=1e-4
+    )
+
     spots = jax.tree.map(
         jnp.ravel, grid(np.array([0.0, 3.0]), np.array([1.0, 5.0]), ((0.0, 0.0), (30.0, 40.0)))
     )

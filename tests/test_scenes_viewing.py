@@ -149,7 +149,7 @@ def test_colours_are_shifted_apart_as_the_indices_are():
         (
             {"eye": "navarro"},
             {},
-            r"sees only c <= 0\.1\d mm: the fundus lies near infinity\. .* set viewing\.lens to flat",
+            r"c <= 0\.1\d mm: the fundus lies near infinity\. .* set viewing\.lens to flat",
         ),
         (
             {"eye": "navarro", "lens": "flat", "pupil_mm": 0.2},

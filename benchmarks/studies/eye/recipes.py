@@ -34,10 +34,8 @@ _SPOTS_AT_ONCE = 1024
 
 WITHDRAWALS_C_MM = (0.5, 1.5, 3.0)
 _TILT_DEG, _TOWARDS_DEG = 25.0, 90.0
-"""Of the withdrawals' beams: sideways. Beams that lean away from the axis and towards it show the
-retina's shape, and then 95 % of the random eyes are within 0.1 mm up to c = 3.5 mm behind a flat
-lens instead of 2.2; but eyes with a gradient lens bend these spots as no pinhole does, and err by
-up to 1 mm at c = 3 mm."""
+"""Of the withdrawals' beams: sideways. Eyes with a gradient lens bend the spots of beams that lean
+towards the axis or away from it as no pinhole does."""
 
 
 class Recipe(StrEnum):
@@ -94,16 +92,25 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
             sub-pixel mode.
     """
     distance, count = withdrawals().distance[0], len(WITHDRAWALS_C_MM)
-    minor, major = jnp.moveaxis(seen.semi_axes, -1, 0)
+    # A hidden contour may have no values, and its weight is 0.
+    centre, minor, major, angle = (
+        jnp.where(seen.visible, value, instead)
+        for value, instead in (
+            (jnp.moveaxis(seen.centre, -1, 0), 0.0),
+            (seen.semi_axes[..., 0], 1.0),
+            (seen.semi_axes[..., 1], 1.0),
+            (seen.angle, 0.0),
+        )
+    )
     sigma = jnp.broadcast_to(_SIGMA_PX, (*minor.shape, 5))
     # Noise turns an outline that is nearly round by much.
     sigma = sigma.at[..., 4].divide(jnp.maximum(major - minor, _SIGMA_PX))
     off = sigma * noise
     ellipses = optics.Ellipse(
-        seen.centre + off[..., :2],
+        jnp.moveaxis(centre, 0, -1) + off[..., :2],
         major + off[..., 2],
         minor + off[..., 3],
-        seen.angle + off[..., 4],
+        angle + off[..., 4],
     )
     covariances = sigma[..., None] ** 2 * jnp.eye(5)
     nothing = jnp.zeros(count)
@@ -139,10 +146,11 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
         # The robot's axis is known, so only these nuisances are free.
         nuisances = jnp.zeros(len(NUISANCES)).at[_FREE].set(own)
         alone = jax.tree.map(lambda leaf: leaf[None], trial)
-        # Every trial carries its part of the retina's prior.
-        return jnp.concatenate(
-            [misfit(alone, found.microscope, values, nuisances[None]), eye[2:] / math.sqrt(count)]
-        )
+        missed = misfit(alone, found.microscope, values, nuisances[None])
+        # Without a visible frame the place would have no value. Every trial carries its part of the
+        # retina's prior.
+        held = own[1:3] / _ANYWHERE_PX, eye[2:] / math.sqrt(count)
+        return jnp.concatenate([missed, *held])
 
     start = jnp.zeros(3), jnp.zeros((count, len(_FREE)))
     # The problem is nearly linear. 1e-6 of kappa or of a touch moves no distance by 1e-5 mm.
@@ -150,6 +158,7 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
     return pinhole(eye)
 
 
+_ANYWHERE_PX = 1e4
 _FREE = np.array([NUISANCES.index(name) for name in ("touch", "u", "v", "size")])
 _NO_TILT = {"tilt_x": 0.0, "tilt_y": 0.0}
 
