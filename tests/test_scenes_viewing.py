@@ -234,3 +234,14 @@ def test_a_spot_out_of_focus_is_spread_over_the_pupil_s_disc_behind_an_eye():
     # The variance of a disc, or of its affine image. 16 x 16 places miss 0.4 % of it. The disc
     # shrinks by 22 % per mm2 from the axis, so on a spot of 0.12 mm it differs by 0.6 %.
     np.testing.assert_allclose(after[2:] - before[2:], np.sum(aside**2, axis=0) / 4, rtol=0.012)
+
+
+def test_a_surface_that_lines_of_sight_miss_is_not_taken_for_the_pupil(tmp_path):
+    text = (importlib.resources.files("optics.viewing") / "eyes" / "navarro.toml").read_text()
+    path = tmp_path / "small_cornea.toml"
+    # An ellipsoid of 0.26 mm across.
+    path.write_text(text.replace("front_asphericity = -0.26", "front_asphericity = 900.0"))
+    with pytest.raises(
+        ValueError, match=r"whose surfaces end there, shows c <= 0\.5\d mm .* viewing\.lens\."
+    ):
+        World(looked_at({"eye": str(path), "lens": "flat"})).check()

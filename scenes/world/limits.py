@@ -139,11 +139,14 @@ def check_view(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray) -
     first = int(np.argmin(seen.all(axis=1)))
     reach = np.hypot(contours[first, :, 0], contours[first, :, 1]).max()
     viewing = geometry.scene.viewing
+    hides, remedy = f"a pupil of {viewing.pupil_mm:g} mm", "raise viewing.pupil_mm"
+    if camera.widest < camera.pupil:
+        # Lines of sight farther out miss a surface, or are reflected totally.
+        hides, remedy = "the path, whose surfaces end there,", "choose another viewing.lens"
     raise SceneError(
-        f"at {times[first]:.3f} s a part of the spot is hidden: a pupil of {viewing.pupil_mm:g} mm "
-        f"shows c <= {float(camera.field(geometry.wall)):.2f} mm through viewing.lens "
-        f"{viewing.lens!r}, and the spot reaches {reach:.2f} mm. Lower spot.eccentricity_mm, or "
-        "raise viewing.pupil_mm."
+        f"at {times[first]:.3f} s a part of the spot is hidden: {hides} shows c <= "
+        f"{float(camera.field(geometry.wall)):.2f} mm through viewing.lens {viewing.lens!r}, and "
+        f"the spot reaches {reach:.2f} mm. Lower spot.eccentricity_mm, or {remedy}."
     )
 
 
