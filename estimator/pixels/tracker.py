@@ -54,7 +54,9 @@ _SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
 _STAYS_PX = 0.1  # shift of a wall that keeps still; one that moved may move as far again
 _CALMS = 0.9  # of the shake that is expected, from frame to frame
 _MOVES_ON_PX = 4.0  # of the wall from frame to frame; a microscope shakes by one or two
-_PLACE_PX = 0.05  # error of the spot's place by the image model, on rendered frames of known pose
+_PLACE_PX, _ALONG_MM = 0.05, 0.001
+"""Errors of the spot's place and of the distance by the image model, on rendered frames of known
+pose on even walls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +198,7 @@ class PoseTracker:
         others = tuple(float(one.newest.pose.distance) for one in self._beliefs[1:])
         # Where the view was in the first frame, if it shakes, nobody knows.
         place = self.beam.scale_mm_px * math.hypot(_PLACE_PX, best.shake_px)
-        doubt = np.diag([place**2, place**2, 0.0, 0.0, 0.0])
+        doubt = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
         drifts = [self._drift + best.drift(frame) for frame in best.solution.frames]
         if np.any(drifts):
             doubt += drift_covariance(best.solver, best.solution, drifts)
