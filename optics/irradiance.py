@@ -20,14 +20,13 @@ from jaxtyping import Array, Float
 
 from optics.irradiance_breaks import Breaks, ring_breaks
 from optics.irradiance_edges import (
-    Excess,
     approach_extremes,
     implicit_root,
     scan_boundaries,
     settle,
 )
+from optics.irradiance_turns import RingRays
 from optics.lens import GlueLens
-from optics.lens_trace import BackwardRays, trace_backwards
 
 _RINGS = 6  # Gauss-Legendre nodes between two breaks
 _CELLS = 9  # cells of the scan along half a ring, in each of three stretches
@@ -90,20 +89,8 @@ def _batch_field(lens, medium_index, radius, distance) -> Float[Array, "2 batch"
 
 def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
     """V at one wall point."""
-    trace = partial(
-        trace_backwards, lens, medium_index=medium_index, radius=radius, distance=distance
-    )
-
-    def haversine(ring: Array, tau: Array) -> Array:
-        # With this Möbius map of sin²(phi/2) the squared sine at the wall point is linear along a
-        # ring, for near and far wall points, so a few Newton steps find a root.
-        gap_squared = jnp.square(radius - ring) + jnp.square(distance + lens.sagitta(ring))
-        return tau / (1.0 + 4.0 * radius * ring / gap_squared * (1.0 - tau))
-
-    def rays(ring: Array, tau: Array) -> BackwardRays:
-        return trace(cap_radius=ring, haversine=haversine(ring, tau))
-
-    breaks = ring_breaks(lens, rays, radius=radius, distance=distance)
+    rays = RingRays(lens, medium_index, radius, distance)
+    breaks = ring_breaks(rays)
     node, weight = np.polynomial.legendre.leggauss(_RINGS)
     # At a break an arc opens and closes like a square root; the cosine makes this smooth.
     turn = 0.5 * np.pi * (node + 1.0)
@@ -114,12 +101,12 @@ def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
     # Axes from here on: node of an arc, arc, ring.
     node, weight = np.polynomial.legendre.leggauss(_ARC)
     node, weight = node[:, None, None], weight[:, None, None]
-    arcs = _lit_arcs(lambda tau: rays(ring, tau).excess, _openings(breaks, share).reshape(2, -1))
-    first, last = _quarter_tangent(haversine(ring, arcs))
+    arcs = _lit_arcs(rays, ring, _openings(breaks, share).reshape(2, -1))
+    first, last = _quarter_tangent(rays.haversine(ring, arcs))
     half = 0.5 * (last - first)
     tangent = first + half * (1.0 + node)
     stretch = 1.0 + jnp.square(tangent)
-    light = trace(cap_radius=ring, haversine=jnp.square(2.0 * tangent / stretch))
+    light = rays.trace(ring, jnp.square(2.0 * tangent / stretch))
     # The factor 2 adds the half of the ring on the other side of the meridional plane.
     area = 2.0 * ring * ring_weight * (4.0 * half / stretch) * weight
     return jnp.stack([jnp.sum(area * light.lateral), jnp.sum(area * light.axial)])
@@ -138,13 +125,25 @@ def _openings(breaks: Breaks, share: Float[np.ndarray, "nodes"]) -> Float[Array,
     return lax.stop_gradient(jnp.clip(jnp.where(breaks.opens[nearest], place, middle), 0.0, 1.0))
 
 
-def _lit_arcs(excess: Excess, openings: Float[Array, "2 rings"]) -> Float[Array, "2 2 rings"]:
+def _lit_arcs(
+    rays: RingRays, ring: Float[Array, "rings"], openings: Float[Array, "2 rings"]
+) -> Float[Array, "2 2 rings"]:
     """First and last tau in [0, 1] of the at most two lit arcs of half a ring; may be empty.
 
     Args:
-        excess: excess of the rings, by tau.
+        rays: rays by ring and tau.
+        ring: the rings.
         openings: places at which an arc can be shorter than the scan's cells.
     """
+
+    def excess(tau: Array) -> Array:
+        return rays(ring, tau).excess
+
+    still_rays, still_ring = lax.stop_gradient((rays, ring))
+
+    def searched(tau: Array) -> Array:
+        return still_rays(still_ring, tau).excess
+
     # Short arcs lie at the openings, or near the meridian, where both edges of the lit part bend.
     low, high = jnp.min(openings, axis=0), jnp.max(openings, axis=0)
     rings = low.size
@@ -153,9 +152,9 @@ def _lit_arcs(excess: Excess, openings: Float[Array, "2 rings"]) -> Float[Array,
     fraction = np.sin(np.linspace(0.0, 0.5 * np.pi, _CELLS, endpoint=False)) ** 2
     tau = (start[:, None] + width[:, None] * fraction[:, None]).reshape(-1, rings)
     tau = jnp.append(tau, jnp.ones((1, rings)), axis=0)
-    tau, values = approach_extremes(excess, tau, excess(tau), count=1)
+    tau, values = approach_extremes(searched, tau, searched(tau), count=1)
     found, lit, dark = scan_boundaries(tau, values, count=3)
-    root = jnp.clip(implicit_root(excess, settle(excess, lit, dark)), 0.0, 1.0)
+    root = jnp.clip(implicit_root(excess, settle(searched, lit, dark)), 0.0, 1.0)
     zero = jnp.zeros(rings)
     one, two, three = jnp.where(found, root, 1.0)
     from_lit = jnp.stack([jnp.stack([zero, two]), jnp.stack([one, three])])

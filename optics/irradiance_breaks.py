@@ -5,17 +5,16 @@ rings converges. A break lies where the lit part's edge crosses the meridian thr
 where it touches a ring, or where it passes from one limit of the light to another.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from optics.irradiance_edges import approach_extremes, implicit_root, scan_boundaries, settle
-from optics.irradiance_turns import RingRays, find_turns, smallest
-from optics.lens import GlueLens
+from optics.irradiance_turns import RingRange, RingRays, find_turns, smallest
 
 _MERIDIAN = 160  # cells of the scan along the meridian
 _ZOOM = 16  # cells of the second scan, for a lit part smaller than a cell
@@ -44,71 +43,58 @@ class Breaks(NamedTuple):
     drift: Float[Array, "breaks"]
 
 
-def ring_breaks(
-    lens: GlueLens, rays: RingRays, *, radius: ArrayLike, distance: ArrayLike
-) -> Breaks:
+def ring_breaks(rays: RingRays) -> Breaks:
     """Rings of the cap at which the number or the bounds of lit arcs change, with both ends.
 
     Breaks have derivatives, because a whole arc ends at a break if the core's edge is along a ring.
 
     Args:
-        lens: the lens.
-        rays: rays to the wall point from (radius on the cap, tau), tau running over half a ring
-            from 0 on the wall point's side to 1.
-        radius: distance of the wall point from the axis, mm.
-        distance: distance of the wall point from the tip's plane, mm.
+        rays: rays from the wall point.
     """
-    aperture = jnp.asarray(lens.aperture_radius)
+    aperture = rays.lens.aperture_radius
+    still = lax.stop_gradient(rays)
 
-    def excess(x):
+    def excess(x, rays=rays):
         return rays(jnp.abs(x), jnp.where(x < 0.0, 1.0, 0.0)).excess
+
+    searched = partial(excess, rays=still)
 
     # Samples are nearly equidistant in the angle seen from the wall point. So they resolve the lit
     # part for near wall points (small) and for far ones (the whole aperture). At the aperture
     # itself light can be exactly at the core's limit although the strip next to it is lit.
     end = aperture * (1.0 - 1e-6)
-    gap = distance + lens.sagitta(jnp.minimum(radius, end))
+    gap = rays.distance + rays.lens.sagitta(jnp.minimum(rays.radius, end))
+    zero = 0.0 * aperture
+    whole = RingRange(rays.radius, gap, end, zero, zero).between(-aperture, aperture)
+    angle = whole.angle
 
-    def angle(x):
-        return _half_tangent((x - radius) / gap)
-
-    def place(tangent):
-        x = radius + gap * 2.0 * tangent / (1.0 - jnp.square(tangent))
-        return jnp.clip(x, -end, end)
-
-    def spread(first, last, count):
-        return place(angle(first) + (angle(last) - angle(first)) * np.linspace(0.0, 1.0, count))
-
-    even = spread(-aperture, aperture, _MERIDIAN + 1)
-    x, values = approach_extremes(excess, even, excess(even), count=_EXTREMES)
-    cell = (angle(aperture) - angle(-aperture)) / _MERIDIAN
-    near = angle(x[jnp.argmin(values)])
-    zoomed = place(near + cell * np.linspace(-1.0, 1.0, _ZOOM + 1))
+    still_whole = lax.stop_gradient(whole)
+    even = still_whole(jnp.linspace(0.0, 1.0, _MERIDIAN + 1))
+    x, values = approach_extremes(searched, even, searched(even), count=_EXTREMES)
+    cell = (still_whole.high - still_whole.low) / _MERIDIAN
+    near = still_whole.angle(x[jnp.argmin(values)])
+    zoomed = still_whole.place(near + cell * np.linspace(-1.0, 1.0, _ZOOM + 1))
     resolved = jnp.any(values < 0.0)
     found, lit, dark = (
         jnp.where(resolved, coarse, fine)
         for coarse, fine in zip(
             scan_boundaries(x, values, count=_CROSSINGS),
-            scan_boundaries(zoomed, excess(zoomed), count=_CROSSINGS),
+            scan_boundaries(zoomed, searched(zoomed), count=_CROSSINGS),
             strict=True,
         )
     )
-    crossing = jnp.abs(implicit_root(excess, settle(excess, lit, dark)))
+    crossing = jnp.abs(implicit_root(excess, settle(searched, lit, dark)))
     reaches_rim = (values[0] < 0.0) | (values[-1] < 0.0)
     inner = jnp.where(jnp.any(found), jnp.min(jnp.where(found, crossing, aperture)), 0.0)
     outer = jnp.where(reaches_rim, aperture, jnp.max(jnp.where(found, crossing, 0.0)))
     # The rings round the axis are lit if it is.
-    inner = jnp.where(excess(jnp.zeros(())) < 0.0, 0.0, jnp.minimum(inner, outer))
+    inner = jnp.where(searched(jnp.zeros(())) < 0.0, 0.0, jnp.minimum(inner, outer))
     outer = jnp.maximum(inner, outer)
 
     # Off the meridian rings are lit that are dark on it, where the edge bends away from a ring.
-    ring = spread(0.0 * aperture, end, _COARSE)
-    low, high, innermost, outermost = _lit_rings(rays, ring, inner, outer)
-
-    def ring_at(share):
-        return place(angle(low) + (angle(high) - angle(low)) * share)
-
-    is_turn, turn, tau, drift = find_turns(rays, ring_at)
+    ring = lax.stop_gradient(whole.between(zero, end)(jnp.linspace(0.0, 1.0, _COARSE)))
+    low, high, innermost, outermost = _lit_rings(still, ring, inner, outer)
+    is_turn, turn, tau, drift = find_turns(rays, whole.between(low, high))
     # A lit part off the meridian may lack turns, if it reaches the rim.
     inner, outer = jnp.where(outer > inner, jnp.stack([inner, outer]), jnp.stack([low, high]))
     first = jnp.minimum(innermost, jnp.minimum(inner, jnp.min(jnp.where(is_turn, turn, inner))))
@@ -128,7 +114,7 @@ def ring_breaks(
     used = found[chosen]
     ends = angle(bounds)
     divided = _divided(jnp.where(used, angle(breaks[chosen]), ends[0]), used, ends)
-    breaks = jnp.where(used, breaks[chosen], place(divided))
+    breaks = jnp.where(used, breaks[chosen], whole.place(divided))
     ring = jnp.append(jnp.clip(breaks, 0.0, aperture), jnp.stack([0.0 * aperture, aperture]))
     order = jnp.argsort(ring)
     turns = slice(crossing.size, crossing.size + turn.size)
@@ -182,8 +168,3 @@ def _lit_rings(
     innermost = jnp.min(jnp.where(darkness < 0.0, ring, high))
     outermost = jnp.max(jnp.where(darkness < 0.0, ring, low))
     return lax.stop_gradient((low, high, innermost, outermost))
-
-
-def _half_tangent(tangent: Array) -> Array:
-    """tan(x/2) from tan(x)."""
-    return tangent / (1.0 + jnp.sqrt(1.0 + jnp.square(tangent)))

@@ -107,35 +107,26 @@ def _extremum(excess: Excess, low: Array, high: Array, sign: Array) -> Array:
         value, slope = jax.jvp(excess, (x,), (jnp.ones_like(x),))
         return sign * value, sign * slope
 
-    def narrowed(state, between):
-        low, high, (low_value, low_slope), (high_value, high_slope) = state
+    def narrowed(number, state):
+        (low, high), (low_value, high_value), (low_slope, high_slope) = state
         steeper = high_slope - low_slope
-        x = between(low, high, low_value, high_value, low_slope, high_slope)
-        x = x / jnp.where(steeper == 0.0, 1.0, steeper)
+        # Where the tangents meet is exact if two limits meet, the zero of the slope for a parabola.
+        meeting = high_slope * high - low_slope * low + low_value - high_value
+        level = high_slope * low - low_slope * high
+        x = jnp.where(number % 2 == 0, meeting, level) / jnp.where(steeper == 0.0, 1.0, steeper)
         x = jnp.where((x > low) & (x < high), x, 0.5 * (low + high))
         value, slope = measure(x)
         falls = slope < 0.0
 
-        def chosen(inner, outer_low, outer_high):
-            return jnp.where(falls, inner, outer_low), jnp.where(falls, outer_high, inner)
+        def chosen(inner, outer):
+            return jnp.where(falls, inner, outer[0]), jnp.where(falls, outer[1], inner)
 
-        low, high = chosen(x, low, high)
-        low_value, high_value = chosen(value, low_value, high_value)
-        low_slope, high_slope = chosen(slope, low_slope, high_slope)
-        return low, high, (low_value, low_slope), (high_value, high_slope)
+        ends = (low, high), (low_value, high_value), (low_slope, high_slope)
+        return tuple(chosen(*pair) for pair in zip((x, value, slope), ends, strict=True))
 
-    def where_tangents_meet(low, high, low_value, high_value, low_slope, high_slope):
-        return high_slope * high - low_slope * low + low_value - high_value
-
-    def where_slope_is_zero(low, high, low_value, high_value, low_slope, high_slope):
-        return high_slope * low - low_slope * high
-
-    def steps(_, state):
-        # The first is exact where two limits meet, the second for a parabola.
-        return narrowed(narrowed(state, where_tangents_meet), where_slope_is_zero)
-
-    state = lax.fori_loop(0, _APPROACHES, steps, (low, high, measure(low), measure(high)))
-    low, high, (low_value, _), (high_value, _) = state
+    # One place in the program for each evaluation, because each of them takes long to compile.
+    state = (low, high), *map(tuple, measure(jnp.stack([low, high])))
+    (low, high), (low_value, high_value), _ = lax.fori_loop(0, 2 * _APPROACHES, narrowed, state)
     return jnp.where(low_value < high_value, low, high)
 
 

@@ -1,14 +1,16 @@
 """Turns of the edge of a cap's lit part: rings that it touches, or on which two limits meet."""
 
-from collections.abc import Callable
+from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from optics.lens_trace import BackwardRays
+from optics.lens import GlueLens
+from optics.lens_trace import BackwardRays, trace_backwards
 
 _RINGS, _TURNS = 16, 10  # cells of the search for turns of the edge
 _STARTS = 4  # of the search, for each kind of turn
@@ -21,11 +23,89 @@ _CLOSE = 1e-6  # residual of a turn
 _FIRST, _SECOND = np.array([0, 0, 1, 0, 1, 2]), np.array([1, 2, 2, 0, 1, 2])
 _TOUCHES = _FIRST == _SECOND
 
-RingRays = Callable[[Array, Array], BackwardRays]
+
+class RingRays(eqx.Module):
+    """Rays from a wall point backwards through points of half a ring of the cap.
+
+    A search for a boundary needs no derivatives: it uses `lax.stop_gradient` of this object, since
+    to differentiate its steps only to discard the result takes most of the time of compilation.
+
+    Attributes:
+        lens: the lens.
+        medium_index: n0.
+        radius: distance of the wall point from the axis, mm.
+        distance: distance of the wall point from the tip's plane, mm.
+    """
+
+    lens: GlueLens
+    medium_index: Array
+    radius: Array
+    distance: Array
+
+    def __call__(self, ring: Array, tau: Array) -> BackwardRays:
+        """Rays by ring, mm, and tau, from 0 on the wall point's side to 1."""
+        return self.trace(ring, self.haversine(ring, tau))
+
+    def haversine(self, ring: Array, tau: Array) -> Array:
+        """sin²(phi/2) of the angle around the axis.
+
+        With this Möbius map the squared sine at the wall point is linear along a ring, for near and
+        far wall points, so a few Newton steps find a root.
+        """
+        depth = self.distance + self.lens.sagitta(ring)
+        gap_squared = jnp.square(self.radius - ring) + jnp.square(depth)
+        return tau / (1.0 + 4.0 * self.radius * ring / gap_squared * (1.0 - tau))
+
+    def trace(self, ring: Array, haversine: Array) -> BackwardRays:
+        """Rays by ring, mm, and sin²(phi/2)."""
+        return trace_backwards(
+            self.lens,
+            medium_index=self.medium_index,
+            radius=self.radius,
+            distance=self.distance,
+            cap_radius=ring,
+            haversine=haversine,
+        )
+
+
+class RingRange(eqx.Module):
+    """Rings of a cap by their share of a range, even in the angle seen from the wall point.
+
+    Attributes:
+        radius: distance of the wall point from the axis, mm.
+        gap: distance of the wall point from the cap, mm.
+        end: largest ring, mm.
+        low, high: half tangents of the range's angles.
+    """
+
+    radius: Array
+    gap: Array
+    end: Array
+    low: Array
+    high: Array
+
+    def __call__(self, share: Array) -> Array:
+        """Rings, mm, negative beyond the axis."""
+        return self.place(self.low + (self.high - self.low) * share)
+
+    def place(self, tangent: Array) -> Array:
+        """Ring by the half tangent of its angle."""
+        x = self.radius + self.gap * 2.0 * tangent / (1.0 - jnp.square(tangent))
+        return jnp.clip(x, -self.end, self.end)
+
+    def angle(self, x: Array) -> Array:
+        """Half tangent of a ring's angle."""
+        tangent = (x - self.radius) / self.gap
+        return tangent / (1.0 + jnp.sqrt(1.0 + jnp.square(tangent)))
+
+    def between(self, first: Array, last: Array) -> RingRange:
+        """The range between two rings."""
+        ends = self.angle(first), self.angle(last)
+        return RingRange(self.radius, self.gap, self.end, *ends)
 
 
 def find_turns(
-    rays: RingRays, ring_at: Callable[[Array], Array]
+    rays: RingRays, ring_at: RingRange
 ) -> tuple[Bool[Array, "turns"], Array, Array, Array]:
     """Rings that the lit part's edge touches, and rings on which two limits meet on it.
 
@@ -35,10 +115,11 @@ def find_turns(
 
     Args:
         rays: rays by ring and tau.
-        ring_at: ring by its share, in [0, 1], of the range that may be lit.
+        ring_at: the range that may be lit.
     """
+    still = lax.stop_gradient((rays, ring_at))
 
-    def limits(place):
+    def limits(place, rays, ring_at):
         """All limits and their slopes along the ring, [limit, ...]."""
 
         def along(tau):
@@ -48,7 +129,7 @@ def find_turns(
         return jax.jvp(along, (place[1],), (jnp.ones_like(place[1]),))
 
     sides = np.linspace(0.0, 1.0, _RINGS + 1), np.linspace(0.0, 1.0, _TURNS + 1)
-    value, slope = limits(jnp.stack(jnp.meshgrid(*map(jnp.asarray, sides), indexing="ij")))
+    value, slope = limits(jnp.stack(jnp.meshgrid(*map(jnp.asarray, sides), indexing="ij")), *still)
     place = _cell_roots(
         value[_FIRST],
         jnp.where(_TOUCHES[:, None, None], slope[_FIRST], value[_SECOND]),
@@ -59,15 +140,15 @@ def find_turns(
         np.repeat(x, _STARTS) for x in (_FIRST, _SECOND, _TOUCHES)
     )
 
-    def values(place):
-        value, slope = limits(place)
+    def values(place, *world):
+        value, slope = limits(place, *world)
         other = jnp.where(touches, slope[first_limit, which], value[second_limit, which])
         return value[first_limit, which], other, jnp.max(value, axis=0)
 
-    def step(place):
+    def step(place, *world):
         def along(direction):
             move = jnp.broadcast_to(direction[:, None], place.shape)
-            return jax.jvp(values, (place,), (move,))
+            return jax.jvp(lambda place: values(place, *world), (place,), (move,))
 
         (a, b, excess), (a_slope, b_slope, _) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(2))
         (a_ring, a_tau), (b_ring, b_tau) = lax.stop_gradient((a_slope, b_slope))
@@ -85,9 +166,9 @@ def find_turns(
         return place, is_turn, drift
 
     place = lax.stop_gradient(place)
-    place = lax.fori_loop(0, _STEPS, lambda _, place: step(place)[0], place)
+    place = lax.fori_loop(0, _STEPS, lambda _, place: step(place, *still)[0], place)
     # Only the last step is differentiated; it gives the implicit function's derivative.
-    place, is_turn, drift = step(lax.stop_gradient(place))
+    place, is_turn, drift = step(lax.stop_gradient(place), rays, ring_at)
     ring, per_share = jax.jvp(ring_at, (place[0],), (jnp.ones_like(place[0]),))
     return is_turn, ring, *lax.stop_gradient((place[1], drift / _nonzero(per_share)))
 
