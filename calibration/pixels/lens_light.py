@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from calibration.pixels.data import Footage
 from calibration.pixels.parameters import LENS
-from optics.wall_light import LensTable, halvings_for, lens_table
+from optics.wall_light import LensSamples, LensTable, halvings_for, lens_samples
 
 NEAREST_MM = 0.3
 """Least distance from the tip's plane at which a table is valid."""
@@ -21,6 +21,9 @@ _FINEST_PX = 0.17
 pixels, but wide cells blur a sharp image of the core. On counted photons (number 1 of
 `tests.photon_fits coverage`) a whole pixel biases NA by a standard error, 0.25 px by 0.3 and 0.17
 px by 0.05, compared with 0.1 px."""
+_HALVINGS = 6
+"""Least number of halvings of a table's cells: tables of one shape need one compilation for all
+lenses of small frames."""
 _FAR = 0.05
 """Relative change of a lens's parameter beyond which a table, linear in it, is computed anew while
 a fit is on its way. Its result is confirmed with a table that is much nearer."""
@@ -38,6 +41,7 @@ class LensLight:
         self.footage = footage
         self.free = tuple(name for name in names if name in LENS)
         self.table: LensTable | None = None
+        self._samples: LensSamples | None = None
         self._coarse = True
         self._at: dict[str, float] = {}
         self._halvings: int | None = None
@@ -53,13 +57,10 @@ class LensLight:
         finest = _FINEST_PX * self.footage.microscope.scale_mm_px
         if self._halvings is None:
             # The same for the whole fit: tables of one shape need one compilation.
-            self._halvings = halvings_for(
-                lens,
-                medium_index=medium_index,
-                farthest=farthest,
-                finest=finest,
-            )
-        self.table = lens_table(
+            needed = halvings_for(lens, medium_index=medium_index, farthest=farthest, finest=finest)
+            self._halvings = max(_HALVINGS, needed)
+        known = None if coarse or self._coarse or self._is_far(values) else self._samples
+        self._samples = lens_samples(
             lens,
             self.free,
             medium_index=medium_index,
@@ -69,14 +70,19 @@ class LensLight:
             halvings=self._halvings,
             finest=finest,
             coarse=coarse,
+            near=known,
         )
+        self.table = self._samples.table()
         self._at, self._coarse = at, coarse
 
     def follow(self, values: Mapping[str, float]) -> None:
         """Compute the table anew if a free parameter of the lens has changed by much."""
-        at = np.array([self._at[name] for name in self.free])
-        if np.any(np.abs(self.moved(values)) > _FAR * np.abs(at)):
+        if self._is_far(values):
             self.tabulate(values, coarse=self._coarse)
+
+    def _is_far(self, values: Mapping[str, float]) -> bool:
+        at = np.array([self._at[name] for name in self.free])
+        return bool(np.any(np.abs(self.moved(values)) > _FAR * np.abs(at)))
 
     def moved(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:
         """Differences of the lens's free parameters from those of the table."""

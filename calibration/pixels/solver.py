@@ -52,6 +52,10 @@ _NEAREST_MM = {"cone": 0.03, "lens": NEAREST_MM}
 _MOST_OF_TABLE = 10.0
 """Largest difference of two tables' results, in standard errors. The covariance contains it, but a
 larger one is not only noise."""
+_PROGRESS = 0.25
+"""Part of a step's expected gain in chi squared, its squared length in standard errors, that shows
+that the step is due to the data and not to a table's errors."""
+_MOST_TABLES = 12
 _EXACT = 1e-6
 """Sigma of the constraint that fitted exposures equal the reported ones on average."""
 _SETTLED = {"cone": 1e-3, "lens": 0.04}
@@ -153,10 +157,12 @@ class Solver:
 
         Within a minimisation the table is linear in the lens's parameters. Each new table corrects
         the terms of second order, and brings new errors of its quadrature, which finds or misses
-        arcs. If a step is not half as long as the one before, these errors are what remains. Their
-        effect on the parameters is then known from the steps, and becomes part of the covariance.
+        arcs. If a step is not half as long as the one before, and chi squared has not fallen as a
+        step of this length lowers it, these errors are what remains. Their effect on the parameters
+        is then known from the steps, and becomes part of the covariance.
         """
         steps: list[np.ndarray] = []
+        costs: list[float] = []
         while True:
             found = minimise(self._sums, x, tolerance=_SETTLED[self.source])
             if not found.converged:
@@ -166,11 +172,15 @@ class Solver:
                 )
                 return found, Failure(Criterion.STEPS, why)
             steps.append(found.x - x)
+            costs.append(found.at.cost)
             x = found.x
             if self._from_table(found) < _NEAR:
                 return found, None
             lengths = [self._in_sigmas(step, found) for step in steps[-2:]]
-            if len(steps) > 2 and lengths[1] > lengths[0] / 2:
+            slow = len(steps) > 2 and lengths[1] > lengths[0] / 2
+            if slow and costs[-2] - costs[-1] > _PROGRESS * lengths[1] ** 2:
+                slow = len(steps) >= _MOST_TABLES
+            if slow:
                 last = np.stack(steps[-2:])
                 self.of_table = last.T @ last / 2
                 if max(lengths) < _MOST_OF_TABLE:

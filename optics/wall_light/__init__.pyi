@@ -21,5 +21,7 @@ from .pose_light import square_lattice as square_lattice
 from .solid_angle import UniformCone as UniformCone
 from .table import LensTable as LensTable
 from .table_samples import TABLE_ERROR as TABLE_ERROR
+from .table_samples import LensSamples as LensSamples
 from .table_samples import halvings_for as halvings_for
+from .table_samples import lens_samples as lens_samples
 from .table_samples import lens_table as lens_table

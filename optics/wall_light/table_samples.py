@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, maximum_filter
 
 import optics
 from optics.wall_light.parameters import lens_of
@@ -29,10 +30,13 @@ _WHOLE = {True: 1, False: 2}
 """How often all cells are halved by quadrature, for coarse and for exact tables."""
 TABLE_ERROR = 2e-3
 """Error of the spline that an exact table accepts, of a row's peak."""
+_CHANGE = TABLE_ERROR**0.5
+"""Change of the light, of a row's peak, whose square, which a table of first order lacks, is as
+large as that error. Where a table's light changes by more, quadrature replaces its samples."""
 _TOLERANCE = {True: 1e-2, False: TABLE_ERROR}
 """Of a row's peak, for coarse and for exact tables; cells with a larger error of the spline are
 halved again."""
-_COARSE_LEVELS = 3
+_COARSE_LEVELS = 2
 """How often a coarse table's cells are halved by quadrature; then the spline gives all samples."""
 _MOST_HALVINGS = 7
 _BATCH = 64  # points per call, few enough to stay in the cache, as in optics.irradiance
@@ -53,7 +57,7 @@ def halvings_for(
     return int(np.clip(math.ceil(math.log2(envelope / _COLUMNS / finest)), 3, _MOST_HALVINGS))
 
 
-def lens_table(
+def lens_samples(
     values: Mapping[str, float],
     free: Sequence[str],
     *,
@@ -64,13 +68,17 @@ def lens_table(
     halvings: int,
     finest: float,
     coarse: bool = False,
-) -> LensTable:
-    """Tabulate a lens and its derivatives with respect to the free parameters.
+    near: LensSamples | None = None,
+) -> LensSamples:
+    """Sample the light of a lens and its derivatives with respect to the free parameters.
 
     Quadrature gives all samples of a first grid. Then each grid has cells of half the size, and
     quadrature only near samples for which the cubic spline through the previous grid is wrong, if
     the cells there are still too wide. The spline gives the others. The samples follow the light's
     edges, so a table serves its own lens and small changes only.
+
+    With the samples of a lens `near`, the same is done with the difference from their light to
+    first order. Most of it is so small and smooth that few samples are needed.
 
     Args:
         values: all `PARAMETERS`.
@@ -84,28 +92,89 @@ def lens_table(
             grows with the distance, so near cells reach it before far ones.
         coarse: whether errors of a hundredth of the peak are small enough. Coarse and exact tables
             have the same shape, so that the image model is compiled once.
+        near: samples of nearly the same lens. Their grid is kept if it is wide enough; `nearest`,
+            `farthest` and `reach` are then not used.
     """
     envelope = optics.LensField(lens_of(values), medium_index).envelope
     contact_radius = float(envelope(0.0))
     slope = float(envelope(1.0)) - contact_radius
     grid = Grid(reach * contact_radius, reach * slope, nearest, farthest)
+    if near is not None and np.less(near.grid[:2], (contact_radius, slope)).any():
+        near = None  # some of the light lies outside its grid
+    if near is not None:
+        grid = near.grid
     field = _Field(values, tuple(free), medium_index, grid)
+    first, changed = _first_order(near, field.at, halvings)
     missed = np.ones((_ROWS + 1, _COLUMNS + 1), bool)
-    samples = field(missed)
+    samples = field(missed, np.zeros((1 + len(free), *missed.shape)))
     for level in range(halvings):
-        guess = _halved(samples)
-        if not missed.any() or (coarse and level == _COARSE_LEVELS):
-            missed = np.zeros(guess.shape[1:], bool)
-            samples = guess
-            continue
-        wanted = np.kron(binary_dilation(missed, np.ones((3, 3))), np.ones((2, 2), bool))[:-1, :-1]
+        stride = 2 ** (halvings - level - 1)
+        known = first[:, ::stride, ::stride]
+        guess = _halved(samples - known[:, ::2, ::2]) + known
+        wide = 2.0 * field.widths(known.shape[1:])[:, None] > finest
+        wanted = changed[::stride, ::stride] & wide
+        if coarse and level == _COARSE_LEVELS:
+            missed[:] = False
+        if missed.any():
+            close = binary_dilation(missed, np.ones((3, 3)))
+            wanted |= np.kron(close, np.ones((2, 2), bool))[:-1, :-1]
         wanted[::2, ::2] = False
         samples = field(wanted, guess)
         error = np.abs(samples - guess)[0]
         missed = error > _TOLERANCE[coarse] * samples[0].max(axis=1, keepdims=True)
         missed &= field.widths(samples.shape[1:])[:, None] > finest
-        missed |= level + 1 < _WHOLE[coarse]
-    return field.table(samples)
+        missed |= near is None and level + 1 < _WHOLE[coarse]
+    return LensSamples(
+        values=samples, transmitted=field.transmitted(), at=np.asarray(field.at), grid=grid
+    )
+
+
+def lens_table(values: Mapping[str, float], free: Sequence[str], **settings: Any) -> LensTable:
+    """The table of `lens_samples` with the same arguments."""
+    return lens_samples(values, free, **settings).table()
+
+
+def _first_order(
+    near: LensSamples | None, at: Array, halvings: int
+) -> tuple[Float[np.ndarray, "p+1 rows columns"], Bool[np.ndarray, "rows columns"]]:
+    """The light of a lens near a known one, and where it has changed too much for this."""
+    if near is None:
+        shape = _ROWS * 2**halvings + 1, _COLUMNS * 2**halvings + 1
+        return np.zeros((1 + at.size, *shape)), np.zeros(shape, bool)
+    light, *slopes = near.values
+    change = np.tensordot(np.asarray(at) - near.at, np.array(slopes), axes=1)
+    largest = maximum_filter(np.abs(change), 3)
+    moved = largest > _CHANGE * light.max(axis=1, keepdims=True)
+    return np.array([light + change, *slopes]), moved
+
+
+class LensSamples(NamedTuple):
+    """V_s e² of a lens on a grid.
+
+    Attributes:
+        values: the samples, followed by their derivatives with respect to each free parameter.
+        transmitted: fraction of the power that leaves the cap, and its derivatives.
+        at: values of the free parameters.
+        grid: positions of the samples.
+    """
+
+    values: Float[np.ndarray, "p+1 rows columns"]
+    transmitted: Float[np.ndarray, "p+1"]
+    at: Float[np.ndarray, "p"]
+    grid: Grid
+
+    def table(self) -> LensTable:
+        """The table of these samples."""
+        means = _means_within(self.values, self.transmitted)
+        return LensTable(
+            values=jnp.asarray(means[0]),
+            slopes=jnp.asarray(means[1:]),
+            transmitted_value=jnp.asarray(self.transmitted[0]),
+            transmitted_slopes=jnp.asarray(self.transmitted[1:]),
+            at=jnp.asarray(self.at),
+            moved=jnp.zeros(len(self.at)),
+            grid=jax.tree.map(jnp.asarray, self.grid),
+        )
 
 
 class _Field:
@@ -120,10 +189,14 @@ class _Field:
         self.medium_index = jnp.asarray(medium_index, float)
 
     def __call__(
-        self, wanted: Bool[np.ndarray, "rows columns"], known: np.ndarray | None = None
+        self,
+        wanted: Bool[np.ndarray, "rows columns"],
+        known: Float[np.ndarray, "p+1 rows columns"],
     ) -> Float[np.ndarray, "p+1 rows columns"]:
         """The known samples, with the wanted ones computed."""
-        samples = np.empty((1 + len(self.names), *wanted.shape)) if known is None else known.copy()
+        if not wanted.any():
+            return known
+        samples = known.copy()
         row, column = np.nonzero(wanted)
         rows, columns = wanted.shape
         s, envelope = self._envelope(row, rows)
@@ -151,19 +224,9 @@ class _Field:
         """Width of a cell in each row of a grid of this shape, mm."""
         return self._envelope(np.arange(shape[0]), shape[0])[1] / (shape[1] - 1)
 
-    def table(self, samples: Float[np.ndarray, "p+1 rows columns"]) -> LensTable:
-        """The table of these samples."""
-        leaves = _transmitted(self.names, self.at, self.fixed, self.medium_index)
-        means = _means_within(samples, np.asarray(leaves))
-        return LensTable(
-            values=jnp.asarray(means[0]),
-            slopes=jnp.asarray(means[1:]),
-            transmitted_value=leaves[0],
-            transmitted_slopes=leaves[1:],
-            at=self.at,
-            moved=jnp.zeros(len(self.names)),
-            grid=jax.tree.map(jnp.asarray, self.grid),
-        )
+    def transmitted(self) -> Float[np.ndarray, "p+1"]:
+        """Fraction of the power that leaves the cap, and its derivatives."""
+        return np.asarray(_transmitted(self.names, self.at, self.fixed, self.medium_index))
 
 
 def _means_within(
