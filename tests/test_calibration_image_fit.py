@@ -24,10 +24,18 @@ from calibration.pixels.fit import fit_footage
 from calibration.pixels.parameters import check_names
 from estimator import Stack, read_stack
 from estimator.image import CameraNoise, Response
-from optics.wall_light import Lens, WallPixels, lens_parameters, radiance, wall_pixels
+from optics.wall_light import (
+    TABLE_ERROR,
+    Lens,
+    WallPixels,
+    lens_parameters,
+    lens_samples,
+    radiance,
+    wall_pixels,
+)
 from optics.wall_light.cone import Cone, Edge, lit_moment, lit_part
 from optics.wall_light.table import Grid, LensTable
-from optics.wall_light.table_samples import _means_within, lens_table
+from optics.wall_light.table_samples import _Field, _means_within, lens_table
 from scenes import Renderer, Scene, render_stack
 from scenes.camera.exposure import expose
 from scenes.description.camera_settings import CameraSettings
@@ -239,6 +247,42 @@ def test_table_is_exact_for_cubic_fields():
     inside, larger = jnp.minimum(share, 1.0), jnp.maximum(share, 1.0)
     expected = field(inside, jnp.log(s / 0.5) / jnp.log(16.0)) / (envelope * larger) ** 2
     np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
+def test_samples_from_those_of_a_near_lens_are_as_good_as_new_ones():
+    # In vitreous this drop makes a sharp image of its core, whose edge moves with the lens.
+    values = {
+        "core_radius": 0.25,
+        "aperture_radius": 0.30,
+        "rim_height": 0.04,
+        "sag": 0.07,
+        "glue_index": 1.49,
+        "numerical_aperture": 0.15,
+    }
+    free, index = ("sag", "numerical_aperture"), optics.MEDIA["vitreous"]
+    settings: dict[str, Any] = {
+        "medium_index": index,
+        "nearest": 0.3,
+        "farthest": 6.0,
+        "reach": 1.05,
+        "halvings": 3,
+        "finest": 0.0,
+    }
+    near = lens_samples(values, free, **settings)
+    moved = values | {"sag": 0.0707, "numerical_aperture": 0.149}
+    found = lens_samples(moved, free, **settings, near=near)
+    # The same grid, all of it by quadrature.
+    shape = found.values.shape
+    exact = _Field(moved, free, index, near.grid)(np.ones(shape[1:], bool), np.zeros(shape))
+    peak = exact[0].max(axis=1, keepdims=True)
+    before, off = (np.abs(own.values[0] - exact[0]) / peak for own in (near, found))
+    assert np.quantile(before, 0.99) > 5 * TABLE_ERROR
+    # A sample between those that were checked may err by more, by a few times the accepted error.
+    assert np.quantile(off, 0.998) < TABLE_ERROR
+    assert off.max() < 4 * TABLE_ERROR
+    ours, theirs = (own.table().values for own in (found, found._replace(values=exact)))
+    error = np.abs(np.asarray(ours - theirs)) / np.asarray(theirs).max(axis=1, keepdims=True)
+    assert error.max() < TABLE_ERROR / 4  # the mean over a disc errs much less than a sample
 
 
 def test_known_power_finds_the_place_of_a_step_between_samples():

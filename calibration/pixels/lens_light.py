@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from calibration.pixels.data import Footage
 from calibration.pixels.parameters import LENS
-from optics.wall_light import LensSamples, LensTable, halvings_for, lens_samples
+from optics.wall_light import LensSamples, LensTable, dark_table, halvings_for, lens_samples
 
 NEAREST_MM = 0.3
 """Least distance from the tip's plane at which a table is valid."""
@@ -51,29 +51,48 @@ class LensLight:
         at = {name: values[name] for name in (*LENS, "touch")}
         if (at, coarse) == (self._at, self._coarse):
             return
-        gone = self.footage.readings + values["touch"]
-        lens = {name: values[name] for name in LENS}
-        medium_index, farthest = self.footage.medium_index, float(gone.max() + _MARGIN_MM)
-        finest = _FINEST_PX * self.footage.microscope.scale_mm_px
-        if self._halvings is None:
-            # The same for the whole fit: tables of one shape need one compilation.
-            needed = halvings_for(lens, medium_index=medium_index, farthest=farthest, finest=finest)
-            self._halvings = max(_HALVINGS, needed)
         known = None if coarse or self._coarse or self._is_far(values) else self._samples
         self._samples = lens_samples(
-            lens,
+            {name: values[name] for name in LENS},
             self.free,
-            medium_index=medium_index,
-            nearest=max(NEAREST_MM, gone.min() - _MARGIN_MM),
-            farthest=farthest,
+            medium_index=self.footage.medium_index,
+            nearest=self._nearest(values),
+            farthest=self._farthest(values),
             reach=_REACH[coarse],
-            halvings=self._halvings,
-            finest=finest,
+            halvings=self._halvings_for(values),
+            finest=self._finest,
             coarse=coarse,
             near=known,
         )
         self.table = self._samples.table()
         self._at, self._coarse = at, coarse
+
+    def blank(self, values: Mapping[str, float]) -> LensTable:
+        """A dark table of the shape of all tables of this fit."""
+        return dark_table(len(self.free), self._halvings_for(values))
+
+    @property
+    def _finest(self) -> float:
+        return _FINEST_PX * self.footage.microscope.scale_mm_px
+
+    def _nearest(self, values: Mapping[str, float]) -> float:
+        least = float(self.footage.readings.min() + values["touch"])
+        return max(NEAREST_MM, least - _MARGIN_MM)
+
+    def _farthest(self, values: Mapping[str, float]) -> float:
+        return float(self.footage.readings.max() + values["touch"]) + _MARGIN_MM
+
+    def _halvings_for(self, values: Mapping[str, float]) -> int:
+        """The same for the whole fit: tables of one shape need one compilation."""
+        if self._halvings is None:
+            needed = halvings_for(
+                {name: values[name] for name in LENS},
+                medium_index=self.footage.medium_index,
+                farthest=self._farthest(values),
+                finest=self._finest,
+            )
+            self._halvings = max(_HALVINGS, needed)
+        return self._halvings
 
     def follow(self, values: Mapping[str, float]) -> None:
         """Compute the table anew if a free parameter of the lens has changed by much."""

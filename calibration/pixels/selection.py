@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy import ndimage
@@ -50,17 +52,19 @@ def chosen_chunks(
     table: LensTable | None,
     x: Array,
     *,
+    frames: Sequence[int],
     coarse: bool,
     stride: int,
     nearest: float,
 ) -> list[Chunk]:
-    """Select pixels of all frames, with their light and weight.
+    """Select pixels of frames, with their light and weight.
 
     Args:
         footage: the frames.
         problem: the fit; its blur is applied to the frames.
         table: light of the lens; None for a cone.
         x: current parameters.
+        frames: numbers of the frames, in order.
         coarse: whether `x` is only a guess. If so, the noise follows from the measured light
             instead of the model.
         stride: step between selected pixels along u and v, px; for a lens, the side of the squares
@@ -78,10 +82,10 @@ def chosen_chunks(
             margin_px=_MARGIN_PX[coarse],
             guess=coarse,
         )
-        return chooser.equal_chunks(stride) if coarse else chooser.chunks()
+        return chooser.equal_chunks(frames, stride) if coarse else chooser.chunks(frames)
     blur = 0.0 if problem.blur is None else float(problem.blur)
     chunks: list[Chunk] = []
-    for frame in range(len(footage.readings)):
+    for frame in frames:
         v, u = np.nonzero(_reached(footage, problem, table, x, frame, blur))
         pixels = np.stack([u, v], axis=-1).astype(float)
         view = seen(footage, problem, table, x, frame, pixels)

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
@@ -37,7 +38,7 @@ from calibration.pixels.misfit import Pixels, found_misfit
 from calibration.pixels.parameters import possible
 from calibration.pixels.selection import bright_spot, chosen_chunks
 from calibration.pixels.setup import fit_problem
-from calibration.pixels.squares import residual_frames
+from calibration.pixels.squares import chunked, residual_frames
 from calibration.solvers import Minimum, NormalEquations, covariance_and_lost, minimise
 from calibration.spots import Prior
 from optics import InputError
@@ -47,6 +48,8 @@ _BLURS = (1 / 4, 1 / 12, 1 / 36)
 """Blurs of the first fits, relative to the spot's radius; the last fits have no blur."""
 _ROUNDS = 2
 """Rounds of the fit to all pixels. Each selects pixels and computes noise from the last result."""
+_SOME = 24
+"""Frames of a lens's first rounds, evenly over the withdrawal; the last round has all of them."""
 _NEAREST_MM = {"cone": 0.03, "lens": NEAREST_MM}
 """Least distance from the tip's plane. Nearer, the rim touches or the lens's table is invalid."""
 _MOST_OF_TABLE = 10.0
@@ -122,18 +125,18 @@ class Solver:
             coarse = [0.0]
             # Squares of a quarter of the spot's radius, as the first blur of a cone.
             strides = [2 ** int(np.clip(math.log2(_BLURS[0] * self.radius_px), 0, 4))]
-        self._tabulate(x, coarse=True)
-        self._choose(x, blur=coarse[0], stride=strides[0])
+        self._start(x)
+        self._choose(x, blur=coarse[0], stride=strides[0], frames=self._some)
         x = self._bright_enough(x)
         for blur, stride in zip(coarse, strides, strict=True):
-            self._choose(x, blur=blur, stride=stride)
+            self._choose(x, blur=blur, stride=stride, frames=self._some)
             found = minimise(self._tabulated_sums, x, tolerance=_COARSELY[self.source])
             x = found.x
         if known is not None and (self._is_near(x, known) or self._missed(found) > _HOPELESS):
             return None
         self._tabulate(x)
         for _ in range(_ROUNDS - 1):
-            self._choose(x)
+            self._choose(x, frames=self._some)
             found = minimise(self._tabulated_sums, x, tolerance=_COARSELY[self.source])
             x = found.x
             misfit = self._missed(found)
@@ -215,8 +218,40 @@ class Solver:
     def _in_sigmas(self, step: np.ndarray, found: Minimum) -> float:
         return float(np.sqrt(step @ found.at.information @ step))
 
-    def _choose(self, x: np.ndarray, *, blur: float | None = None, stride: int = 1) -> None:
-        """Select pixels for the current parameters; without a blur, all pixels."""
+    @property
+    def _some(self) -> list[int]:
+        """Frames of the first rounds."""
+        # The fit of a cone is fast. An exposure needs its frame.
+        count = self.frames if self.lens is None or self.exposures else min(self.frames, _SOME)
+        even = np.linspace(0, self.frames - 1, count).round().astype(int)
+        return [int(frame) for frame in even]
+
+    def _start(self, x: np.ndarray) -> None:
+        """Compute the first table of a lens, and compile the image model meanwhile."""
+        if self.lens is None:
+            return
+        dark, p = self.lens.blank(self._values(x)), len(self.names)
+
+        def compiled() -> None:
+            one = np.ones(1)
+            for chunk in chunked(self.footage, 0, np.zeros((1, 2)), one, one, one):
+                look(self.problem, dark, jnp.asarray(x[:p]), chunk)
+                sums(self.problem, dark, jnp.asarray(x[:p]), np.zeros(1)[0], chunk)
+
+        with ThreadPoolExecutor(1) as other:
+            done = other.submit(compiled)
+            self._tabulate(x, coarse=True)
+            done.result()
+
+    def _choose(
+        self,
+        x: np.ndarray,
+        *,
+        blur: float | None = None,
+        stride: int = 1,
+        frames: Sequence[int] | None = None,
+    ) -> None:
+        """Select pixels of frames for the current parameters; without a blur, all pixels."""
         self.problem = eqx.tree_at(
             lambda problem: problem.blur,
             self.problem,
@@ -228,6 +263,7 @@ class Solver:
             self.problem,
             self.table,
             jnp.asarray(x[: len(self.names)]),
+            frames=range(self.frames) if frames is None else frames,
             coarse=blur is not None,
             stride=stride,
             nearest=_NEAREST_MM[self.source],
@@ -337,8 +373,9 @@ class Solver:
         """The pixels of every frame with their residuals and derivatives."""
         p = len(self.names)
         at, over = jnp.asarray(x[:p]), x[p:] if self.exposures else np.zeros(self.frames)
-        for frame, chunks in itertools.groupby(self.chunks, key=lambda chunk: int(chunk.frame)):
-            parts = []
+
+        def of_frame(chunks: list[Chunk]) -> Pixels:
+            frame, parts = int(chunks[0].frame), []
             for chunk in chunks:
                 view = look(self.problem, self.table, at, chunk)
                 off, derivatives = linearised(self.problem, self.table, at, over[frame], chunk)
@@ -350,7 +387,14 @@ class Solver:
             slopes[:p] = own[:p]
             if self.exposures:
                 slopes[p + frame] = own[p]
-            yield Pixels(frame, u, v, direct, light, weight, residual, slopes)
+            return Pixels(frame, u, v, direct, light, weight, residual, slopes)
+
+        frames = [list(own) for _, own in itertools.groupby(self.chunks, lambda c: int(c.frame))]
+        cores = os.cpu_count() or 1
+        with ThreadPoolExecutor(cores) as pool:
+            # No more than the cores work on, because the derivatives of all pixels take gigabytes.
+            for first in range(0, len(frames), cores):
+                yield from pool.map(of_frame, frames[first : first + cores])
 
     def _result(self, found: Minimum, failed: Failure | None = None) -> ImageFit:
         exposures = [f"exposure of frame {frame}" for frame in range(self.frames)]
@@ -362,8 +406,15 @@ class Solver:
         )
         held = sum(name in self.names for name in self.priors) + self.exposures
         degrees = self._pixels + held - len(names)
+        offs: list[np.ndarray] = []
+
+        def noted() -> Iterator[Pixels]:
+            for own in self._pixels_at(found.x):
+                offs.append(own.residual)
+                yield own
+
         misfit, covariance = found_misfit(
-            self._pixels_at(found.x),
+            noted(),
             covariance,
             chi_squared=found.at.cost,
             degrees_of_freedom=degrees,
@@ -375,8 +426,8 @@ class Solver:
         size = np.append(np.asarray(self.problem.size), np.ones(len(over)))
         covariance = covariance * np.outer(size, size)
         errors = np.sqrt(np.diag(covariance)).tolist()
-        offs = [part.residuals for part in self._parts(found.x)]
-        residuals, sides = residual_frames(self.footage.light.shape, self.chunks, offs)
+        shape = self.footage.light.shape
+        residuals, sides = residual_frames(shape, self.chunks, np.concatenate(offs))
         tips, axis = poses(self.problem, every, self.footage.readings)
         return ImageFit(
             parameters={n: (every[n], error) for n, error in zip(names, errors, strict=True)},

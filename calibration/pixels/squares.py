@@ -8,7 +8,7 @@ outline, and at the frame's border.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -79,7 +79,6 @@ def chunked(
 _GUESSED = 0.01
 """Error of the model in the first fit, relative to a frame's brightest square. Squares are far less
 noisy than this, and cut by edges."""
-_FRAMES_OF_GUESS = 24
 
 
 class _Squares(NamedTuple):
@@ -120,23 +119,21 @@ class SquareChooser:
         self.footage, self.problem, self.table, self.x = footage, problem, table, x
         self.nearest, self.lit, self.margin_px = nearest, lit, margin_px
 
-    def chunks(self) -> list[Chunk]:
-        """The squares of all frames, with their mean light and its weight."""
-        first, *rest = range(len(self.footage.readings))
+    def chunks(self, frames: Sequence[int]) -> list[Chunk]:
+        """The squares of some frames, with their mean light and its weight."""
+        first, *rest = frames
         # The first frame runs alone, so that only one thread compiles.
         with ThreadPoolExecutor() as pool:
             parts = [self._of_frame(first), *pool.map(self._of_frame, rest)]
         return [chunk for part in parts for chunk in part]
 
-    def equal_chunks(self, side: int) -> list[Chunk]:
-        """Squares of one size in some of the frames, for a fit whose start is only a guess.
+    def equal_chunks(self, frames: Sequence[int], side: int) -> list[Chunk]:
+        """Squares of one size in some frames, for a fit whose start is only a guess.
 
         Means over squares change smoothly even where a sharp edge moves, so a start that is far
         off still leads to the minimum. Their noise follows from the measured light.
         """
-        count = len(self.footage.readings)
-        frames = np.unique(np.linspace(0, count - 1, _FRAMES_OF_GUESS).round().astype(int))
-        return [chunk for frame in frames.tolist() for chunk in self._equal(frame, side)]
+        return [chunk for frame in frames for chunk in self._equal(frame, side)]
 
     def _equal(self, frame: int, side: int) -> list[Chunk]:
         found = self._reached(frame, side)
@@ -217,19 +214,21 @@ class SquareChooser:
 
 
 def residual_frames(
-    shape: tuple[int, ...], chunks: Iterable[Chunk], offs: Iterable[Array]
+    shape: tuple[int, ...], chunks: Iterable[Chunk], offs: Float[np.ndarray, "n"]
 ) -> tuple[Float[np.ndarray, "frames h w"], UInt8[np.ndarray, "frames h w"]]:
     """Residuals (light minus model) and sides of the squares as frames; NaN and 0 elsewhere.
 
     Args:
         shape: frames, height and width.
         chunks: the fitted squares.
-        offs: model minus light over sigma of each chunk.
+        offs: model minus light over sigma of all their squares, without padding.
     """
     residuals, sides = np.full(shape, np.nan, np.float32), np.zeros(shape, np.uint8)
-    for chunk, own in zip(chunks, offs, strict=True):
+    rest = offs
+    for chunk in chunks:
         real = chunk.weight > 0
-        off, frame, side = -np.asarray(own)[real], int(chunk.frame), chunk.sides[real].astype(int)
+        own, rest = np.split(rest, [np.count_nonzero(real)])
+        off, frame, side = -own, int(chunk.frame), chunk.sides[real].astype(int)
         u, v = (chunk.pixels[real] - 0.5 * (side[:, None] - 1)).round().astype(int).T
         for k in np.unique(side):
             one = side == k

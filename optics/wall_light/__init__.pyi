@@ -22,6 +22,7 @@ from .solid_angle import UniformCone as UniformCone
 from .table import LensTable as LensTable
 from .table_samples import TABLE_ERROR as TABLE_ERROR
 from .table_samples import LensSamples as LensSamples
+from .table_samples import dark_table as dark_table
 from .table_samples import halvings_for as halvings_for
 from .table_samples import lens_samples as lens_samples
 from .table_samples import lens_table as lens_table

@@ -99,7 +99,7 @@ def lens_samples(
     contact_radius = float(envelope(0.0))
     slope = float(envelope(1.0)) - contact_radius
     grid = Grid(reach * contact_radius, reach * slope, nearest, farthest)
-    if near is not None and np.less(near.grid[:2], (contact_radius, slope)).any():
+    if near is not None and np.less(np.array(near.grid[:2]), (contact_radius, slope)).any():
         near = None  # some of the light lies outside its grid
     if near is not None:
         grid = near.grid
@@ -132,6 +132,14 @@ def lens_samples(
 def lens_table(values: Mapping[str, float], free: Sequence[str], **settings: Any) -> LensTable:
     """The table of `lens_samples` with the same arguments."""
     return lens_samples(values, free, **settings).table()
+
+
+def dark_table(parameters: int, halvings: int) -> LensTable:
+    """A table without light, of the shape that tables with so many parameters and halvings have."""
+    shape = _ROWS * 2**halvings + 1, _COLUMNS * 2**halvings + 1
+    none = np.zeros(1 + parameters)
+    grid = Grid(1.0, 1.0, 1.0, 2.0)
+    return LensSamples(np.zeros((1 + parameters, *shape)), none, none[1:], grid).table()
 
 
 def _first_order(
