@@ -2,6 +2,7 @@
 
 chunks         The image model on chunks of pixels, compiled once
 data           Frames as light with a known noise, with the conditions of the recording
+evaluation     The image model on all chunks of a fit, on all cores
 fit            The entry points: fit source, brightness and pose to all pixels at once
 image_fit      The result of a fit to all pixels
 lens_light     The table of a lens's light in a running fit: when it is computed anew, how finely

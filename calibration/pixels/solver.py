@@ -10,28 +10,18 @@ the first fits blur frames and model alike, by a quarter of the spot's radius an
 
 from __future__ import annotations
 
-import itertools
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibration.pixels.chunks import (
-    Chunk,
-    Sums,
-    linearised,
-    look,
-    poses,
-    sums,
-    values_at,
-)
+from calibration.pixels.chunks import look, poses, values_at
 from calibration.pixels.data import Footage
+from calibration.pixels.evaluation import Place, compile_model, parts_at, pixels_at
 from calibration.pixels.image_fit import Criterion, Failure, ImageFit
 from calibration.pixels.lens_light import NEAREST_MM, LensLight
 from calibration.pixels.misfit import Pixels, found_misfit
@@ -230,18 +220,12 @@ class Solver:
         """Compute the first table of a lens, and compile the image model meanwhile."""
         if self.lens is None:
             return
-        dark, p = self.lens.blank(self._values(x)), len(self.names)
-
-        def compiled() -> None:
-            one = np.ones(1)
-            for chunk in chunked(self.footage, 0, np.zeros((1, 2)), one, one, one):
-                look(self.problem, dark, jnp.asarray(x[:p]), chunk)
-                sums(self.problem, dark, jnp.asarray(x[:p]), np.zeros(1)[0], chunk)
-
+        place, one = self._place(x, self.lens.blank(self._values(x))), np.ones(1)
+        (chunk,) = chunked(self.footage, 0, np.zeros((1, 2)), one, one, one)
         with ThreadPoolExecutor(1) as other:
-            done = other.submit(compiled)
+            compiled = other.submit(compile_model, place, chunk)
             self._tabulate(x, coarse=True)
-            done.result()
+            compiled.result()
 
     def _choose(
         self,
@@ -332,7 +316,8 @@ class Solver:
             return NormalEquations(np.inf, gradient, information)
         cost = 0.0
         own = np.arange(p)
-        for chunk, part in zip(self.chunks, self._parts(x), strict=True):
+        parts = parts_at(self._place(x, self.table), self.chunks)
+        for chunk, part in zip(self.chunks, parts, strict=True):
             at = np.append(own, p + int(chunk.frame)) if self.exposures else own
             cost += float(part.cost)
             gradient[at] += np.asarray(part.gradient)[: at.size]
@@ -355,46 +340,11 @@ class Solver:
         self.progress(cost)
         return NormalEquations(cost, gradient, information)
 
-    def _parts(self, x: np.ndarray) -> list[Sums]:
-        """The sums of every chunk, on all cores."""
+    def _place(self, x: np.ndarray, table: LensTable | None) -> Place:
+        """Where the model is evaluated, with a lens's table."""
         p = len(self.names)
-        at, over = jnp.asarray(x[:p]), x[p:] if self.exposures else np.zeros(self.frames)
-
-        def part(chunk: Chunk) -> Sums:
-            return jax.block_until_ready(
-                sums(self.problem, self.table, at, over[int(chunk.frame)], chunk)
-            )
-
-        with ThreadPoolExecutor() as pool:
-            # The first chunk runs alone, so that only one thread compiles.
-            return [part(self.chunks[0]), *pool.map(part, self.chunks[1:])]
-
-    def _pixels_at(self, x: np.ndarray) -> Iterator[Pixels]:
-        """The pixels of every frame with their residuals and derivatives."""
-        p = len(self.names)
-        at, over = jnp.asarray(x[:p]), x[p:] if self.exposures else np.zeros(self.frames)
-
-        def of_frame(chunks: list[Chunk]) -> Pixels:
-            frame, parts = int(chunks[0].frame), []
-            for chunk in chunks:
-                view = look(self.problem, self.table, at, chunk)
-                off, derivatives = linearised(self.problem, self.table, at, over[frame], chunk)
-                columns = (*chunk.pixels.T, view.direct, view.light, chunk.weight, off)
-                rows = [*columns, *np.asarray(derivatives)[: p + self.exposures]]
-                parts.append(np.array(rows)[:, chunk.weight > 0])
-            u, v, direct, light, weight, residual, *own = np.concatenate(parts, axis=1)
-            slopes = np.zeros((x.size, u.size))
-            slopes[:p] = own[:p]
-            if self.exposures:
-                slopes[p + frame] = own[p]
-            return Pixels(frame, u, v, direct, light, weight, residual, slopes)
-
-        frames = [list(own) for _, own in itertools.groupby(self.chunks, lambda c: int(c.frame))]
-        cores = os.cpu_count() or 1
-        with ThreadPoolExecutor(cores) as pool:
-            # No more than the cores work on, because the derivatives of all pixels take gigabytes.
-            for first in range(0, len(frames), cores):
-                yield from pool.map(of_frame, frames[first : first + cores])
+        over = x[p:] if self.exposures else np.zeros(self.frames)
+        return Place(self.problem, table, jnp.asarray(x[:p]), over, self.exposures)
 
     def _result(self, found: Minimum, failed: Failure | None = None) -> ImageFit:
         exposures = [f"exposure of frame {frame}" for frame in range(self.frames)]
@@ -409,7 +359,7 @@ class Solver:
         offs: list[np.ndarray] = []
 
         def noted() -> Iterator[Pixels]:
-            for own in self._pixels_at(found.x):
+            for own in pixels_at(self._place(found.x, self.table), self.chunks):
                 offs.append(own.residual)
                 yield own
 
