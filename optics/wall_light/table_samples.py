@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import binary_dilation, maximum_filter
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 import optics
 from optics.wall_light.parameters import lens_of
@@ -30,9 +30,15 @@ _WHOLE = {True: 1, False: 2}
 """How often all cells are halved by quadrature, for coarse and for exact tables."""
 TABLE_ERROR = 2e-3
 """Error of the spline that an exact table accepts, of a row's peak."""
-_CHANGE = TABLE_ERROR**0.5
+_OF_CHANGE = 1e-4
+"""The same for a table that is computed from one of a near lens. What it lacks has one sign over
+wide parts of the light, unlike the error of a spline, so it biases a fit more."""
+_CHANGE = _OF_CHANGE**0.5
 """Change of the light, of a row's peak, whose square, which a table of first order lacks, is as
 large as that error. Where a table's light changes by more, quadrature replaces its samples."""
+_STEP, _STILL = 0.1, 0.1
+"""Difference of neighbouring samples, of a row's peak, that counts as a step; and how far steps may
+move, in cells, before their samples are computed anew."""
 _TOLERANCE = {True: 1e-2, False: TABLE_ERROR}
 """Of a row's peak, for coarse and for exact tables; cells with a larger error of the spline are
 halved again."""
@@ -121,7 +127,8 @@ def lens_samples(
         wanted[::2, ::2] = False
         samples = field(wanted, guess)
         error = np.abs(samples - guess)[0]
-        missed = error > _TOLERANCE[coarse] * samples[0].max(axis=1, keepdims=True)
+        tolerance = _TOLERANCE[coarse] if near is None else _OF_CHANGE
+        missed = error > tolerance * samples[0].max(axis=1, keepdims=True)
         missed &= field.widths(samples.shape[1:])[:, None] > finest
         missed |= near is None and level + 1 < _WHOLE[coarse]
     return LensSamples(
@@ -151,8 +158,15 @@ def _first_order(
         return np.zeros((1 + at.size, *shape)), np.zeros(shape, bool)
     light, *slopes = near.values
     change = np.tensordot(np.asarray(at) - near.at, np.array(slopes), axes=1)
-    largest = maximum_filter(np.abs(change), 3)
-    moved = largest > _CHANGE * light.max(axis=1, keepdims=True)
+    peak = light.max(axis=1, keepdims=True)
+    moved = maximum_filter(np.abs(change), 3) > _CHANGE * peak
+    # A step between two samples moves, although both have no derivative: about as many cells as
+    # the lens's relative change of all columns, and at most twice as many.
+    relative = np.max(np.abs(np.asarray(at) / near.at - 1.0), initial=0.0)
+    cells = 2.0 * relative * light.shape[1]
+    if cells > _STILL:
+        step = maximum_filter(light, 3) - minimum_filter(light, 3) > _STEP * peak
+        moved |= maximum_filter(step, 2 * math.ceil(cells) + 1)
     return np.array([light + change, *slopes]), moved
 
 
