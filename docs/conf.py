@@ -9,6 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import myst_nb.core.render
+from myst_nb.core.utils import coalesce_streams
+
 _HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(_HERE.parent))
 # Compiled functions are kept between pages and builds, as the command `eyespot` keeps them.
@@ -100,9 +103,33 @@ def _formula_or_code(text: str) -> str:
     return f":math:`{text[1:-1]}`" if text.startswith("$") else text
 
 
+def _whole_streams(outputs: list[Any]) -> list[Any]:
+    """Outputs of a cell with each stream in one piece.
+
+    IPython reads a program's output in pieces of 100 bytes, and myst-nb ends a line after each.
+    """
+    streams: dict[str, Any] = {}
+    whole = []
+    for output in outputs:
+        name = output.get("name", "")
+        if output["output_type"] == "stream" and name in streams:
+            streams[name]["text"] += output["text"]
+            continue
+        if output["output_type"] == "stream":
+            streams[name] = output
+        whole.append(output)
+    merged: list[Any] = coalesce_streams(whole)
+    return merged
+
+
+myst_nb.core.render.coalesce_streams = _whole_streams
+
+
 def setup(app: Any) -> None:
     """Write the pages that come from the code, and read docstrings as they are meant."""
+    from docs.cited import add_roles
     from docs.generated import write_pages
 
+    add_roles(app)
     write_pages(_HERE / "reference" / "generated")
     app.connect("autodoc-process-docstring", _as_rst)

@@ -131,3 +131,19 @@ def test_covariance_of_axes_is_the_step_covariance_propagated() -> None:
 def test_a_circle_has_a_finite_covariance() -> None:
     circle = Ellipse.from_axes(0, 0, 50, 50, 0)
     assert np.isfinite(covariance_of_axes(circle, 1e-8 * np.eye(5))).all()
+
+
+def test_covariance_of_a_contour_is_that_of_its_harmonics() -> None:
+    # docs/theory/bounds.md derives the factors from the harmonics 0, 1 and 2 of a circle.
+    n = 96
+    t = np.arange(n) * (2 * math.pi / n)
+    design = offset_design(np.cos(t), np.sin(t))
+    circle = Ellipse.from_axes(0.0, 0.0, 1.0, 1.0, 0.0)
+    step = np.linalg.inv(design.T @ design)
+    covariance = covariance_of_axes(circle, step)
+    x, y, major, minor = np.diag(covariance)[:4]
+    # Equal to rounding: the sums of the harmonics' squares are exact on an even grid.
+    np.testing.assert_allclose([x, y, major, minor], np.array([2, 2, 3, 3]) / n, rtol=1e-9)
+    assert covariance[2, 3] == pytest.approx(-1 / n, rel=1e-9)
+    both = np.array([0, 0, 0.5, 0.5, 0])
+    assert both @ covariance @ both == pytest.approx(1 / n, rel=1e-9)

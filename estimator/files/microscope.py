@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field, PlainValidator
@@ -218,7 +218,9 @@ def _numbers(*shape: int) -> PlainValidator:
             raise InputError(f"must be finite numbers ({wanted}), at most {_LARGEST:g}")
         return found
 
-    return PlainValidator(array)
+    return PlainValidator(
+        array, json_schema_input_type=list[list[float]] if shape[1:] else list[float]
+    )
 
 
 def _curve(value: object) -> Response:
@@ -245,7 +247,9 @@ class _PinholeFile(Strict):
     principal_point_px: Annotated[np.ndarray, _numbers(2)]
     pinhole_height_mm: _Millimetres | None = None
     eye_radius_mm: _Millimetres
-    response: Annotated[Response, PlainValidator(_curve)]
+    response: Annotated[
+        Response, PlainValidator(_curve, json_schema_input_type=Literal["linear", "srgb"] | float)
+    ]
     paper_exposure_s: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
     plane_normal: Annotated[np.ndarray, _numbers(3)] | None = None
     viewing_path: None = None

@@ -28,7 +28,10 @@ def _not_flat(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
-Number = Annotated[tuple[float, float], BeforeValidator(_pair)]
+Number = Annotated[
+    tuple[float, float],
+    BeforeValidator(_pair, json_schema_input_type=float | tuple[float, float]),
+]
 """A number, or [at 0 D, change per dioptre of refraction]."""
 
 Radius = Annotated[Number, AfterValidator(_not_flat)]

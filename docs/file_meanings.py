@@ -1,0 +1,177 @@
+"""Meanings of the keys of files: from docstrings, and those that no docstring has."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from typing import Any
+
+
+def named(place: str) -> Any:
+    """The object of a place "module:name"."""
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def attributes_of(owner: type) -> dict[str, str]:
+    """What a class's docstring says under `Attributes`, by attribute."""
+    text = inspect.cleandoc(owner.__doc__ or "").partition("Attributes:\n")[2]
+    found: dict[str, str] = {}
+    for entry in re.split(r"\n(?=    \S)", text):
+        names, colon, meaning = " ".join(entry.split()).partition(": ")
+        if colon:
+            found |= dict.fromkeys(names.split(", "), meaning)
+    # "cone_*" explains every label that begins so.
+    fields = getattr(owner, "__dataclass_fields__", {})
+    for pattern in [name for name in found if name.endswith("*")]:
+        meaning = found.pop(pattern)
+        found |= {name: meaning for name in fields if name.startswith(pattern[:-1])}
+    return found
+
+
+COMMON = {"schema": "Version of the format.", "provenance": "Source of the numbers."}
+MEANINGS = {
+    "labels": {
+        "file_name": "Of the image, from the stack's folder.",
+        "mask_file_name": "Of the mask: 255 where the wall inside the contour is seen.",
+        "exposure_s": "Exposure time, s.",
+        "tip_mm": "S, eye frame, in the middle of the exposure.",
+        "axis": "Unit vector of the beam from the tip towards the wall.",
+        "spot_mm": "O, where the axis meets the wall, eye frame.",
+        "medium": "Between tip and wall.",
+        "seed": "Of the scene.",
+    },
+    "kinematics": {
+        "time_s": "On the robot's clock, s.",
+        **{f"{x}_mm": f"{x.upper()} of the tip, eye frame, mm." for x in "xyz"},
+        **{f"axis_{x}": f"{x.upper()} of the tool's axis, a unit vector." for x in "xyz"},
+    },
+    "microscope": {
+        "retina_semi_axes_mm": "Of an ellipsoidal retina: x, y, z. Without it a sphere.",
+        "retina_tilt_deg": "Angle of its z from the microscope's axis.",
+        "retina_tilt_azimuth_deg": "Direction in which its z leans.",
+        "retina_shift_mm": "Of its centre across the axis: x, y.",
+        "camera": "Noise of the camera by its data sheet (EMVA 1288); the mode pixels needs it.",
+        **attributes_of(named("estimator.files.camera_sheet:CameraSheet")),
+        **attributes_of(named("estimator.files.viewing:PathSeries")),
+    },
+    "calibration": {
+        "name": "Of the medium.",
+        "index": "Refractive index of the medium.",
+        "parameters": "By name: `value`, `unit` and `sigma`, the standard error.",
+        "order": "Names of the parameters in the order of the matrix.",
+        "matrix": "Covariance, in products of the parameters' units.",
+        "description": "The data of the fit, in words.",
+        "sha256": "Fingerprint of those data.",
+        "value": "Of the parameter.",
+        "unit": "Of the parameter.",
+        "sigma": "Standard error of the parameter.",
+    },
+    "spots": {
+        "status": "Whether there is a spot.",
+        "reason": "Why there is none; see [reasons](messages.md).",
+        "sigma_semi_minor_px": "Standard deviation of the semi-minor axis.",
+        "schema_version": "Version of the format.",
+        "chi_squared": "Mode pixels: per cell; 1 where beam, wall and camera explain the light.",
+        **{f"tip_{x}_mm": f"Mode pixels: {x.upper()} of the tip, eye frame." for x in "xyz"},
+        **{f"axis_{x}": f"Mode pixels: {x.upper()} of the beam's unit vector." for x in "xyz"},
+        **{
+            f"pose_cov_{i}_{j}": f"Mode pixels: covariance of the pose's numbers {i} and {j}: tip "
+            "(mm), then the axis's two turns (rad)."
+            for i in range(5)
+            for j in range(i, 5)
+        },
+    },
+    "plain-spots": {
+        "file_name": "Of the image, from the set's or stack's folder.",
+        "x_px": "Centre, to the right; integers are centres of pixels.",
+        "y_px": "Centre, downwards.",
+        "semi_major_px": "Half of the longer axis.",
+        "semi_minor_px": "Half of the shorter axis.",
+        "angle_rad": "Of the semi-major axis from +x towards +y.",
+        "distance_mm": "d, if the tracker has one.",
+        **{
+            f"sigma_{name}": f"Standard deviation of `{name}`."
+            for name in ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
+        },
+        "sigma_distance_mm": "Standard deviation of `distance_mm`.",
+    },
+    "budget": {"cause": "One of the [causes](messages.md).", "unit": "Of the quantity."},
+    "plan": {
+        "quantities": "Names of the columns of the tables.",
+        "low": "Begin of the 95 % intervals, a row a frame.",
+        "high": "End of the 95 % intervals.",
+        "sha256": "Of everything else in the file.",
+    },
+    "spec": {
+        "name": "Of the set.",
+        "description": "For the data card.",
+        "seed": "Of everything that is drawn.",
+        "splits": "Number of stacks in each split.",
+        "train": "Number of stacks.",
+        "validation": "Number of stacks.",
+        "test": "Number of stacks.",
+        "scene": "Values common to all stacks, by scene key; or a scene file.",
+        "vary": "Distributions by scene key, drawn anew for each stack: `uniform`, `log_uniform`, "
+        "`choice`.",
+        "adverse": "A split with difficult conditions.",
+        "unseen": "A split that differs from all others.",
+        "stacks": "Number of stacks.",
+        "pairs": "Every stack again with these values, by the name that ends the partner's folder.",
+    },
+    "set": {
+        "name": "Of the set, or of the stack's folder.",
+        "licence": "Of images and labels (SPDX name).",
+        "stacks": "The stacks of the set.",
+        "split": "One of the splits.",
+        "condition": "Of an adverse stack; null otherwise.",
+        "pair": "What distinguishes the stack from its partner.",
+        "parameters": "What was drawn for the stack, by scene key.",
+    },
+    "manifest": {
+        "files": "By path in the folder: `bytes` and `sha256`.",
+        "bytes": "Size of the file.",
+        "sha256": "Of the file.",
+    },
+    "glue-lens": {"lens": "The drop."},
+    "eye": {
+        "refractions_d": "Least and largest refraction that the eye may have, D.",
+        "axial_length_mm": "From the cornea's vertex to the retina.",
+        "retina_semi_axes_mm": "Across (x, y) and along the axis (z).",
+        "cornea": "Two conic surfaces.",
+        "lens": "The crystalline lens.",
+        "indices": "Refractive indices.",
+        "front_radius_mm": "Radius of curvature of the front surface.",
+        "front_asphericity": "Q of the front surface; 0 is a sphere.",
+        "back_radius_mm": "Radius of curvature of the back surface.",
+        "back_asphericity": "Q of the back surface.",
+        "thickness_mm": "On the axis; of the lens a list, one a layer.",
+        "depth_mm": "Of the lens's front vertex below the cornea's.",
+        "gradient": "Per layer the change of the index with z, z² and r².",
+        "wavelength_nm": "Where the indices are known; between them they are interpolated.",
+        "dispersion": "Change of all indices with the wavelength, per µm and µm², if one is known.",
+        "aqueous": "Index at each wavelength.",
+        "vitreous": "Index at each wavelength.",
+    },
+    "viewing-lens": {
+        "lens": "The lens.",
+        "kind": "contact or wide-field.",
+        "front_curvature_per_mm": "1/radius of the front; its back fits the cornea.",
+        "thickness_mm": "On the axis.",
+        "index": "Refractive index.",
+        "power_d": "In air, dioptres; it is held one focal length above the cornea.",
+    },
+}
+"""Meanings that no docstring has, by kind of file and key."""
+
+
+def _covariance_meanings() -> dict[str, str]:
+    from estimator.image import PARAMETERS
+
+    count = len(PARAMETERS)
+    pairs = ((PARAMETERS[i], PARAMETERS[j]) for i in range(count) for j in range(i, count))
+    return {f"cov_{a}_{b}": f"Covariance of {a} and {b}, px and rad." for a, b in pairs}
+
+
+MEANINGS["spots"] |= _covariance_meanings()

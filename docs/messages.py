@@ -1,0 +1,154 @@
+"""Pages of the reference about failures: reasons, messages of wrong input, and exit codes."""
+
+from __future__ import annotations
+
+import ast
+import errno
+import inspect
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from calibration.command.remedies import Fault, remedy
+from estimator import Reason
+from estimator.distance import Cause, RangeFlag
+from estimator.run import exit_codes
+
+HOME = Path(__file__).resolve().parents[1]
+PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
+_FIT_MODELS = ("plane", "sphere", "cone", "eye", "image", "lens")
+_ERRORS = (
+    *("InputError", "SceneError", "StackError", "CalibrationError", "MicroscopeFileError"),
+    *("BeingWrittenError", "SpecError", "SetError", "RendererUnavailable", "PupilUnavailable"),
+)
+"""What a user can correct; anything else that is raised is a bug."""
+
+
+class Message(NamedTuple):
+    """A message of an error.
+
+    Attributes:
+        file: where it is raised.
+        line: the line there.
+        text: with {names} where values are inserted.
+    """
+
+    file: str
+    line: int
+    text: str
+
+
+def reasons_page() -> Iterator[str]:
+    """The page of reasons that results have."""
+    yield "# Reasons\n"
+    yield "A result that is missing or doubtful has one of these reasons. What a command says of"
+    yield "wrong input is on [another page](errors.md).\n"
+    yield "## Why a frame has no spot\n"
+    yield "The column `reason` of a spots file, the console, and the node's diagnostics.\n"
+    yield from _rows({reason.value: reason.meaning for reason in Reason})
+    yield "\n## Why a distance is doubtful\n"
+    yield "The console and the node's diagnostics.\n"
+    yield from _rows({flag.value: flag.meaning for flag in RangeFlag})
+    yield "\n## What makes a distance uncertain\n"
+    yield "The column `largest_cause` of a spots file, and the node's diagnostics. `eyespot budget`"
+    yield "says what halves it; [the budget](../../theory/budget.md), how each is computed.\n"
+    yield from _rows({cause.value: cause.meaning for cause in Cause})
+    yield "\n## Why a fit is not good\n"
+    yield "What `eyespot fit` says to try, by the model that was fitted.\n"
+    yield "| criterion | model | try |"
+    yield "|---|---|---|"
+    for fault in Fault:
+        tries = {model: remedy(fault, model=model) for model in _FIT_MODELS}
+        name = fault.name.lower().replace("_", " ")
+        if not any(tries.values()):
+            yield f"| {name} | all | nothing: the values are right within their stated errors |"
+        for advice in dict.fromkeys(filter(None, tries.values())):
+            models = ", ".join(model for model, said in tries.items() if said == advice)
+            yield f"| {name} | {models} | {_cell(advice)} |"
+
+
+def errors_page() -> Iterator[str]:
+    """The page of error messages and exit codes."""
+    found = list(messages())
+    yield "# Errors\n"
+    yield "## Exit codes\n"
+    codes = inspect.cleandoc(exit_codes.__doc__ or "").partition("Exit codes:\n")[2]
+    yield "| code | meaning |"
+    yield "|---|---|"
+    for code, meaning in re.findall(r"^ *(\d+) +(.*(?:\n {5,}\S.*)*)", codes, flags=re.MULTILINE):
+        yield f"| {code} | {_cell(' '.join(meaning.split()))} |"
+    yield "\nAn error of the operating system is shown with its own words and a remedy:\n"
+    yield "| error | remedy |"
+    yield "|---|---|"
+    for number, advice in sorted(exit_codes._REMEDIES.items()):
+        yield f"| {errno.errorcode[number]} | {_cell(advice)} |"
+    yield f"\n## Messages of wrong input ({len(found)})\n"
+    yield "A message names what is wrong, with value and unit, the rule, and the way out. The words"
+    yield "in braces are replaced by values. In Python these are `optics.InputError`."
+    for package in PACKAGES:
+        mine = [message for message in found if message.file.startswith(f"{package}/")]
+        yield f"\n### {package} ({len(mine)})\n"
+        file = ""
+        for message in mine:
+            if message.file != file:
+                file = message.file
+                yield f"\n`{file}`\n"
+            yield f"- {_quoted(message.text)}"
+
+
+def messages() -> Iterator[Message]:
+    """Every message of every error that a user can correct, by file and line."""
+    for package in PACKAGES:
+        for path in sorted((HOME / package).rglob("*.py")):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            file = path.relative_to(HOME).as_posix()
+            found = [Message(file, node.lineno, _text(node)) for node in _raised(tree)]
+            yield from sorted(message for message in found if message.text)
+
+
+def _raised(tree: ast.Module) -> Iterator[ast.Call]:
+    """Calls that make an error which is raised."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            if node.func.id in _ERRORS and node.args:
+                yield node
+
+
+def _text(call: ast.Call) -> str:
+    argument = call.args[0]
+    if isinstance(argument, ast.Constant):
+        return str(argument.value)
+    if isinstance(argument, ast.JoinedStr):
+        return "".join(
+            str(part.value) if isinstance(part, ast.Constant) else f"{{{_inserted(part)}}}"
+            for part in argument.values
+        )
+    return ""  # passes on the message of another error
+
+
+def _inserted(part: ast.expr) -> str:
+    """The name of a value that is inserted, without how it is shown."""
+    assert isinstance(part, ast.FormattedValue)
+    value = part.value
+    if isinstance(value, ast.Call) and value.args and isinstance(value.func, ast.Name):
+        value = value.args[0]  # shortened(value), _listed(names)
+    text = ast.unparse(value)
+    return text if len(text) <= 40 and text.count("(") < 2 else "…"
+
+
+def _quoted(text: str) -> str:
+    """A message as plain text, whatever characters it has."""
+    fence = "``" if "`" in text else "`"
+    return f"{fence} {' '.join(text.split())} {fence}"
+
+
+def _rows(meanings: Mapping[str, str]) -> Iterator[str]:
+    yield "| value | meaning and remedy |"
+    yield "|---|---|"
+    for value, meaning in meanings.items():
+        yield f"| `{value}` | {_cell(meaning)} |"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")

@@ -1,0 +1,285 @@
+"""The reference that docs/generated.py writes leaves nothing out, and its schemas are true."""
+
+from __future__ import annotations
+
+import ast
+import csv
+import importlib
+import json
+import re
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+import eyespot
+from calibration.command.remedies import Fault
+from docs.cited import cited_names, cited_source, cited_test
+from docs.generated import write_pages
+from docs.messages import _ERRORS, PACKAGES
+from docs.schemas import KINDS, rows_of, schema_of
+from estimator import Reason
+from estimator.distance import Cause, RangeFlag
+from scenes import Scene
+
+HOME = Path(__file__).resolve().parents[1]
+SAMPLE = HOME / "benchmarks" / "sets" / "score" / "sample-v2"
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("reference")
+    write_pages(folder)
+    return {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("words", eyespot.COMMANDS)
+def test_every_command_is_there_with_every_option(pages: dict[str, str], words: str) -> None:
+    section = pages["commands.md"].partition(f"## `eyespot {words}`")[2]
+    assert section
+    section = re.split(r"\n#+ `eyespot", section)[0]
+    for option in eyespot.loaded(eyespot.COMMANDS[words]).params:
+        shown = option.metavar or option.name.upper()
+        assert max(option.opts, key=len) in section or shown in section, option.name
+
+
+def test_every_scene_key_is_there_with_its_meaning(pages: dict[str, str]) -> None:
+    text = pages["scene_keys.md"]
+    for part in [Scene.model_json_schema(), *Scene.model_json_schema()["$defs"].values()]:
+        for key, value in part["properties"].items():
+            assert f"`{key}`" in text or f"`[{key}]" in text, key
+            if "$ref" not in value and "description" in value:
+                assert value["description"].split("|")[0] in text
+
+
+def test_every_reason_is_there_with_what_to_do(pages: dict[str, str]) -> None:
+    text = pages["messages.md"]
+    for kind in (Reason, RangeFlag, Cause):
+        for one in kind:
+            assert f"| `{one.value}` | {one.meaning}" in text  # type: ignore[attr-defined]
+    for fault in Fault:
+        assert f"| {fault.name.lower().replace('_', ' ')} |" in text
+
+
+def raised_errors() -> Iterator[tuple[str, int, str]]:
+    """File, line and first word of what is raised with one of our errors, as the code has it."""
+    for package in PACKAGES:
+        for path in sorted((HOME / package).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+                    name = ast.unparse(node.exc.func)
+                    if name in _ERRORS and node.exc.args:
+                        yield str(path), node.lineno, ast.unparse(node.exc.args[0])
+
+
+def test_every_message_of_wrong_input_is_there(pages: dict[str, str]) -> None:
+    text = pages["errors.md"]
+    for file, line, message in raised_errors():
+        longest = max(re.split(r"\{[^{}]*\}|['\"\\]", message), key=len).strip()
+        # A message that is another error's is that one's.
+        if len(longest) > 12 and message.startswith(("f'", 'f"', "'", '"')):
+            assert " ".join(longest.split()) in text, f"{file}:{line}"
+
+
+def test_every_error_that_a_user_can_correct_is_known() -> None:
+    for package in PACKAGES:
+        for path in (HOME / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                bases = (
+                    [ast.unparse(base) for base in node.bases]
+                    if isinstance(node, ast.ClassDef)
+                    else []
+                )
+                if isinstance(node, ast.ClassDef) and {*bases} & {*_ERRORS}:
+                    assert node.name in _ERRORS, f"{path}:{node.lineno}"
+
+
+def test_what_pages_cite_exists() -> None:
+    for name in cited_names("test"):
+        assert cited_test(name).code
+    for name in cited_names("source"):
+        assert cited_source(name).code
+    for path in (HOME / "docs" / "theory").glob("*.md"):
+        for name in re.findall(r"\{api\}`([\w.]+)`", path.read_text(encoding="utf-8")):
+            module, _, part = name.rpartition(".")
+            assert hasattr(importlib.import_module(module), part), f"{path}: {name}"
+
+
+def test_every_page_of_the_theory_cites_functions_and_tests() -> None:
+    for path in (HOME / "docs" / "theory").glob("*.md"):
+        text = path.read_text(encoding="utf-8")
+        if path.name != "index.md":
+            assert "{test}`" in text, path
+            assert "{api}`" in text or "{source}`" in text, path
+
+
+SCHEMAS = {kind.slug: kind for kind in KINDS}
+
+
+def faults(slug: str, content: object) -> list[str]:
+    validator = jsonschema.Draft202012Validator(schema_of(SCHEMAS[slug]))
+    return [f"{fault.json_path}: {fault.message}"[:300] for fault in validator.iter_errors(content)]
+
+
+@pytest.mark.parametrize("slug", SCHEMAS)
+def test_a_schema_is_one_and_explains_every_key(slug: str) -> None:
+    schema = schema_of(SCHEMAS[slug])
+    jsonschema.Draft202012Validator.check_schema(schema)
+    rows = list(rows_of(schema))
+    assert rows
+    if slug != "scene":  # its keys have a page of their own
+        assert not [key for key, _, _, meaning in rows if not meaning]
+
+
+def cells(path: Path, *, text: tuple[str, ...] = ()) -> Iterator[dict[str, Any]]:
+    """Rows of a CSV file as the schemas have them."""
+    for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
+        yield {
+            name: None if cell == "" else cell if name in text else number(cell)
+            for name, cell in row.items()
+        }
+
+
+def number(cell: str) -> float | int:
+    return int(cell) if re.fullmatch(r"-?\d+", cell) else float(cell)
+
+
+def test_the_files_of_a_set_fulfil_their_schemas() -> None:
+    stack = SAMPLE / "test" / "0000"
+    assert not faults("set", json.loads((SAMPLE / "set.json").read_text()))
+    assert not faults("manifest", json.loads((SAMPLE / "manifest.json").read_text()))
+    assert not faults("spec", tomllib.loads((SAMPLE / "spec.toml").read_text()))
+    assert not faults("stack", tomllib.loads((stack / "stack.toml").read_text()))
+    assert not faults("scene", tomllib.loads((stack / "stack.toml").read_text())["scene"])
+    assert not faults("microscope", json.loads((stack / "microscope.json").read_text()))
+    for line in (stack / "metadata.jsonl").read_text().splitlines():
+        assert not faults("labels", json.loads(line))
+    for row in cells(stack / "kinematics.csv"):
+        assert not faults("kinematics", row)
+
+
+@pytest.mark.parametrize(
+    ("slug", "pattern"),
+    [
+        ("eye", "optics/viewing/eyes/*.toml"),
+        ("viewing-lens", "optics/viewing/lenses/*.toml"),
+        ("glue-lens", "optics/lenses/*.toml"),
+        ("spec", "benchmarks/sets/spec/named/*.toml"),
+    ],
+)
+def test_files_that_come_with_eyespot_fulfil_their_schemas(slug: str, pattern: str) -> None:
+    files = sorted(HOME.glob(pattern))
+    assert files
+    for file in files:
+        assert not faults(slug, tomllib.loads(file.read_text())), file
+
+
+SCENE = [
+    *("source.kind=cone", "phantom.kind=plane", "phantom.wall=uniform", "motion.frames=9"),
+    *("spot.eccentricity_mm=1", 'exposures.kinds=["metered"]'),
+    *("microscope.width_px=320", "microscope.height_px=240", "microscope.scale_mm_px=0.0134"),
+]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which eyespot's commands have written files, from a scene to a budget."""
+    folder = tmp_path_factory.mktemp("written")
+    changes = [word for change in SCENE for word in ("--set", change)]
+    (folder / "stated.toml").write_text("eye_radius_sigma_mm = 0.2\ntouch_sigma_mm = 0.02\n")
+    call("scene", "init", folder / "scene.toml")
+    call("render", folder / "scene.toml", "--out", folder / "stack", *changes)
+    call("fit", folder / "stack", "--model", "cone", "--out", folder / "beam.json")
+    calibrated = ("--calibration", folder / "beam.json", "--model", "exact")
+    call("track", folder / "stack", *calibrated, "--out", folder / "spots.csv")
+    stated = ("--stated", folder / "stated.toml", "--json")
+    budget = call("budget", folder / "stack", *calibrated, *stated, "--frame", "6")
+    (folder / "budget.json").write_text(budget)
+    plan = ("--uncertain", "phantom.radius_mm=0.2", "--calibration", folder / "beam.json")
+    call("preregister", folder / "scene.toml", "--out", folder / "plan.json", *plan, *changes)
+    return folder
+
+
+def call(*words: object) -> str:
+    """Run a command in this process; returns what it prints."""
+    import contextlib
+    import io
+
+    said, before = io.StringIO(), sys.argv
+    sys.argv = ["eyespot", *map(str, words)]
+    try:
+        with contextlib.redirect_stdout(said), pytest.raises(SystemExit) as ended:
+            eyespot.main()
+    finally:
+        sys.argv = before
+    assert not ended.value.code, words
+    return said.getvalue()
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "scene.toml": lambda path: tomllib.loads(path.read_text()),
+    "stack/stack.toml": lambda path: tomllib.loads(path.read_text()),
+    "stated.toml": lambda path: tomllib.loads(path.read_text()),
+}
+
+
+@pytest.mark.parametrize(
+    ("slug", "file"),
+    [
+        ("scene", "scene.toml"),
+        ("stack", "stack/stack.toml"),
+        ("microscope", "stack/microscope.json"),
+        ("manifest", "stack/manifest.json"),
+        ("calibration", "beam.json"),
+        ("stated", "stated.toml"),
+        ("budget", "budget.json"),
+        ("plan", "plan.json"),
+    ],
+)
+def test_a_file_that_was_written_fulfils_its_schema(written: Path, slug: str, file: str) -> None:
+    read = READERS.get(file, lambda path: json.loads(path.read_text()))
+    assert not faults(slug, read(written / file))
+
+
+def test_rows_that_were_written_fulfil_their_schemas(written: Path) -> None:
+    text = ("file_name", "mode", "status", "reason", "largest_cause")
+    rows = list(cells(written / "spots.csv", text=text))
+    assert len(rows) == 9
+    for row in rows:
+        assert not faults("spots", row)
+    for row in cells(written / "stack" / "kinematics.csv"):
+        assert not faults("kinematics", row)
+    for line in (written / "stack" / "metadata.jsonl").read_text().splitlines():
+        assert not faults("labels", json.loads(line))
+
+
+def test_an_entry_of_a_leaderboard_fulfils_its_schemas(tmp_path: Path) -> None:
+    text = (HOME / "docs" / "leaderboard.md").read_text(encoding="utf-8")
+    examples = re.findall(r"```json\n(.*?)```", text, flags=re.DOTALL)
+    for example in examples:
+        assert not faults("entry", json.loads(example))
+    (tmp_path / "mine.csv").write_text(
+        "file_name,x_px,y_px,semi_major_px,semi_minor_px\n"
+        "test/0000/frames/000000.png,322.41,240.18,61.02,58.77\n"
+        "test/0000/frames/000001.png,,,,\n"
+    )
+    for row in cells(tmp_path / "mine.csv", text=("file_name",)):
+        assert not faults("plain-spots", row)
+
+
+@pytest.mark.parametrize(
+    ("slug", "content"),
+    [
+        ("calibration", {"schema": 2, "model": "cone"}),
+        ("stated", {"eye_radius": 0.2}),
+        ("stated", {"eye_radius_sigma_mm": "wide"}),
+        ("glue-lens", {"schema": 1, "lens": {"core_radius": 0.25}}),
+        ("spots", {"frame": 0}),
+    ],
+)
+def test_a_wrong_file_does_not_fulfil_its_schema(slug: str, content: object) -> None:
+    assert faults(slug, content)
