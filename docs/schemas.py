@@ -194,7 +194,17 @@ def _explain(part: Any, meanings: dict[str, str]) -> None:
 def _of_models(kind: FileKind) -> dict[str, Any]:
     models = [named(place) for place in kind.models]
     schema: dict[str, Any] = TypeAdapter(reduce(or_, models)).json_schema()
+    _loosen(schema)
     return schema
+
+
+def _loosen(part: Any) -> None:
+    """Let a value meet several options, where pydantic chooses one by a function."""
+    inner = part.values() if isinstance(part, dict) else part if isinstance(part, list) else ()
+    if isinstance(part, dict) and {} in part.get("oneOf", []):
+        part["anyOf"] = part.pop("oneOf")
+    for one in list(inner):
+        _loosen(one)
 
 
 def _with_origin(schema: dict[str, Any]) -> dict[str, Any]:
