@@ -1,0 +1,67 @@
+"""The worked examples in docs/contributing/examples are changes that apply, and that work."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HOME = Path(__file__).resolve().parents[1]
+EXAMPLES = HOME / "docs" / "contributing" / "examples"
+PARTS = ("optics", "scenes", "estimator", "calibration", "benchmarks", "tests", "docs")
+
+# What each change adds a test to, and the house's rules that it must keep.
+CHECKS = {
+    "eye": ["tests/test_optics_viewing.py", "-k", "power_and_length"],
+    "format": ["tests/test_benchmarks_export.py", "-k", "table"],
+    "lens": ["tests/test_optics_lens.py", "-k", "flatter_drop or presets"],
+    "model": [
+        *("tests/test_optics_models.py", "tests/test_optics_transformations.py"),
+        *("-k", "telecentric or accounted_for or by_name"),
+    ],
+    "source": ["tests/test_estimator_sources.py", "-k", "array"],
+    "study": ["tests/test_benchmarks_study_scale.py"],
+}
+HOUSE = ["tests/test_house_rooms.py", "-k", "face or map or circle or itself"]
+
+
+def changed_copy(name: str, folder: Path) -> Path:
+    """A copy of the repository with the change of an example."""
+    copy = folder / "copy"
+    for part in PARTS:
+        ignored = shutil.ignore_patterns("__pycache__", "auto_gallery", "generated", "sample-v2")
+        shutil.copytree(HOME / part, copy / part, ignore=ignored)
+    for file in ("eyespot.py", "pyproject.toml"):
+        shutil.copy(HOME / file, copy)
+    subprocess.run(["git", "apply", str(EXAMPLES / f"{name}.diff")], cwd=copy, check=True)
+    return copy
+
+
+def test_every_example_is_checked() -> None:
+    assert {path.stem for path in EXAMPLES.glob("*.diff")} == set(CHECKS)
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_the_change_of_an_example_applies(name: str, tmp_path: Path) -> None:
+    changed_copy(name, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CHECKS)
+def test_the_change_of_an_example_works_and_keeps_the_rules(name: str, tmp_path: Path) -> None:
+    copy = changed_copy(name, tmp_path)
+    for selection in (CHECKS[name], HOUSE):
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *selection],
+            cwd=copy,
+            env=os.environ | {"PYTHONPATH": str(copy)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout[-3000:]
+        assert " passed" in done.stdout
