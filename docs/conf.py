@@ -76,7 +76,9 @@ sphinx_gallery_conf = {
 }
 
 
-_VERBATIM = re.compile(r"(?<![\\$])\$[^$]+\$|`+[^`]+`+", flags=re.DOTALL)
+_VERBATIM = re.compile(
+    r"(?<![\\$])\$[^$]+\$|`+[^`]+`+|^ *>>>[^\n]*(?:\n *\S[^\n]*)*", flags=re.DOTALL | re.MULTILINE
+)
 
 
 def _as_rst(app: Any, what: str, name: str, obj: object, options: Any, lines: list[str]) -> None:

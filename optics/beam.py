@@ -65,7 +65,12 @@ class Beam(eqx.Module):
 
 
 def slope(half_angle: ArrayLike) -> Array:
-    """k = 1/tan(theta/2), dimensionless (Zhou et al. 2020, eq. 1); half_angle in rad."""
+    """k = 1/tan(theta/2), dimensionless (Zhou et al. 2020, eq. 1); half_angle in rad.
+
+    Example:
+        >>> round(float(slope(0.0499584)), 3)  # half of 5.7 degrees: the default cone
+        20.0
+    """
     return 1.0 / jnp.tan(half_angle)
 
 

@@ -39,5 +39,15 @@ def spot_contour(
 def spot_ellipse(
     beam: Beam, surface: Surface, microscope: Camera, *, points: int = CONTOUR_POINTS
 ) -> Ellipse:
-    """Ellipse of the image of the spot's edge, px: the `exact` model, forward."""
+    """Ellipse of the image of the spot's edge, px: the `exact` model, forward.
+
+    Example:
+        >>> import optics
+        >>> eye = optics.Sphere(11.5)
+        >>> view = optics.microscope(scale=0.0067, pinhole_height=200.0, eye_radius=11.5)
+        >>> cone = {"half_angle": 0.0499584, "apex_offset": -5.117}
+        >>> beam = optics.beam_at_spot(eye, eccentricity=3.0, distance=2.0, **cone)
+        >>> round(float(optics.spot_ellipse(beam, eye, view).semi_minor), 2)
+        51.53
+    """
     return ellipse_of_contour(spot_contour(beam, surface, microscope, points=points))

@@ -66,6 +66,16 @@ def exact_distance(
     multiplies d - b by measured over expected size. It reduces the error to the effect of the
     wall's curvature on the spot's size (R/r, about 5 %). Other args: as for `beam_at_spot`, in mm
     and rad.
+
+    Example:
+        >>> import optics
+        >>> eye = optics.Sphere(11.5)
+        >>> view = optics.microscope(scale=0.0067, pinhole_height=200.0, eye_radius=11.5)
+        >>> cone = {"half_angle": 0.0499584, "apex_offset": -5.117}
+        >>> seen = exact_semi_minor(eye, view, distance=2.0, eccentricity=3.0, **cone)
+        >>> found = exact_distance(eye, view, semi_minor_px=seen, eccentricity=3.0, **cone)
+        >>> round(float(found), 6)
+        2.0
     """
     forward = partial(
         exact_semi_minor,

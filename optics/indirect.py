@@ -29,6 +29,11 @@ def indirect_irradiance(
 
     Returns:
         Irradiance, W/mm^2.
+
+    Example:
+        >>> even = indirect_irradiance(flux=1.0, reflectance=0.5, eye_radius=11.5)
+        >>> round(float(even), 6)  # W/mm^2
+        0.000602
     """
     rho = jnp.asarray(reflectance)
     radius = jnp.asarray(eye_radius)

@@ -258,6 +258,11 @@ def load_lens(name_or_path: str | Path) -> GlueLens:
 
     Raises:
         InputError: no such preset or file, another schema, an unknown, missing or wrong key.
+
+    Example:
+        >>> dome = load_lens("dome")
+        >>> round(float(dome.focal_length(medium_index=1.336)), 2)  # mm, in vitreous
+        2.78
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":

@@ -57,6 +57,17 @@ def closed_form_distance(
 
     Raises:
         InputError: no closed form has this name.
+
+    Example:
+        A spot 3 mm from the axis under a microscope at 200 mm, read by two models:
+
+        >>> spot = {"semi_minor_px": 60.0, "eccentricity": 3.0}
+        >>> known = {"scale": 0.0067, "k": 20.0, "b": -5.117, "eye_radius": 11.5}
+        >>> for model in ("small_plane", "corrected"):
+        ...     d = closed_form_distance(model, **spot, **known, inverse_working_distance=1 / 211.5)
+        ...     print(model, round(float(d), 3))
+        small_plane 2.651
+        corrected 3.171
     """
     line: dict[str, Any] = {"semi_minor_px": semi_minor_px, "scale": scale, "k": k, "b": b}
     eye: dict[str, Any] = {"eccentricity": eccentricity, "eye_radius": eye_radius}
@@ -79,16 +90,25 @@ def closed_form_distance(
 def planar_distance(*, semi_minor_px: ArrayLike, scale: ArrayLike, k: ArrayLike, b: ArrayLike):
     """Distance d (mm) on a plane parallel to the sensor, d = delta k e1' + b.
 
-    Zhou et al. 2020, eq. 7. Args: as for `closed_form_distance`.
+    Zhou et al. 2020, eq. 6. Args: as for `closed_form_distance`.
+
+    Example:
+        >>> d = planar_distance(semi_minor_px=60.0, scale=0.0067, k=20.0, b=-5.117)
+        >>> round(float(d), 3)
+        2.923
     """
     xp = array_namespace(semi_minor_px, scale, k, b)
     return scale * k * xp.asarray(semi_minor_px) + b
 
 
 def sagitta(*, spot_radius: ArrayLike, eye_radius: ArrayLike) -> Batch:
-    """S'O = r - sqrt(r^2 - e1^2), depth of the spot's cap, mm (Zhou et al. 2020, eq. 5).
+    """S'O = r - sqrt(r^2 - e1^2), depth of the spot's cap, mm (Zhou et al. 2020, eq. 4).
 
     Computed as e1^2/(r + sqrt(r^2 - e1^2)), which avoids cancellation for small spots.
+
+    Example:
+        >>> round(float(sagitta(spot_radius=1.0, eye_radius=11.5)), 4)
+        0.0436
     """
     xp = array_namespace(spot_radius, eye_radius)
     squared = xp.asarray(spot_radius) ** 2
@@ -98,20 +118,20 @@ def sagitta(*, spot_radius: ArrayLike, eye_radius: ArrayLike) -> Batch:
 def sphere_distance(*, spot_radius: ArrayLike, k: ArrayLike, b: ArrayLike, eye_radius: ArrayLike):
     """d = k e1 + b + r - sqrt(r^2 - e1^2), mm; exact at perpendicular incidence.
 
-    Zhou et al. 2020, eq. 6.
+    Zhou et al. 2020, eq. 5.
     """
     xp = array_namespace(spot_radius, k, b, eye_radius)
     return k * xp.asarray(spot_radius) + b + sagitta(spot_radius=spot_radius, eye_radius=eye_radius)
 
 
 def paper_foreshortening(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> Batch:
-    """cos(atan(c / sqrt(r^2 - c^2))) = cos(phi), the factor of Zhou et al. 2020, eq. 10."""
+    """cos(atan(c / sqrt(r^2 - c^2))) = cos(phi), the factor of Zhou et al. 2020, eq. 9."""
     xp = array_namespace(eccentricity, eye_radius)
     return xp.sqrt(1.0 - (xp.asarray(eccentricity) / eye_radius) ** 2)
 
 
 def paper_pinhole_distance(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> Batch:
-    """FP = r + sqrt(r^2 - c^2), mm, for a pinhole on the sphere (Zhou et al. 2020, eq. 9)."""
+    """FP = r + sqrt(r^2 - c^2), mm, for a pinhole on the sphere (Zhou et al. 2020, eq. 8)."""
     xp = array_namespace(eccentricity, eye_radius)
     r = xp.asarray(eye_radius)
     return r + xp.sqrt(r**2 - xp.asarray(eccentricity) ** 2)
@@ -120,7 +140,7 @@ def paper_pinhole_distance(*, eccentricity: ArrayLike, eye_radius: ArrayLike) ->
 def paper_angle_s_d_e(
     *, eccentricity: ArrayLike, eye_radius: ArrayLike, spot_radius: ArrayLike
 ) -> Batch:
-    """Angle S'DE of Zhou et al. 2020, eq. 9, rad; the paper neglects the term with its cosine."""
+    """Angle S'DE of Zhou et al. 2020, eq. 8, rad; the paper neglects the term with its cosine."""
     xp = array_namespace(eccentricity, eye_radius, spot_radius)
     phi = xp.arcsin(xp.asarray(eccentricity) / eye_radius)
     fp = paper_pinhole_distance(eccentricity=eccentricity, eye_radius=eye_radius)
@@ -130,7 +150,7 @@ def paper_angle_s_d_e(
 def small_plane_spot_radius(
     *, semi_minor_px: ArrayLike, scale: ArrayLike, eccentricity: ArrayLike, eye_radius: ArrayLike
 ) -> Batch:
-    """e1 = delta e1' cos(phi), mm (Zhou et al. 2020, eq. 10)."""
+    """e1 = delta e1' cos(phi), mm (Zhou et al. 2020, eq. 9)."""
     xp = array_namespace(semi_minor_px, scale, eccentricity, eye_radius)
     foreshortening = paper_foreshortening(eccentricity=eccentricity, eye_radius=eye_radius)
     return xp.asarray(scale) * semi_minor_px * foreshortening
@@ -145,9 +165,9 @@ def small_plane_distance(
     eccentricity: ArrayLike,
     eye_radius: ArrayLike,
 ) -> Batch:
-    """The paper's distance d (mm) in the eyeball: eq. 10 inserted in eq. 6.
+    """The paper's distance d (mm) in the eyeball: eq. 9 inserted in eq. 5.
 
-    Zhou et al. 2020, eq. 11. Args: as for `closed_form_distance`.
+    Zhou et al. 2020, eq. 10. Args: as for `closed_form_distance`.
     """
     radius = small_plane_spot_radius(
         semi_minor_px=semi_minor_px, scale=scale, eccentricity=eccentricity, eye_radius=eye_radius

@@ -28,6 +28,11 @@ def square_spot_radius(
     """Radius of the lit circle in a sphere, mm; inverse of `sphere_distance`.
 
     e1 solves (1 + k^2) e1^2 + 2 k q e1 + q^2 = r^2 with q = r - d + b.
+
+    Example:
+        >>> radius = square_spot_radius(distance=2.0, k=20.0, b=-5.117, eye_radius=11.5)
+        >>> round(float(radius), 4)
+        0.3556
     """
     xp = array_namespace(distance, k, b, eye_radius)
     q = xp.asarray(eye_radius) - distance + b

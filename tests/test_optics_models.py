@@ -166,7 +166,7 @@ def test_planar_and_square_models_invert():
 
 def test_the_papers_dropped_angle_is_87_5_degrees_at_the_edge_of_its_view():
     # "the minimum value of S'DE is more than 87.5 degrees" for a view of 10 mm (c = 5) and spots
-    # of about 1 mm radius and less (Zhou et al. 2020, below eq. 9).
+    # of about 1 mm radius and less (Zhou et al. 2020, below eq. 8).
     angle = optics.paper_angle_s_d_e(eccentricity=5.0, eye_radius=11.5, spot_radius=0.95)
     assert 87.4 < np.degrees(float(angle)) < 87.6
 

@@ -12,7 +12,7 @@ from scenes import Scene
 _PLANE_ECCENTRICITIES_MM = (1.5, 3.0, 4.5)
 _AZIMUTHS_DEG = (0.0, 120.0, 240.0)
 PINHOLE_HEIGHTS_MM = (11.5, 200.0)
-"""On the eyeball's sphere (equation 9 of Zhou et al. 2020), and a real microscope."""
+"""On the eyeball's sphere (equation 8 of Zhou et al. 2020), and a real microscope."""
 TILT_AZIMUTHS_DEG = (0.0, 90.0, 180.0)
 """Of a tilted beam: towards growing c, across the meridian, and towards the axis."""
 

@@ -79,7 +79,7 @@ def fit_plane(
     distance: Float[ArrayLike, "n"],
     loss: Loss = "squares",
 ) -> PlaneFit:
-    """Fit delta k and b to spots on a plane (Zhou et al. 2020, eq. 7).
+    """Fit delta k and b to spots on a plane (Zhou et al. 2020, eq. 6).
 
     Args:
         semi_minor_px: e1', px.
@@ -88,6 +88,11 @@ def fit_plane(
 
     Raises:
         InputError: fewer than 3 spots, or spots of one size only.
+
+    Example:
+        >>> fit = fit_plane(semi_minor_px=[40, 50, 60, 70], distance=[0.25, 1.57, 2.92, 4.27])
+        >>> round(fit.delta_k, 4), round(fit.b, 3)
+        (0.1341, -5.123)
     """
     axis, reading = np.asarray(semi_minor_px, float), np.asarray(distance, float)
     if axis.size < _FEWEST_SPOTS or np.ptp(axis) == 0:

@@ -95,6 +95,13 @@ class Budget:
         correction_mm: to be added to it: minus the model's error at this c, d and tilt.
         parts: by cause; those that are known to be zero are left out.
         left_out: what is not assessed, in words.
+
+    Example:
+        >>> touch, noise = Part(Cause.TOUCH, 0.02), Part(Cause.IMAGE, 0.002, freedom=187)
+        >>> budget = Budget.of(2.38, correction_mm=0.34, parts=[touch, noise])
+        >>> low, high = budget.interval_mm
+        >>> f"{low:.3f} to {high:.3f} mm, mostly by {budget.largest.cause.value}"
+        '2.681 to 2.759 mm, mostly by touch'
     """
 
     reading_mm: float

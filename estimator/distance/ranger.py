@@ -29,8 +29,8 @@ _UNIT = 1e-3  # of a unit vector's length, as robots round them
 class Ranger:
     """Turns spots into distances with one model and one calibration.
 
-    - planar: d = delta k e1' + b (Zhou et al. 2020, eq. 7).
-    - small_plane: the paper's model of the eyeball (eq. 11).
+    - planar: d = delta k e1' + b (Zhou et al. 2020, eq. 6).
+    - small_plane: the paper's model of the eyeball (eq. 10).
     - corrected: with the right first-order factor for the pinhole's height, or for the viewing
       path that the microscope file describes.
     - stereographic: exact for a pinhole on the sphere (z_F = r) and a square beam.

@@ -70,7 +70,7 @@ def small_plane_line(
 ) -> dict[str, float]:
     """k and b of the paper's model: a line, after subtracting its sagitta from the distance.
 
-    d - (r - sqrt(r^2 - e1^2)) = k e1 + b with e1 = delta e1' cos(phi) (Zhou et al. 2020, eq. 11).
+    d - (r - sqrt(r^2 - e1^2)) = k e1 + b with e1 = delta e1' cos(phi) (Zhou et al. 2020, eq. 10).
 
     Args:
         semi_minor_px: e1', px.
