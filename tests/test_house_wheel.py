@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 from pathlib import Path
 
@@ -82,3 +83,17 @@ def test_the_command_of_the_wheel_runs(fresh_python):
 def test_the_sample_set_is_scored_from_the_wheel(fresh_python):
     command = fresh_python.with_name("eyespot")
     assert "40" in run_away_from_the_checkout(fresh_python, command, "score", "--sample")
+
+
+def test_the_main_job_runs_from_the_wheel(fresh_python):
+    command, out = fresh_python.with_name("eyespot"), fresh_python.parent / "validate"
+    assert "Wrote" in run_away_from_the_checkout(
+        fresh_python, command, "validate", "--quick", "--out", out
+    )
+    assert (out / "report.html").is_file()
+
+
+def test_the_wheel_has_the_version_that_the_repository_states(fresh_python):
+    stated = tomllib.loads((HOME / "pyproject.toml").read_text())["project"]["version"]
+    command = fresh_python.with_name("eyespot")
+    assert run_away_from_the_checkout(fresh_python, command, "version").strip() == stated
