@@ -49,8 +49,10 @@ def _run_first_cell() -> None:
     cell = re.search(r"%%bash\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
     assert cell
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    shutil.rmtree(MADE, ignore_errors=True)
+    MADE.mkdir(parents=True)
     subprocess.run(
-        ["bash", "-e", "-c", cell[1]], cwd=PAGE.parent, env=os.environ | {"PATH": path}, check=True
+        ["bash", "-e", "-c", cell[1]], cwd=MADE, env=os.environ | {"PATH": path}, check=True
     )
 
 
@@ -201,8 +203,8 @@ def _write_distances(ros: str, ranges: Sequence[tuple[int, float]], bag: Path) -
 
 
 def _short(text: str | Path) -> str:
-    """A path as it is typed in the folder of the clone."""
-    return str(text).replace(f"{HOME}/", "")
+    """A path as it is typed in the folder of the recording."""
+    return str(text).replace(f"{MADE}/", "")
 
 
 def _rospy_version() -> str:
