@@ -1,11 +1,11 @@
-"""Roles with which pages cite the code, and the pages that show what they cite.
+"""The code that pages cite, and the pages that show it.
 
     {test}`test_the_field_has_no_sources`        a test, found by its name
     {source}`optics.lens_trace.trace_backwards`  a module, or a function or class in it
     {api}`optics.vector_irradiance`              a name of the Python interface
 
-The first two lead to pages with the code itself, which `write_cited` makes from the files. A name
-that is not found ends the build.
+These are the roles of `docs/roles.py`. The first two lead to pages with the code itself, which are
+made here from the files. A name that is not found ends the build.
 """
 
 from __future__ import annotations
@@ -15,11 +15,7 @@ import re
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
-
-from docutils import nodes
-from sphinx import addnodes
-from sphinx.util.docutils import SphinxRole
+from typing import NamedTuple
 
 HOME = Path(__file__).resolve().parents[1]
 _CITED = re.compile(r"\{(test|source)\}`([\w.]+)`")
@@ -115,47 +111,11 @@ def source_page() -> Iterator[str]:
 
 
 def _shown(cited: Cited) -> Iterator[str]:
-    yield f"({_label(cited.name)})="
+    yield f"({label_of(cited.name)})="
     yield f"## {cited.name}\n\n`{cited.file}`, line {cited.line}\n"
     yield f"```python\n{cited.code}\n```\n"
 
 
-def _label(name: str) -> str:
+def label_of(name: str) -> str:
+    """Label of a piece of code on its page."""
     return re.sub(r"[^a-z0-9]+", "-", f"cited {name}".lower())
-
-
-class _CodeRole(SphinxRole):
-    """A link to the code on one of the two pages."""
-
-    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        link = _link(self, domain="std", kind="ref", target=_label(self.text))
-        link += nodes.literal(self.text, self.text.removeprefix("test_"), classes=["xref"])
-        return [link], []
-
-
-class _ApiRole(SphinxRole):
-    """A link to a name of the Python interface, whatever its kind."""
-
-    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        link = _link(self, domain="py", kind="obj", target=self.text)
-        link += nodes.literal(self.text, self.text, classes=["xref", "py"])
-        return [link], []
-
-
-def _link(role: SphinxRole, *, domain: str, kind: str, target: str) -> addnodes.pending_xref:
-    return addnodes.pending_xref(
-        "",
-        refdomain=domain,
-        reftype=kind,
-        reftarget=target,
-        refexplicit=True,
-        refdoc=role.env.docname,
-        refwarn=True,
-    )
-
-
-def add_roles(app: Any) -> None:
-    """Make the three roles known to Sphinx."""
-    app.add_role("test", _CodeRole())
-    app.add_role("source", _CodeRole())
-    app.add_role("api", _ApiRole())
