@@ -108,7 +108,8 @@ def _scene_keys() -> Iterator[str]:
     for name, field in Scene.model_fields.items():
         kinds = _models_in(field.annotation)
         if not kinds:
-            yield f"\n## `{field.alias or name}`\n\n{field.description or ''}\n"
+            about = field.description or "Version of the format."
+            yield f"\n## `{field.alias or name}`\n\n{about}\n"
         for number, model in enumerate(kinds):
             kind = model.model_fields.get("kind")
             title = f"[{name}]" + (f" kind = {kind.default!r}" if kind and len(kinds) > 1 else "")
@@ -131,7 +132,8 @@ def _table(model: type[BaseModel]) -> Iterator[str]:
     yield "|---|---|---|---|"
     for key, field in model.model_fields.items():
         default = "" if field.is_required() else f"`{json.dumps(field.default, default=str)}`"
-        yield f"| `{key}` | {unit_of(key)} | {default} | {_cell(field.description or '')} |"
+        about = field.description or "Which kind of this table it is."
+        yield f"| `{key}` | {unit_of(key)} | {default} | {_cell(about)} |"
 
 
 def _cell(text: str) -> str:
