@@ -16,9 +16,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from rosbags.highlevel import AnyReader
 
@@ -99,13 +100,7 @@ def _ros1(folder: Path) -> None:
     _write("ros1-range.txt", versions, [("rostopic echo -b answers.bag -p /eyespot/range", last)])
     echo = "rostopic echo -b answers.bag /eyespot/status"
     _write("ros1-status.txt", versions, [(echo, f"{first}\n---\n(...)")])
-    with AnyReader([recorded]) as reader:
-        found = [
-            (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec, message.range)
-            for connection, _, data in reader.messages()
-            if connection.topic == "/eyespot/range"
-            for message in [reader.deserialize(data, connection.msgtype)]
-        ]
+    found = [(_stamp_ns(one), one.range) for one in _messages(recorded, "/eyespot/range")]
     _write_distances("ros1", found, bag)
 
 
@@ -185,15 +180,22 @@ def _write(name: str, versions: str, steps: Sequence[tuple[str, str]]) -> None:
     (RECORDED / name).write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")
 
 
+def _messages(bag: Path, topic: str) -> Iterator[Any]:
+    with AnyReader([bag]) as reader:
+        for connection, _, data in reader.messages():
+            if connection.topic == topic:
+                yield reader.deserialize(data, connection.msgtype)
+
+
+def _stamp_ns(message: Any) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec * 10**9 + stamp.nanosec)
+
+
 def _write_distances(ros: str, ranges: Sequence[tuple[int, float]], bag: Path) -> None:
     """The distances as a table, by the number of the image in the bag."""
-    with AnyReader([bag]) as reader:
-        stamps = [
-            reader.deserialize(data, connection.msgtype).header.stamp
-            for connection, _, data in reader.messages()
-            if connection.topic == "/decklink/camera/image_raw"
-        ]
-    number = {stamp.sec * 10**9 + stamp.nanosec: n for n, stamp in enumerate(stamps)}
+    images = _messages(bag, "/decklink/camera/image_raw")
+    number = {_stamp_ns(image): n for n, image in enumerate(images)}
     with (RECORDED / f"{ros}-distances.csv").open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(["image", "distance_mm"])

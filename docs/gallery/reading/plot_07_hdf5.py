@@ -17,8 +17,8 @@ from scenes import load_scene, render_stack
 folder = Path(mkdtemp())
 scene = load_scene(None, ["source.kind=cone", "motion.frames=4", 'exposures.kinds=["metered"]'])
 render_stack(scene, folder / "stack")
-command = ["eyespot", "export", folder / "stack", "--to", "hdf5", "--out", folder / "stack.h5"]
-subprocess.run(command, check=True, capture_output=True)
+command = ["eyespot", "export", str(folder / "stack"), "--to", "hdf5"]
+subprocess.run([*command, "--out", str(folder / "stack.h5")], check=True, capture_output=True)
 tables = []
 with h5py.File(folder / "stack.h5") as file:
     file.visititems(lambda name, node: tables.append(node) if hasattr(node, "shape") else None)

@@ -27,6 +27,7 @@ ranger = Ranger(
     true_calibration(scene), read_microscope(stack.folder / "microscope.json"), model="corrected"
 )
 budget = Budgets(ranger, known).of(spot, ranger.distance(spot), axis=np.array(stack.labels[0].axis))
+assert budget
 names = [part.cause.meaning for part in budget.parts]
 plt.barh(names, [1e3 * part.sigma_mm for part in budget.parts])
 plt.xlabel("standard uncertainty (µm)")
