@@ -60,7 +60,7 @@ def test_every_reason_is_there_with_what_to_do(pages: dict[str, str]) -> None:
     text = pages["messages.md"]
     for kind in (Reason, RangeFlag, Cause):
         for one in kind:
-            assert f"| `{one.value}` | {one.meaning}" in text  # type: ignore[attr-defined]
+            assert f"| `{one.value}` | {one.meaning}" in text
     for fault in Fault:
         assert f"| {fault.name.lower().replace('_', ' ')} |" in text
 
