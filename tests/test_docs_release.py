@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 HOME = Path(__file__).resolve().parents[1]
-PAGES = sorted(
-    path
-    for path in (HOME / "docs").rglob("*.md")
-    if not {"generated", "auto_gallery", "jupyter_execute"} & {*path.parts}
-) + [HOME / "README.md"]
+_MADE = {"generated", "auto_gallery", "jupyter_execute"}
+PAGES = [
+    *sorted(path for path in (HOME / "docs").rglob("*.md") if not _MADE & {*path.parts}),
+    HOME / "README.md",
+]
 EXAMPLES = sorted((HOME / "docs" / "gallery").rglob("plot_*.py"))
 _LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 
