@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from calibration.command.remedies import Fault, remedy
 from estimator import Reason
-from estimator.distance import Cause, RangeFlag
+from estimator.distance import Cause, RangeFlag, WallMemory
 from estimator.run import exit_codes
 
 HOME = Path(__file__).resolve().parents[1]
@@ -50,6 +50,10 @@ def reasons_page() -> Iterator[str]:
     yield "\n## Why a distance is doubtful\n"
     yield "The console and the node's diagnostics.\n"
     yield from _rows({flag.value: flag.meaning for flag in RangeFlag})
+    yield "\n## What the mode pixels knew of the wall\n"
+    yield "The column `wall_memory` of a spots file, and the node's diagnostics."
+    yield "[Every pixel](../../pixels.md) says how the wall is learnt.\n"
+    yield from _rows({memory.value: memory.meaning for memory in WallMemory if memory.value})
     yield "\n## What makes a distance uncertain\n"
     yield "The column `largest_cause` of a spots file, and the node's diagnostics. `eyespot budget`"
     yield "says what halves it; [the budget](../../theory/budget.md), how each is computed.\n"

@@ -265,7 +265,7 @@ def _kinematics() -> dict[str, Any]:
 
 def _spots() -> dict[str, Any]:
     from estimator import Reason
-    from estimator.distance import Cause
+    from estimator.distance import Cause, WallMemory
     from estimator.files import spots
 
     kinds = {int: _WHOLE, str: _TEXT, float: _NUMBER}
@@ -275,6 +275,8 @@ def _spots() -> dict[str, Any]:
     columns["status"] = {"enum": ["spot", "no_spot"]}
     columns["reason"] = {"enum": [None, *(reason.value for reason in Reason)]}
     columns["largest_cause"] = {"enum": [None, *(cause.value for cause in Cause)]}
+    memories = [memory.value for memory in WallMemory if memory.value]
+    columns["wall_memory"] = {"enum": [None, *memories]}
     columns["schema_version"] = {"const": spots.SCHEMA_VERSION}
     return _object(columns)
 

@@ -50,6 +50,7 @@ def _first(stack, folder, **options):
     ).range
     assert found is not None
     (pose,) = found.poses
+    assert pose.covariance is not None
     off = pose.tip_mm - np.array(stack.labels[1].tip_mm)
     return found, off @ np.linalg.solve(pose.covariance[:3, :3], off)
 
