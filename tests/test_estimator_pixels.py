@@ -10,11 +10,9 @@ import pytest
 import optics
 from estimator.files import (
     BeamPose,
-    Calibration,
     SpotRecord,
     read_poses,
     read_spots,
-    write_calibration,
     write_spots,
 )
 from estimator.image import NoSpot, Reason
@@ -27,7 +25,7 @@ from estimator.sources import open_source
 from optics import InputError
 from optics.wall_light import UniformCone, irradiance_and_slopes, square_lattice
 from optics.wall_light.pose_light import BeamFrame
-from scenes import Scene, render_stack
+from tests.pixel_stacks import calibration_in, cone_stack
 
 _HALF_ANGLE, _APEX = math.atan(1 / 20), -5.117
 _WALL = optics.Sphere(11.5)
@@ -160,18 +158,7 @@ def test_cells_with_an_unusable_pixel_and_cells_outside_of_the_image_are_left_ou
 
 
 def _rendered(folder: Path, *, texture_seed: int):
-    scene = {
-        "schema": 1,
-        "seed": 11,
-        "phantom": {"wall": "printed paper", "texture_seed": texture_seed},
-        "instrument": {"visible": False},
-        "source": {"kind": "cone"},
-        "spot": {"eccentricity_mm": 1.5, "incidence_deg": 20.0},
-        "microscope": {"width_px": 360, "height_px": 300},
-        "motion": {"start_mm": 2.0, "travel_mm": 0.9, "frames": 4, "speed_mm_s": 1.0},
-        "exposures": {"kinds": ["metered"]},
-    }
-    return render_stack(Scene.model_validate(scene), folder)
+    return cone_stack(folder, phantom={"wall": "printed paper", "texture_seed": texture_seed})
 
 
 @pytest.fixture(scope="module")
@@ -179,30 +166,11 @@ def stack(tmp_path_factory):
     return _rendered(tmp_path_factory.mktemp("pixels") / "stack", texture_seed=4)
 
 
-def _calibration(tmp_path: Path) -> Path:
-    path = tmp_path / "cone.json"
-    values = {"k": 20.0, "b": -5.117}
-    write_calibration(
-        path,
-        Calibration(
-            model="planar",
-            values=values,
-            covariance=np.diag([1e-8, 1e-10]),
-            medium="air",
-            medium_index=1.0,
-            fitted_on="the cone that was rendered",
-            data_sha256="0" * 64,
-            software="a test",
-        ),
-    )
-    return path
-
-
 def test_poses_of_rendered_frames_are_within_their_stated_errors(stack, tmp_path):
     reader = Options.of(
         {
             "mode": "pixels",
-            "calibration": _calibration(tmp_path),
+            "calibration": calibration_in(tmp_path),
             "microscope": stack.folder / "microscope.json",
             "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
         }
@@ -233,7 +201,7 @@ def test_a_wall_that_has_changed_does_not_pull_the_pose(stack, tmp_path):
     reader = Options.of(
         {
             "mode": "pixels",
-            "calibration": _calibration(tmp_path),
+            "calibration": calibration_in(tmp_path),
             "microscope": stack.folder / "microscope.json",
         }
     ).reader()
@@ -253,7 +221,7 @@ def test_a_microscope_file_without_the_camera_s_noise_is_refused(stack, tmp_path
     del content["camera"]
     path = tmp_path / "microscope.json"
     path.write_text(json.dumps(content))
-    options = {"mode": "pixels", "calibration": _calibration(tmp_path), "microscope": path}
+    options = {"mode": "pixels", "calibration": calibration_in(tmp_path), "microscope": path}
     with pytest.raises(InputError, match="needs the camera's noise"):
         Options.of(options).reader()
 
@@ -262,7 +230,7 @@ def test_the_mode_needs_a_calibration_and_takes_no_model(stack, tmp_path):
     microscope = stack.folder / "microscope.json"
     with pytest.raises(InputError, match="needs a calibration"):
         Options.of({"mode": "pixels", "microscope": microscope}).reader()
-    options = {"mode": "pixels", "calibration": _calibration(tmp_path), "microscope": microscope}
+    options = {"mode": "pixels", "calibration": calibration_in(tmp_path), "microscope": microscope}
     with pytest.raises(InputError, match="model has no effect"):
         Options.of({**options, "model": "exact"}).reader()
     assert PixelRanger.model == "pixels"
