@@ -1,18 +1,21 @@
 """Tip and axis of the beam from all pixels of the spot, on a wall that is learnt meanwhile.
 
-beam     The light of a calibrated beam on the cells of a window, with its derivatives
-cells    The light of a frame on a lattice of square cells
-drift    What a drift of the microscope would do to a pose
-mix      The mixture of a camera's channels in which the wall is most even
-ranger   Distances and poses, for a calibration and a microscope file
-reference  What an image of the wall without the spot says of the wall
+beam          The light of a calibrated beam on the cells of a window, with its derivatives
+belief        One explanation of the frames so far, and which explanations stay possible
+cells         The light of a frame on a lattice of square cells
+drift         What a drift of the microscope would do to a pose
+frame_state   The states of a frame, its model on the cells of a window, and what is known before
+mix           The mixture of a camera's channels in which the wall is most even
+ranger        Distances and poses, for a calibration and a microscope file
+reference     What an image of the wall without the spot says of the wall
 registration  Where the wall's map lies in a frame in which the wall has moved
-robot    How the tool has moved from the first frame to another one, as the robot says it
-solver   Poses of some frames by Gauss-Newton, with the wall's texture eliminated
-starts   Poses from which the fit of a first frame starts
-texture  The wall's texture as a Gaussian process
-tracker  Follows the pose from frame to frame
-wall_motion  Where the wall's picture is in an image: shifted and turned since its map was begun
+robot         How the tool has moved from the first frame to another one, as the robot says it
+solution      What a fit of some frames found
+solver        Poses of some frames by Gauss-Newton, with the wall's texture eliminated
+starts        Poses from which the fit of a first frame starts
+texture       The wall's texture as a Gaussian process
+tracker       Follows the pose from frame to frame
+wall_motion   Where the wall's picture is in an image: shifted and turned since its map was begun
 """
 
 import lazy_loader

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.pixels.beam import POSE
-from estimator.pixels.solver import Solution, Solver
+from estimator.pixels.solution import Solution
+from estimator.pixels.solver import Solver
 from estimator.pixels.wall_motion import WallMotion
 
 _STEP_PX = 0.5  # of the numerical derivative

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from estimator.image import GREY_WEIGHTS, CameraNoise, Spot
 from estimator.pixels.cells import CellLight, Window
-from estimator.pixels.solver import Solution
+from estimator.pixels.solution import Solution
 
 _LEAST = 1e-4  # full wells, of a channel
 _BRIGHT = 0.25  # of the brightest cell; darker ones show the ambient light

@@ -20,9 +20,9 @@ from estimator.files import (
 )
 from estimator.image import Spot
 from estimator.pixels.beam import BeamLight, Sweep
+from estimator.pixels.frame_state import Direction
 from estimator.pixels.reference import Reference
 from estimator.pixels.robot import RobotPose
-from estimator.pixels.solver import Direction
 from estimator.pixels.tracker import PoseTracker
 from optics import InputError
 

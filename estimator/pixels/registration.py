@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
 from estimator.pixels.cells import COUNT, Window
-from estimator.pixels.solver import Linear
+from estimator.pixels.frame_state import Linear
 from estimator.pixels.wall_motion import WallMotion
 
 _FARTHEST = 6  # cells; 1 mm/s is two or three of them from frame to frame

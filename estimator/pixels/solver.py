@@ -14,26 +14,30 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve, lapack
 
-from estimator.pixels.beam import POSE, BeamLight, Pose, Sweep
-from estimator.pixels.cells import COUNT, CellLight, Window
-from estimator.pixels.robot import Motion, RobotPose, motion_between
+from estimator.pixels.beam import POSE, BeamLight
+from estimator.pixels.cells import COUNT, Window
+from estimator.pixels.frame_state import (
+    AMBIENT,
+    BLUR,
+    GAIN,
+    OWN,
+    SHIFT,
+    SLANT,
+    FrameState,
+    Linear,
+    prior_cost,
+    prior_of,
+)
+from estimator.pixels.robot import Motion, motion_between
+from estimator.pixels.solution import Solution, solved
 from estimator.pixels.texture import Texture
 
-GAIN, AMBIENT, SLANT, BLUR = POSE, POSE + 1, slice(POSE + 2, POSE + 4), POSE + 4
-SHIFT = slice(POSE + 5, POSE + 7)
-OWN = POSE + 7
-"""States of a frame: those of its pose, log gain, log ambient light, the ambient light's relative
-growth from the window's middle to its right and lower sides, the variance of the blur, px², and how
-far the wall has moved to the right and downwards in the image, px."""
-_SLANT = 0.5  # standard deviation; a film of water shines to one side
-_BLUR_PX2 = 2.0  # standard deviation of the blur's variance; a focus 0.5 mm off at NA 0.05 is 3.5
 _FAINTEST = 0.05  # of the ambient light in the middle
 _CUT = 0.02
 """Error of a pixel that an edge cuts, over the step: no camera sees all of a pixel alike."""
@@ -50,119 +54,6 @@ _LATTICES = 8  # of motions of the wall; each has 400 KB
 _ALONG = (np.arange(COUNT) + 0.5) / (0.5 * COUNT) - 1.0
 _SIDES = np.stack([np.tile(_ALONG, COUNT), np.repeat(_ALONG, COUNT)])
 """Place of each cell to the right of the window's middle and below it, over half of its side."""
-
-
-class Direction(NamedTuple):
-    """What the robot says about the beam: a unit vector and its standard deviation, rad."""
-
-    axis: Float[np.ndarray, "3"]
-    sigma: float
-
-
-class Linear(NamedTuple):
-    """A frame's model at its state on the cells of a window.
-
-    Attributes:
-        residual: log of the measured light, less its model.
-        slopes: derivatives of the model by the frame's states.
-        shared: derivatives by the beam's own parameters.
-        weight: 1 over the variance; 0 for cells that are not used.
-    """
-
-    residual: Float[np.ndarray, "n"]
-    slopes: Float[np.ndarray, "12 n"]
-    shared: Float[np.ndarray, "q n"]
-    weight: Float[np.ndarray, "n"]
-
-
-@dataclass(frozen=True, eq=False)
-class FrameState:
-    """A frame with what is believed of it.
-
-    Attributes:
-        cells: its light.
-        pose: tip and axis.
-        log_gain: of full wells over irradiance per unit power, mm².
-        log_ambient: of the ambient light over the beam's power, 1/mm².
-        direction: of the beam by the robot, or None.
-        ambient_prior: mean and standard deviation of `log_ambient`.
-        sweep: motion during the exposure.
-        robot: where the robot says the tool is.
-        slant: growth of the ambient light to the right and downwards.
-        blur_px2: variance of the image's blur.
-        grain: how the map that is known grows to the right and downwards, 1/px; None if no map is.
-        shift: of the wall since `cells` were cut, px.
-        shift_sigma: its standard deviation before the frame was seen, px.
-    """
-
-    cells: CellLight
-    pose: Pose
-    log_gain: float
-    log_ambient: float
-    direction: Direction | None
-    ambient_prior: tuple[float, float]
-    sweep: Sweep | None = None
-    robot: RobotPose | None = None
-    slant: tuple[float, float] = (0.0, 0.0)
-    blur_px2: float = 0.0
-    grain: Float[np.ndarray, "2 n"] | None = None
-    shift: tuple[float, float] = (0.0, 0.0)
-    shift_sigma: float = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """The states of all frames, and how well they are known.
-
-    Attributes:
-        frames: with their new states.
-        linear: their models at these states.
-        own: changes of the beam's own parameters, see `BeamLight`.
-        covariance: of all states: 12 of each frame, then the beam's own.
-        cost: -2 log likelihood, up to a constant of the data.
-        texture_map: log reflectance of the cells.
-        factor: Cholesky factor of the precision of this map.
-        converged: whether the last step was small.
-    """
-
-    frames: list[FrameState]
-    linear: list[Linear]
-    own: Float[np.ndarray, "q"]
-    covariance: Float[np.ndarray, "s s"]
-    cost: float
-    texture_map: Float[np.ndarray, "n"]
-    factor: tuple[np.ndarray, bool]
-    converged: bool
-
-    @property
-    def chi_squared(self) -> float:
-        """Of all data given texture and noise, by their number; 1 where the model is right."""
-        total = sum(line.weight @ np.square(line.residual) for line in self.linear)
-        total -= sum((line.weight * line.residual) @ self.texture_map for line in self.linear)
-        return float(total / max(sum(np.count_nonzero(line.weight) for line in self.linear), 1))
-
-    def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "12"]:
-        """How the newest frame's states move if the log light of all frames' cells changes."""
-        weighted = [line.weight * more for line, more in zip(self.linear, changes, strict=True)]
-        texture_map = _solved(self.factor, np.sum(weighted, axis=0))
-        pulls, shared = [], np.zeros(len(self.own))
-        for line, pull in zip(self.linear, weighted, strict=True):
-            rest = pull - line.weight * texture_map
-            pulls.append(line.slopes @ rest)
-            shared += line.shared @ rest
-        at = OWN * (len(self.linear) - 1)
-        return self.covariance[at : at + OWN] @ np.concatenate([*pulls, shared])
-
-    def strange(self, k: int) -> Float[np.ndarray, "n"]:
-        """How far cells of frame k are from what the other data say, in standard deviations."""
-        line = self.linear[k]
-        inverse, _ = lapack.dpotri(self.factor[0], lower=True)
-        spread = 1.0 / np.diag(inverse)
-        rest = np.maximum(spread - line.weight, 1e-9 * spread)  # precision without this datum
-        used = line.weight > 0
-        mean = (spread * self.texture_map - line.weight * line.residual) / rest
-        variance = 1.0 / rest + 1.0 / np.where(used, line.weight, 1.0)
-        return np.where(used, (line.residual - mean) / np.sqrt(variance), 0.0)
 
 
 class Solver:
@@ -340,7 +231,7 @@ class Solver:
         spread = 1.0 / np.where(usable, weight, 1.0) + self._roughly
         residual = np.log(np.maximum(light, _DARKEST) / np.maximum(model, _DARKEST))
         cost = np.sum(np.where(usable, np.square(residual) / spread, 0.0))
-        return suited, float(cost) + _prior_cost(suited)
+        return suited, float(cost) + prior_cost(suited)
 
     def _weight(
         self,
@@ -385,7 +276,7 @@ class Solver:
             hessian[np.ix_(at, at)] += weighted @ slopes.T
             gradient[at] += weighted @ (line.residual - texture_map)
             cross[at] += weighted
-            precision, pull = _prior(frame)
+            precision, pull = prior_of(frame)
             mine = slice(OWN * k, OWN * (k + 1))
             hessian[mine, mine] += precision
             gradient[mine] += pull - precision @ gone[mine]
@@ -395,7 +286,7 @@ class Solver:
             at = np.r_[:POSE, OWN * k : OWN * k + POSE]
             hessian[np.ix_(at, at)] += weighted @ slopes
             gradient[at] += weighted @ motion.rest
-        hessian -= cross @ _solved(factor, cross.T)
+        hessian -= cross @ solved(factor, cross.T)
         last = np.arange(size - len(own), size)
         hessian[last, last] += 1.0
         gradient[last] -= own
@@ -403,7 +294,7 @@ class Solver:
 
     def _map(self, lines: list[Linear], factor: tuple[np.ndarray, bool]) -> np.ndarray:
         """Log reflectance of the cells by frames."""
-        return _solved(factor, self._weighted(lines))
+        return solved(factor, self._weighted(lines))
 
     def _weighted(self, lines: list[Linear]) -> np.ndarray:
         return self._pull + np.sum([line.weight * line.residual for line in lines], axis=0)
@@ -426,11 +317,11 @@ class Solver:
     ) -> float:
         weighted = self._weighted(lines)
         cost = float(sum(line.weight @ np.square(line.residual) for line in lines))
-        cost -= float(weighted @ _solved(factor, weighted))
+        cost -= float(weighted @ solved(factor, weighted))
         for k, frame in enumerate(frames):
             here = gone[OWN * k : OWN * (k + 1)]
-            precision, pull = _prior(frame)
-            cost += float(here @ precision @ here - 2.0 * pull @ here) + _prior_cost(frame)
+            precision, pull = prior_of(frame)
+            cost += float(here @ precision @ here - 2.0 * pull @ here) + prior_cost(frame)
         cost += sum(motion.cost for _, motion in _motions_after(told, gone))
         return float(cost + own @ own)
 
@@ -470,10 +361,6 @@ def _inverse(hessian: np.ndarray, *, damping: float = 0.0) -> np.ndarray:
     return size[:, None] * np.linalg.pinv(scaled, hermitian=True) * size
 
 
-def _solved(factor: tuple[np.ndarray, bool], values: np.ndarray) -> np.ndarray:
-    return cho_solve(factor, values, check_finite=False)
-
-
 def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:
     """A linear model after a step of all states."""
     own = step[OWN * k : OWN * (k + 1)]
@@ -492,34 +379,3 @@ def _motions_after(told: list[Motion | None], gone: np.ndarray) -> Iterator[tupl
     for k, motion in enumerate(told, 1):
         if motion is not None:
             yield k, motion.after(gone[OWN * k : OWN * k + POSE], gone[:POSE])
-
-
-def _prior(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
-    """Precision of a frame's states before it is seen, and the pull towards their means."""
-    precision, pull = np.zeros((OWN, OWN)), np.zeros(OWN)
-    mean, sigma = frame.ambient_prior
-    precision[AMBIENT, AMBIENT] = sigma**-2
-    pull[AMBIENT] = (mean - frame.log_ambient) / sigma**2
-    precision[SLANT, SLANT] = _SLANT**-2 * np.eye(2)
-    pull[SLANT] = np.array(frame.slant) / -(_SLANT**2)
-    precision[BLUR, BLUR] = _BLUR_PX2**-2
-    pull[BLUR] = -frame.blur_px2 / _BLUR_PX2**2
-    precision[SHIFT, SHIFT] = frame.shift_sigma**-2 * np.eye(2)
-    pull[SHIFT] = np.array(frame.shift) / -(frame.shift_sigma**2)
-    if frame.direction is not None:
-        across = np.stack([frame.pose.first, frame.pose.second])
-        weight = frame.direction.sigma**-2
-        precision[3:POSE, 3:POSE] = weight * np.eye(2)
-        pull[3:POSE] = weight * across @ frame.direction.axis
-    return precision, pull
-
-
-def _prior_cost(frame: FrameState) -> float:
-    mean, sigma = frame.ambient_prior
-    cost = ((frame.log_ambient - mean) / sigma) ** 2
-    cost += sum(x * x for x in frame.slant) / _SLANT**2 + (frame.blur_px2 / _BLUR_PX2) ** 2
-    cost += sum(x * x for x in frame.shift) / frame.shift_sigma**2
-    if frame.direction is not None:
-        off = np.cross(frame.pose.axis, frame.direction.axis)
-        cost += float(off @ off) / frame.direction.sigma**2
-    return cost

@@ -13,7 +13,8 @@ import numpy as np
 
 from estimator.image import Spot
 from estimator.pixels.beam import BeamLight, Pose
-from estimator.pixels.solver import Direction, FrameState, Solver
+from estimator.pixels.frame_state import Direction, FrameState
+from estimator.pixels.solver import Solver
 
 _DISTANCES_MM = np.geomspace(0.4, 7.0, 20)
 _ROUND = 1.02  # ratio of the axes below which a spot shows no tilt

@@ -10,8 +10,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,13 +18,16 @@ from jaxtyping import Bool, Float
 from estimator.distance import Range, RangeFlag, TipPose, WallMemory
 from estimator.image import CameraNoise, Spot
 from estimator.pixels.beam import POSE, BeamLight, Sweep
+from estimator.pixels.belief import Belief, distinct
 from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.drift import drift_covariance
+from estimator.pixels.frame_state import OWN, Direction, FrameState, Linear
 from estimator.pixels.mix import Mix, evener_mix, plain_mix
 from estimator.pixels.reference import Reference
 from estimator.pixels.registration import registered
 from estimator.pixels.robot import RobotPose
-from estimator.pixels.solver import OWN, Direction, FrameState, Linear, Solution, Solver
+from estimator.pixels.solution import Solution
+from estimator.pixels.solver import Solver
 from estimator.pixels.starts import likely_directions, scanned_starts
 from estimator.pixels.texture import Texture, texture_of
 from estimator.pixels.wall_motion import STILL, WallMotion
@@ -40,8 +42,6 @@ _SIZED = 0.15  # change of the reach's logarithm that does
 _STEPS_FIRST, _STEPS, _STEPS_AGAIN = 14, 8, 4
 _AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly nothing is known
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
-_UNDECIDED = 16.0  # difference of cost that keeps a second pose possible: four standard deviations
-_SAME = 3.0  # standard deviations within which two poses are one
 _FAR = 4.0  # a cell this far from what all else says of it, in standard deviations, has other light
 _MOVED, _SURPRISE = 1.2, 1.5
 """Mean square of a frame's cells less what all else says of them, in variances, above which the
@@ -51,79 +51,9 @@ _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 _DRIFTED_PX = 1.0  # of the wall since the first frame, which is worth a word
 _SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
-_STAYS_PX = 0.1  # shift of a wall that keeps still; one that moved may move as far again
-_CALMS = 0.9  # of the shake that is expected, from frame to frame
-_MOVES_ON_PX = 4.0  # of the wall from frame to frame; a microscope shakes by one or two
 _PLACE_PX, _ALONG_MM = 0.05, 0.001
 """Errors of the spot's place and of the distance by the image model, on rendered frames of known
 pose on even walls."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Belief:
-    """One explanation of the frames so far.
-
-    Attributes:
-        solver: of the window and with the wall's texture.
-        kept: frames that are fitted again with each new one.
-        solution: of the newest frame and those that were kept then.
-        surprise: mean square of the newest frame's cells less what the other data say of them, in
-            variances; no cell counts more than `_FAR`.
-        step: motion of the wall in the image since the frame before.
-        shake_before_px: `shake_px` of the frame before.
-    """
-
-    solver: Solver
-    kept: list[tuple[FrameState, Linear]]
-    solution: Solution
-    surprise: float
-    step: WallMotion = STILL
-    shake_before_px: float = 0.0
-
-    @property
-    def newest(self) -> FrameState:
-        """The newest frame."""
-        return self.solution.frames[-1]
-
-    @cached_property
-    def sigmas(self) -> Float[np.ndarray, "5"]:
-        """Standard deviations of the newest frame's pose."""
-        at = OWN * (len(self.solution.frames) - 1)
-        return np.sqrt(np.diag(self.solution.covariance)[at : at + POSE])
-
-    @property
-    def way_px(self) -> float:
-        """How far the wall has moved in the image since the frame before."""
-        middle = self.newest.cells.motion.image_px(self.solver.window.middle_px)
-        return math.hypot(*(self.step.image_px(middle) - middle))
-
-    @property
-    def shake_px(self) -> float:
-        """How far the image may jump from frame to frame, as it did of late."""
-        return max(min(self.way_px, _MOVES_ON_PX), _CALMS * self.shake_before_px)
-
-    @property
-    def expected_motion(self) -> WallMotion:
-        """Of the wall in the next frame: it moves on as it did, unless it only shakes."""
-        motion = self.newest.cells.motion
-        return self.step.after(motion) if self.way_px > _MOVES_ON_PX else motion
-
-    def drift(self, frame: FrameState) -> Float[np.ndarray, "2"]:
-        """How far the wall has moved in the image from the map's begin to a frame, px."""
-        middle = self.solver.window.middle_px
-        return frame.cells.motion.image_px(middle) - middle
-
-    @property
-    def drifted_px(self) -> float:
-        """Length of the newest frame's drift."""
-        return math.hypot(*self.drift(self.newest))
-
-    def differs(self, other: _Belief) -> bool:
-        """Whether the newest pose is another one."""
-        mine, its = self.newest.pose, other.newest.pose
-        turned = mine.axis - its.axis
-        change = np.array([mine.distance - its.distance, turned @ its.first, turned @ its.second])
-        return bool((np.abs(change) > _SAME * other.sigmas[2:]).any())
 
 
 class PoseTracker:
@@ -140,7 +70,7 @@ class PoseTracker:
     ) -> None:
         self.beam, self.noise = beam, noise
         self._reference = reference
-        self._beliefs: list[_Belief] = []
+        self._beliefs: list[Belief] = []
         self._mix: Mix | None = None
         self._drift = np.zeros(2)  # of the view, px, by the maps that were forgotten
 
@@ -254,9 +184,9 @@ class PoseTracker:
         )
         solver = Solver(self.beam, window, texture, self._known(mix))
         again = [_robust(solver, [], one.frames[0], own) for one in found]
-        self._beliefs = _distinct(
+        self._beliefs = distinct(
             [
-                _Belief(solver, [(one.frames[0], one.linear[0])], one, surprise)
+                Belief(solver, [(one.frames[0], one.linear[0])], one, surprise)
                 for one, surprise in again
             ]
         )
@@ -298,13 +228,13 @@ class PoseTracker:
             start = replace(
                 start,
                 grain=solver.grain(texture_map),
-                shift_sigma=_STAYS_PX + belief.shake_px,
+                shift_sigma=belief.shift_sigma_px,
                 # Where the microscope drifts, the eye frame moves against the robot.
                 robot=robot if belief.drifted_px < _DRIFTED_PX else None,
             )
             found, surprise = _wherever(solver, kept, start, own, cells)
             followed.append(
-                _Belief(
+                Belief(
                     solver=solver,
                     kept=self._kept(solver, found),
                     solution=found,
@@ -313,7 +243,7 @@ class PoseTracker:
                     shake_before_px=belief.shake_px,
                 )
             )
-        self._beliefs = _distinct(followed)
+        self._beliefs = distinct(followed)
 
     def _start(
         self,
@@ -405,7 +335,7 @@ def _robust(
     frame: FrameState,
     own: Float[np.ndarray, "q"],
 ) -> tuple[Solution, float]:
-    """A solution in which cells with other light have little weight, and its `_Belief.surprise`."""
+    """A solution in which cells with other light have little weight, and its `Belief.surprise`."""
     solution = solver.solve(kept, frame, own, steps=_STEPS)
     far = np.abs(solution.strange(len(kept)))
     used = solution.linear[-1].weight > 0
@@ -417,17 +347,6 @@ def _robust(
     *earlier, newest = zip(solution.frames, solution.linear, strict=True)
     again = solver.solve(earlier, newest[0], solution.own, steps=_STEPS_AGAIN, trust=trust)
     return again, surprise
-
-
-def _distinct(beliefs: list[_Belief]) -> list[_Belief]:
-    """The best explanation, and others that are different and nearly as good."""
-    best, *others = sorted(beliefs, key=lambda one: one.solution.cost)
-    kept = [best]
-    for belief in others:
-        near = belief.solution.cost - best.solution.cost < _UNDECIDED
-        if near and all(belief.differs(other) for other in kept):
-            kept.append(belief)
-    return kept
 
 
 def _range(

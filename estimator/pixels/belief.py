@@ -1,0 +1,105 @@
+"""One explanation of the frames so far, and which explanations stay possible."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from estimator.pixels.beam import POSE
+from estimator.pixels.frame_state import OWN, FrameState, Linear
+from estimator.pixels.solution import Solution
+from estimator.pixels.solver import Solver
+from estimator.pixels.wall_motion import STILL, WallMotion
+
+_UNDECIDED = 16.0  # difference of cost that keeps a second pose possible: four standard deviations
+_SAME = 3.0  # standard deviations within which two poses are one
+_CALMS = 0.9  # of the shake that is expected, from frame to frame
+_MOVES_ON_PX = 4.0  # of the wall from frame to frame; a microscope shakes by one or two
+_STAYS_PX = 0.1  # shift of a wall that keeps still; one that moved may move as far again
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """One explanation of the frames so far.
+
+    Attributes:
+        solver: of the window and with the wall's texture.
+        kept: frames that are fitted again with each new one.
+        solution: of the newest frame and those that were kept then.
+        surprise: mean square of the newest frame's cells less what the other data say of them, in
+            variances; no cell counts more than `_FAR`.
+        step: motion of the wall in the image since the frame before.
+        shake_before_px: `shake_px` of the frame before.
+    """
+
+    solver: Solver
+    kept: list[tuple[FrameState, Linear]]
+    solution: Solution
+    surprise: float
+    step: WallMotion = STILL
+    shake_before_px: float = 0.0
+
+    @property
+    def newest(self) -> FrameState:
+        """The newest frame."""
+        return self.solution.frames[-1]
+
+    @cached_property
+    def sigmas(self) -> Float[np.ndarray, "5"]:
+        """Standard deviations of the newest frame's pose."""
+        at = OWN * (len(self.solution.frames) - 1)
+        return np.sqrt(np.diag(self.solution.covariance)[at : at + POSE])
+
+    @property
+    def way_px(self) -> float:
+        """How far the wall has moved in the image since the frame before."""
+        middle = self.newest.cells.motion.image_px(self.solver.window.middle_px)
+        return math.hypot(*(self.step.image_px(middle) - middle))
+
+    @property
+    def shake_px(self) -> float:
+        """How far the image may jump from frame to frame, as it did of late."""
+        return max(min(self.way_px, _MOVES_ON_PX), _CALMS * self.shake_before_px)
+
+    @property
+    def shift_sigma_px(self) -> float:
+        """Standard deviation of the wall's shift in the next frame."""
+        return _STAYS_PX + self.shake_px
+
+    @property
+    def expected_motion(self) -> WallMotion:
+        """Of the wall in the next frame: it moves on as it did, unless it only shakes."""
+        motion = self.newest.cells.motion
+        return self.step.after(motion) if self.way_px > _MOVES_ON_PX else motion
+
+    def drift(self, frame: FrameState) -> Float[np.ndarray, "2"]:
+        """How far the wall has moved in the image from the map's begin to a frame, px."""
+        middle = self.solver.window.middle_px
+        return frame.cells.motion.image_px(middle) - middle
+
+    @property
+    def drifted_px(self) -> float:
+        """Length of the newest frame's drift."""
+        return math.hypot(*self.drift(self.newest))
+
+    def differs(self, other: Belief) -> bool:
+        """Whether the newest pose is another one."""
+        mine, its = self.newest.pose, other.newest.pose
+        turned = mine.axis - its.axis
+        change = np.array([mine.distance - its.distance, turned @ its.first, turned @ its.second])
+        return bool((np.abs(change) > _SAME * other.sigmas[2:]).any())
+
+
+def distinct(beliefs: list[Belief]) -> list[Belief]:
+    """The best explanation, and others that are different and nearly as good."""
+    best, *others = sorted(beliefs, key=lambda one: one.solution.cost)
+    kept = [best]
+    for belief in others:
+        near = belief.solution.cost - best.solution.cost < _UNDECIDED
+        if near and all(belief.differs(other) for other in kept):
+            kept.append(belief)
+    return kept

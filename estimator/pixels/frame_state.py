@@ -1,0 +1,112 @@
+"""The states of a frame, its model on the cells of a window, and what is known of it beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from estimator.pixels.beam import POSE, Pose, Sweep
+from estimator.pixels.cells import CellLight
+from estimator.pixels.robot import RobotPose
+
+GAIN, AMBIENT, SLANT, BLUR = POSE, POSE + 1, slice(POSE + 2, POSE + 4), POSE + 4
+SHIFT = slice(POSE + 5, POSE + 7)
+OWN = POSE + 7
+"""States of a frame: those of its pose, log gain, log ambient light, the ambient light's relative
+growth from the window's middle to its right and lower sides, the variance of the blur, px², and how
+far the wall has moved to the right and downwards in the image, px."""
+_SLANT = 0.5  # standard deviation; a film of water shines to one side
+_BLUR_PX2 = 2.0  # standard deviation of the blur's variance; a focus 0.5 mm off at NA 0.05 is 3.5
+
+
+class Direction(NamedTuple):
+    """What the robot says about the beam: a unit vector and its standard deviation, rad."""
+
+    axis: Float[np.ndarray, "3"]
+    sigma: float
+
+
+class Linear(NamedTuple):
+    """A frame's model at its state on the cells of a window.
+
+    Attributes:
+        residual: log of the measured light, less its model.
+        slopes: derivatives of the model by the frame's states.
+        shared: derivatives by the beam's own parameters.
+        weight: 1 over the variance; 0 for cells that are not used.
+    """
+
+    residual: Float[np.ndarray, "n"]
+    slopes: Float[np.ndarray, "12 n"]
+    shared: Float[np.ndarray, "q n"]
+    weight: Float[np.ndarray, "n"]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameState:
+    """A frame with what is believed of it.
+
+    Attributes:
+        cells: its light.
+        pose: tip and axis.
+        log_gain: of full wells over irradiance per unit power, mm².
+        log_ambient: of the ambient light over the beam's power, 1/mm².
+        direction: of the beam by the robot, or None.
+        ambient_prior: mean and standard deviation of `log_ambient`.
+        sweep: motion during the exposure.
+        robot: where the robot says the tool is.
+        slant: growth of the ambient light to the right and downwards.
+        blur_px2: variance of the image's blur.
+        grain: how the map that is known grows to the right and downwards, 1/px; None if no map is.
+        shift: of the wall since `cells` were cut, px.
+        shift_sigma: its standard deviation before the frame was seen, px.
+    """
+
+    cells: CellLight
+    pose: Pose
+    log_gain: float
+    log_ambient: float
+    direction: Direction | None
+    ambient_prior: tuple[float, float]
+    sweep: Sweep | None = None
+    robot: RobotPose | None = None
+    slant: tuple[float, float] = (0.0, 0.0)
+    blur_px2: float = 0.0
+    grain: Float[np.ndarray, "2 n"] | None = None
+    shift: tuple[float, float] = (0.0, 0.0)
+    shift_sigma: float = 1.0
+
+
+def prior_of(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
+    """Precision of a frame's states before it is seen, and the pull towards their means."""
+    precision, pull = np.zeros((OWN, OWN)), np.zeros(OWN)
+    mean, sigma = frame.ambient_prior
+    precision[AMBIENT, AMBIENT] = sigma**-2
+    pull[AMBIENT] = (mean - frame.log_ambient) / sigma**2
+    precision[SLANT, SLANT] = _SLANT**-2 * np.eye(2)
+    pull[SLANT] = np.array(frame.slant) / -(_SLANT**2)
+    precision[BLUR, BLUR] = _BLUR_PX2**-2
+    pull[BLUR] = -frame.blur_px2 / _BLUR_PX2**2
+    precision[SHIFT, SHIFT] = frame.shift_sigma**-2 * np.eye(2)
+    pull[SHIFT] = np.array(frame.shift) / -(frame.shift_sigma**2)
+    if frame.direction is not None:
+        across = np.stack([frame.pose.first, frame.pose.second])
+        weight = frame.direction.sigma**-2
+        precision[3:POSE, 3:POSE] = weight * np.eye(2)
+        pull[3:POSE] = weight * across @ frame.direction.axis
+    return precision, pull
+
+
+def prior_cost(frame: FrameState) -> float:
+    """-2 log of the probability of a frame's states before it is seen, up to a constant."""
+    mean, sigma = frame.ambient_prior
+    cost = ((frame.log_ambient - mean) / sigma) ** 2
+    cost += sum(x * x for x in frame.slant) / _SLANT**2 + (frame.blur_px2 / _BLUR_PX2) ** 2
+    cost += sum(x * x for x in frame.shift) / frame.shift_sigma**2
+    if frame.direction is not None:
+        off = np.cross(frame.pose.axis, frame.direction.axis)
+        cost += float(off @ off) / frame.direction.sigma**2
+    return cost

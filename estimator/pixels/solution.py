@@ -1,0 +1,71 @@
+"""What a fit of some frames found: their states, how well they are known, and the wall's map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_solve, lapack
+
+from estimator.pixels.frame_state import OWN, FrameState, Linear
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The states of all frames, and how well they are known.
+
+    Attributes:
+        frames: with their new states.
+        linear: their models at these states.
+        own: changes of the beam's own parameters, see `BeamLight`.
+        covariance: of all states: 12 of each frame, then the beam's own.
+        cost: -2 log likelihood, up to a constant of the data.
+        texture_map: log reflectance of the cells.
+        factor: Cholesky factor of the precision of this map.
+        converged: whether the last step was small.
+    """
+
+    frames: list[FrameState]
+    linear: list[Linear]
+    own: Float[np.ndarray, "q"]
+    covariance: Float[np.ndarray, "s s"]
+    cost: float
+    texture_map: Float[np.ndarray, "n"]
+    factor: tuple[np.ndarray, bool]
+    converged: bool
+
+    @property
+    def chi_squared(self) -> float:
+        """Of all data given texture and noise, by their number; 1 where the model is right."""
+        total = sum(line.weight @ np.square(line.residual) for line in self.linear)
+        total -= sum((line.weight * line.residual) @ self.texture_map for line in self.linear)
+        return float(total / max(sum(np.count_nonzero(line.weight) for line in self.linear), 1))
+
+    def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "12"]:
+        """How the newest frame's states move if the log light of all frames' cells changes."""
+        weighted = [line.weight * more for line, more in zip(self.linear, changes, strict=True)]
+        texture_map = solved(self.factor, np.sum(weighted, axis=0))
+        pulls, shared = [], np.zeros(len(self.own))
+        for line, pull in zip(self.linear, weighted, strict=True):
+            rest = pull - line.weight * texture_map
+            pulls.append(line.slopes @ rest)
+            shared += line.shared @ rest
+        at = OWN * (len(self.linear) - 1)
+        return self.covariance[at : at + OWN] @ np.concatenate([*pulls, shared])
+
+    def strange(self, k: int) -> Float[np.ndarray, "n"]:
+        """How far cells of frame k are from what the other data say, in standard deviations."""
+        line = self.linear[k]
+        inverse, _ = lapack.dpotri(self.factor[0], lower=True)
+        spread = 1.0 / np.diag(inverse)
+        rest = np.maximum(spread - line.weight, 1e-9 * spread)  # precision without this datum
+        used = line.weight > 0
+        mean = (spread * self.texture_map - line.weight * line.residual) / rest
+        variance = 1.0 / rest + 1.0 / np.where(used, line.weight, 1.0)
+        return np.where(used, (line.residual - mean) / np.sqrt(variance), 0.0)
+
+
+def solved(factor: tuple[np.ndarray, bool], values: np.ndarray) -> np.ndarray:
+    """A positive definite system solved by the Cholesky factor of its matrix."""
+    return cho_solve(factor, values, check_finite=False)
