@@ -26,6 +26,11 @@ _CELLS = np.stack([np.tile(np.arange(COUNT), COUNT), np.repeat(np.arange(COUNT),
 """Columns and rows from the window's middle."""
 
 
+def farthest_px(window: Window) -> float:
+    """The longest shift that is searched for."""
+    return float(_FARTHEST * window.side)
+
+
 def registered(
     line: Linear,
     known: Float[np.ndarray, "n"],

@@ -44,6 +44,8 @@ _CUT = 0.02
 _SMEAR = 0.15
 """Error of what motion changes in the light, over the change: a robot says some 200 poses a second,
 and a hand's tremor has its way between them."""
+_BLURRED = 0.3
+"""Error of what a blur changes in the light, over the change: it is known to first order only."""
 _DARKEST = 1e-6  # full wells
 _RIDGE = 1e-12  # of a state's own information, so that one without any does not matter
 _DONE, _SMALL = 0.1, 0.3
@@ -193,7 +195,8 @@ class Solver:
         # A wide blur of a sharp edge would undershoot in this first order.
         total = np.maximum(irradiance + frame.blur_px2 * bend, 0.0) + ambient
         model = np.exp(frame.log_gain) * total
-        weight = self._weight(frame, light, usable, model, error=_SMEAR * smeared / total)
+        error = np.hypot(_SMEAR * smeared, _BLURRED * frame.blur_px2 * bend) / total
+        weight = self._weight(frame, light, usable, model, error=error)
         deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
         seen = np.maximum(light, np.maximum(deviation, _DARKEST))
         grain = np.zeros((2, total.size)) if frame.grain is None else frame.grain
@@ -212,6 +215,11 @@ class Solver:
             shared=slopes[POSE:] / total,
             weight=weight if trust is None else weight * trust,
         )
+
+    def half_maximum_px2(self, frame: FrameState, own: np.ndarray) -> float:
+        """Area of the image in which a frame's light is above half of its maximum, px²."""
+        light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
+        return float(np.count_nonzero(light > 0.5 * light.max()) * self.window.side**2)
 
     def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float]:
         """A frame with the gain and ambient light that suit its pose, and its cost.

@@ -24,7 +24,7 @@ from estimator.pixels.drift import drift_covariance
 from estimator.pixels.frame_state import OWN, Direction, FrameState, Linear
 from estimator.pixels.mix import Mix, evener_mix, plain_mix
 from estimator.pixels.reference import Reference
-from estimator.pixels.registration import registered
+from estimator.pixels.registration import farthest_px, registered
 from estimator.pixels.robot import RobotPose
 from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
@@ -47,6 +47,9 @@ _MOVED, _SURPRISE = 1.2, 1.5
 """Mean square of a frame's cells less what all else says of them, in variances, above which the
 wall has moved, and above which it is another one. It is 1 where nothing has moved, with a standard
 deviation of 0.05."""
+_SIZE = 1.5
+"""Ratio of the spot's area to that of the fitted light, above which the light is another one. The
+contour of a bell on a textured wall leaves 10 to 20 %."""
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 _DRIFTED_PX = 1.0  # of the wall since the first frame, which is worth a word
@@ -73,6 +76,7 @@ class PoseTracker:
         self._beliefs: list[Belief] = []
         self._mix: Mix | None = None
         self._drift = np.zeros(2)  # of the view, px, by the maps that were forgotten
+        self._unknown_px = 0.0  # what it may have drifted since, if no map was found again
 
     def forget(self) -> None:
         """Start anew with the next frame, on a wall that is not known."""
@@ -102,7 +106,7 @@ class PoseTracker:
         flag, wall = RangeFlag.NOT_CONVERGED, WallMemory.NEW
         if self._beliefs:
             self._follow(channels, usable, spot, sweep, robot)
-            flag = self._flag()
+            flag = self._flag(spot)
             best = self._beliefs[0]
             wall = WallMemory.MOVED if best.drifted_px > _DRIFTED_PX else WallMemory.KNOWN
             if flag is RangeFlag.NONE and best.surprise > _SURPRISE:
@@ -114,13 +118,13 @@ class PoseTracker:
                 self._reference = None  # nor does it
             self.forget()
             self._begin(channels, usable, spot, direction, sweep, robot)
-            flag = self._flag()
+            flag = self._flag(spot)
             if self._reference is not None:
                 wall = WallMemory.KNOWN
                 if flag is not RangeFlag.NONE or self._beliefs[0].surprise > _SURPRISE:
                     self._reference, wall = None, WallMemory.DROPPED
                     self._begin(channels, usable, spot, direction, sweep, robot)
-                    flag = self._flag()
+                    flag = self._flag(spot)
         if flag is not RangeFlag.NONE:
             self.forget()
             return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=flag, wall=wall)
@@ -130,16 +134,23 @@ class PoseTracker:
         place = self.beam.scale_mm_px * math.hypot(_PLACE_PX, best.shake_px)
         doubt = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
         drifts = [self._drift + best.drift(frame) for frame in best.solution.frames]
+        if wall is WallMemory.DROPPED:
+            self._unknown_px = max(self._unknown_px, farthest_px(best.solver.window))
+        for way in self._unknown_px * np.eye(2) if self._unknown_px else ():
+            doubt += drift_covariance(best.solver, best.solution, [way for _ in drifts])
         if np.any(drifts):
             doubt += drift_covariance(best.solver, best.solution, drifts)
         return _range(best.solution, others, doubt, wall)
 
-    def _flag(self) -> RangeFlag:
+    def _flag(self, spot: Spot) -> RangeFlag:
         """Whether the newest frame is explained."""
         best = self._beliefs[0].solution if self._beliefs else None
         if best is None or not best.converged:
             return RangeFlag.NOT_CONVERGED
-        return RangeFlag.NONE if best.chi_squared < _MISFIT else RangeFlag.MISFIT
+        size = self._beliefs[0].solver.half_maximum_px2(best.frames[-1], best.own)
+        seen = math.pi * spot.semi_major_px * spot.semi_minor_px
+        alike = 1.0 / _SIZE < size / seen < _SIZE
+        return RangeFlag.NONE if best.chi_squared < _MISFIT and alike else RangeFlag.MISFIT
 
     def _begin(
         self,
