@@ -113,7 +113,9 @@ def source_page() -> Iterator[str]:
 def _shown(cited: Cited) -> Iterator[str]:
     yield f"({label_of(cited.name)})="
     yield f"## {cited.name}\n\n`{cited.file}`, line {cited.line}\n"
-    yield f"```python\n{cited.code}\n```\n"
+    # Of a module the docstring is shown, which is no code.
+    language = "text" if cited.name.replace(".", "/") + ".py" == cited.file else "python"
+    yield f"```{language}\n{cited.code}\n```\n"
 
 
 def label_of(name: str) -> str:
