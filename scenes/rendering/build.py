@@ -9,6 +9,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from jaxtyping import ArrayLike
 
 import optics
 import scenes.rendering.path_sensor
@@ -214,12 +215,10 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
         "vignetting": scene.microscope.vignetting,
     }
     if isinstance(camera, PathCamera):
-        # As text, because Mitsuba tries to read a list or an array as a colour.
-        series = np.stack([camera.crossing, camera.steepness, camera.passing])
         return {
             "type": "eyespot_path",
             **common,
-            "series": json.dumps(series.tolist()),
+            "series": _as_text(camera.crossing, camera.steepness, camera.passing),
             "px_per_aim": float(camera.px_per_aim),
             "widest": float(camera.widest),
             "pupil": min(float(camera.pupil), float(camera.widest)),
@@ -242,7 +241,20 @@ def _pencils(world: World) -> dict[str, Any]:
     """The series of `PathSensor`'s pencils, as text; nothing for a pinhole."""
     if (found := world.pencils) is None:
         return {}
-    return {"pencils": json.dumps(np.concatenate([found.across, found.along]).tolist())}
+    return {"pencils": _as_text(*found.across, *found.along)}
+
+
+def _as_text(*series: ArrayLike) -> str:
+    """Chebyshev series, without the terms at the end that do not show in 32-bit numbers.
+
+    As text, because Mitsuba tries to read a list or an array as a colour.
+    """
+    shown = []
+    for terms in map(np.asarray, series):
+        rest = np.cumsum(np.abs(terms[::-1]))[::-1]
+        first = rest > np.finfo(np.float32).eps / 2 * rest[0]
+        shown.append(terms[: max(np.count_nonzero(first), 1)].tolist())
+    return json.dumps(shown)
 
 
 def _aperture_slope(scene: Scene) -> float:
