@@ -67,7 +67,5 @@ def readings_of(stack, folder: Path, poses=None):
         ).range
         assert found is not None
         (pose,) = found.poses
-        turns = pose.across @ (pose.axis - np.array(labels.axis))
-        off = np.concatenate([pose.tip_mm - np.array(labels.tip_mm), turns])
-        chi_squared = off @ np.linalg.solve(pose.covariance, off)
+        chi_squared = pose.chi_squared(labels.tip_mm, labels.axis)
         yield found.wall, found.distance_mm - labels.d_mm, chi_squared

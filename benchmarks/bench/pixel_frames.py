@@ -109,14 +109,14 @@ def readings_of(what: Circumstances, rng: np.random.Generator, folder: Path) -> 
         )
         seconds = time.perf_counter() - began
         off, covariance = np.full(5, math.nan), np.eye(5)
-        distance = sigma = half = math.nan
+        distance = sigma = half = mahalanobis = math.nan
         if read.result:
             half = read.result.semi_minor_px - labels.half_max_semi_minor_px
         if read.range and read.range.poses:
             pose = read.range.poses[0]
-            assert pose.covariance is not None and pose.across is not None
-            turns = pose.across @ (pose.axis - np.array(labels.axis))
-            off = np.concatenate([pose.tip_mm - np.array(labels.tip_mm), turns])
+            assert pose.covariance is not None
+            off = pose.less(labels.tip_mm, labels.axis)
+            mahalanobis = pose.chi_squared(labels.tip_mm, labels.axis)
             distance, sigma = read.range.distance_mm - labels.d_mm, read.range.sigma_mm
             covariance = pose.covariance
         yield Reading(
@@ -130,7 +130,7 @@ def readings_of(what: Circumstances, rng: np.random.Generator, folder: Path) -> 
             tip_mm=float(np.linalg.norm(off[:3])),
             axis_deg=math.degrees(np.linalg.norm(off[3:])),
             sigma_axis_deg=math.degrees(math.sqrt(covariance[3, 3] + covariance[4, 4])),
-            mahalanobis=float(off @ np.linalg.solve(covariance, off)),
+            mahalanobis=mahalanobis,
             half_maximum_px=half,
             found=bool(read.result),
             doubt=read.doubt,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 class RangeFlag(Enum):
@@ -95,6 +96,18 @@ class TipPose:
     distance_mm: float
     covariance: np.ndarray | None = None
     across: np.ndarray | None = None
+
+    def less(self, tip_mm: ArrayLike, axis: ArrayLike) -> np.ndarray:
+        """How far this pose is from another tip and axis, in the covariance's five coordinates."""
+        assert self.across is not None, "a pose without errors has no such coordinates"
+        turns = self.across @ (self.axis - np.asarray(axis))
+        return np.concatenate([self.tip_mm - np.asarray(tip_mm), turns])
+
+    def chi_squared(self, tip_mm: ArrayLike, axis: ArrayLike) -> float:
+        """Square of the Mahalanobis distance from another tip and axis."""
+        assert self.covariance is not None, "a pose without errors has no such distance"
+        off = self.less(tip_mm, axis)
+        return float(off @ np.linalg.solve(self.covariance, off))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
