@@ -69,10 +69,30 @@ def test_a_shift_of_the_wall_is_found_although_the_light_has_changed():
     )
     window = Window(left=100, top=80, side=6)
     found = registered(line, known, np.full(COUNT**2, noise**2), window)
+    assert found is not None
     moved = found.image_px(window.middle_px) - window.middle_px
     # 0.05 cells: noise of 5 % of the contrast on 500 cells would leave 0.005, splines some more.
     np.testing.assert_allclose(moved / window.side, [right, down], atol=0.05)
     assert abs(found.turn) < 0.005
+
+
+def test_a_vessel_that_comes_into_the_light_is_not_another_wall(tmp_path):
+    # The growing light reaches a dark line of the paper, which no frame before has shown well.
+    stack = cone_stack(
+        tmp_path / "stack",
+        seed=968783527,
+        phantom={"wall": "printed paper", "texture_seed": 968783527},
+        spot={
+            "eccentricity_mm": 1.28,
+            "azimuth_deg": 75.061,
+            "incidence_deg": 22.609,
+            "incidence_azimuth_deg": 246.684,
+        },
+        microscope={"width_px": 640, "height_px": 480},
+        motion={"start_mm": 2.5406, "travel_mm": 0.7619, "frames": 5, "speed_mm_s": 1.0},
+    )
+    walls = [wall for wall, _, _ in readings_of(stack, tmp_path)]
+    assert walls == [WallMemory.NEW, *4 * [WallMemory.KNOWN]]
 
 
 def test_a_wall_that_turns_with_the_eye_is_registered(tmp_path):

@@ -31,7 +31,8 @@ class Belief:
         kept: frames that are fitted again with each new one.
         solution: of the newest frame and those that were kept then.
         surprise: mean square of the newest frame's cells less what the other data say of them, in
-            variances; no cell counts more than `_FAR`.
+            variances; no cell counts more than 16.
+        lost: whether the newest frame is more likely by itself than with the earlier ones.
         step: motion of the wall in the image since the frame before.
         shake_before_px: `shake_px` of the frame before.
     """
@@ -40,6 +41,7 @@ class Belief:
     kept: list[tuple[FrameState, Linear]]
     solution: Solution
     surprise: float
+    lost: bool = False
     step: WallMotion = STILL
     shake_before_px: float = 0.0
 

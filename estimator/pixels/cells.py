@@ -14,6 +14,10 @@ from estimator.pixels.wall_motion import STILL, WallMotion
 COUNT = 26
 """Cells along each side of a lattice. The time of a frame grows with its sixth power."""
 
+_ALONG = (np.arange(COUNT) + 0.5) / (0.5 * COUNT) - 1.0
+SIDES = np.stack([np.tile(_ALONG, COUNT), np.repeat(_ALONG, COUNT)])
+"""Place of each cell to the right of the window's middle and below it, over half of its side."""
+
 
 class Window(NamedTuple):
     """A lattice of COUNT x COUNT cells of the image.

@@ -15,14 +15,15 @@ from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
-from estimator.pixels.cells import COUNT, Window
+from estimator.pixels.cells import COUNT, SIDES, Window
 from estimator.pixels.frame_state import Linear
 from estimator.pixels.wall_motion import WallMotion
 
 _FARTHEST = 6  # cells; 1 mm/s is two or three of them from frame to frame
 _TURN = 0.02  # standard deviation of the turn from frame to frame, rad
+_SURE = 16.0  # gain of -2 log likelihood: four standard deviations
 _MIDDLE = 0.5 * (COUNT - 1)
-_CELLS = np.stack([np.tile(np.arange(COUNT), COUNT), np.repeat(np.arange(COUNT), COUNT)]) - _MIDDLE
+_CELLS = 0.5 * COUNT * SIDES
 """Columns and rows from the window's middle."""
 
 
@@ -36,11 +37,13 @@ def registered(
     known: Float[np.ndarray, "n"],
     variance: Float[np.ndarray, "n"],
     window: Window,
-) -> WallMotion:
+) -> WallMotion | None:
     """The motion of the wall since the cells of the map were where the frame's are now.
 
+    None if the map is not more likely elsewhere, or only too far away.
+
     Args:
-        line: the frame's model on the cells, as if nothing had moved.
+        line: the frame's model on the cells, fitted without the map.
         known: log reflectance of the cells by earlier frames.
         variance: of `known`.
         window: the cells.
@@ -68,6 +71,9 @@ def registered(
     found = minimize(
         misfit, best, args=(3,), method="Nelder-Mead", options={"initial_simplex": best + steps}
     ).x
+    gain = misfit(np.zeros(3), 3) - misfit(found, 3)
+    if gain < _SURE or np.abs(found[:2]).max() > _FARTHEST + 1:
+        return None
     return WallMotion.about(window.middle_px, window.side * found[:2], float(found[2]))
 
 

@@ -57,8 +57,7 @@ class Solution:
     def strange(self, k: int) -> Float[np.ndarray, "n"]:
         """How far cells of frame k are from what the other data say, in standard deviations."""
         line = self.linear[k]
-        inverse, _ = lapack.dpotri(self.factor[0], lower=True)
-        spread = 1.0 / np.diag(inverse)
+        spread = 1.0 / inverse_diagonal(self.factor)
         rest = np.maximum(spread - line.weight, 1e-9 * spread)  # precision without this datum
         used = line.weight > 0
         mean = (spread * self.texture_map - line.weight * line.residual) / rest
@@ -69,3 +68,9 @@ class Solution:
 def solved(factor: tuple[np.ndarray, bool], values: np.ndarray) -> np.ndarray:
     """A positive definite system solved by the Cholesky factor of its matrix."""
     return cho_solve(factor, values, check_finite=False)
+
+
+def inverse_diagonal(factor: tuple[np.ndarray, bool]) -> Float[np.ndarray, "n"]:
+    """Diagonal of a positive definite matrix's inverse, by its lower Cholesky factor."""
+    inverse, _ = lapack.dtrtri(factor[0], lower=True)
+    return np.square(np.tril(inverse)).sum(axis=0)

@@ -18,10 +18,11 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cho_factor, cho_solve, lapack
+from scipy.linalg import cho_factor
 
 from estimator.pixels.beam import POSE, BeamLight
-from estimator.pixels.cells import COUNT, Window
+from estimator.pixels.blur import blurred, growth_with_blur
+from estimator.pixels.cells import COUNT, SIDES, Window
 from estimator.pixels.frame_state import (
     AMBIENT,
     BLUR,
@@ -35,7 +36,7 @@ from estimator.pixels.frame_state import (
     prior_of,
 )
 from estimator.pixels.robot import Motion, motion_between
-from estimator.pixels.solution import Solution, solved
+from estimator.pixels.solution import Solution, inverse_diagonal, solved
 from estimator.pixels.texture import Texture
 
 _FAINTEST = 0.05  # of the ambient light in the middle
@@ -45,17 +46,13 @@ _SMEAR = 0.15
 """Error of what motion changes in the light, over the change: a robot says some 200 poses a second,
 and a hand's tremor has its way between them."""
 _BLURRED = 0.3
-"""Error of what a blur changes in the light, over the change: it is known to first order only."""
+"""Error of what a blur changes in the light, over the change: its shape is not known."""
 _DARKEST = 1e-6  # full wells
 _RIDGE = 1e-12  # of a state's own information, so that one without any does not matter
 _DONE, _SMALL = 0.1, 0.3
 """In standard deviations: a shorter step ends the iteration; a last step as short is an answer."""
 _LEAST_DAMPING = 1e-3
 _LATTICES = 8  # of motions of the wall; each has 400 KB
-
-_ALONG = (np.arange(COUNT) + 0.5) / (0.5 * COUNT) - 1.0
-_SIDES = np.stack([np.tile(_ALONG, COUNT), np.repeat(_ALONG, COUNT)])
-"""Place of each cell to the right of the window's middle and below it, over half of its side."""
 
 
 class Solver:
@@ -83,7 +80,7 @@ class Solver:
         self.side_mm = window.side * beam.scale_mm_px
         covariance = texture.covariance(COUNT, self.side_mm)
         self._roughly = float(np.sum(texture.variances))
-        self._precision = cho_solve(cho_factor(covariance, lower=True), np.eye(COUNT**2))
+        self._precision = solved(cho_factor(covariance, lower=True), np.eye(COUNT**2))
         self._pull = np.zeros(COUNT**2)
         if reference is not None:
             information, self._pull = reference(window)
@@ -96,8 +93,7 @@ class Solver:
     def known(self, lines: list[Linear]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Log reflectance of the cells by frames, and its variance."""
         factor = self._factor(lines)
-        inverse, _ = lapack.dpotri(factor[0], lower=True)
-        return self._map(lines, factor), np.diag(inverse).copy()
+        return self._map(lines, factor), inverse_diagonal(factor)
 
     def grain(self, texture_map: Float[np.ndarray, "n"]) -> Float[np.ndarray, "2 n"]:
         """How a map of the cells grows to the right and downwards, 1/px."""
@@ -180,6 +176,31 @@ class Solver:
             converged=converged,
         )
 
+    def unlikelihood(
+        self, kept: list[tuple[FrameState, Linear]], own: Float[np.ndarray, "q"]
+    ) -> float:
+        """-2 log likelihood of frames at their states, whatever the wall's texture is."""
+        frames, lines = [state for state, _ in kept], [line for _, line in kept]
+        factor = self._factor(lines)
+        gone = np.zeros(OWN * len(kept) + len(own))
+        cost = self._cost(frames, lines, _motions(frames), own, gone, factor)
+        return self._unlikelihood(cost, lines, factor)
+
+    def unlikelihood_of(self, solution: Solution) -> float:
+        """The same of all frames of a solution."""
+        return self._unlikelihood(solution.cost, solution.linear, solution.factor)
+
+    def _unlikelihood(
+        self, cost: float, lines: list[Linear], factor: tuple[np.ndarray, bool]
+    ) -> float:
+        # The determinant of the data's covariance, by that of the map's precision.
+        noise = -sum(float(np.sum(np.log(line.weight[line.weight > 0]))) for line in lines)
+        return cost + noise + _log_determinant(factor) - self._prior_log_determinant
+
+    @functools.cached_property
+    def _prior_log_determinant(self) -> float:
+        return _log_determinant(cho_factor(self._precision, lower=True))
+
     def linear(
         self, frame: FrameState, own: np.ndarray, *, trust: np.ndarray | None = None
     ) -> Linear:
@@ -189,13 +210,14 @@ class Solver:
             self.lattice(frame.cells.motion), frame.pose, own, window=self.window, sweep=frame.sweep
         )
         level = np.exp(frame.log_ambient)
-        growth = np.maximum(1.0 + np.array(frame.slant) @ _SIDES, _FAINTEST)
-        bend = _laplacian(irradiance) / (2.0 * self.window.side**2)
-        ambient = level * growth
-        # A wide blur of a sharp edge would undershoot in this first order.
-        total = np.maximum(irradiance + frame.blur_px2 * bend, 0.0) + ambient
+        ambient = level * np.maximum(1.0 + np.array(frame.slant) @ SIDES, _FAINTEST)
+        cells2 = self.window.side**2  # px²
+        both = blurred(np.concatenate([irradiance[None], slopes]), frame.blur_px2 / cells2)
+        lit, slopes = both[0], both[1:]
+        bend = growth_with_blur(lit) / cells2
+        total = lit + ambient
         model = np.exp(frame.log_gain) * total
-        error = np.hypot(_SMEAR * smeared, _BLURRED * frame.blur_px2 * bend) / total
+        error = np.hypot(_SMEAR * smeared, _BLURRED * (lit - irradiance)) / total
         weight = self._weight(frame, light, usable, model, error=error)
         deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
         seen = np.maximum(light, np.maximum(deviation, _DARKEST))
@@ -207,7 +229,7 @@ class Solver:
                     slopes[:POSE] / total,
                     np.ones((1, total.size)),
                     ambient / total[None],
-                    level * _SIDES / total,
+                    level * SIDES / total,
                     bend[None] / total,
                     -grain,
                 ]
@@ -353,12 +375,8 @@ class Solver:
         )
 
 
-def _laplacian(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """Second differences over the cells, in both directions."""
-    padded = np.pad(values.reshape(COUNT, COUNT), 1, mode="edge")
-    across = padded[1:-1, 2:] + padded[1:-1, :-2]
-    along = padded[2:, 1:-1] + padded[:-2, 1:-1]
-    return (across + along - 4.0 * padded[1:-1, 1:-1]).ravel()
+def _log_determinant(factor: tuple[np.ndarray, bool]) -> float:
+    return 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
 
 
 def _inverse(hessian: np.ndarray, *, damping: float = 0.0) -> np.ndarray:

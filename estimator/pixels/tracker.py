@@ -7,7 +7,6 @@ forgets its beginning drifts.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,10 +20,11 @@ from estimator.pixels.beam import POSE, BeamLight, Sweep
 from estimator.pixels.belief import Belief, distinct
 from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.drift import drift_covariance
+from estimator.pixels.frame_fit import STEPS, fit_wherever, robust_fit
 from estimator.pixels.frame_state import OWN, Direction, FrameState, Linear
 from estimator.pixels.mix import Mix, evener_mix, plain_mix
 from estimator.pixels.reference import Reference
-from estimator.pixels.registration import farthest_px, registered
+from estimator.pixels.registration import farthest_px
 from estimator.pixels.robot import RobotPose
 from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
@@ -39,21 +39,17 @@ _NEW = 0.25  # shift over the spot's radius that makes a frame worth keeping
 _GROWN = 0.07  # change of the distance's logarithm that does
 _CENTRED = 0.15  # shift of the spot over the window's reach that asks for another window
 _SIZED = 0.15  # change of the reach's logarithm that does
-_STEPS_FIRST, _STEPS, _STEPS_AGAIN = 14, 8, 4
+_STEPS_FIRST = 14
 _AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly nothing is known
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
-_FAR = 4.0  # a cell this far from what all else says of it, in standard deviations, has other light
-_MOVED, _SURPRISE = 1.2, 1.5
-"""Mean square of a frame's cells less what all else says of them, in variances, above which the
-wall has moved, and above which it is another one. It is 1 where nothing has moved, with a standard
-deviation of 0.05."""
+_SURPRISE = 1.5
+"""`Belief.surprise` of a first frame, above which its wall is not that of the reference."""
 _SIZE = 1.5
 """Ratio of the spot's area to that of the fitted light, above which the light is another one. The
 contour of a bell on a textured wall leaves 10 to 20 %."""
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 _DRIFTED_PX = 1.0  # of the wall since the first frame, which is worth a word
-_SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
 _PLACE_PX, _ALONG_MM = 0.05, 0.001
 """Errors of the spot's place and of the distance by the image model, on rendered frames of known
 pose on even walls."""
@@ -109,7 +105,7 @@ class PoseTracker:
             flag = self._flag(spot)
             best = self._beliefs[0]
             wall = WallMemory.MOVED if best.drifted_px > _DRIFTED_PX else WallMemory.KNOWN
-            if flag is RangeFlag.NONE and best.surprise > _SURPRISE:
+            if flag is RangeFlag.NONE and best.lost:
                 flag = RangeFlag.MISFIT  # of the wall that was learnt
         if flag is not RangeFlag.NONE:
             # Where the past does not explain the frame, it may be wrong.
@@ -185,8 +181,7 @@ class PoseTracker:
         self._mix = mix
         cells = self._cells(channels, usable, mix)
         found = [
-            solver.solve([], replace(one.frames[0], cells=cells), own, steps=_STEPS)
-            for one in found
+            solver.solve([], replace(one.frames[0], cells=cells), own, steps=STEPS) for one in found
         ]
         found.sort(key=lambda one: one.cost)
         line = found[0].linear[0]
@@ -194,7 +189,7 @@ class PoseTracker:
             line.residual, line.weight, line.slopes, count=COUNT, side_mm=solver.side_mm
         )
         solver = Solver(self.beam, window, texture, self._known(mix))
-        again = [_robust(solver, [], one.frames[0], own) for one in found]
+        again = [robust_fit(solver, [], one.frames[0], own) for one in found]
         self._beliefs = distinct(
             [
                 Belief(solver, [(one.frames[0], one.linear[0])], one, surprise)
@@ -204,8 +199,7 @@ class PoseTracker:
 
     def _known(self, mix: Mix) -> Callable[[Window], tuple[np.ndarray, np.ndarray]] | None:
         """What the reference says of the wall in a mixture of channels."""
-        reference = self._reference
-        return None if reference is None else functools.partial(reference.known, mix=mix)
+        return None if self._reference is None else self._reference.seen_in(mix).known
 
     def _follow(
         self,
@@ -243,13 +237,14 @@ class PoseTracker:
                 # Where the microscope drifts, the eye frame moves against the robot.
                 robot=robot if belief.drifted_px < _DRIFTED_PX else None,
             )
-            found, surprise = _wherever(solver, kept, start, own, cells)
+            found, surprise, lost = fit_wherever(solver, kept, start, own, cells)
             followed.append(
                 Belief(
                     solver=solver,
                     kept=self._kept(solver, found),
                     solution=found,
                     surprise=surprise,
+                    lost=lost,
                     step=found.frames[-1].cells.motion.since(belief.newest.cells.motion),
                     shake_before_px=belief.shake_px,
                 )
@@ -313,51 +308,6 @@ class PoseTracker:
 def _reach(spot: Spot) -> float:
     """From the spot's centre, px, to where there is hardly any light."""
     return _REACH * spot.semi_major_px + _BESIDE_PX
-
-
-def _wherever(
-    solver: Solver,
-    kept: list[tuple[FrameState, Linear]],
-    frame: FrameState,
-    own: Float[np.ndarray, "q"],
-    cells: Callable[[WallMotion], CellLight],
-) -> tuple[Solution, float]:
-    """As `_robust`, wherever the wall is now; `cells` is the frame's light after its motion."""
-    solution, surprise = _robust(solver, kept, frame, own)
-    if surprise > _MOVED:
-        known, variance = solver.known([line for _, line in kept])
-        step = registered(solver.linear(frame, own), known, variance, solver.window)
-        moved = replace(frame, cells=cells(frame.cells.motion.after(step)))
-        again, less = _robust(solver, kept, moved, own)
-        if less < surprise:
-            solution, surprise = again, less
-    newest = solution.frames[-1]
-    if math.hypot(*newest.shift) > _SHIFTED_PX:
-        motion = newest.cells.motion.after(WallMotion(*newest.shift))
-        newest = replace(newest, cells=cells(motion), shift=(0.0, 0.0))
-        solution.frames[-1] = newest
-        solution.linear[-1] = solver.linear(newest, solution.own)
-    return solution, surprise
-
-
-def _robust(
-    solver: Solver,
-    kept: list[tuple[FrameState, Linear]],
-    frame: FrameState,
-    own: Float[np.ndarray, "q"],
-) -> tuple[Solution, float]:
-    """A solution in which cells with other light have little weight, and its `Belief.surprise`."""
-    solution = solver.solve(kept, frame, own, steps=_STEPS)
-    far = np.abs(solution.strange(len(kept)))
-    used = solution.linear[-1].weight > 0
-    surprise = float(np.sum(np.minimum(far, _FAR) ** 2) / max(np.count_nonzero(used), 1))
-    if (far <= _FAR).all():
-        return solution, surprise
-    # The weight of Geman and McClure: a cell's pull falls with the cube of its distance.
-    trust = np.where(far > _FAR, (_FAR / np.maximum(far, _FAR)) ** 4, 1.0)
-    *earlier, newest = zip(solution.frames, solution.linear, strict=True)
-    again = solver.solve(earlier, newest[0], solution.own, steps=_STEPS_AGAIN, trust=trust)
-    return again, surprise
 
 
 def _range(
