@@ -16,9 +16,9 @@ from jaxtyping import Array, Float
 
 import optics
 
-_NODES = 6
-"""Gauss nodes on each side. With cells of 8 px, a cell that a sharp edge cuts is off by 0.07 % of
-the step (RMS), less than the shot noise of 64 pixels with 4,000 electrons a channel."""
+_NODES = 4
+"""Gauss nodes on each side, for light from a table. Behind a dome, cells of 6 to 10 px are off by
+0.03 % (RMS) and 0.3 % at most; a table itself is off by up to 0.2 %."""
 
 
 class Sides(NamedTuple):

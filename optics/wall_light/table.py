@@ -24,7 +24,6 @@ from jaxtyping import Array, Float, ScalarLike
 
 import optics
 from optics.wall_light.cells import Sides
-from optics.wall_light.pixel_light import off_axis_part
 
 
 class Grid(NamedTuple):
@@ -94,11 +93,15 @@ class LensTable(eqx.Module):
         axis: Float[Array, "3"],
     ) -> Float[Array, "..."]:
         """The line integral's part of a step at a point of the wall, both mm, per unit power."""
-        offset = point - tip
-        lateral = off_axis_part(offset, axis)
-        radius = jnp.sqrt(optics.dot(lateral, lateral) + 1e-24)
-        swept = optics.dot(jnp.cross(axis, lateral), step)
-        return 0.5 * self(radius=radius, distance=optics.dot(offset, axis)) * swept
+        # By components, because XLA does not vectorise loops over the three of them.
+        x, y, z = (one - own for one, own in zip(optics.components(point), tip, strict=True))
+        ax, ay, az = axis
+        dx, dy, dz = optics.components(step)
+        distance = ax * x + ay * y + az * z
+        x, y, z = x - distance * ax, y - distance * ay, z - distance * az
+        radius = jnp.sqrt(x * x + y * y + z * z + 1e-24)
+        swept = (ay * z - az * y) * dx + (az * x - ax * z) * dy + (ax * y - ay * x) * dz
+        return 0.5 * self(radius=radius, distance=distance) * swept
 
     def changed(self, by: Float[Array, "p"]) -> LensTable:
         """The table with the lens's parameters changed."""
@@ -152,18 +155,16 @@ def _at(
     rows, columns = values.shape
     i, down, steps_down = _taps(row, rows)
     j, across, steps_across = _taps(column, columns)
+    samples = values + jnp.tensordot(moved, slopes, 1)
     found: list[Any] = [0.0] * (3 + len(slopes))
     for r in range(4):
         for c in range(4):
             at = (i + r) * columns + j + c
-            own = [field.ravel()[at] for field in slopes]
-            light = values.ravel()[at]
-            light += sum(moved[k] * field for k, field in enumerate(own))
-            weight = down[r] * across[c]
+            light, weight = samples.ravel()[at], down[r] * across[c]
             added = [weight * light]
             if gradient:
                 added += [steps_down[r] * across[c] * light, down[r] * steps_across[c] * light]
-                added += [weight * field for field in own]
+                added += [weight * field.ravel()[at] for field in slopes]
             found = [old + new for old, new in zip(found, added, strict=False)]
     return found
 
