@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.files import MicroscopeFile
+from estimator.pixels.blur import blurred, growth_with_blur
 from estimator.pixels.cells import COUNT, Window
 from estimator.pixels.wall_motion import WallMotion
 
@@ -31,6 +32,7 @@ _POSITIONS_SHARP, _POSITIONS = (3, 6, 12), (3, 6)
 _FLOOR_SHARP, _FLOOR = 5e-4, 2e-3
 """Relative errors of the light of a cone, in closed form, and of a lens, from a table."""
 _STILL_SHARP_PX, _STILL_PX = 0.1, 0.5  # way of the light that is not averaged
+_LEAST_BLUR_PX2 = 0.25  # of a sharp edge, below which its light changes in proportion
 _WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
 
 
@@ -85,6 +87,24 @@ class Sweep(NamedTuple):
             np.stack([np.interp(times, NODES, line) for line in part.T], axis=-1) for part in self
         )
         return tip, axis
+
+
+class SeenLight(NamedTuple):
+    """Irradiance of the cells per unit power, 1/mm², as a camera sees it.
+
+    Attributes:
+        value: with the motion during the exposure and the blur.
+        slopes: its derivatives by the pose's changes and by the beam's own.
+        bend: its derivative by the blur's variance, 1/px².
+        by_motion: what the motion changed of it.
+        by_blur: what the blur did.
+    """
+
+    value: Float[np.ndarray, "n"]
+    slopes: Float[np.ndarray, "5+q n"]
+    bend: Float[np.ndarray, "n"]
+    by_motion: Float[np.ndarray, "n"]
+    by_blur: Float[np.ndarray, "n"]
 
 
 class BeamLight:
@@ -144,8 +164,9 @@ class BeamLight:
         *,
         window: Window,
         sweep: Sweep | None = None,
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "5+q n"], Float[np.ndarray, "n"]]:
-        """Irradiance of the cells per unit power, 1/mm².
+        blur_px2: float = 0.0,
+    ) -> SeenLight:
+        """Irradiance of the cells per unit power, 1/mm², as the camera sees it.
 
         Args:
             lattice: of the window, from `lattice`.
@@ -154,19 +175,45 @@ class BeamLight:
             window: the cells.
             sweep: motion during the exposure; None for a tip at rest. The derivatives are those of
                 the middle, which are good enough to find where the light fits.
-
-        Returns:
-            The irradiance, its derivatives by pose and beam, and what the motion changed of it.
+            blur_px2: variance of the image's blur along each side.
         """
         from optics.wall_light import BeamFrame, irradiance_along, irradiance_and_slopes
 
         given: dict[str, Any] = {"own": own, "spread": self.spread}
         both = irradiance_and_slopes(lattice, self.source, BeamFrame(*pose), **given)
         at_rest, slopes = map(np.asarray, both)
+        moved = None if sweep is None else self._moved(pose, sweep, window)
         value = at_rest
-        if sweep is not None and (moved := self._moved(pose, sweep, window)) is not None:
+        if moved is not None:
             value = np.asarray(irradiance_along(lattice, self.source, **moved, **given))
-        return value, slopes, value - at_rest
+        cells2 = window.side**2  # px²
+        variance = blur_px2 / cells2
+        slopes = blurred(slopes, variance)
+        if not self.sharp:
+            seen = blurred(value, variance)
+            bend = growth_with_blur(seen) / cells2
+        else:
+            # Where in a cell an edge lies, only the beam knows.
+            at_least = max(blur_px2, _LEAST_BLUR_PX2)
+            blurs = self._blurred(pose, moved, at_least)
+            bend = np.asarray(irradiance_along(lattice, self.source, **blurs, **given)) - value
+            bend /= at_least
+            seen = value + blur_px2 * bend
+        return SeenLight(seen, slopes, bend, value - at_rest, seen - value)
+
+    def _blurred(
+        self, pose: Pose, moved: dict[str, np.ndarray] | None, variance_px2: float
+    ) -> dict[str, np.ndarray]:
+        """Tips, axes and shares of light that is seen at four places around where it is."""
+        if moved is None:
+            moved = {"tips": pose.tip[None], "axes": pose.axis[None], "shares": np.ones(1)}
+        aside = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+        aside *= math.sqrt(2.0 * variance_px2) * self.scale_mm_px
+        return {
+            "tips": (moved["tips"][:, None] + aside).reshape(-1, 3),
+            "axes": np.repeat(moved["axes"], len(aside), axis=0),
+            "shares": np.repeat(moved["shares"], len(aside)) / len(aside),
+        }
 
     def _moved(self, pose: Pose, sweep: Sweep, window: Window) -> dict[str, np.ndarray] | None:
         """Tips, axes and their shares of the exposure's light; None if the light rests."""

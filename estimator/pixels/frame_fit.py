@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,11 +20,27 @@ from estimator.pixels.wall_motion import WallMotion
 STEPS = 8
 _STEPS_AGAIN = 4
 _FAR = 4.0  # a cell this far from what all else says of it, in standard deviations, has other light
-_MOVED = 1.2
-"""Surprise above which the wall may have moved. It is 1 where nothing has moved, with a standard
-deviation of 0.05; parts of the wall that come into the light may be a surprise, too."""
+_UNUSUAL = 4.0  # standard deviations of a surprise, above which the wall may have moved
 _SURE = 16.0  # -2 log likelihood: four standard deviations
 _SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
+
+
+class Surprise(NamedTuple):
+    """How far cells of the newest frame are from what all else says of them.
+
+    Attributes:
+        square: mean square, in variances.
+        sigmas: how far that is from 1, in its standard deviations.
+    """
+
+    square: float
+    sigmas: float
+
+    @classmethod
+    def of(cls, far: Float[np.ndarray, "n"]) -> Surprise:
+        """Of distances in standard deviations."""
+        square = float(np.mean(np.square(far))) if far.size else 1.0
+        return cls(square, (square - 1.0) * math.sqrt(0.5 * far.size))
 
 
 def robust_fit(
@@ -31,12 +48,15 @@ def robust_fit(
     kept: list[tuple[FrameState, Linear]],
     frame: FrameState,
     own: Float[np.ndarray, "q"],
-) -> tuple[Solution, float]:
-    """A solution in which cells with other light have little weight, and its `Belief.surprise`."""
+) -> tuple[Solution, Surprise]:
+    """A solution in which cells with other light have little weight, and the surprise."""
     solution = solver.solve(kept, frame, own, steps=STEPS)
     far = np.abs(solution.strange(len(kept)))
-    used = solution.linear[-1].weight > 0
-    surprise = float(np.sum(np.minimum(far, _FAR) ** 2) / max(np.count_nonzero(used), 1))
+    looked_at = solution.linear[-1].weight > 0
+    if kept:  # what comes into the light is new, not a surprise
+        before = np.sum([line.weight for _, line in kept], axis=0)
+        looked_at &= before * solver.texture.variance > 1.0
+    surprise = Surprise.of(np.minimum(far, _FAR)[looked_at])
     if (far <= _FAR).all():
         return solution, surprise
     # The weight of Geman and McClure: a cell's pull falls with the cube of its distance.
@@ -52,7 +72,7 @@ def fit_wherever(
     frame: FrameState,
     own: Float[np.ndarray, "q"],
     cells: Callable[[WallMotion], CellLight],
-) -> tuple[Solution, float, bool]:
+) -> tuple[Solution, bool]:
     """As `robust_fit`, wherever the wall is now.
 
     Args:
@@ -63,21 +83,21 @@ def fit_wherever(
         cells: the newest frame's light after a motion of the wall.
 
     Returns:
-        The solution, its surprise, and whether the wall is lost: the frame is more likely by itself
-        than with the earlier ones.
+        The solution, and whether the wall is lost: the frame is more likely by itself than with the
+        earlier ones.
     """
     solution, surprise = robust_fit(solver, kept, frame, own)
     lost = False
-    if surprise > _MOVED:
+    if surprise.sigmas > _UNUSUAL:
         before = solver.unlikelihood(kept, own)
         alone, _ = robust_fit(solver, [], replace(frame, grain=None), own)
         known, variance = solver.known([line for _, line in kept])
         step = registered(alone.linear[0], known, variance, solver.window)
         if step is not None:
             moved = replace(frame, cells=cells(frame.cells.motion.after(step)))
-            again, less = robust_fit(solver, kept, moved, own)
+            again, _ = robust_fit(solver, kept, moved, own)
             if solver.unlikelihood_of(again) < solver.unlikelihood_of(solution) - _SURE:
-                solution, surprise = again, less
+                solution = again
         together = solver.unlikelihood_of(solution) - before
         lost = together > solver.unlikelihood_of(alone) + _SURE
     newest = solution.frames[-1]
@@ -86,4 +106,4 @@ def fit_wherever(
         newest = replace(newest, cells=cells(motion), shift=(0.0, 0.0))
         solution.frames[-1] = newest
         solution.linear[-1] = solver.linear(newest, solution.own)
-    return solution, surprise, lost
+    return solution, lost

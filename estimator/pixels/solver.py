@@ -21,7 +21,6 @@ from jaxtyping import Float
 from scipy.linalg import cho_factor
 
 from estimator.pixels.beam import POSE, BeamLight
-from estimator.pixels.blur import blurred, growth_with_blur
 from estimator.pixels.cells import COUNT, SIDES, Window
 from estimator.pixels.frame_state import (
     AMBIENT,
@@ -79,7 +78,6 @@ class Solver:
         self.lattice = kept(functools.partial(beam.lattice, window))
         self.side_mm = window.side * beam.scale_mm_px
         covariance = texture.covariance(COUNT, self.side_mm)
-        self._roughly = float(np.sum(texture.variances))
         self._precision = solved(cho_factor(covariance, lower=True), np.eye(COUNT**2))
         self._pull = np.zeros(COUNT**2)
         if reference is not None:
@@ -206,35 +204,36 @@ class Solver:
     ) -> Linear:
         """A frame's model at its state."""
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
-        irradiance, slopes, smeared = self.beam.irradiance(
-            self.lattice(frame.cells.motion), frame.pose, own, window=self.window, sweep=frame.sweep
+        seen = self.beam.irradiance(
+            self.lattice(frame.cells.motion),
+            frame.pose,
+            own,
+            window=self.window,
+            sweep=frame.sweep,
+            blur_px2=frame.blur_px2,
         )
         level = np.exp(frame.log_ambient)
         ambient = level * np.maximum(1.0 + np.array(frame.slant) @ SIDES, _FAINTEST)
-        cells2 = self.window.side**2  # px²
-        both = blurred(np.concatenate([irradiance[None], slopes]), frame.blur_px2 / cells2)
-        lit, slopes = both[0], both[1:]
-        bend = growth_with_blur(lit) / cells2
-        total = lit + ambient
+        total = seen.value + ambient
         model = np.exp(frame.log_gain) * total
-        error = np.hypot(_SMEAR * smeared, _BLURRED * (lit - irradiance)) / total
+        error = np.hypot(_SMEAR * seen.by_motion, _BLURRED * seen.by_blur) / total
         weight = self._weight(frame, light, usable, model, error=error)
         deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
-        seen = np.maximum(light, np.maximum(deviation, _DARKEST))
+        light = np.maximum(light, np.maximum(deviation, _DARKEST))
         grain = np.zeros((2, total.size)) if frame.grain is None else frame.grain
         return Linear(
-            residual=np.where(usable, np.log(seen / model) + np.array(frame.shift) @ grain, 0.0),
+            residual=np.where(usable, np.log(light / model) + np.array(frame.shift) @ grain, 0.0),
             slopes=np.concatenate(
                 [
-                    slopes[:POSE] / total,
+                    seen.slopes[:POSE] / total,
                     np.ones((1, total.size)),
                     ambient / total[None],
                     level * SIDES / total,
-                    bend[None] / total,
+                    seen.bend[None] / total,
                     -grain,
                 ]
             ),
-            shared=slopes[POSE:] / total,
+            shared=seen.slopes[POSE:] / total,
             weight=weight if trust is None else weight * trust,
         )
 
@@ -258,7 +257,7 @@ class Solver:
         model = np.exp(suited.log_gain) * (np.maximum(irradiance, 0.0) + ambient)
         weight = self._weight(suited, light, usable, model)
         # Here the texture counts as noise without correlation: this finds starts, not poses.
-        spread = 1.0 / np.where(usable, weight, 1.0) + self._roughly
+        spread = 1.0 / np.where(usable, weight, 1.0) + self.texture.variance
         residual = np.log(np.maximum(light, _DARKEST) / np.maximum(model, _DARKEST))
         cost = np.sum(np.where(usable, np.square(residual) / spread, 0.0))
         return suited, float(cost) + prior_cost(suited)

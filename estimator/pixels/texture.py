@@ -53,6 +53,11 @@ class Texture:
         """Slope of the variogram at 0, 1/mm: variance of the difference of two near points."""
         return float(2.0 * np.sum(self.variances / np.array(LENGTHS_MM)))
 
+    @property
+    def variance(self) -> float:
+        """Of a point's log reflectance."""
+        return float(np.sum(self.variances))
+
 
 def texture_of(
     residual: Float[np.ndarray, "n"],

@@ -43,7 +43,7 @@ _STEPS_FIRST = 14
 _AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly nothing is known
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
 _SURPRISE = 1.5
-"""`Belief.surprise` of a first frame, above which its wall is not that of the reference."""
+"""Square of a first frame's surprise, above which its wall is not that of the reference."""
 _SIZE = 1.5
 """Ratio of the spot's area to that of the fitted light, above which the light is another one. The
 contour of a bell on a textured wall leaves 10 to 20 %."""
@@ -117,7 +117,7 @@ class PoseTracker:
             flag = self._flag(spot)
             if self._reference is not None:
                 wall = WallMemory.KNOWN
-                if flag is not RangeFlag.NONE or self._beliefs[0].surprise > _SURPRISE:
+                if flag is not RangeFlag.NONE or self._beliefs[0].lost:
                     self._reference, wall = None, WallMemory.DROPPED
                     self._begin(channels, usable, spot, direction, sweep, robot)
                     flag = self._flag(spot)
@@ -192,7 +192,7 @@ class PoseTracker:
         again = [robust_fit(solver, [], one.frames[0], own) for one in found]
         self._beliefs = distinct(
             [
-                Belief(solver, [(one.frames[0], one.linear[0])], one, surprise)
+                Belief(solver, [(one.frames[0], one.linear[0])], one, surprise.square > _SURPRISE)
                 for one, surprise in again
             ]
         )
@@ -237,13 +237,12 @@ class PoseTracker:
                 # Where the microscope drifts, the eye frame moves against the robot.
                 robot=robot if belief.drifted_px < _DRIFTED_PX else None,
             )
-            found, surprise, lost = fit_wherever(solver, kept, start, own, cells)
+            found, lost = fit_wherever(solver, kept, start, own, cells)
             followed.append(
                 Belief(
                     solver=solver,
                     kept=self._kept(solver, found),
                     solution=found,
-                    surprise=surprise,
                     lost=lost,
                     step=found.frames[-1].cells.motion.since(belief.newest.cells.motion),
                     shake_before_px=belief.shake_px,
