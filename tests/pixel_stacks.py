@@ -46,20 +46,21 @@ def calibration_in(folder: Path) -> Path:
     return path
 
 
-def _reader(stack, folder: Path):
+def _reader(stack, folder: Path, **options):
     return Options.of(
         {
             "mode": "pixels",
             "calibration": calibration_in(folder),
             "microscope": stack.folder / "microscope.json",
             "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
+            **options,
         }
     ).reader()
 
 
-def readings_of(stack, folder: Path, poses=None):
+def readings_of(stack, folder: Path, poses=None, **options):
     """What the wall was known as, the distance's error and chi squared of the pose, by frame."""
-    reader = _reader(stack, folder)
+    reader = _reader(stack, folder, **options)
     poses = poses or read_poses(stack.folder / "kinematics.csv")
     for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
         found = reader.read(

@@ -55,6 +55,11 @@ class Stated(Strict):
     clock_sigma_s: _Sigma = Field(
         0.0, description="Of the offset between the clocks of camera and robot."
     )
+    shake_px: _Sigma = Field(
+        0.0,
+        description="Standard deviation of the image's shake along each side, px, where the mode "
+        "pixels has not seen it yet: in the first frame nobody sees where the image should be.",
+    )
     calibration_freedom: Annotated[float, Field(gt=0)] | None = Field(
         None,
         description="Degrees of freedom of the calibration: data minus parameters of its fit "

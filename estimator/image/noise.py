@@ -13,7 +13,9 @@ from estimator.image.light import Response
 from optics import InputError
 
 _CHANNELS = 3
-_JPEG_DN2 = 2.5**2 / 12  # at quality 90 the waves of a block are rounded to steps of 2 to 3 DN
+_JPEG_DN2 = _CHANNELS * 2.5**2 / 12
+"""At quality 90 the waves of a block are rounded to steps of 2 to 3 DN, in all channels alike: a
+mean over them is no better than one."""
 _CLEAR_SIGMAS = 4.0  # least distance of a pixel from black and white, where noise is clipped
 
 

@@ -1,4 +1,9 @@
-"""Fits the newest frame. Cells with other light have little weight, and the wall may have moved."""
+"""Fits the newest frame. Cells with other light have little weight, and the wall may have moved.
+
+A frame may be noisier than the microscope file says: by JPEG, by a Bayer pattern, or by a line that
+comes into the light in the middle of cells. So where a frame surprises, it and the earlier ones
+have less weight. The wall is another one only if that explains the frame better.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +25,7 @@ from estimator.pixels.wall_motion import WallMotion
 STEPS = 8
 _STEPS_AGAIN = 4
 _FAR = 4.0  # a cell this far from what all else says of it, in standard deviations, has other light
-_UNUSUAL = 4.0  # standard deviations of a surprise, above which the wall may have moved
+_UNUSUAL = 4.0  # standard deviations of a surprise
 _SURE = 16.0  # -2 log likelihood: four standard deviations
 _SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
 
@@ -42,6 +47,11 @@ class Surprise(NamedTuple):
         square = float(np.mean(np.square(far))) if far.size else 1.0
         return cls(square, (square - 1.0) * math.sqrt(0.5 * far.size))
 
+    @property
+    def unusual(self) -> bool:
+        """Whether chance alone would hardly do that."""
+        return self.sigmas > _UNUSUAL
+
 
 def robust_fit(
     solver: Solver,
@@ -57,12 +67,14 @@ def robust_fit(
         before = np.sum([line.weight for _, line in kept], axis=0)
         looked_at &= before * solver.texture.variance > 1.0
     surprise = Surprise.of(np.minimum(far, _FAR)[looked_at])
-    if (far <= _FAR).all():
-        return solution, surprise
     # The weight of Geman and McClure: a cell's pull falls with the cube of its distance.
-    trust = np.where(far > _FAR, (_FAR / np.maximum(far, _FAR)) ** 4, 1.0)
+    trust = (_FAR / np.maximum(far, _FAR)) ** 4
+    noise = surprise.square if surprise.unusual else 1.0
+    if noise == 1.0 and (trust == 1.0).all():
+        return solution, surprise
     *earlier, newest = zip(solution.frames, solution.linear, strict=True)
-    again = solver.solve(earlier, newest[0], solution.own, steps=_STEPS_AGAIN, trust=trust)
+    earlier = [(state, line._replace(weight=line.weight / noise)) for state, line in earlier]
+    again = solver.solve(earlier, newest[0], solution.own, steps=_STEPS_AGAIN, trust=trust / noise)
     return again, surprise
 
 
@@ -88,18 +100,16 @@ def fit_wherever(
     """
     solution, surprise = robust_fit(solver, kept, frame, own)
     lost = False
-    if surprise.sigmas > _UNUSUAL:
-        before = solver.unlikelihood(kept, own)
+    if surprise.unusual:
         alone, _ = robust_fit(solver, [], replace(frame, grain=None), own)
         known, variance = solver.known([line for _, line in kept])
         step = registered(alone.linear[0], known, variance, solver.window)
         if step is not None:
             moved = replace(frame, cells=cells(frame.cells.motion.after(step)))
             again, _ = robust_fit(solver, kept, moved, own)
-            if solver.unlikelihood_of(again) < solver.unlikelihood_of(solution) - _SURE:
+            if _unlikelihood(solver, again) < _unlikelihood(solver, solution) - _SURE:
                 solution = again
-        together = solver.unlikelihood_of(solution) - before
-        lost = together > solver.unlikelihood_of(alone) + _SURE
+        lost = _unlikelihood(solver, solution) > _unlikelihood(solver, alone) + _SURE
     newest = solution.frames[-1]
     if math.hypot(*newest.shift) > _SHIFTED_PX:
         motion = newest.cells.motion.after(WallMotion(*newest.shift))
@@ -107,3 +117,10 @@ def fit_wherever(
         solution.frames[-1] = newest
         solution.linear[-1] = solver.linear(newest, solution.own)
     return solution, lost
+
+
+def _unlikelihood(solver: Solver, solution: Solution) -> float:
+    """-2 log likelihood of the newest frame, given the earlier ones."""
+    *earlier, _ = zip(solution.frames, solution.linear, strict=True)
+    before = solver.unlikelihood(earlier, solution.own) if earlier else 0.0
+    return solver.unlikelihood_of(solution) - before

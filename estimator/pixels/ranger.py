@@ -42,6 +42,7 @@ class PixelRanger:
         calibration: of a cone or a lens; its standard errors count.
         microscope: with the camera's noise.
         reference: image of the wall without the spot, H x W x 3; None if there is none.
+        shake_px: least standard deviation of the image's shake along each side, px.
 
     Raises:
         InputError: the microscope file lacks the camera's noise or has what the mode does not
@@ -55,6 +56,8 @@ class PixelRanger:
         calibration: Calibration,
         microscope: MicroscopeFile,
         reference: np.ndarray | None = None,
+        *,
+        shake_px: float = 0.0,
     ) -> None:
         if microscope.noise is None:
             raise InputError(
@@ -76,6 +79,7 @@ class PixelRanger:
             BeamLight(source, view, spread, sharp=not lens),
             microscope.noise,
             None if reference is None else Reference(reference, microscope.noise),
+            shake_px=shake_px,
         )
 
     def forget(self) -> None:

@@ -62,12 +62,18 @@ class PoseTracker:
         beam: its light.
         noise: of the camera.
         reference: the wall without the spot; None if there is no image of it.
+        shake_px: least standard deviation of the image's shake along each side, px.
     """
 
     def __init__(
-        self, beam: BeamLight, noise: CameraNoise, reference: Reference | None = None
+        self,
+        beam: BeamLight,
+        noise: CameraNoise,
+        reference: Reference | None = None,
+        *,
+        shake_px: float = 0.0,
     ) -> None:
-        self.beam, self.noise = beam, noise
+        self.beam, self.noise, self._shake_px = beam, noise, shake_px
         self._reference = reference
         self._beliefs: list[Belief] = []
         self._mix: Mix | None = None
@@ -127,7 +133,8 @@ class PoseTracker:
         best = self._beliefs[0]
         others = tuple(float(one.newest.pose.distance) for one in self._beliefs[1:])
         # Where the view was in the first frame, if it shakes, nobody knows.
-        place = self.beam.scale_mm_px * math.hypot(_PLACE_PX, best.shake_px)
+        shake = max(best.shake_px, self._shake_px)
+        place = self.beam.scale_mm_px * math.hypot(_PLACE_PX, shake)
         doubt = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
         drifts = [self._drift + best.drift(frame) for frame in best.solution.frames]
         if wall is WallMemory.DROPPED:

@@ -227,7 +227,7 @@ class Options(BaseModel):
     def _pixels_reader(
         self, settings: LiteralSettings | SubpixelSettings, microscope: MicroscopeFile | None
     ) -> Reader:
-        from estimator.files import read_calibration, read_stated
+        from estimator.files import Stated, read_calibration, read_stated
         from estimator.pixels import PixelRanger
         from estimator.run.reader import Reader
 
@@ -239,15 +239,19 @@ class Options(BaseModel):
                     f"{name} has no effect in the mode pixels, whose geometry is exact. Leave it "
                     "out, or take the sub-pixel mode."
                 )
+        stated = read_stated(self.stated) if self.stated else Stated()
         return Reader(
             settings,
             start=self.start,
             size_px=(microscope.width_px, microscope.height_px),
             exposure_s=self.exposure_s,
             eye_from_robot=self.eye_from_robot,
-            stated=read_stated(self.stated) if self.stated else None,
+            stated=stated,
             pixel_ranger=PixelRanger(
-                read_calibration(self.calibration), microscope, self._reference_image(microscope)
+                read_calibration(self.calibration),
+                microscope,
+                self._reference_image(microscope),
+                shake_px=stated.shake_px,
             ),
         )
 
