@@ -234,6 +234,8 @@ def _calibration(what: Circumstances, rng: np.random.Generator) -> Calibration:
         name: value + sigma * rng.standard_normal() if name in what.sigmas else value
         for (name, value), sigma in zip(values.items(), sigmas, strict=True)
     }
+    if model == "lens":  # the drawn cap may not reach below the core
+        values["glue_length"] = max(values["glue_length"], values["sag"])
     return Calibration(
         model=model,
         values=values,

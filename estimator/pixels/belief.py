@@ -30,6 +30,8 @@ class Belief:
         solver: of the window and with the wall's texture.
         kept: frames that are fitted again with each new one.
         solution: of the newest frame and those that were kept then.
+        surprise: mean square of the newest frame's cells less what all else says of them, in
+            variances; see `frame_fit.Surprise`.
         lost: whether the newest frame shows another wall than the earlier ones or the reference.
         step: motion of the wall in the image since the frame before.
         shake_before_px: `shake_px` of the frame before.
@@ -38,6 +40,7 @@ class Belief:
     solver: Solver
     kept: list[tuple[FrameState, Linear]]
     solution: Solution
+    surprise: float = 1.0
     lost: bool = False
     step: WallMotion = STILL
     shake_before_px: float = 0.0

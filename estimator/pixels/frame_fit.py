@@ -20,12 +20,13 @@ from estimator.pixels.frame_state import FrameState, Linear
 from estimator.pixels.registration import registered
 from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
-from estimator.pixels.wall_motion import WallMotion
+from estimator.pixels.wall_motion import STILL, WallMotion
 
 STEPS = 8
 _STEPS_AGAIN = 4
 _FAR = 4.0  # a cell this far from what all else says of it, in standard deviations, has other light
 _UNUSUAL = 4.0  # standard deviations of a surprise
+_GROWN = 1.2  # growth of a surprise's square that asks where the wall is
 _SURE = 16.0  # -2 log likelihood: four standard deviations
 _SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
 
@@ -69,7 +70,9 @@ def robust_fit(
     surprise = Surprise.of(np.minimum(far, _FAR)[looked_at])
     # The weight of Geman and McClure: a cell's pull falls with the cube of its distance.
     trust = (_FAR / np.maximum(far, _FAR)) ** 4
-    noise = surprise.square if surprise.unusual else 1.0
+    # Where the wall has moved, the surprise is an error of its place, not noise.
+    still = frame.cells.motion == STILL
+    noise = surprise.square if surprise.unusual and still else 1.0
     if noise == 1.0 and (trust == 1.0).all():
         return solution, surprise
     *earlier, newest = zip(solution.frames, solution.linear, strict=True)
@@ -84,7 +87,9 @@ def fit_wherever(
     frame: FrameState,
     own: Float[np.ndarray, "q"],
     cells: Callable[[WallMotion], CellLight],
-) -> tuple[Solution, bool]:
+    *,
+    usual: float,
+) -> tuple[Solution, float, bool]:
     """As `robust_fit`, wherever the wall is now.
 
     Args:
@@ -93,22 +98,24 @@ def fit_wherever(
         frame: the newest one, where its wall is expected.
         own: changes of the beam's own parameters.
         cells: the newest frame's light after a motion of the wall.
+        usual: the square of the surprise of the frame before. No other place is looked for where
+            that has hardly grown, because each search takes as long as two frames.
 
     Returns:
-        The solution, and whether the wall is lost: the frame is more likely by itself than with the
-        earlier ones.
+        The solution, the square of its surprise, and whether the wall is lost: the frame is more
+        likely by itself than with the earlier ones.
     """
     solution, surprise = robust_fit(solver, kept, frame, own)
     lost = False
-    if surprise.unusual:
+    if surprise.unusual and surprise.square > _GROWN * usual:
         alone, _ = robust_fit(solver, [], replace(frame, grain=None), own)
         known, variance = solver.known([line for _, line in kept])
         step = registered(alone.linear[0], known, variance, solver.window)
         if step is not None:
             moved = replace(frame, cells=cells(frame.cells.motion.after(step)))
-            again, _ = robust_fit(solver, kept, moved, own)
+            again, less = robust_fit(solver, kept, moved, own)
             if _unlikelihood(solver, again) < _unlikelihood(solver, solution) - _SURE:
-                solution = again
+                solution, surprise = again, less
         lost = _unlikelihood(solver, solution) > _unlikelihood(solver, alone) + _SURE
     newest = solution.frames[-1]
     if math.hypot(*newest.shift) > _SHIFTED_PX:
@@ -116,7 +123,7 @@ def fit_wherever(
         newest = replace(newest, cells=cells(motion), shift=(0.0, 0.0))
         solution.frames[-1] = newest
         solution.linear[-1] = solver.linear(newest, solution.own)
-    return solution, lost
+    return solution, surprise.square, lost
 
 
 def _unlikelihood(solver: Solver, solution: Solution) -> float:

@@ -244,12 +244,15 @@ class PoseTracker:
                 # Where the microscope drifts, the eye frame moves against the robot.
                 robot=robot if belief.drifted_px < _DRIFTED_PX else None,
             )
-            found, lost = fit_wherever(solver, kept, start, own, cells)
+            found, surprise, lost = fit_wherever(
+                solver, kept, start, own, cells, usual=belief.surprise
+            )
             followed.append(
                 Belief(
                     solver=solver,
-                    kept=self._kept(solver, found),
+                    kept=self._kept(solver, found, kept),
                     solution=found,
+                    surprise=surprise,
                     lost=lost,
                     step=found.frames[-1].cells.motion.since(belief.newest.cells.motion),
                     shake_before_px=belief.shake_px,
@@ -280,9 +283,16 @@ class PoseTracker:
         best, _ = min(found, key=lambda one: one[1])
         return replace(best, log_ambient=last.log_ambient)
 
-    def _kept(self, solver: Solver, solution: Solution) -> list[tuple[FrameState, Linear]]:
+    def _kept(
+        self, solver: Solver, solution: Solution, before: list[tuple[FrameState, Linear]]
+    ) -> list[tuple[FrameState, Linear]]:
         """The kept frames, with the newest if it shows the wall in another light."""
         *kept, newest = zip(solution.frames, solution.linear, strict=True)
+        # A fit that trusts them less does so for its own frame.
+        kept = [
+            (state, line._replace(weight=old.weight))
+            for (state, line), (_, old) in zip(kept, before, strict=True)
+        ]
         pose = newest[0].pose
         radius = 0.5 * COUNT * solver.side_mm / _REACH
         apart = [
