@@ -199,7 +199,13 @@ class PoseTracker:
         again = [robust_fit(solver, [], one.frames[0], own) for one in found]
         self._beliefs = distinct(
             [
-                Belief(solver, [(one.frames[0], one.linear[0])], one, surprise.square > _SURPRISE)
+                Belief(
+                    solver=solver,
+                    kept=[(one.frames[0], one.linear[0])],
+                    solution=one,
+                    surprise=surprise.square,
+                    lost=surprise.square > _SURPRISE,
+                )
                 for one, surprise in again
             ]
         )
