@@ -214,7 +214,8 @@ class Solver:
         )
         level = np.exp(frame.log_ambient)
         ambient = level * np.maximum(1.0 + np.array(frame.slant) @ SIDES, _FAINTEST)
-        total = seen.value + ambient
+        # Between the samples of a table, light that is nearly none may be less than none.
+        total = np.maximum(seen.value, 0.0) + ambient
         model = np.exp(frame.log_gain) * total
         error = np.hypot(_SMEAR * seen.by_motion, _BLURRED * seen.by_blur) / total
         weight = self._weight(frame, light, usable, model, error=error)
