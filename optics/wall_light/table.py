@@ -24,6 +24,7 @@ from jaxtyping import Array, Float, ScalarLike
 
 import optics
 from optics.wall_light.cells import Sides
+from optics.wall_light.pixel_light import off_axis_part
 
 
 class Grid(NamedTuple):
@@ -93,15 +94,11 @@ class LensTable(eqx.Module):
         axis: Float[Array, "3"],
     ) -> Float[Array, "..."]:
         """The line integral's part of a step at a point of the wall, both mm, per unit power."""
-        # By components, because XLA does not vectorise loops over the three of them.
-        x, y, z = (one - own for one, own in zip(optics.components(point), tip, strict=True))
-        ax, ay, az = axis
-        dx, dy, dz = optics.components(step)
-        distance = ax * x + ay * y + az * z
-        x, y, z = x - distance * ax, y - distance * ay, z - distance * az
-        radius = jnp.sqrt(x * x + y * y + z * z + 1e-24)
-        swept = (ay * z - az * y) * dx + (az * x - ax * z) * dy + (ax * y - ay * x) * dz
-        return 0.5 * self(radius=radius, distance=distance) * swept
+        offset = point - tip
+        lateral = off_axis_part(offset, axis)
+        radius = jnp.sqrt(optics.dot(lateral, lateral) + 1e-24)
+        swept = optics.dot(jnp.cross(axis, lateral), step)
+        return 0.5 * self(radius=radius, distance=optics.dot(offset, axis)) * swept
 
     def changed(self, by: Float[Array, "p"]) -> LensTable:
         """The table with the lens's parameters changed."""
