@@ -98,7 +98,7 @@ def _table(readings: dict[str, list[Reading]]) -> Table:
             f"{1e3 * rms([one.sigma_mm for one in posed]):.1f}",
             f"{1e3 * rms([one.tip_mm for one in posed]):.1f}",
             f"{rms([one.axis_deg for one in posed]):.2f}",
-            f"{np.mean([one.mahalanobis for one in posed]) / 5:.2f}",
-            f"{sum(one.mahalanobis > _SILENT for one in posed)}",
+            f"{np.mean([one.chi_squared for one in posed]) / 5:.2f}",
+            f"{sum(one.chi_squared > _SILENT for one in posed)}",
         )
     return made

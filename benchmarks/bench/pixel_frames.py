@@ -18,6 +18,7 @@ import numpy as np
 
 import optics
 from benchmarks.studies.pose import PRIOR_DEG, drawn_prior
+from estimator.distance import TipPose
 from estimator.files import (
     Calibration,
     Pose,
@@ -29,6 +30,7 @@ from estimator.files import (
 from estimator.run import Options, Reader
 from estimator.sources import open_source
 from scenes import Scene, SceneError, render_stack
+from scenes.world import World
 
 BEAMS: dict[str, dict[str, Any]] = {
     "cone": {"kind": "cone"},
@@ -67,7 +69,10 @@ class Reading(NamedTuple):
     """Errors of one frame; lengths in mm, angles in degrees, and NaN where there is no pose.
 
     `wall` is of the scene, `memory` a `WallMemory`, and `bound_mm` the Cramér-Rao bound of the
-    distance from the ellipse, where the scene asks for it.
+    distance from the ellipse, where the scene asks for it. The squares of the Mahalanobis distances
+    are of the pose's five numbers, of its tip and of its axis. `half_maximum_px` is the semi-minor
+    axis of the half-maximum ellipse at the pose, and `subpixel_px` the one that the sub-pixel mode
+    measures, both less the true one.
     """
 
     beam: str
@@ -80,8 +85,11 @@ class Reading(NamedTuple):
     tip_mm: float
     axis_deg: float
     sigma_axis_deg: float
-    mahalanobis: float
+    chi_squared: float
+    tip_chi_squared: float
+    axis_chi_squared: float
     half_maximum_px: float
+    subpixel_px: float
     found: bool
     doubt: str
     memory: str
@@ -100,7 +108,7 @@ def readings_of(what: Circumstances, rng: np.random.Generator, folder: Path) -> 
     Raises:
         SceneError: no drawn scene is possible.
     """
-    stack = _rendered(what, rng, folder)
+    stack, world = _rendered(what, rng, folder)
     reader, poses = _reader(stack, what, rng)
     for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
         began = time.perf_counter()
@@ -109,16 +117,15 @@ def readings_of(what: Circumstances, rng: np.random.Generator, folder: Path) -> 
         )
         seconds = time.perf_counter() - began
         off, covariance = np.full(5, math.nan), np.eye(5)
-        distance = sigma = half = mahalanobis = math.nan
+        distance = sigma = subpixel = half = math.nan
         if read.result:
-            half = read.result.semi_minor_px - labels.half_max_semi_minor_px
+            subpixel = read.result.semi_minor_px - labels.half_max_semi_minor_px
         if read.range and read.range.poses:
             pose = read.range.poses[0]
             assert pose.covariance is not None
-            off = pose.less(labels.tip_mm, labels.axis)
-            mahalanobis = pose.chi_squared(labels.tip_mm, labels.axis)
+            off, covariance = pose.less(labels.tip_mm, labels.axis), pose.covariance
             distance, sigma = read.range.distance_mm - labels.d_mm, read.range.sigma_mm
-            covariance = pose.covariance
+            half = _half_maximum_px(world, pose) - labels.half_max_semi_minor_px
         yield Reading(
             beam=what.beam,
             wall=what.wall,
@@ -130,8 +137,11 @@ def readings_of(what: Circumstances, rng: np.random.Generator, folder: Path) -> 
             tip_mm=float(np.linalg.norm(off[:3])),
             axis_deg=math.degrees(np.linalg.norm(off[3:])),
             sigma_axis_deg=math.degrees(math.sqrt(covariance[3, 3] + covariance[4, 4])),
-            mahalanobis=mahalanobis,
+            chi_squared=_chi_squared(off, covariance, slice(0, 5)),
+            tip_chi_squared=_chi_squared(off, covariance, slice(0, 3)),
+            axis_chi_squared=_chi_squared(off, covariance, slice(3, 5)),
             half_maximum_px=half,
+            subpixel_px=subpixel,
             found=bool(read.result),
             doubt=read.doubt,
             memory=read.range.wall.value if read.range else "",
@@ -140,12 +150,30 @@ def readings_of(what: Circumstances, rng: np.random.Generator, folder: Path) -> 
         )
 
 
-def _rendered(what: Circumstances, rng: np.random.Generator, folder: Path) -> Stack:
+def _half_maximum_px(world: World, pose: TipPose) -> float:
+    """Semi-minor axis of the half-maximum ellipse that the true beam would have at a pose."""
+    truth = optics.spot_truth(
+        world.wall,
+        world.microscope,
+        world.table,
+        tip=pose.tip_mm[None],
+        axis=pose.axis[None],
+        half_angle=world.cone.half_angle,
+        apex_offset=world.cone.apex_offset,
+    )
+    return float(truth.half_max.semi_minor[0])
+
+
+def _chi_squared(off: np.ndarray, covariance: np.ndarray, part: slice) -> float:
+    return float(off[part] @ np.linalg.solve(covariance[part, part], off[part]))
+
+
+def _rendered(what: Circumstances, rng: np.random.Generator, folder: Path) -> tuple[Stack, World]:
     for _ in range(_TRIES):
         seed = int(rng.integers(1, 2**31))
-        scene = _scene(what, seed, rng)
+        scene = Scene.model_validate(_scene(what, seed, rng))
         try:
-            return render_stack(Scene.model_validate(scene), folder)
+            return render_stack(scene, folder), World(scene)
         except SceneError as error:  # the drawn spot leaves the window
             refused = error
     raise refused

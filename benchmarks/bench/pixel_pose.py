@@ -44,9 +44,9 @@ def _errors(readings: list[Reading]) -> Table:
     made = table(
         f"mode pixels on single frames and from the fifth on; axis told to {PRIOR_DEG:g}°",
         *("beam", "wall", "frames", "with a pose", "doubtful", "d RMS, µm", "stated", "bound"),
-        *("tip, µm", "axis, °", "stated", "chi²_5 / 5", "sub-pixel e₁′, px", "ms, median"),
+        *("tip, µm", "axis, °", "stated", "chi²_5 / 5", "e₁′, px", "sub-pixel", "ms, median"),
         caption="bound: of Cramér and Rao, for the distance from the spot's ellipse on a wall that "
-        "is known",
+        "is known; e₁′: semi-minor axis of the half-maximum ellipse",
     )
     for beam in BEAMS:
         for wall in WALLS:
@@ -69,8 +69,9 @@ def _errors(readings: list[Reading]) -> Table:
                     f"{1e3 * rms([one.tip_mm for one in posed]):.1f}",
                     f"{rms([one.axis_deg for one in posed]):.3f}",
                     f"{rms([one.sigma_axis_deg for one in posed]):.3f}",
-                    f"{np.mean([one.mahalanobis for one in posed]) / 5:.2f}",
+                    f"{np.mean([one.chi_squared for one in posed]) / 5:.2f}",
                     f"{rms([one.half_maximum_px for one in posed]):.2f}",
+                    f"{rms([one.subpixel_px for one in posed]):.2f}",
                     f"{1e3 * np.median([one.seconds for one in some]):.0f}",
                 )
     return made
