@@ -17,6 +17,8 @@ COUNT = 26
 _ALONG = (np.arange(COUNT) + 0.5) / (0.5 * COUNT) - 1.0
 SIDES = np.stack([np.tile(_ALONG, COUNT), np.repeat(_ALONG, COUNT)])
 """Place of each cell to the right of the window's middle and below it, over half of its side."""
+SHADES = np.stack([*SIDES, SIDES[0] ** 2, SIDES[0] * SIDES[1], SIDES[1] ** 2])
+"""Polynomials of that place up to the second degree, without the constant."""
 
 
 class Window(NamedTuple):

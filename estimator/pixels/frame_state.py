@@ -9,16 +9,17 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.pixels.beam import POSE, Pose, Sweep
-from estimator.pixels.cells import CellLight
+from estimator.pixels.cells import SHADES, CellLight
 from estimator.pixels.robot import RobotPose
 
-GAIN, AMBIENT, SLANT, BLUR = POSE, POSE + 1, slice(POSE + 2, POSE + 4), POSE + 4
-SHIFT = slice(POSE + 5, POSE + 7)
-OWN = POSE + 7
-"""States of a frame: those of its pose, log gain, log ambient light, the ambient light's relative
-growth from the window's middle to its right and lower sides, the variance of the blur, px², and how
-far the wall has moved to the right and downwards in the image, px."""
-_SLANT = 0.5  # standard deviation; a film of water shines to one side
+GAIN, AMBIENT, SHADE, BLUR = POSE, POSE + 1, slice(POSE + 2, POSE + 7), POSE + 7
+SHIFT = slice(POSE + 8, POSE + 10)
+OWN = POSE + 10
+"""States of a frame: those of its pose, log gain, log ambient light and its shading by `SHADES`,
+the variance of the blur, px², and how far the wall has moved to the right and downwards in the
+image, px."""
+_SHADE = np.array([0.5, 0.5, 0.3, 0.3, 0.3])
+"""Standard deviations. A film of water that reflects a lamp adds a bump to the ambient light."""
 _BLUR_PX2 = 2.0  # standard deviation of the blur's variance; a focus 0.5 mm off at NA 0.05 is 3.5
 
 
@@ -40,7 +41,7 @@ class Linear(NamedTuple):
     """
 
     residual: Float[np.ndarray, "n"]
-    slopes: Float[np.ndarray, "12 n"]
+    slopes: Float[np.ndarray, "15 n"]
     shared: Float[np.ndarray, "q n"]
     weight: Float[np.ndarray, "n"]
 
@@ -58,7 +59,7 @@ class FrameState:
         ambient_prior: mean and standard deviation of `log_ambient`.
         sweep: motion during the exposure.
         robot: where the robot says the tool is.
-        slant: growth of the ambient light to the right and downwards.
+        shade: logarithm of the ambient light less that in the middle, in terms of `SHADES`.
         blur_px2: variance of the image's blur.
         grain: how the map that is known grows to the right and downwards, 1/px; None if no map is.
         shift: of the wall since `cells` were cut, px.
@@ -73,7 +74,7 @@ class FrameState:
     ambient_prior: tuple[float, float]
     sweep: Sweep | None = None
     robot: RobotPose | None = None
-    slant: tuple[float, float] = (0.0, 0.0)
+    shade: tuple[float, ...] = (0.0,) * len(SHADES)
     blur_px2: float = 0.0
     grain: Float[np.ndarray, "2 n"] | None = None
     shift: tuple[float, float] = (0.0, 0.0)
@@ -86,8 +87,8 @@ def prior_of(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
     mean, sigma = frame.ambient_prior
     precision[AMBIENT, AMBIENT] = sigma**-2
     pull[AMBIENT] = (mean - frame.log_ambient) / sigma**2
-    precision[SLANT, SLANT] = _SLANT**-2 * np.eye(2)
-    pull[SLANT] = np.array(frame.slant) / -(_SLANT**2)
+    precision[SHADE, SHADE] = np.diag(_SHADE**-2)
+    pull[SHADE] = np.array(frame.shade) / -(_SHADE**2)
     precision[BLUR, BLUR] = _BLUR_PX2**-2
     pull[BLUR] = -frame.blur_px2 / _BLUR_PX2**2
     precision[SHIFT, SHIFT] = frame.shift_sigma**-2 * np.eye(2)
@@ -104,7 +105,7 @@ def prior_cost(frame: FrameState) -> float:
     """-2 log of the probability of a frame's states before it is seen, up to a constant."""
     mean, sigma = frame.ambient_prior
     cost = ((frame.log_ambient - mean) / sigma) ** 2
-    cost += sum(x * x for x in frame.slant) / _SLANT**2 + (frame.blur_px2 / _BLUR_PX2) ** 2
+    cost += float(np.sum(np.square(frame.shade / _SHADE))) + (frame.blur_px2 / _BLUR_PX2) ** 2
     cost += sum(x * x for x in frame.shift) / frame.shift_sigma**2
     if frame.direction is not None:
         off = np.cross(frame.pose.axis, frame.direction.axis)

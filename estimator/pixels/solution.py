@@ -19,7 +19,7 @@ class Solution:
         frames: with their new states.
         linear: their models at these states.
         own: changes of the beam's own parameters, see `BeamLight`.
-        covariance: of all states: 12 of each frame, then the beam's own.
+        covariance: of all states: `OWN` of each frame, then the beam's own.
         cost: -2 log likelihood, up to a constant of the data.
         texture_map: log reflectance of the cells.
         factor: Cholesky factor of the precision of this map.
@@ -42,7 +42,7 @@ class Solution:
         total -= sum((line.weight * line.residual) @ self.texture_map for line in self.linear)
         return float(total / max(sum(np.count_nonzero(line.weight) for line in self.linear), 1))
 
-    def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "12"]:
+    def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "15"]:
         """How the newest frame's states move if the log light of all frames' cells changes."""
         weighted = [line.weight * more for line, more in zip(self.linear, changes, strict=True)]
         texture_map = solved(self.factor, np.sum(weighted, axis=0))

@@ -18,17 +18,17 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cho_factor
+from scipy.linalg import cho_factor, solve_triangular
 
 from estimator.pixels.beam import POSE, BeamLight
-from estimator.pixels.cells import COUNT, SIDES, Window
+from estimator.pixels.cells import COUNT, SHADES, Window
 from estimator.pixels.frame_state import (
     AMBIENT,
     BLUR,
     GAIN,
     OWN,
+    SHADE,
     SHIFT,
-    SLANT,
     FrameState,
     Linear,
     prior_cost,
@@ -38,7 +38,7 @@ from estimator.pixels.robot import Motion, motion_between
 from estimator.pixels.solution import Solution, inverse_diagonal, solved
 from estimator.pixels.texture import Texture
 
-_FAINTEST = 0.05  # of the ambient light in the middle
+_SHADED = 3.0  # largest logarithm of ambient light over that in the middle
 _CUT = 0.02
 """Error of a pixel that an edge cuts, over the step: no camera sees all of a pixel alike."""
 _SMEAR = 0.15
@@ -212,8 +212,8 @@ class Solver:
             sweep=frame.sweep,
             blur_px2=frame.blur_px2,
         )
-        level = np.exp(frame.log_ambient)
-        ambient = level * np.maximum(1.0 + np.array(frame.slant) @ SIDES, _FAINTEST)
+        shade = np.clip(np.array(frame.shade) @ SHADES, -_SHADED, _SHADED)
+        ambient = np.exp(frame.log_ambient + shade)
         # Between the samples of a table, light that is nearly none may be less than none.
         total = np.maximum(seen.value, 0.0) + ambient
         model = np.exp(frame.log_gain) * total
@@ -229,7 +229,7 @@ class Solver:
                     seen.slopes[:POSE] / total,
                     np.ones((1, total.size)),
                     ambient / total[None],
-                    level * SIDES / total,
+                    ambient * SHADES / total,
                     seen.bend[None] / total,
                     -grain,
                 ]
@@ -316,7 +316,8 @@ class Solver:
             at = np.r_[:POSE, OWN * k : OWN * k + POSE]
             hessian[np.ix_(at, at)] += weighted @ slopes
             gradient[at] += weighted @ motion.rest
-        hessian -= cross @ solved(factor, cross.T)
+        half = solve_triangular(factor[0], cross.T, lower=True, check_finite=False)
+        hessian -= half.T @ half
         last = np.arange(size - len(own), size)
         hessian[last, last] += 1.0
         gradient[last] -= own
@@ -369,7 +370,7 @@ class Solver:
             pose=pose,
             log_gain=frame.log_gain + change[GAIN],
             log_ambient=frame.log_ambient + change[AMBIENT],
-            slant=tuple(np.add(frame.slant, change[SLANT]).tolist()),
+            shade=tuple(np.add(frame.shade, change[SHADE]).tolist()),
             blur_px2=frame.blur_px2 + float(change[BLUR]),
             shift=tuple(np.add(frame.shift, change[SHIFT]).tolist()),
         )
