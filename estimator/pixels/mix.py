@@ -91,7 +91,7 @@ def evener_mix(
     if np.count_nonzero(bright) < _FEWEST or not own.min() > 0:
         return mix
     residuals = np.log(own) - np.log(light[bright]) + line.residual[bright]
-    # What another pose would explain must not count: the fit has already taken it from this mixture.
+    # What another pose would explain does not count: the fit has taken it from this mixture.
     fitted = np.concatenate([line.slopes, line.shared])[:, bright].T
     residuals -= (fitted @ np.linalg.lstsq(fitted, residuals.T, rcond=1e-9)[0]).T
     return Mix.of_shares(_most_even(residuals), own.mean(axis=1))

@@ -8,6 +8,7 @@ best is fitted.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -55,6 +56,24 @@ def scanned_starts(
                 found.append((costs[k], state))
     found.sort(key=lambda one: one[0])
     return [state for _, state in found[:_MOST]]
+
+
+def mirrored_start(solver: Solver, frame: FrameState, own: np.ndarray) -> FrameState | None:
+    """A frame with the beam leaning to the other side of the wall's normal, as alike in the image.
+
+    Args:
+        solver: of the frame's window.
+        frame: at a pose that was found.
+        own: changes of the beam's own parameters.
+
+    Returns:
+        The frame, or None if such a beam meets no wall.
+    """
+    pose = frame.pose
+    normal = np.cross(pose.right, pose.down)
+    axis = 2.0 * (pose.axis @ normal) * normal - pose.axis
+    other = solver.beam.pose(pose.spot - pose.distance * axis, axis)
+    return None if other is None else solver.scanned(replace(frame, pose=other), own)[0]
 
 
 def likely_directions(beam: BeamLight, spot: Spot, direction: Direction | None) -> list[np.ndarray]:

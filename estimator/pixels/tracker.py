@@ -28,7 +28,7 @@ from estimator.pixels.registration import farthest_px
 from estimator.pixels.robot import RobotPose
 from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
-from estimator.pixels.starts import likely_directions, scanned_starts
+from estimator.pixels.starts import likely_directions, mirrored_start, scanned_starts
 from estimator.pixels.texture import Texture, texture_of
 from estimator.pixels.wall_motion import STILL, WallMotion
 
@@ -182,6 +182,9 @@ class PoseTracker:
             self._beliefs = []
             return
         found.sort(key=lambda one: one.cost)
+        mirrored = mirrored_start(solver, found[0].frames[0], own)
+        if mirrored is not None:
+            found.append(solver.solve([], mirrored, own, steps=_STEPS_FIRST))
         # Again with this wall's texture, in the channels in which it has the least.
         if not self.noise.coarse_colours:
             mix = evener_mix(channels, usable, window, found[0], mix)
