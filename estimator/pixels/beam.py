@@ -15,7 +15,7 @@ from estimator.pixels.cells import COUNT, Window
 from estimator.pixels.wall_motion import WallMotion
 
 if TYPE_CHECKING:
-    from optics.wall_light import Lattice
+    from optics.wall_light import Lattice, Steps
 
 POSE = 5
 """Numbers of a pose's change, as `optics.wall_light.BeamFrame` has them: two shifts of the spot
@@ -27,6 +27,9 @@ _SWEPT = 0.15
 """Way of the light between two of the positions that stand for a moving tip, over a cell's side. An
 edge that moves on by this much leaves a cell that it cuts wrong by a few hundredths of the step at
 most, and only if the cell is cut during a part of the exposure."""
+_SWEPT_SLOPES = 0.5
+"""The same for derivatives. Those of the middle alone would take the light's edge for a sharp one,
+and the pose for too well known."""
 _POSITIONS_SHARP, _POSITIONS = (3, 6, 12), (3, 6)
 """Numbers of these positions, for light with and without a sharp edge; each is compiled once."""
 _FLOOR_SHARP, _FLOOR = 5e-4, 2e-3
@@ -173,17 +176,23 @@ class BeamLight:
             pose: the pose.
             own: changes of the beam's own parameters, in the terms of `spread`.
             window: the cells.
-            sweep: motion during the exposure; None for a tip at rest. The derivatives are those of
-                the middle, which are good enough to find where the light fits.
+            sweep: motion during the exposure; None for a tip at rest.
             blur_px2: variance of the image's blur along each side.
         """
         from optics.wall_light import BeamFrame, irradiance_along, irradiance_and_slopes
 
         given: dict[str, Any] = {"own": own, "spread": self.spread}
-        both = irradiance_and_slopes(lattice, self.source, BeamFrame(*pose), **given)
-        at_rest, slopes = map(np.asarray, both)
-        moved = None if sweep is None else self._moved(pose, sweep, window)
-        value = at_rest
+        swept_px = 0.0 if sweep is None else self._swept_px(pose, sweep)
+        moved, steps = None, None
+        if sweep is not None and swept_px > (_STILL_SHARP_PX if self.sharp else _STILL_PX):
+            counts = _POSITIONS_SHARP if self.sharp else _POSITIONS
+            moved = _places(pose, _steps(sweep, counts, swept_px / (_SWEPT * window.side)))
+            if swept_px > _SWEPT_SLOPES * window.side:
+                steps = _steps(sweep, _POSITIONS, swept_px / (_SWEPT_SLOPES * window.side))
+        beam = BeamFrame(*pose)
+        both = irradiance_and_slopes(lattice, self.source, beam, steps=steps, **given)
+        value, slopes = map(np.asarray, both)
+        at_rest = value if steps is None else self.irradiance_alone(lattice, pose, own)
         if moved is not None:
             value = np.asarray(irradiance_along(lattice, self.source, **moved, **given))
         cells2 = window.side**2  # px²
@@ -215,21 +224,12 @@ class BeamLight:
             "shares": np.repeat(moved["shares"], len(aside)) / len(aside),
         }
 
-    def _moved(self, pose: Pose, sweep: Sweep, window: Window) -> dict[str, np.ndarray] | None:
-        """Tips, axes and their shares of the exposure's light; None if the light rests."""
+    def _swept_px(self, pose: Pose, sweep: Sweep) -> float:
+        """Way of the light during an exposure, px."""
         ways = np.diff(sweep.tip + pose.distance * sweep.axis, axis=0)
         along = ways @ pose.axis
         across = np.linalg.norm(ways - along[:, None] * pose.axis, axis=1)
-        swept_px = float(np.sum(across + _WIDENS * np.abs(along))) / self.scale_mm_px
-        if swept_px < (_STILL_SHARP_PX if self.sharp else _STILL_PX):
-            return None
-        needed = math.ceil(swept_px / (_SWEPT * window.side))
-        counts = _POSITIONS_SHARP if self.sharp else _POSITIONS
-        nodes, shares = _gauss(next((count for count in counts if count >= needed), counts[-1]))
-        tips, axes = sweep.at(0.5 * nodes)
-        axes += pose.axis
-        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        return {"tips": pose.tip + tips, "axes": axes, "shares": 0.5 * shares}
+        return float(np.sum(across + _WIDENS * np.abs(along))) / self.scale_mm_px
 
     def irradiance_alone(
         self, lattice: Lattice, pose: Pose, own: Float[np.ndarray, "q"]
@@ -239,6 +239,21 @@ class BeamLight:
 
         beam = BeamFrame(*pose)
         return np.asarray(irradiance_alone(lattice, self.source, beam, own=own, spread=self.spread))
+
+
+def _steps(sweep: Sweep, counts: tuple[int, ...], needed: float) -> Steps:
+    """Places for a moving beam: the least of the counts that is as large as needed, or the last."""
+    from optics.wall_light import Steps
+
+    nodes, shares = _gauss(next((count for count in counts if count >= needed), counts[-1]))
+    return Steps(*sweep.at(0.5 * nodes), 0.5 * shares)
+
+
+def _places(pose: Pose, steps: Steps) -> dict[str, np.ndarray]:
+    """Tips, axes and shares of a moving beam's light."""
+    axes = pose.axis + steps.axes
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    return {"tips": pose.tip + steps.tips, "axes": axes, "shares": np.asarray(steps.shares)}
 
 
 @functools.cache

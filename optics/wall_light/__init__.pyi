@@ -12,6 +12,7 @@ from .pixel_light import WallPixels as WallPixels
 from .pixel_light import radiance as radiance
 from .pixel_light import wall_pixels as wall_pixels
 from .pose_light import BeamFrame as BeamFrame
+from .pose_light import Steps as Steps
 from .pose_light import beam_meets as beam_meets
 from .pose_light import irradiance_alone as irradiance_alone
 from .pose_light import irradiance_along as irradiance_along

@@ -40,6 +40,20 @@ class BeamFrame(NamedTuple):
     second: Float[ArrayLike, "3"]
 
 
+class Steps(NamedTuple):
+    """Places of a beam that moves, relative to a pose.
+
+    Attributes:
+        tips: of the tip, mm.
+        axes: of the axis, before its length is made 1 again.
+        shares: of each place in the light; their sum is 1.
+    """
+
+    tips: Float[ArrayLike, "k 3"]
+    axes: Float[ArrayLike, "k 3"]
+    shares: Float[ArrayLike, "k"]
+
+
 @eqx.filter_jit
 def beam_meets(
     wall: optics.Surface, tip: Float[ArrayLike, "3"], axis: Float[ArrayLike, "3"]
@@ -89,6 +103,7 @@ def irradiance_and_slopes(
     *,
     own: Float[ArrayLike, "q"],
     spread: Float[ArrayLike, "p q"],
+    steps: Steps | None = None,
 ) -> tuple[Float[Array, "n"], Float[Array, "5+q n"]]:
     """Mean irradiance of the cells per unit power, 1/mm², and its derivatives.
 
@@ -98,11 +113,12 @@ def irradiance_and_slopes(
         beam: the pose.
         own: changes of the beam's own parameters, in the terms of `spread`.
         spread: turns `own` into changes of the parameters that `source.changed` takes.
+        steps: places of a beam that moves; None for a beam at rest.
 
     Returns:
         The irradiance, and its derivatives by the `POSE` changes and by `own`.
     """
-    light = _light_of(lattice, source, beam, spread)
+    light = _light_of(lattice, source, beam, spread, steps)
     z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
     # One evaluation serves all derivatives.
     return jax.vmap(lambda way: jax.jvp(light, (z,), (way,)), out_axes=(None, 0))(jnp.eye(z.size))
@@ -119,7 +135,7 @@ def irradiance_alone(
 ) -> Float[Array, "n"]:
     """The irradiance of `irradiance_and_slopes`, in a third of the time."""
     z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
-    return _light_of(lattice, source, beam, spread)(z)
+    return _light_of(lattice, source, beam, spread, None)(z)
 
 
 @eqx.filter_jit
@@ -145,12 +161,21 @@ def irradiance_along(
         spread: as `irradiance_and_slopes` takes it.
     """
     changed = source.changed(jnp.asarray(spread) @ jnp.asarray(own))
+    return _mean_along(lattice, changed, jnp.asarray(tips), jnp.asarray(axes), shares)
 
+
+def _mean_along(
+    lattice: Lattice,
+    source: Any,
+    tips: Float[Array, "k 3"],
+    axes: Float[Array, "k 3"],
+    shares: Float[ArrayLike, "k"],
+) -> Float[Array, "n"]:
     def add(total: Array, place: tuple[Array, Array, Array]) -> tuple[Array, None]:
         tip, axis, share = place
-        return total + share * lattice_irradiance(lattice, changed, tip=tip, axis=axis), None
+        return total + share * lattice_irradiance(lattice, source, tip=tip, axis=axis), None
 
-    places = jnp.asarray(tips), jnp.asarray(axes), jnp.asarray(shares)
+    places = tips, axes, jnp.asarray(shares)
     return jax.lax.scan(add, jnp.zeros(lattice.area.shape), places)[0].ravel()
 
 
@@ -159,6 +184,7 @@ def _light_of(
     source: Any,
     beam: BeamFrame,
     spread: Float[ArrayLike, "p q"],
+    steps: Steps | None,
 ) -> Callable[[Array], Array]:
     """The irradiance as a function of the changes of pose and beam."""
     tip, axis = jnp.asarray(beam.tip), jnp.asarray(beam.axis)
@@ -170,6 +196,10 @@ def _light_of(
         moved = spot + z[0] * jnp.asarray(beam.right) + z[1] * jnp.asarray(beam.down)
         moved -= (beam.distance + z[2]) * turned
         changed = source.changed(jnp.asarray(spread) @ z[POSE:])
-        return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()
+        if steps is None:
+            return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()
+        axes = turned + jnp.asarray(steps.axes)
+        axes = axes / jnp.linalg.norm(axes, axis=1, keepdims=True)
+        return _mean_along(lattice, changed, moved + jnp.asarray(steps.tips), axes, steps.shares)
 
     return light
