@@ -50,7 +50,7 @@ contour of a bell on a textured wall leaves 10 to 20 %."""
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 _DRIFTED_PX = 1.0  # of the wall since the first frame, which is worth a word
-_PLACE_PX, _ALONG_MM = 0.05, 0.001
+_PLACE_PX, _ALONG_MM = 0.02, 0.0003
 """Errors of the spot's place and of the distance by the image model, on rendered frames of known
 pose on even walls."""
 
