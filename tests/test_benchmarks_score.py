@@ -28,6 +28,7 @@ from benchmarks.sets.score.spots_of_set import read_set_spots
 from benchmarks.sets.score.table import tables
 from estimator import FrameLabels, NoSpot, Reason, Spot, SpotRecord, write_spots
 from tests.drawn_sets import MICROSCOPE, STACKS, circumstances, labels_of, write_set
+from tests.pixel_stacks import calibration_in, cone_stack
 
 SVG = "{http://www.w3.org/2000/svg}"
 Images = Mapping[str, Circumstances]
@@ -307,6 +308,25 @@ def test_a_stack_by_itself_is_scored_with_the_names_that_track_writes(
     assert min(images) == "frames/000000.png"
 
 
+def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_path: Path) -> None:
+    stack = cone_stack(tmp_path / "stack").folder
+    rmse = []
+    for given in ([], ["--calibration", str(calibration_in(tmp_path))]):
+        out = tmp_path / f"score{len(given)}"
+        command = ["score", str(stack), "--mode", "pixels", *given, "--out", str(out)]
+        done = CliRunner().invoke(eyespot.app, command)
+        assert done.exit_code == 0, done.output
+        with (out / "score.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        total = next(r for r in rows if r["condition"] == "all" and r["quantity"] == "distance_mm")
+        assert total["n"] == "6"
+        rmse.append(float(total["rmse"]))
+    # The file's beam is that of the scene, known to 1e-6. On printed paper one frame of a cone is
+    # known to 3 to 6 um; four times that is a wrong pose.
+    assert rmse[0] == pytest.approx(rmse[1], rel=0.2)
+    assert rmse[0] < 0.02
+
+
 def test_names_that_the_set_does_not_hold_are_told_in_one_message(
     drawn: Path, images: Images, tmp_path: Path
 ) -> None:
@@ -332,6 +352,7 @@ def test_two_lines_for_an_image_are_refused(drawn: Path, images: Images, tmp_pat
         (["missing.csv"], "no such spots file"),
         (["a/x.csv", "b/x.csv"], "two estimators have the name x"),
         (["--mode", "subpixel", "--out", "."], "already exists"),
+        (["--mode", "subpixel", "--calibration", "x.json"], "no effect without --mode pixels"),
     ],
 )
 def test_what_cannot_be_scored_is_told(drawn: Path, arguments: list[str], words: str) -> None:

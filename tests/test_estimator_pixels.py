@@ -96,20 +96,18 @@ def test_the_light_of_a_beam_that_moves_has_the_derivatives_of_its_whole_way():
     axis[2] = -math.sqrt(1 - axis @ axis)
     frame = _frame(tip, axis, 2.45)
     ways = np.linspace(-0.1, 0.1, 8)  # three cells
-    steps = Steps(
-        tips=ways[:, None] * np.array([1.0, 0.5, 0.0]),
-        axes=0.02 * ways[:, None] * np.array([0.0, 1.0, 0.0]),
-        shares=np.full(8, 1 / 8),
-    )
+    aways = ways[:, None] * np.array([1.0, 0.5, 0.0])
+    turns = 0.02 * ways[:, None] * np.array([0.0, 1.0, 0.0])
+    steps = Steps(tips=aways, axes=turns, shares=np.full(8, 1 / 8))
     value, slopes, _ = _light(frame, steps=steps)
     step = 1e-5
 
     def seen(aside):
         """One place after the other, each as a beam at rest."""
         light = []
-        for tips, turn in zip(steps.tips, steps.axes, strict=True):
+        for away, turn in zip(aways, turns, strict=True):
             turned = axis + turn
-            place = tip + aside * frame.right + tips
+            place = tip + aside * frame.right + away
             light.append(_light(_frame(place, turned / np.linalg.norm(turned), 2.45))[0])
         return np.mean(light, axis=0)
 

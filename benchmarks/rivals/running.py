@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import importlib.metadata
 import math
 import multiprocessing
@@ -20,9 +19,8 @@ from benchmarks.reporting import versions, write_json
 from benchmarks.rivals.constants import Constants, read_constants
 from benchmarks.rivals.entries import KINDS, unavailable
 from benchmarks.rivals.entry import Answer, Entry, Recording
-from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of
+from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of, true_beam
 from estimator import (
-    Calibration,
     Frame,
     Range,
     Ranger,
@@ -35,8 +33,6 @@ from estimator import (
 from estimator.files import require_space, written_whole
 from estimator.run import progress
 from optics import InputError
-from scenes import Scene
-from scenes.world import true_calibration
 
 _LEAST_BYTES = 2**20  # of the spots files
 _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")} | {
@@ -101,12 +97,6 @@ def run_entries(
     print(f"Wrote {out}: {len(able)} entries on {len(stacks)} stacks.")
 
 
-@functools.cache
-def _beam(source: str) -> Calibration:
-    """The true beam of a scene's source; one object for all stacks, whose light is traced once."""
-    return true_calibration(Scene.model_validate_json(source))
-
-
 def _frames(folder: Path, exposure: str) -> Iterable[Frame]:
     return open_source(folder, exposure=exposure)
 
@@ -130,9 +120,7 @@ def measure_stack(
     """
     microscope = read_microscope(stack.folder / "microscope.json")
     opened = stack.open()
-    beam = _beam(
-        Scene.model_validate(opened.description["scene"]).model_dump_json(include={"source"})
-    )
+    beam = true_beam(opened)
     ranger = Ranger(beam, microscope) if distances and not made.own_distance else None
     for exposure in exposures_of(opened):
         made.begin(Recording.of(microscope, beam, opened.exposed(exposure)[0]))

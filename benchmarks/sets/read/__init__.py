@@ -1,5 +1,6 @@
 """Reads a set.
 
+beams         The light source of a rendered stack
 image_rows    The images of a set with their labels: the lines of metadata.jsonl
 labelled_set  A set and its stacks, from set.json
 stacks        The stacks of a set, or a single stack; names of stacks and images within a set

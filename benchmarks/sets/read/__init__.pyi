@@ -1,3 +1,4 @@
+from .beams import true_beam as true_beam
 from .image_rows import Row as Row
 from .image_rows import rows as rows
 from .labelled_set import SCHEMA as SCHEMA

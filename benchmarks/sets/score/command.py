@@ -31,8 +31,18 @@ def score(
         ),
     ] = None,
     mode: Annotated[
-        Literal["literal", "subpixel", "both"] | None,
-        typer.Option(help="Also measure the images with our estimator, and score its spots."),
+        Literal["literal", "subpixel", "pixels", "both"] | None,
+        typer.Option(
+            help="Also measure the images with our estimator, and score its spots; both: literal "
+            "and subpixel."
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="The beam of --mode pixels, from `eyespot fit` (default: each stack's true one).",
+        ),
     ] = None,
     sample: Annotated[
         bool,
@@ -70,4 +80,13 @@ def score(
         mode = mode or (None if spots or entries else "subpixel")
     if folder is None:
         raise InputError("DIR is missing: the set or stack to score on. Or give --sample.")
-    run(folder, spots or [], entries=entries, mode=mode, against=against, split=split, out=out)
+    run(
+        folder,
+        spots or [],
+        entries=entries,
+        mode=mode,
+        calibration=calibration,
+        against=against,
+        split=split,
+        out=out,
+    )

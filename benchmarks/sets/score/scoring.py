@@ -27,7 +27,7 @@ from benchmarks.sets.score.outcomes import Against, Outcome
 from benchmarks.sets.score.sample import sample_folder
 from benchmarks.sets.score.spots_of_set import Mode, read_set_spots, track_set
 from benchmarks.sets.score.table import tables
-from estimator import SpotRecord, write_spots
+from estimator import Calibration, SpotRecord, read_calibration, write_spots
 from estimator.files import fingerprint, require_space, written_whole
 from estimator.run import progress
 from optics import InputError
@@ -43,6 +43,7 @@ def run(
     *,
     entries: Path | None = None,
     mode: Mode | Literal["both"] | None = None,
+    calibration: Path | None = None,
     against: Against = "half_max",
     split: str | None = None,
     out: Path | None = None,
@@ -53,7 +54,9 @@ def run(
         folder: a set or a stack.
         spots_files: see `read_set_spots`; the name of a file is the name of the estimator.
         entries: folder with entries, see `entries_in`.
-        mode: mode of our estimator that measures the images first.
+        mode: mode of our estimator that measures the images first; "both" are the literal and the
+            sub-pixel mode.
+        calibration: of the beam, for the mode pixels; None for each stack's true one.
         against: which of the two ellipses is the truth.
         split: the only split to score; None: all splits.
         out: new folder for report.html with leaderboard.csv and leaderboard_by_condition.csv,
@@ -69,18 +72,22 @@ def run(
     modes = modes if mode == "both" else (mode,) if mode else ()
     given = [entry_of(path) for path in spots_files] + (entries_in(entries) if entries else [])
     _check([*(entry.name for entry in given), *modes])
+    if calibration is not None and mode != "pixels":
+        raise InputError("calibration has no effect without --mode pixels. Give both, or neither.")
+    beam = None if calibration is None else read_calibration(calibration)
     if out is None:
-        _scored(folder, given, modes, against, split)
+        _scored(folder, given, modes, beam, against, split)
         return
     with written_whole(out) as whole:
         whole.mkdir()
         require_space(out, _LEAST_BYTES)
-        result, measured, found = _scored(folder, given, modes, against, split)
+        result, measured, found = _scored(folder, given, modes, beam, against, split)
         _write(result, whole, folder)
         for name, records in measured.items():
             write_spots(whole / f"{name}.csv", records)
         words = ["eyespot", "score", folder, *spots_files]
-        options = {"entries": entries, "mode": mode, "split": split, "out": out}
+        options = {"entries": entries, "mode": mode, "calibration": calibration, "split": split}
+        options |= {"out": out}
         given_options = [[f"--{name}", value] for name, value in options.items() if value]
         words += [*chain(*given_options), "--against", against]
         with matplotlib.rc_context(STYLE):
@@ -98,6 +105,7 @@ def _scored(
     folder: Path,
     given: Sequence[Entry],
     modes: Sequence[Mode],
+    beam: Calibration | None,
     against: Against,
     split: str | None,
 ) -> tuple[Score, dict[str, list[SpotRecord]], dict[str, Entry]]:
@@ -117,7 +125,7 @@ def _scored(
     with progress("Tracking", total=len(scored) * len(modes)) as advance:
         for mode in modes:
             begin = time.perf_counter()
-            measured[mode] = track_set(chosen, mode, progress=advance)
+            measured[mode] = track_set(chosen, mode, calibration=beam, progress=advance)
             passed = time.perf_counter() - begin
             spots[mode] = {record.file_name: record for record in measured[mode]}
             found[mode] = _own_entry(mode, folder, 1000 * passed / len(scored))

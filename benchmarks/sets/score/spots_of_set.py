@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.sets.read import SetStack, exposures_of, image_name, qualified_name
+from benchmarks.sets.read import SetStack, exposures_of, image_name, qualified_name, true_beam
 from benchmarks.sets.score.plain_spots import read_any_spots
 from estimator import (
+    Calibration,
     LiteralSettings,
     Reader,
     SpotRecord,
@@ -20,7 +21,7 @@ from estimator import (
 )
 from optics import InputError
 
-Mode = Literal["literal", "subpixel"]
+Mode = Literal["literal", "subpixel", "pixels"]
 
 SPOTS_SUFFIXES = (".csv", ".parquet")
 """Suffixes of spots files."""
@@ -58,40 +59,59 @@ def read_set_spots(
 
 
 def track_set(
-    stacks: Iterable[SetStack], mode: Mode, *, progress: Callable[[], None] = lambda: None
+    stacks: Iterable[SetStack],
+    mode: Mode,
+    *,
+    calibration: Calibration | None = None,
+    progress: Callable[[], None] = lambda: None,
 ) -> list[SpotRecord]:
     """Measure every frame of a set; each stack and exposure is one recording.
 
     The literal mode starts at the true position of the first spot of each recording, as the paper's
-    operator clicks on it. The sub-pixel mode finds the spot itself. Like the labels, the spots are
-    in the original image, with its distortion.
+    operator clicks on it. The other modes find the spot themselves. The mode pixels gets the beam,
+    but not the robot's poses. Like the labels, the spots are in the original image, with its
+    distortion.
 
     Args:
         stacks: stacks of the set.
         mode: mode of the estimator, with its default settings.
+        calibration: of the beam, for the mode pixels; None for each stack's true one.
         progress: called after each frame.
 
     Returns:
         Records with image names relative to the set.
+
+    Raises:
+        InputError: the mode pixels cannot read a stack; the text says why.
     """
     return [
         replace(record, file_name=image_name(entry, record.file_name))
         for entry in stacks
         for exposure in exposures_of(entry.open())
-        for record in _track(entry, exposure, mode, progress)
+        for record in _track(entry, exposure, mode, calibration, progress)
     ]
 
 
 def _track(
-    entry: SetStack, exposure: str, mode: Mode, progress: Callable[[], None]
+    entry: SetStack,
+    exposure: str,
+    mode: Mode,
+    calibration: Calibration | None,
+    progress: Callable[[], None],
 ) -> list[SpotRecord]:
-    response = read_microscope(entry.folder / "microscope.json").response
-    first = entry.open().exposed(exposure)[0]
+    microscope = read_microscope(entry.folder / "microscope.json")
+    opened = entry.open()
     if mode == "literal":
+        first = opened.exposed(exposure)[0]
         click = first.half_max_x_px, first.half_max_y_px
-        reader = Reader(LiteralSettings(response=response), start=click)
+        reader = Reader(LiteralSettings(response=microscope.response), start=click)
     else:
-        reader = Reader(SubpixelSettings(response=response))
+        pixels = None
+        if mode == "pixels":
+            from estimator.pixels import PixelRanger
+
+            pixels = PixelRanger(calibration or true_beam(opened), microscope)
+        reader = Reader(SubpixelSettings(response=microscope.response), pixel_ranger=pixels)
     source = open_source(entry.folder, exposure=exposure)
     return track_whole_source(source, reader, progress=lambda record: progress())
 
