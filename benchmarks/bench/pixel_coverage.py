@@ -63,7 +63,7 @@ def _measured(wall: str, number: int) -> dict[str, Any]:
     beam = list(BEAMS)[number % len(BEAMS)]
     motion = "hand" if number % 2 else "withdrawal"
     with tempfile.TemporaryDirectory() as folder:
-        what = Circumstances(beam, wall, motion, 2)
+        what = Circumstances(beam, wall, motion, 1)
         (first,) = islice(readings_of(what, rng, Path(folder) / "stack"), 1)
     return first._asdict() | {"number": number}
 

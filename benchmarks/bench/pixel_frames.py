@@ -191,7 +191,7 @@ def _scene(what: Circumstances, seed: int, rng: np.random.Generator) -> dict[str
         "hand": {
             "kind": "hand",
             "distance_mm": distance,
-            "duration_s": 0.1 * (what.frames - 1),
+            "duration_s": 0.1 * what.frames - 0.05,  # in the middle between frames
             "top_speed_mm_s": 2.0,
             "seed": seed,
         },

@@ -15,7 +15,8 @@ from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
 from estimator.pixels.wall_motion import STILL, WallMotion
 
-_UNDECIDED = 16.0  # difference of cost that keeps a second pose possible: four standard deviations
+_UNDECIDED = 16.0
+"""Difference of -2 log likelihoods that keeps a second pose possible: four standard deviations."""
 _SAME = 3.0  # standard deviations within which two poses are one
 _CALMS = 0.9  # of the shake that is expected, from frame to frame
 _MOVES_ON_PX = 4.0  # of the wall from frame to frame; a microscope shakes by one or two
@@ -49,6 +50,11 @@ class Belief:
     def newest(self) -> FrameState:
         """The newest frame."""
         return self.solution.frames[-1]
+
+    @cached_property
+    def unlikelihood(self) -> float:
+        """-2 log likelihood of all frames; a cell that is not trusted has a price, too."""
+        return self.solver.unlikelihood_of(self.solution)
 
     @cached_property
     def sigmas(self) -> Float[np.ndarray, "5"]:
@@ -98,10 +104,10 @@ class Belief:
 
 def distinct(beliefs: list[Belief]) -> list[Belief]:
     """The best explanation, and others that are different and nearly as good."""
-    best, *others = sorted(beliefs, key=lambda one: one.solution.cost)
+    best, *others = sorted(beliefs, key=lambda one: one.unlikelihood)
     kept = [best]
     for belief in others:
-        near = belief.solution.cost - best.solution.cost < _UNDECIDED
+        near = belief.unlikelihood - best.unlikelihood < _UNDECIDED
         if near and all(belief.differs(other) for other in kept):
             kept.append(belief)
     return kept

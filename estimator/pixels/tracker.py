@@ -181,7 +181,7 @@ class PoseTracker:
         if not found:
             self._beliefs = []
             return
-        found.sort(key=lambda one: one.cost)
+        found.sort(key=solver.unlikelihood_of)
         mirrored = mirrored_start(solver, found[0].frames[0], own)
         if mirrored is not None:
             found.append(solver.solve([], mirrored, own, steps=_STEPS_FIRST))
@@ -193,7 +193,7 @@ class PoseTracker:
         found = [
             solver.solve([], replace(one.frames[0], cells=cells), own, steps=STEPS) for one in found
         ]
-        found.sort(key=lambda one: one.cost)
+        found.sort(key=solver.unlikelihood_of)
         line = found[0].linear[0]
         texture = texture_of(
             line.residual, line.weight, line.slopes, count=COUNT, side_mm=solver.side_mm
