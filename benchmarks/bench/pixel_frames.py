@@ -222,7 +222,9 @@ def _reader(
     """A reader with the true beam, and the robot's poses with an error of the axis."""
     calibration, stated = stack.folder / "beam.json", stack.folder / "stated.toml"
     write_calibration(calibration, _calibration(what, rng))
-    stated.write_text(f"axis_sigma_deg = {PRIOR_DEG}\n")
+    still = "shake_px" not in what.tables.get("unrest", {})
+    shake = "shake_px = 0.0\n" if still else ""  # of one that shakes nothing is known
+    stated.write_text(f"axis_sigma_deg = {PRIOR_DEG}\n{shake}")
     reader = Options.of(
         {
             "mode": "pixels",

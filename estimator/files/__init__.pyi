@@ -52,6 +52,7 @@ from .stack import Stack as Stack
 from .stack import StackError as StackError
 from .stack import read_stack as read_stack
 from .stack_writer import StackWriter as StackWriter
+from .stated import USUAL_SHAKE_PX as USUAL_SHAKE_PX
 from .stated import Stated as Stated
 from .stated import read_stated as read_stated
 from .whole_files import BeingWrittenError as BeingWrittenError

@@ -20,6 +20,9 @@ from optics import InputError, Strict, in_file, read_toml, validated
 _Sigma = Annotated[float, Field(ge=0, le=1e6)]
 _Degrees = Annotated[float, Field(ge=0, lt=90)]
 
+USUAL_SHAKE_PX = 0.5
+"""Of a microscope of which nothing is known (an assumption): a few micrometres in the eye."""
+
 
 class Stated(Strict):
     """Standard uncertainties that no measurement of eyespot contains (type B)."""
@@ -56,9 +59,10 @@ class Stated(Strict):
         0.0, description="Of the offset between the clocks of camera and robot."
     )
     shake_px: _Sigma = Field(
-        0.0,
+        USUAL_SHAKE_PX,
         description="Standard deviation of the image's shake along each side, px, where the mode "
-        "pixels has not seen it yet: in the first frame nobody sees where the image should be.",
+        "pixels has not seen it yet: in the first frame nobody sees where the image should be. "
+        "0 for a microscope that stands still.",
     )
     calibration_freedom: Annotated[float, Field(gt=0)] | None = Field(
         None,

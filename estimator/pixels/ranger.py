@@ -13,6 +13,7 @@ from threadpoolctl import ThreadpoolController
 from estimator.distance import Range, calibrated_view
 from estimator.files import (
     LENS_PARAMETERS,
+    USUAL_SHAKE_PX,
     Calibration,
     MicroscopeFile,
     cache_file,
@@ -57,7 +58,7 @@ class PixelRanger:
         microscope: MicroscopeFile,
         reference: np.ndarray | None = None,
         *,
-        shake_px: float = 0.0,
+        shake_px: float = USUAL_SHAKE_PX,
     ) -> None:
         if microscope.noise is None:
             raise InputError(
