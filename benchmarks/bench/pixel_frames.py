@@ -118,12 +118,17 @@ def readings_of(what: Circumstances, rng: np.random.Generator, folder: Path) -> 
         seconds = time.perf_counter() - began
         off, covariance = np.full(5, math.nan), np.eye(5)
         distance = sigma = subpixel = half = math.nan
+        whole = of_tip = of_axis = math.nan
         if read.result:
             subpixel = read.result.semi_minor_px - labels.half_max_semi_minor_px
         if read.range and read.range.poses:
             pose = read.range.poses[0]
             assert pose.covariance is not None
             off, covariance = pose.less(labels.tip_mm, labels.axis), pose.covariance
+            whole, of_tip, of_axis = (
+                pose.chi_squared(labels.tip_mm, labels.axis, part=part)
+                for part in (slice(None), slice(3), slice(3, None))
+            )
             distance, sigma = read.range.distance_mm - labels.d_mm, read.range.sigma_mm
             half = _half_maximum_px(world, pose) - labels.half_max_semi_minor_px
         yield Reading(
@@ -137,9 +142,9 @@ def readings_of(what: Circumstances, rng: np.random.Generator, folder: Path) -> 
             tip_mm=float(np.linalg.norm(off[:3])),
             axis_deg=math.degrees(np.linalg.norm(off[3:])),
             sigma_axis_deg=math.degrees(math.sqrt(covariance[3, 3] + covariance[4, 4])),
-            chi_squared=_chi_squared(off, covariance, slice(0, 5)),
-            tip_chi_squared=_chi_squared(off, covariance, slice(0, 3)),
-            axis_chi_squared=_chi_squared(off, covariance, slice(3, 5)),
+            chi_squared=whole,
+            tip_chi_squared=of_tip,
+            axis_chi_squared=of_axis,
             half_maximum_px=half,
             subpixel_px=subpixel,
             found=bool(read.result),
@@ -162,10 +167,6 @@ def _half_maximum_px(world: World, pose: TipPose) -> float:
         apex_offset=world.cone.apex_offset,
     )
     return float(truth.half_max.semi_minor[0])
-
-
-def _chi_squared(off: np.ndarray, covariance: np.ndarray, part: slice) -> float:
-    return float(off[part] @ np.linalg.solve(covariance[part, part], off[part]))
 
 
 def _rendered(what: Circumstances, rng: np.random.Generator, folder: Path) -> tuple[Stack, World]:

@@ -103,11 +103,13 @@ class TipPose:
         turns = self.across @ (self.axis - np.asarray(axis))
         return np.concatenate([self.tip_mm - np.asarray(tip_mm), turns])
 
-    def chi_squared(self, tip_mm: ArrayLike, axis: ArrayLike) -> float:
-        """Square of the Mahalanobis distance from another tip and axis."""
+    def chi_squared(
+        self, tip_mm: ArrayLike, axis: ArrayLike, *, part: slice = slice(None)
+    ) -> float:
+        """Square of the Mahalanobis distance from another tip and axis, in some coordinates."""
         assert self.covariance is not None, "a pose without errors has no such distance"
-        off = self.less(tip_mm, axis)
-        return float(off @ np.linalg.solve(self.covariance, off))
+        off = self.less(tip_mm, axis)[part]
+        return float(off @ np.linalg.solve(self.covariance[part, part], off))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

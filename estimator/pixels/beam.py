@@ -179,22 +179,22 @@ class BeamLight:
             sweep: motion during the exposure; None for a tip at rest.
             blur_px2: variance of the image's blur along each side.
         """
-        from optics.wall_light import BeamFrame, irradiance_along, irradiance_and_slopes
+        from optics.wall_light import BeamFrame, irradiance_and_slopes
 
-        given: dict[str, Any] = {"own": own, "spread": self.spread}
         swept_px = 0.0 if sweep is None else self._swept_px(pose, sweep)
-        moved, steps = None, None
+        moved, few = None, None
         if sweep is not None and swept_px > (_STILL_SHARP_PX if self.sharp else _STILL_PX):
             counts = _POSITIONS_SHARP if self.sharp else _POSITIONS
-            moved = _places(pose, _steps(sweep, counts, swept_px / (_SWEPT * window.side)))
+            moved = _steps(sweep, counts, swept_px / (_SWEPT * window.side))
             if swept_px > _SWEPT_SLOPES * window.side:
-                steps = _steps(sweep, _POSITIONS, swept_px / (_SWEPT_SLOPES * window.side))
-        beam = BeamFrame(*pose)
-        both = irradiance_and_slopes(lattice, self.source, beam, steps=steps, **given)
+                few = _steps(sweep, _POSITIONS, swept_px / (_SWEPT_SLOPES * window.side))
+        both = irradiance_and_slopes(
+            lattice, self.source, BeamFrame(*pose), own=own, spread=self.spread, steps=few
+        )
         value, slopes = map(np.asarray, both)
-        at_rest = value if steps is None else self.irradiance_alone(lattice, pose, own)
+        at_rest = value if few is None else self.irradiance_alone(lattice, pose, own)
         if moved is not None:
-            value = np.asarray(irradiance_along(lattice, self.source, **moved, **given))
+            value = self.irradiance_alone(lattice, pose, own, moved)
         cells2 = window.side**2  # px²
         variance = blur_px2 / cells2
         slopes = blurred(slopes, variance)
@@ -204,25 +204,25 @@ class BeamLight:
         else:
             # Where in a cell an edge lies, only the beam knows.
             at_least = max(blur_px2, _LEAST_BLUR_PX2)
-            blurs = self._blurred(pose, moved, at_least)
-            bend = np.asarray(irradiance_along(lattice, self.source, **blurs, **given)) - value
-            bend /= at_least
+            aside = self._aside(moved, at_least)
+            bend = (self.irradiance_alone(lattice, pose, own, aside) - value) / at_least
             seen = value + blur_px2 * bend
         return SeenLight(seen, slopes, bend, value - at_rest, seen - value)
 
-    def _blurred(
-        self, pose: Pose, moved: dict[str, np.ndarray] | None, variance_px2: float
-    ) -> dict[str, np.ndarray]:
-        """Tips, axes and shares of light that is seen at four places around where it is."""
+    def _aside(self, moved: Steps | None, variance_px2: float) -> Steps:
+        """Four places around each place of the light, which stand for a blur."""
+        from optics.wall_light import Steps
+
         if moved is None:
-            moved = {"tips": pose.tip[None], "axes": pose.axis[None], "shares": np.ones(1)}
+            moved = Steps(np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1))
+        tips, axes, shares = map(np.asarray, moved)
         aside = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
         aside *= math.sqrt(2.0 * variance_px2) * self.scale_mm_px
-        return {
-            "tips": (moved["tips"][:, None] + aside).reshape(-1, 3),
-            "axes": np.repeat(moved["axes"], len(aside), axis=0),
-            "shares": np.repeat(moved["shares"], len(aside)) / len(aside),
-        }
+        return Steps(
+            tips=(tips[:, None] + aside).reshape(-1, 3),
+            axes=np.repeat(axes, len(aside), axis=0),
+            shares=np.repeat(shares, len(aside)) / len(aside),
+        )
 
     def _swept_px(self, pose: Pose, sweep: Sweep) -> float:
         """Way of the light during an exposure, px."""
@@ -232,13 +232,19 @@ class BeamLight:
         return float(np.sum(across + _WIDENS * np.abs(along))) / self.scale_mm_px
 
     def irradiance_alone(
-        self, lattice: Lattice, pose: Pose, own: Float[np.ndarray, "q"]
+        self,
+        lattice: Lattice,
+        pose: Pose,
+        own: Float[np.ndarray, "q"],
+        steps: Steps | None = None,
     ) -> Float[np.ndarray, "n"]:
-        """Irradiance of the cells for a tip at rest, without derivatives."""
+        """Irradiance of the cells without derivatives; `steps` are the places of a moving tip."""
         from optics.wall_light import BeamFrame, irradiance_alone
 
-        beam = BeamFrame(*pose)
-        return np.asarray(irradiance_alone(lattice, self.source, beam, own=own, spread=self.spread))
+        light = irradiance_alone(
+            lattice, self.source, BeamFrame(*pose), own=own, spread=self.spread, steps=steps
+        )
+        return np.asarray(light)
 
 
 def _steps(sweep: Sweep, counts: tuple[int, ...], needed: float) -> Steps:
@@ -247,13 +253,6 @@ def _steps(sweep: Sweep, counts: tuple[int, ...], needed: float) -> Steps:
 
     nodes, shares = _gauss(next((count for count in counts if count >= needed), counts[-1]))
     return Steps(*sweep.at(0.5 * nodes), 0.5 * shares)
-
-
-def _places(pose: Pose, steps: Steps) -> dict[str, np.ndarray]:
-    """Tips, axes and shares of a moving beam's light."""
-    axes = pose.axis + steps.axes
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    return {"tips": pose.tip + steps.tips, "axes": axes, "shares": np.asarray(steps.shares)}
 
 
 @functools.cache

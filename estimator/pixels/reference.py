@@ -10,14 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.image import CameraNoise
-from estimator.pixels.cells import COUNT, SIDES, CellLight, Window
+from estimator.pixels.cells import COUNT, SHADES, CellLight, Window
 from estimator.pixels.mix import Mix
 
 _CLEAR = 5.0  # standard deviations of the noise, above which a cell's logarithm is good
 _FEWEST = 50  # such cells
 
-_X, _Y = SIDES
-_SMOOTH = np.stack([np.ones(COUNT**2), _X, _Y, _X**2, _X * _Y, _Y**2])
+_SMOOTH = np.stack([np.ones(COUNT**2), *SHADES])
 """The ambient light's logarithm: any mixture of these."""
 
 

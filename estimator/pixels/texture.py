@@ -23,6 +23,7 @@ _USUAL = (0.04, 0.06, 0.06)
 _FACTOR = 3.0
 """Within this factor of what is usual are two thirds of all walls: the prior is log-normal, so that
 a wall may also be quite even."""
+_SPREAD = 2.0 * math.log(_FACTOR)  # standard deviation of a variance's logarithm
 _LEAST = 1e-3  # standard deviation, relative; a wall that is quite even has no inverse
 _WITHIN = 0.52
 """Mean distance of two points of a square, over its side."""
@@ -90,7 +91,7 @@ def texture_of(
         found = np.einsum("i,jik,k->j", own, kernels, own, optimize=True)
         expected = np.einsum("ik,jik->j", projected, kernels, optimize=True)
         # Steps of a majorising function (Zhou et al. 2019), with the prior's share.
-        excess = 2.0 * np.log(variances / usual) / (2.0 * math.log(_FACTOR)) ** 2 / variances
+        excess = 2.0 * np.log(variances / usual) / _SPREAD**2 / variances
         found += np.maximum(-excess, 0.0)
         expected += np.maximum(excess, 0.0)
         variances = np.maximum(variances * np.sqrt(found / expected), _LEAST**2)
@@ -98,7 +99,7 @@ def texture_of(
     # given the others, each is nearly log-normal, with this precision.
     parts = projected @ kernels
     precision = 0.5 * np.square(variances) * np.einsum("jik,jki->j", parts, parts, optimize=True)
-    precision += (2.0 * math.log(_FACTOR)) ** -2
+    precision += _SPREAD**-2
     return Texture(variances * np.exp(0.5 / precision))
 
 

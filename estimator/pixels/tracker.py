@@ -181,20 +181,19 @@ class PoseTracker:
         if not found:
             self._beliefs = []
             return
-        found.sort(key=solver.unlikelihood_of)
-        mirrored = mirrored_start(solver, found[0].frames[0], own)
+        best = min(found, key=solver.unlikelihood_of)
+        mirrored = mirrored_start(solver, best.frames[0], own)
         if mirrored is not None:
             found.append(solver.solve([], mirrored, own, steps=_STEPS_FIRST))
         # Again with this wall's texture, in the channels in which it has the least.
         if not self.noise.coarse_colours:
-            mix = evener_mix(channels, usable, window, found[0], mix)
+            mix = evener_mix(channels, usable, window, best, mix)
         self._mix = mix
         cells = self._cells(channels, usable, mix)
         found = [
             solver.solve([], replace(one.frames[0], cells=cells), own, steps=STEPS) for one in found
         ]
-        found.sort(key=solver.unlikelihood_of)
-        line = found[0].linear[0]
+        line = min(found, key=solver.unlikelihood_of).linear[0]
         texture = texture_of(
             line.residual, line.weight, line.slopes, count=COUNT, side_mm=solver.side_mm
         )

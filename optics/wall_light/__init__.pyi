@@ -15,7 +15,6 @@ from .pose_light import BeamFrame as BeamFrame
 from .pose_light import Steps as Steps
 from .pose_light import beam_meets as beam_meets
 from .pose_light import irradiance_alone as irradiance_alone
-from .pose_light import irradiance_along as irradiance_along
 from .pose_light import irradiance_and_slopes as irradiance_and_slopes
 from .pose_light import pixels_see as pixels_see
 from .pose_light import square_lattice as square_lattice

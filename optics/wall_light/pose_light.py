@@ -132,51 +132,11 @@ def irradiance_alone(
     *,
     own: Float[ArrayLike, "q"],
     spread: Float[ArrayLike, "p q"],
+    steps: Steps | None = None,
 ) -> Float[Array, "n"]:
     """The irradiance of `irradiance_and_slopes`, in a third of the time."""
     z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
-    return _light_of(lattice, source, beam, spread, None)(z)
-
-
-@eqx.filter_jit
-def irradiance_along(
-    lattice: Lattice,
-    source: Any,
-    *,
-    tips: Float[ArrayLike, "k 3"],
-    axes: Float[ArrayLike, "k 3"],
-    shares: Float[ArrayLike, "k"],
-    own: Float[ArrayLike, "q"],
-    spread: Float[ArrayLike, "p q"],
-) -> Float[Array, "n"]:
-    """The irradiance by a beam that moves, 1/mm²: the mean over places with their shares.
-
-    Args:
-        lattice: the wall.
-        source: as `irradiance_and_slopes` takes it.
-        tips: places of the tip, mm.
-        axes: unit vectors towards the wall.
-        shares: of each place in the light; their sum is 1.
-        own: changes of the beam's own parameters, in the terms of `spread`.
-        spread: as `irradiance_and_slopes` takes it.
-    """
-    changed = source.changed(jnp.asarray(spread) @ jnp.asarray(own))
-    return _mean_along(lattice, changed, jnp.asarray(tips), jnp.asarray(axes), shares)
-
-
-def _mean_along(
-    lattice: Lattice,
-    source: Any,
-    tips: Float[Array, "k 3"],
-    axes: Float[Array, "k 3"],
-    shares: Float[ArrayLike, "k"],
-) -> Float[Array, "n"]:
-    def add(total: Array, place: tuple[Array, Array, Array]) -> tuple[Array, None]:
-        tip, axis, share = place
-        return total + share * lattice_irradiance(lattice, source, tip=tip, axis=axis), None
-
-    places = tips, axes, jnp.asarray(shares)
-    return jax.lax.scan(add, jnp.zeros(lattice.area.shape), places)[0].ravel()
+    return _light_of(lattice, source, beam, spread, steps)(z)
 
 
 def _light_of(
@@ -198,8 +158,14 @@ def _light_of(
         changed = source.changed(jnp.asarray(spread) @ z[POSE:])
         if steps is None:
             return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()
-        axes = turned + jnp.asarray(steps.axes)
-        axes = axes / jnp.linalg.norm(axes, axis=1, keepdims=True)
-        return _mean_along(lattice, changed, moved + jnp.asarray(steps.tips), axes, steps.shares)
+
+        def add(total: Array, step: Steps) -> tuple[Array, None]:
+            along = turned + step.axes
+            along = along / jnp.linalg.norm(along)
+            part = lattice_irradiance(lattice, changed, tip=moved + step.tips, axis=along)
+            return total + step.shares * part, None
+
+        places = Steps(*map(jnp.asarray, steps))
+        return jax.lax.scan(add, jnp.zeros(lattice.area.shape), places)[0].ravel()
 
     return light
