@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 from benchmarks.rivals.entry import Answer, Entry, Recording
-from estimator import Frame, LiteralSettings, Reader, SubpixelSettings
+from benchmarks.sets.read import Mode, own_reader
+from estimator import Frame
 
 
 class EyespotMode(Entry):
@@ -21,27 +22,19 @@ class EyespotMode(Entry):
             product's.
     """
 
-    def __init__(
-        self, mode: Literal["literal", "subpixel", "pixels"], constants: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, mode: Mode, constants: Mapping[str, Any]) -> None:
         self.own_distance = mode == "pixels"
         self._mode = mode
         self._constants = constants
 
     def begin(self, recording: Recording) -> None:
         """Start a new reader."""
-        response = recording.microscope.response
-        if self._mode == "literal":
-            settings = LiteralSettings(response=response, **self._constants)
-            self._reader = Reader(settings, start=recording.click)
-            return
-        pixels = None
-        if self._mode == "pixels":
-            from estimator.pixels import PixelRanger
-
-            pixels = PixelRanger(recording.beam, recording.microscope)
-        self._reader = Reader(
-            SubpixelSettings(response=response, **self._constants), pixel_ranger=pixels
+        self._reader = own_reader(
+            self._mode,
+            recording.microscope,
+            click=recording.click,
+            beam=recording.beam,
+            constants=self._constants,
         )
 
     def read(self, frame: Frame) -> Answer:

@@ -6,6 +6,8 @@ from .labelled_set import LabelledSet as LabelledSet
 from .labelled_set import SetError as SetError
 from .labelled_set import SetStack as SetStack
 from .labelled_set import read_set as read_set
+from .own_readers import Mode as Mode
+from .own_readers import own_reader as own_reader
 from .stacks import copy_description as copy_description
 from .stacks import exposures_of as exposures_of
 from .stacks import image_name as image_name

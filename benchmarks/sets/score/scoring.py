@@ -17,7 +17,7 @@ from rich.console import Console
 
 from benchmarks.evaluation import VISIBLE_ENOUGH
 from benchmarks.reporting import STYLE, versions, write_json, write_page
-from benchmarks.sets.read import stacks_of
+from benchmarks.sets.read import Mode, stacks_of
 from benchmarks.sets.score.conditions import circumstances_of
 from benchmarks.sets.score.entries import Entry, entries_in, entry_of
 from benchmarks.sets.score.groups import Score, score
@@ -25,7 +25,7 @@ from benchmarks.sets.score.leaderboard import leaderboard
 from benchmarks.sets.score.measures import Counts, Errors
 from benchmarks.sets.score.outcomes import Against, Outcome
 from benchmarks.sets.score.sample import sample_folder
-from benchmarks.sets.score.spots_of_set import Mode, read_set_spots, track_set
+from benchmarks.sets.score.spots_of_set import read_set_spots, track_set
 from benchmarks.sets.score.table import tables
 from estimator import Calibration, SpotRecord, read_calibration, write_spots
 from estimator.files import fingerprint, require_space, written_whole

@@ -5,23 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
-from benchmarks.sets.read import SetStack, exposures_of, image_name, qualified_name, true_beam
+from benchmarks.sets.read import (
+    Mode,
+    SetStack,
+    exposures_of,
+    image_name,
+    own_reader,
+    qualified_name,
+    true_beam,
+)
 from benchmarks.sets.score.plain_spots import read_any_spots
 from estimator import (
     Calibration,
-    LiteralSettings,
-    Reader,
     SpotRecord,
-    SubpixelSettings,
     open_source,
     read_microscope,
     track_whole_source,
 )
 from optics import InputError
-
-Mode = Literal["literal", "subpixel", "pixels"]
 
 SPOTS_SUFFIXES = (".csv", ".parquet")
 """Suffixes of spots files."""
@@ -99,19 +101,14 @@ def _track(
     calibration: Calibration | None,
     progress: Callable[[], None],
 ) -> list[SpotRecord]:
-    microscope = read_microscope(entry.folder / "microscope.json")
     opened = entry.open()
-    if mode == "literal":
-        first = opened.exposed(exposure)[0]
-        click = first.half_max_x_px, first.half_max_y_px
-        reader = Reader(LiteralSettings(response=microscope.response), start=click)
-    else:
-        pixels = None
-        if mode == "pixels":
-            from estimator.pixels import PixelRanger
-
-            pixels = PixelRanger(calibration or true_beam(opened), microscope)
-        reader = Reader(SubpixelSettings(response=microscope.response), pixel_ranger=pixels)
+    first = opened.exposed(exposure)[0]
+    reader = own_reader(
+        mode,
+        read_microscope(entry.folder / "microscope.json"),
+        click=(first.half_max_x_px, first.half_max_y_px),
+        beam=(calibration or true_beam(opened)) if mode == "pixels" else None,
+    )
     source = open_source(entry.folder, exposure=exposure)
     return track_whole_source(source, reader, progress=lambda record: progress())
 
