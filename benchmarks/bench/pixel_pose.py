@@ -19,7 +19,7 @@ from scenes import load_mitsuba
 
 _FRAMES, _LATER = 12, 4  # frames from the fifth on have numbers from 4
 _STACKS, _STACKS_FULL = 1, 4
-_WIDTH = 170  # characters of the widest table
+_WIDTH = 190  # characters of the widest table
 _BOUND = {"exposures": {"kinds": ["metered"], "bound": True}}
 
 
