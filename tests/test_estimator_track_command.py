@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -40,7 +41,7 @@ from estimator.files.calibration import Calibration, read_calibration, write_cal
 from estimator.files.microscope import read_microscope
 from estimator.files.poses import Pose
 from estimator.image.camera import Camera
-from estimator.run.overlay import annotated
+from estimator.run.overlay import annotated, overlay_writer
 from estimator.sources import write_bag
 from estimator.sources.source import Frame
 from scenes.drawn import Drawing, Truth, frame_of
@@ -551,6 +552,36 @@ def test_ctrl_c_keeps_whole_lines_of_the_frames_measured_so_far(tmp_path, frames
         "overlay.mp4",
         "spots.csv",
     ]
+
+
+def test_ctrl_c_between_writing_and_counting_a_video_frame_is_no_fault(
+    tmp_path, images, monkeypatch
+):
+    class Interrupted:
+        """OpenCV's writer; Ctrl-C comes while it writes the second frame."""
+
+        fourcc = cv2.VideoWriter.fourcc
+
+        def __init__(self) -> None:
+            self.frames, self.writer = 0, OpenCvWriter()
+            self.open, self.release = self.writer.open, self.writer.release
+
+        def write(self, picture: np.ndarray) -> None:
+            self.writer.write(picture)
+            self.frames += 1
+            if self.frames == 2:
+                raise KeyboardInterrupt
+
+    OpenCvWriter = cv2.VideoWriter
+    monkeypatch.setattr(cv2, "VideoWriter", Interrupted)
+    video = tmp_path / "overlay.mp4"
+    record = SpotRecord(frame=0, file_name="", time_s=0.0, mode="subpixel", result=NOTHING)
+    frame = Frame(index=0, file_name="", time_s=0.0, image=images[0])
+    with overlay_writer(video, rate_hz=10.0, response=Response()) as draw:
+        draw(frame, record)
+        with suppress(KeyboardInterrupt):
+            draw(frame, record)
+    assert video.stat().st_size > 0
 
 
 def test_a_spots_file_is_replaced_whole_or_stays(tmp_path):
