@@ -166,6 +166,27 @@ def test_the_texture_of_a_drawn_wall_is_found():
     assert len(LENGTHS_MM) == 3
 
 
+@pytest.mark.parametrize("contrast", [0.0, 0.001, 0.01, 0.1])
+def test_the_texture_is_as_large_as_the_wall_s_whether_it_is_even_or_not(contrast):
+    rng = np.random.default_rng(11)
+    count, side, noise = 20, 0.06, 0.002
+    true = Texture(np.square(contrast * np.array([0.5, 0.7, 0.5])))
+    field = np.linalg.cholesky(true.covariance(count, side) + 1e-12 * np.eye(count**2))
+    residual = field @ rng.standard_normal(count**2) + noise * rng.standard_normal(count**2)
+    found = texture_of(
+        residual,
+        np.full(count**2, noise**-2.0),
+        np.ones((1, count**2)),
+        count=count,
+        side_mm=side,
+    )
+    # Of 400 cells the noise's variance is known to sqrt(2 / 400), which a texture may hide in: a
+    # quarter of the noise. The longest part, as long as the window, may be twice too large.
+    hidden = noise**2 / 14
+    assert found.variance < 4 * (true.variance + hidden)
+    assert np.sum(found.variances[:2]) > np.sum(true.variances[:2]) / 2
+
+
 def test_the_mixture_of_channels_cancels_what_they_share():
     rng = np.random.default_rng(5)
     vessel = rng.standard_normal(500)

@@ -10,24 +10,32 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import minimize
+from scipy.special import logsumexp
 
 LENGTHS_MM = (0.08, 0.32, 1.28)
 """Correlation lengths: from a few pixels to the size of a spot."""
 _USUAL = (0.04, 0.06, 0.06)
 """Standard deviations of the parts before a frame was seen, relative: the order of a retina's."""
-_FACTOR = 3.0
-"""Within this factor of what is usual are two thirds of all walls: the prior is log-normal, so that
-a wall may also be quite even."""
-_SPREAD = 2.0 * math.log(_FACTOR)  # standard deviation of a variance's logarithm
-_LEAST = 1e-3  # standard deviation, relative; a wall that is quite even has no inverse
+_ANY, _ALIKE = 2.0 * math.log(10.0), 2.0 * math.log(2.0)
+"""Standard deviations of a variance's logarithm before a frame was seen, of all parts together and
+of each part by itself. Two thirds of all walls have a contrast within a factor of ten of what is
+usual, so that a sheet of paper is no surprise; and a wall that is even in small is even in
+large, within a factor of two."""
+_RANK = 1e-9  # of the largest derivative
 _WITHIN = 0.52
 """Mean distance of two points of a square, over its side."""
-_STEPS = 12  # of the estimate; each brings it nearer by a factor of about three
+_CONTRASTS = np.log(10.0) * np.arange(-5.0, 2.0)
+"""Logarithms of all variances over the usual ones, from which the estimate starts."""
+_NEAR = 0.1  # of the likeliest logarithms, or -2 log likelihoods: what the search stops at
+_STEP = 0.5  # of a logarithm, for second differences
+_NODES = np.linspace(-3.0, 3.0, 9)  # standard deviations, at which a mean is taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,28 +87,53 @@ def texture_of(
     """
     chosen = np.flatnonzero(weight > 0)
     kernels = _kernels(count, side_mm)[:, chosen[:, None], chosen]
-    residual, noise, fitted = residual[chosen], 1.0 / weight[chosen], slopes[:, chosen].T
-    usual = np.square(_USUAL)
-    variances = usual.copy()
-    for _ in range(_STEPS):
-        covariance = np.tensordot(variances, kernels, axes=1) + np.diag(noise)
-        inverse = cho_solve(cho_factor(covariance, lower=True), np.eye(len(residual)))
-        weighted = inverse @ fitted
-        projected = inverse - weighted @ np.linalg.pinv(fitted.T @ weighted) @ weighted.T
-        own = projected @ residual
-        found = np.einsum("i,jik,k->j", own, kernels, own, optimize=True)
-        expected = np.einsum("ik,jik->j", projected, kernels, optimize=True)
-        # Steps of a majorising function (Zhou et al. 2019), with the prior's share.
-        excess = 2.0 * np.log(variances / usual) / _SPREAD**2 / variances
-        found += np.maximum(-excess, 0.0)
-        expected += np.maximum(excess, 0.0)
-        variances = np.maximum(variances * np.sqrt(found / expected), _LEAST**2)
-    # One spot shows little of the long parts. Of all variances that it allows the mean counts:
-    # given the others, each is nearly log-normal, with this precision.
-    parts = projected @ kernels
-    precision = 0.5 * np.square(variances) * np.einsum("jik,jki->j", parts, parts, optimize=True)
-    precision += _SPREAD**-2
-    return Texture(variances * np.exp(0.5 / precision))
+    noise = np.diag(1.0 / weight[chosen])
+    # Derivatives that are zero or sums of others would make the determinant zero.
+    fitted, sizes, _ = np.linalg.svd(slopes[:, chosen].T, full_matrices=False)
+    both = np.column_stack([fitted[:, sizes > _RANK * sizes[0]], residual[chosen]])
+    precision = np.linalg.inv(_ANY**2 + _ALIKE**2 * np.eye(len(kernels)))
+
+    def unlikelihood(off: Float[np.ndarray, "parts"]) -> float:
+        """-2 log of the probability of variances, by their logarithms over the usual ones."""
+        covariance = np.tensordot(np.square(_USUAL) * np.exp(off), kernels, axes=1) + noise
+        factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
+        white = solve_triangular(factor, both, lower=True, check_finite=False)
+        # The last column is what the fit leaves of the residual.
+        sizes = np.log(np.abs(np.diag(np.linalg.qr(white, mode="r"))))
+        determinants = np.sum(np.log(np.diag(factor))) + np.sum(sizes[:-1])
+        return float(2.0 * determinants + np.exp(2.0 * sizes[-1]) + off @ precision @ off)
+
+    parts = np.eye(len(kernels))
+    start = min((contrast * parts.sum(axis=0) for contrast in _CONTRASTS), key=unlikelihood)
+    near = {"initial_simplex": np.vstack([start, start + parts]), "xatol": _NEAR, "fatol": _NEAR}
+    off = minimize(unlikelihood, start, method="Nelder-Mead", options=near).x
+    return Texture(np.square(_USUAL) * _mean_exponential(unlikelihood, off))
+
+
+def _mean_exponential(
+    unlikelihood: Callable[[np.ndarray], float], likeliest: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """Mean of the exponentials of some numbers, by -2 log of their probability.
+
+    Along the principal axes of the probability's curvature the numbers count as independent. They
+    need not be normal: a wall may be as even as it likes, and one spot shows little of what is
+    larger than it.
+    """
+    steps = _STEP * np.eye(len(likeliest))
+    here = unlikelihood(likeliest)
+    there = np.array([unlikelihood(likeliest + step) for step in steps])
+    back = np.array([unlikelihood(likeliest - step) for step in steps])
+    curvature = np.diag(there + back - 2.0 * here)
+    for j, k in zip(*np.triu_indices(len(steps), 1), strict=True):
+        both = unlikelihood(likeliest + steps[j] + steps[k])
+        curvature[j, k] = curvature[k, j] = both - there[j] - there[k] + here
+    precisions, axes = np.linalg.eigh(0.5 * curvature / _STEP**2)
+    mean = np.exp(likeliest)
+    for precision, axis in zip(precisions, axes.T, strict=True):
+        ways = np.outer(_NODES / math.sqrt(max(precision, _ANY**-2)), axis)
+        likely = -0.5 * np.array([unlikelihood(likeliest + way) for way in ways])
+        mean *= np.exp(logsumexp(likely[:, None] + ways, axis=0) - logsumexp(likely))
+    return mean
 
 
 @functools.lru_cache(maxsize=4)
