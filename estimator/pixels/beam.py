@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.files import MicroscopeFile
-from estimator.pixels.blur import blurred, growth_with_blur
+from estimator.pixels.blur import blurred, blurred_with_growth
 from estimator.pixels.cells import COUNT, Window
 from estimator.pixels.wall_motion import WallMotion
 
@@ -36,6 +36,9 @@ _FLOOR_SHARP, _FLOOR = 5e-4, 2e-3
 """Relative errors of the light of a cone, in closed form, and of a lens, from a table."""
 _STILL_SHARP_PX, _STILL_PX = 0.1, 0.5  # way of the light that is not averaged
 _LEAST_BLUR_PX2 = 0.25  # of a sharp edge, below which its light changes in proportion
+_NARROW = 0.25
+"""Variance of a blur, in squares of a cell's side, from which light spreads from cell to cell: then
+an edge reaches over two cells, and where in one it lies does not matter."""
 _WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
 
 
@@ -99,6 +102,7 @@ class SeenLight(NamedTuple):
         value: with the motion during the exposure and the blur.
         slopes: its derivatives by the pose's changes and by the beam's own.
         bend: its derivative by the blur's variance, 1/px².
+        tails: its derivative by the blur's excess kurtosis.
         by_motion: what the motion changed of it.
         by_blur: what the blur did.
     """
@@ -106,6 +110,7 @@ class SeenLight(NamedTuple):
     value: Float[np.ndarray, "n"]
     slopes: Float[np.ndarray, "5+q n"]
     bend: Float[np.ndarray, "n"]
+    tails: Float[np.ndarray, "n"]
     by_motion: Float[np.ndarray, "n"]
     by_blur: Float[np.ndarray, "n"]
 
@@ -168,6 +173,7 @@ class BeamLight:
         window: Window,
         sweep: Sweep | None = None,
         blur_px2: float = 0.0,
+        kurtosis: float = 0.0,
     ) -> SeenLight:
         """Irradiance of the cells per unit power, 1/mm², as the camera sees it.
 
@@ -178,6 +184,7 @@ class BeamLight:
             window: the cells.
             sweep: motion during the exposure; None for a tip at rest.
             blur_px2: variance of the image's blur along each side.
+            kurtosis: its excess kurtosis.
         """
         from optics.wall_light import BeamFrame, irradiance_and_slopes
 
@@ -196,18 +203,17 @@ class BeamLight:
         if moved is not None:
             value = self.irradiance_alone(lattice, pose, own, moved)
         cells2 = window.side**2  # px²
-        variance = blur_px2 / cells2
-        slopes = blurred(slopes, variance)
-        if not self.sharp:
-            seen = blurred(value, variance)
-            bend = growth_with_blur(seen) / cells2
-        else:
+        if self.sharp and blur_px2 < _NARROW * cells2:
             # Where in a cell an edge lies, only the beam knows.
             at_least = max(blur_px2, _LEAST_BLUR_PX2)
-            aside = self._aside(moved, at_least)
-            bend = (self.irradiance_alone(lattice, pose, own, aside) - value) / at_least
+            aside = self.irradiance_alone(lattice, pose, own, self._aside(moved, at_least))
+            bend, tails = (aside - value) / at_least, np.zeros_like(value)
             seen = value + blur_px2 * bend
-        return SeenLight(seen, slopes, bend, value - at_rest, seen - value)
+        else:
+            wide = blurred_with_growth(value, blur_px2 / cells2, kurtosis)
+            seen, bend, tails = wide.value, wide.by_variance / cells2, wide.by_kurtosis
+        slopes = blurred(slopes, blur_px2 / cells2, kurtosis)
+        return SeenLight(seen, slopes, bend, tails, value - at_rest, seen - value)
 
     def _aside(self, moved: Steps | None, variance_px2: float) -> Steps:
         """Four places around each place of the light, which stand for a blur."""

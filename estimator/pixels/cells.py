@@ -56,6 +56,19 @@ class Window(NamedTuple):
         u, v = np.meshgrid(along, along)
         return self.corner_px + np.stack([u, v], axis=-1)
 
+    def pixels(
+        self, cells: Bool[np.ndarray, "n"], shape: tuple[int, ...]
+    ) -> Bool[np.ndarray, "h w"]:
+        """The pixels of some cells, in an image of a shape."""
+        mask = np.zeros(shape, bool)
+        chosen = cells.reshape(COUNT, COUNT).repeat(self.side, axis=0).repeat(self.side, axis=1)
+        cut = [max(-first, 0) for first in (self.top, self.left)]
+        part = mask[max(self.top, 0) :, max(self.left, 0) :][
+            : len(chosen) - cut[0], : len(chosen) - cut[1]
+        ]
+        part[...] = chosen[cut[0] :, cut[1] :][: part.shape[0], : part.shape[1]]
+        return mask
+
 
 class CellLight:
     """A frame's light, ready to be averaged over cells.

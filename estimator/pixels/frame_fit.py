@@ -12,10 +12,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from estimator.pixels.cells import CellLight
+from estimator.pixels.cells import COUNT, CellLight
 from estimator.pixels.frame_state import FrameState, Linear
 from estimator.pixels.registration import registered
 from estimator.pixels.solution import Solution
@@ -29,6 +30,13 @@ _UNUSUAL = 4.0  # standard deviations of a surprise
 _GROWN = 1.2  # growth of a surprise's square that asks where the wall is
 _SURE = 16.0  # -2 log likelihood: four standard deviations
 _SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
+_ROUNDS = 3  # of weights for cells with other light
+_SETTLED = 0.3  # change of a weight's logarithm that does not matter
+_BLOCK, _AROUND = np.ones((2, 2)), np.ones((5, 5))
+"""Cells of the smallest thing that counts as large, and the cells that it and its border reach."""
+_START_PX, _START_ALONG = 4.0, 0.08
+"""Largest errors of a pose from which a fit starts: of the spot's outline, px, with an axis that is
+some degrees off, and of the distance, relative, by the grid of `starts`."""
 
 
 class Surprise(NamedTuple):
@@ -59,26 +67,78 @@ def robust_fit(
     kept: list[tuple[FrameState, Linear]],
     frame: FrameState,
     own: Float[np.ndarray, "q"],
+    *,
+    steps: int = STEPS,
 ) -> tuple[Solution, Surprise]:
     """A solution in which cells with other light have little weight, and the surprise."""
-    solution = solver.solve(kept, frame, own, steps=STEPS)
-    far = np.abs(solution.strange(len(kept)))
-    looked_at = solution.linear[-1].weight > 0
-    if kept:  # what comes into the light is new, not a surprise
-        before = np.sum([line.weight for _, line in kept], axis=0)
-        looked_at &= before * solver.texture.variance > 1.0
-    surprise = Surprise.of(np.minimum(far, _FAR)[looked_at])
-    # The weight of Geman and McClure: a cell's pull falls with the cube of its distance.
-    trust = (_FAR / np.maximum(far, _FAR)) ** 4
-    # Where the wall has moved, the surprise is an error of its place, not noise.
-    still = frame.cells.motion == STILL
-    noise = surprise.square if surprise.unusual and still else 1.0
-    if noise == 1.0 and (trust == 1.0).all():
-        return solution, surprise
-    *earlier, newest = zip(solution.frames, solution.linear, strict=True)
-    earlier = [(state, line._replace(weight=line.weight / noise)) for state, line in earlier]
-    again = solver.solve(earlier, newest[0], solution.own, steps=_STEPS_AGAIN, trust=trust / noise)
-    return again, surprise
+    trust = _trust(_unlike_at_start(solver, frame, own))
+    solution = solver.solve(kept, frame, own, steps=steps, trust=trust)
+    for _ in range(_ROUNDS):
+        line = solution.linear[-1]
+        line = line._replace(weight=line.weight / trust)
+        strange = np.abs(solution.strange(len(kept), trust))
+        far = np.maximum(strange, _grown(_unlike(solver, line)))
+        looked_at = line.weight > 0
+        if kept:  # what comes into the light is new, not a surprise
+            before = np.sum([line.weight for _, line in kept], axis=0)
+            looked_at &= before * solver.texture.variance > 1.0
+        surprise = Surprise.of(np.minimum(strange, _FAR)[looked_at])
+        # Where the wall has moved, the surprise is an error of its place, not noise.
+        still = frame.cells.motion == STILL
+        others = Surprise.of(strange[looked_at & (far < _FAR)])
+        noise = others.square if others.unusual and still else 1.0
+        before_trust, trust = trust, _trust(far) / noise
+        if np.abs(np.log(trust / before_trust)).max() < _SETTLED:
+            break
+        *earlier, newest = zip(solution.frames, solution.linear, strict=True)
+        earlier = [(state, line._replace(weight=line.weight / noise)) for state, line in earlier]
+        solution = solver.solve(earlier, newest[0], solution.own, steps=_STEPS_AGAIN, trust=trust)
+    return solution, surprise
+
+
+def hidden(solver: Solver, solution: Solution) -> Bool[np.ndarray, "n"]:
+    """Cells of a first frame's solution that are unlike the wall: hidden, or in other light."""
+    return _grown(_unlike(solver, solver.linear(solution.frames[-1], solution.own))) > _FAR
+
+
+def _trust(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """The weight of Geman and McClure: a cell's pull falls with the cube of its distance."""
+    return (_FAR / np.maximum(far, _FAR)) ** 4
+
+
+def _unlike_at_start(
+    solver: Solver, frame: FrameState, own: Float[np.ndarray, "q"]
+) -> Float[np.ndarray, "n"]:
+    """As `_unlike`, at a pose from which a fit starts, near which any pose may be right."""
+    line = solver.linear(frame, own)
+    place, along = _START_PX * solver.beam.scale_mm_px, _START_ALONG * frame.pose.distance
+    shifts = np.diag([place, place, along])
+    changes = solver.changes(frame, own, [*shifts, *-shifts])
+    least, most = np.min(changes, axis=0), np.max(changes, axis=0)
+    residual = line.residual - np.clip(line.residual, least, most)
+    return _grown(_unlike(solver, line._replace(residual=residual)))
+
+
+def _grown(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Distances of cells, in which those at the border of something large are as far as it is.
+
+    They show a part of it, and where it hides the edge of the light, it passes for that edge.
+    """
+    grid = far.reshape(COUNT, COUNT)
+    least = cv2.erode(grid, _BLOCK, borderType=cv2.BORDER_REPLICATE)
+    large = cv2.dilate(np.where(least > _FAR, least, 0.0), _AROUND)
+    return np.maximum(far, large.ravel())
+
+
+def _unlike(solver: Solver, line: Linear) -> Float[np.ndarray, "n"]:
+    """How far cells are from any place of such a wall, in standard deviations.
+
+    What hides a part of the wall, or a light on it, is as even as a wall is. So its cells are as
+    their neighbours say, but too dark or too bright.
+    """
+    used = line.weight > 0
+    variance = solver.texture.variance + 1.0 / np.where(used, line.weight, 1.0)
+    return np.where(used, np.abs(line.residual) / np.sqrt(variance), 0.0)
 
 
 def fit_wherever(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,15 +13,18 @@ from estimator.pixels.beam import POSE, Pose, Sweep
 from estimator.pixels.cells import SHADES, CellLight
 from estimator.pixels.robot import RobotPose
 
-GAIN, AMBIENT, SHADE, BLUR = POSE, POSE + 1, slice(POSE + 2, POSE + 7), POSE + 7
-SHIFT = slice(POSE + 8, POSE + 10)
-OWN = POSE + 10
+GAIN, AMBIENT, SHADE, BLUR, TAILS = POSE, POSE + 1, slice(POSE + 2, POSE + 7), POSE + 7, POSE + 8
+SHIFT = slice(POSE + 9, POSE + 11)
+OWN = POSE + 11
 """States of a frame: those of its pose, log gain, log ambient light and its shading by `SHADES`,
-the variance of the blur, px², and how far the wall has moved to the right and downwards in the
-image, px."""
+the variance of the blur, px², its excess kurtosis, and how far the wall has moved to the right and
+downwards in the image, px."""
 _SHADE = np.array([0.5, 0.5, 0.3, 0.3, 0.3])
 """Standard deviations. A film of water that reflects a lamp adds a bump to the ambient light."""
-_BLUR_PX2 = 2.0  # standard deviation of the blur's variance; a focus 0.5 mm off at NA 0.05 is 3.5
+_BLUR_PX2 = 2.0
+"""Half width of the Cauchy distribution of the blur's variance. Most images are in focus, at NA
+0.05 within 0.4 mm. Nobody knows how far the others are out of focus."""
+_KURTOSIS = 1.0  # standard deviation of the blur's excess kurtosis; a disc has -1
 
 
 class Direction(NamedTuple):
@@ -41,7 +45,7 @@ class Linear(NamedTuple):
     """
 
     residual: Float[np.ndarray, "n"]
-    slopes: Float[np.ndarray, "15 n"]
+    slopes: Float[np.ndarray, "16 n"]
     shared: Float[np.ndarray, "q n"]
     weight: Float[np.ndarray, "n"]
 
@@ -61,6 +65,7 @@ class FrameState:
         robot: where the robot says the tool is.
         shade: logarithm of the ambient light less that in the middle, in terms of `SHADES`.
         blur_px2: variance of the image's blur.
+        kurtosis: its excess kurtosis.
         grain: how the map that is known grows to the right and downwards, 1/px; None if no map is.
         shift: of the wall since `cells` were cut, px.
         shift_sigma: its standard deviation before the frame was seen, px.
@@ -76,6 +81,7 @@ class FrameState:
     robot: RobotPose | None = None
     shade: tuple[float, ...] = (0.0,) * len(SHADES)
     blur_px2: float = 0.0
+    kurtosis: float = 0.0
     grain: Float[np.ndarray, "2 n"] | None = None
     shift: tuple[float, float] = (0.0, 0.0)
     shift_sigma: float = 1.0
@@ -89,8 +95,10 @@ def prior_of(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
     pull[AMBIENT] = (mean - frame.log_ambient) / sigma**2
     precision[SHADE, SHADE] = np.diag(_SHADE**-2)
     pull[SHADE] = np.array(frame.shade) / -(_SHADE**2)
-    precision[BLUR, BLUR] = _BLUR_PX2**-2
-    pull[BLUR] = -frame.blur_px2 / _BLUR_PX2**2
+    precision[BLUR, BLUR] = 1.0 / (_BLUR_PX2**2 + frame.blur_px2**2)
+    pull[BLUR] = -precision[BLUR, BLUR] * frame.blur_px2
+    precision[TAILS, TAILS] = _KURTOSIS**-2
+    pull[TAILS] = -frame.kurtosis / _KURTOSIS**2
     precision[SHIFT, SHIFT] = frame.shift_sigma**-2 * np.eye(2)
     pull[SHIFT] = np.array(frame.shift) / -(frame.shift_sigma**2)
     if frame.direction is not None:
@@ -105,7 +113,8 @@ def prior_cost(frame: FrameState) -> float:
     """-2 log of the probability of a frame's states before it is seen, up to a constant."""
     mean, sigma = frame.ambient_prior
     cost = ((frame.log_ambient - mean) / sigma) ** 2
-    cost += float(np.sum(np.square(frame.shade / _SHADE))) + (frame.blur_px2 / _BLUR_PX2) ** 2
+    cost += float(np.sum(np.square(frame.shade / _SHADE)))
+    cost += math.log1p((frame.blur_px2 / _BLUR_PX2) ** 2) + (frame.kurtosis / _KURTOSIS) ** 2
     cost += sum(x * x for x in frame.shift) / frame.shift_sigma**2
     if frame.direction is not None:
         off = np.cross(frame.pose.axis, frame.direction.axis)

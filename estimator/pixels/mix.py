@@ -82,11 +82,14 @@ def evener_mix(
     """
     line, frame = solution.linear[-1], solution.frames[-1]
     light = frame.cells.means(window)[0].ravel()
-    bright = (line.weight > 0) & (light > _BRIGHT * light.max())
-    parts = [
-        CellLight(np.ascontiguousarray(channels[..., c]), usable, np.zeros_like).means(window)[0]
-        for c in range(channels.shape[-1])
-    ]
+    parts, seen = zip(
+        *(
+            CellLight(np.ascontiguousarray(channels[..., c]), usable, np.zeros_like).means(window)
+            for c in range(channels.shape[-1])
+        ),
+        strict=True,
+    )
+    bright = (line.weight > 0) & seen[0].ravel() & (light > _BRIGHT * light.max())
     own = np.stack([part.ravel()[bright] for part in parts])
     if np.count_nonzero(bright) < _FEWEST or not own.min() > 0:
         return mix

@@ -54,14 +54,19 @@ class Solution:
         at = OWN * (len(self.linear) - 1)
         return self.covariance[at : at + OWN] @ np.concatenate([*pulls, shared])
 
-    def strange(self, k: int) -> Float[np.ndarray, "n"]:
-        """How far cells of frame k are from what the other data say, in standard deviations."""
+    def strange(self, k: int, trust: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """How far cells of frame k are from what the other data say, in standard deviations.
+
+        Args:
+            k: number of the frame.
+            trust: factors on the weights of its cells, which are not taken for noise.
+        """
         line = self.linear[k]
         spread = 1.0 / inverse_diagonal(self.factor)
         rest = np.maximum(spread - line.weight, 1e-9 * spread)  # precision without this datum
         used = line.weight > 0
         mean = (spread * self.texture_map - line.weight * line.residual) / rest
-        variance = 1.0 / rest + 1.0 / np.where(used, line.weight, 1.0)
+        variance = 1.0 / rest + trust / np.where(used, line.weight, 1.0)
         return np.where(used, (line.residual - mean) / np.sqrt(variance), 0.0)
 
 

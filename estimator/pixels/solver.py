@@ -21,6 +21,7 @@ from jaxtyping import Float
 from scipy.linalg import cho_factor, solve_triangular
 
 from estimator.pixels.beam import POSE, BeamLight
+from estimator.pixels.blur import LEAST_KURTOSIS, MOST_KURTOSIS, blurred
 from estimator.pixels.cells import COUNT, SHADES, Window
 from estimator.pixels.frame_state import (
     AMBIENT,
@@ -29,6 +30,7 @@ from estimator.pixels.frame_state import (
     OWN,
     SHADE,
     SHIFT,
+    TAILS,
     FrameState,
     Linear,
     prior_cost,
@@ -51,6 +53,10 @@ _RIDGE = 1e-12  # of a state's own information, so that one without any does not
 _DONE, _SMALL = 0.1, 0.3
 """In standard deviations: a shorter step ends the iteration; a last step as short is an answer."""
 _LEAST_DAMPING = 1e-3
+_HIDDEN = 16.0  # largest square of a cell's residual that counts for a start, in variances
+_BRIGHTER, _DIM = 0.75, 0.5
+"""Quantiles: of the lit cells' light, most of which may be hidden; and of all cells by the beam's
+light, of which the dimmer ones show the ambient light."""
 _LATTICES = 8  # of motions of the wall; each has 400 KB
 
 
@@ -127,9 +133,13 @@ class Solver:
         for _ in range(steps):
             inverse = _inverse(hessian, damping=damping)
             step = inverse @ gradient
-            excess = frame.blur_px2 + step[blur]
-            if excess < 0:  # an image is never sharper than sharp: the best step that ends there
-                step -= inverse[:, blur] * (excess / inverse[blur, blur])
+            # An image is never sharper than sharp, and blurs have limits: the best step within.
+            for at, state, least, most in (
+                (blur, frame.blur_px2, 0.0, np.inf),
+                (blur + 1, frame.kurtosis, LEAST_KURTOSIS, MOST_KURTOSIS),
+            ):
+                excess = state + step[at] - np.clip(state + step[at], least, most)
+                step -= inverse[:, at] * (excess / inverse[at, at])
             distance = float(np.sqrt(step @ hessian @ step / size))
             moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
             trial = None
@@ -211,6 +221,7 @@ class Solver:
             window=self.window,
             sweep=frame.sweep,
             blur_px2=frame.blur_px2,
+            kurtosis=frame.kurtosis,
         )
         shade = np.clip(np.array(frame.shade) @ SHADES, -_SHADED, _SHADED)
         ambient = np.exp(frame.log_ambient + shade)
@@ -231,12 +242,32 @@ class Solver:
                     ambient / total[None],
                     ambient * SHADES / total,
                     seen.bend[None] / total,
+                    seen.tails[None] / total,
                     -grain,
                 ]
             ),
             shared=seen.slopes[POSE:] / total,
             weight=weight if trust is None else weight * trust,
         )
+
+    def changes(
+        self, frame: FrameState, own: np.ndarray, moves: list[Float[np.ndarray, "3"]]
+    ) -> Float[np.ndarray, "k n"]:
+        """How the log light of cells changes if the spot moves; also by not at all.
+
+        Args:
+            frame: at its state.
+            own: changes of the beam's own parameters.
+            moves: of the spot to the right and downwards on the wall, and of the distance, mm.
+        """
+        lattice, ambient = self.lattice(frame.cells.motion), np.exp(frame.log_ambient)
+        seen = []
+        for move in [np.zeros(3), *moves]:
+            pose = self.beam.pose(*frame.pose.moved(np.concatenate([move, np.zeros(2)])))
+            light = self.beam.irradiance_alone(lattice, pose or frame.pose, own)
+            light = blurred(light, frame.blur_px2 / self.window.side**2, frame.kurtosis)
+            seen.append(np.log(np.maximum(light, 0.0) + ambient))
+        return np.array(seen) - seen[0]
 
     def half_maximum_px2(self, frame: FrameState, own: np.ndarray) -> float:
         """Area of the image in which a frame's light is above half of its maximum, px²."""
@@ -246,12 +277,17 @@ class Solver:
     def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float]:
         """A frame with the gain and ambient light that suit its pose, and its cost.
 
-        The least squares are in the light, so that the bright cells decide.
+        Where something hides the spot or casts a shadow on it, it is darker. So the gain is that of
+        the brighter cells.
         """
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
         irradiance = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
-        both = np.stack([irradiance, np.ones(irradiance.size)], axis=-1)[usable]
-        gain, offset = np.linalg.lstsq(both, light[usable], rcond=None)[0]
+        lit = usable & (irradiance > 0.5 * irradiance.max(where=usable, initial=0.0))
+        dim = usable & (irradiance <= np.quantile(irradiance[usable], _DIM))
+        gain = offset = 0.0
+        for _ in range(2):
+            gain = float(np.quantile((light - offset)[lit] / irradiance[lit], _BRIGHTER))
+            offset = float(np.median((light - gain * irradiance)[dim]))
         gain = max(gain, _DARKEST)
         ambient = np.clip(offset / gain, 1e-4, 1.0)
         suited = replace(frame, log_gain=float(np.log(gain)), log_ambient=float(np.log(ambient)))
@@ -260,8 +296,8 @@ class Solver:
         # Here the texture counts as noise without correlation: this finds starts, not poses.
         spread = 1.0 / np.where(usable, weight, 1.0) + self.texture.variance
         residual = np.log(np.maximum(light, _DARKEST) / np.maximum(model, _DARKEST))
-        cost = np.sum(np.where(usable, np.square(residual) / spread, 0.0))
-        return suited, float(cost) + prior_cost(suited)
+        squares = np.minimum(np.square(residual) / spread, _HIDDEN)
+        return suited, float(np.sum(np.where(usable, squares, 0.0))) + prior_cost(suited)
 
     def _weight(
         self,
@@ -371,7 +407,8 @@ class Solver:
             log_gain=frame.log_gain + change[GAIN],
             log_ambient=frame.log_ambient + change[AMBIENT],
             shade=tuple(np.add(frame.shade, change[SHADE]).tolist()),
-            blur_px2=frame.blur_px2 + float(change[BLUR]),
+            blur_px2=max(frame.blur_px2 + float(change[BLUR]), 0.0),  # not less by rounding
+            kurtosis=frame.kurtosis + float(change[TAILS]),
             shift=tuple(np.add(frame.shift, change[SHIFT]).tolist()),
         )
 

@@ -20,7 +20,15 @@ from estimator.pixels.solver import Solver
 _DISTANCES_MM = np.geomspace(0.4, 7.0, 20)
 _ROUND = 1.02  # ratio of the axes below which a spot shows no tilt
 _MOST = 3  # starts that are fitted
+_SIZE, _TINY = (0.2, 0.05), 1e-6
+"""Standard deviation of the logarithm of the spot's area, for light without and with a sharp edge:
+the contour of a bell follows the texture, and cells are counted."""
 _STEEPEST = 60.0  # incidence, degrees
+_BLURRED_PX = 1.5  # width of an edge, above which its blur has a shape
+_SHAPES = ((-1.0, 2.0 / np.pi), (0.0, 1.0), (2.0, 6.0 / np.pi))
+"""Kurtosis of a blur, and its variance over the square of the edge width (`Spot.edge_width_px`),
+which is that of the Gaussian whose step is as steep in the middle: 2/pi for a disc, and 6/pi for
+exp(-r/L)."""
 
 
 def scanned_starts(
@@ -40,6 +48,7 @@ def scanned_starts(
         directions: axes of the beam.
     """
     found: list[tuple[float, FrameState]] = []
+    spot_px2 = np.pi * spot.semi_major_px * spot.semi_minor_px
     point = solver.beam.wall_points(np.array([[spot.x_px, spot.y_px]]))[0][0]
     for axis in directions:
         costs: list[float] = []
@@ -47,6 +56,9 @@ def scanned_starts(
         for distance in _DISTANCES_MM:
             pose = solver.beam.pose(point - distance * axis, axis)
             state, cost = (None, np.inf) if pose is None else solver.scanned(frame_at(pose), own)
+            if state is not None:
+                size = solver.half_maximum_px2(state, own) / spot_px2
+                cost += (np.log(max(size, _TINY)) / _SIZE[solver.beam.sharp]) ** 2
             states.append(state)
             costs.append(cost)
         padded = np.array([np.inf, *costs, np.inf])
@@ -56,6 +68,21 @@ def scanned_starts(
                 found.append((costs[k], state))
     found.sort(key=lambda one: one[0])
     return [state for _, state in found[:_MOST]]
+
+
+def blurred_starts(frame: FrameState, spot: Spot) -> list[FrameState]:
+    """A frame with the blurs that a sharp edge may have, which looks as wide as the spot's.
+
+    Args:
+        frame: at a pose.
+        spot: in the frame.
+    """
+    if spot.edge_width_px < _BLURRED_PX:
+        return [frame]
+    return [
+        replace(frame, blur_px2=share * spot.edge_width_px**2, kurtosis=kurtosis)
+        for kurtosis, share in _SHAPES
+    ]
 
 
 def mirrored_start(solver: Solver, frame: FrameState, own: np.ndarray) -> FrameState | None:

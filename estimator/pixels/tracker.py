@@ -20,7 +20,7 @@ from estimator.pixels.beam import POSE, BeamLight, Sweep
 from estimator.pixels.belief import Belief, distinct
 from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.drift import drift_covariance
-from estimator.pixels.frame_fit import STEPS, fit_wherever, robust_fit
+from estimator.pixels.frame_fit import STEPS, fit_wherever, hidden, robust_fit
 from estimator.pixels.frame_state import OWN, Direction, FrameState, Linear
 from estimator.pixels.mix import Mix, evener_mix, plain_mix
 from estimator.pixels.reference import Reference
@@ -28,7 +28,12 @@ from estimator.pixels.registration import farthest_px
 from estimator.pixels.robot import RobotPose
 from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
-from estimator.pixels.starts import likely_directions, mirrored_start, scanned_starts
+from estimator.pixels.starts import (
+    blurred_starts,
+    likely_directions,
+    mirrored_start,
+    scanned_starts,
+)
 from estimator.pixels.texture import Texture, texture_of
 from estimator.pixels.wall_motion import STILL, WallMotion
 
@@ -44,9 +49,10 @@ _AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly not
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
 _SURPRISE = 1.5
 """Square of a first frame's surprise, above which its wall is not that of the reference."""
-_SIZE = 1.5
-"""Ratio of the spot's area to that of the fitted light, above which the light is another one. The
-contour of a bell on a textured wall leaves 10 to 20 %."""
+_SIZE = (1.5, 1.1)
+"""Ratio of the spot's area to that of the fitted light, above which the light is another one, for
+light without and with a sharp edge. The contour of a bell on a textured wall leaves 10 to 20 %,
+that of a blurred edge up to 8 %."""
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 _DRIFTED_PX = 1.0  # of the wall since the first frame, which is worth a word
@@ -152,7 +158,8 @@ class PoseTracker:
             return RangeFlag.NOT_CONVERGED
         size = self._beliefs[0].solver.half_maximum_px2(best.frames[-1], best.own)
         seen = math.pi * spot.semi_major_px * spot.semi_minor_px
-        alike = 1.0 / _SIZE < size / seen < _SIZE
+        most = _SIZE[self.beam.sharp]
+        alike = 1.0 / most < size / seen < most
         return RangeFlag.NONE if best.chi_squared < _MISFIT and alike else RangeFlag.MISFIT
 
     def _begin(
@@ -177,15 +184,18 @@ class PoseTracker:
             own,
             likely_directions(self.beam, spot, direction),
         )
-        found = [solver.solve([], start, own, steps=_STEPS_FIRST) for start in starts]
+        if self.beam.sharp:
+            starts = [blurred for start in starts for blurred in blurred_starts(start, spot)]
+        found = [robust_fit(solver, [], start, own, steps=_STEPS_FIRST)[0] for start in starts]
         if not found:
             self._beliefs = []
             return
         best = min(found, key=solver.unlikelihood_of)
         mirrored = mirrored_start(solver, best.frames[0], own)
         if mirrored is not None:
-            found.append(solver.solve([], mirrored, own, steps=_STEPS_FIRST))
+            found.append(robust_fit(solver, [], mirrored, own, steps=_STEPS_FIRST)[0])
         # Again with this wall's texture, in the channels in which it has the least.
+        usable = usable & ~window.pixels(hidden(solver, best), usable.shape)
         if not self.noise.coarse_colours:
             mix = evener_mix(channels, usable, window, best, mix)
         self._mix = mix
