@@ -73,27 +73,39 @@ def robust_fit(
     """A solution in which cells with other light have little weight, and the surprise."""
     trust = _trust(_unlike_at_start(solver, frame, own))
     solution = solver.solve(kept, frame, own, steps=steps, trust=trust)
+    strange, far = _distances(solver, solution, trust)
+    looked_at = solution.linear[-1].weight > 0
+    if kept:  # what comes into the light is new, not a surprise
+        before = np.sum([line.weight for _, line in kept], axis=0)
+        looked_at &= before * solver.texture.variance > 1.0
+    surprise = Surprise.of(np.minimum(strange, _FAR)[looked_at])
+    # Where the wall has moved, the surprise is an error of its place, not noise.
+    others = Surprise.of(strange[looked_at & (far < _FAR)])
+    still = frame.cells.motion == STILL
+    noise = others.square if others.unusual and still else 1.0
+    kept = [(state, line._replace(weight=line.weight / noise)) for state, line in kept]
     for _ in range(_ROUNDS):
-        line = solution.linear[-1]
-        line = line._replace(weight=line.weight / trust)
-        strange = np.abs(solution.strange(len(kept), trust))
-        far = np.maximum(strange, _grown(_unlike(solver, line)))
-        looked_at = line.weight > 0
-        if kept:  # what comes into the light is new, not a surprise
-            before = np.sum([line.weight for _, line in kept], axis=0)
-            looked_at &= before * solver.texture.variance > 1.0
-        surprise = Surprise.of(np.minimum(strange, _FAR)[looked_at])
-        # Where the wall has moved, the surprise is an error of its place, not noise.
-        still = frame.cells.motion == STILL
-        others = Surprise.of(strange[looked_at & (far < _FAR)])
-        noise = others.square if others.unusual and still else 1.0
-        before_trust, trust = trust, _trust(far) / noise
-        if np.abs(np.log(trust / before_trust)).max() < _SETTLED:
+        before, trust = trust, _trust(far) / noise
+        if np.abs(np.log(trust / before)).max() < _SETTLED:
             break
-        *earlier, newest = zip(solution.frames, solution.linear, strict=True)
-        earlier = [(state, line._replace(weight=line.weight / noise)) for state, line in earlier]
-        solution = solver.solve(earlier, newest[0], solution.own, steps=_STEPS_AGAIN, trust=trust)
+        solution = solver.solve(
+            kept, solution.frames[-1], solution.own, steps=_STEPS_AGAIN, trust=trust
+        )
+        _, far = _distances(solver, solution, trust)
     return solution, surprise
+
+
+def _distances(
+    solver: Solver, solution: Solution, trust: Float[np.ndarray, "n"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """How far the newest frame's cells are from what all else says of them, and from any wall.
+
+    In standard deviations; the second is the larger of both.
+    """
+    line = solution.linear[-1]
+    line = line._replace(weight=line.weight / trust)
+    strange = np.abs(solution.strange(len(solution.linear) - 1, trust))
+    return strange, np.maximum(strange, _grown(_unlike(solver, line)))
 
 
 def hidden(solver: Solver, solution: Solution) -> Bool[np.ndarray, "n"]:
