@@ -12,5 +12,6 @@ from .photon_transfer import PhotonTransfer as PhotonTransfer
 from .photon_transfer import measured_noise as measured_noise
 from .spot import PARAMETERS as PARAMETERS
 from .spot import NoSpot as NoSpot
+from .spot import Outline as Outline
 from .spot import Reason as Reason
 from .spot import Spot as Spot

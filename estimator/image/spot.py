@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Literal, final
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 
@@ -51,6 +51,28 @@ _MEANINGS = {
 }
 
 
+class Outline(NamedTuple):
+    """Where a spot is in an image, and how large (pixel centres at integers).
+
+    Attributes:
+        x_px: centre, to the right, px.
+        y_px: centre, downwards, px.
+        semi_major_px: half of the longer axis, px.
+        semi_minor_px: half of the shorter axis, px.
+        angle_rad: semi-major axis from +u (right) towards +v (down).
+        edge_width_px: as of `Spot`; 0 where it is not known.
+        measured: whether it is a measured spot's, and not that of something bright.
+    """
+
+    x_px: float
+    y_px: float
+    semi_major_px: float
+    semi_minor_px: float
+    angle_rad: float
+    edge_width_px: float = 0.0
+    measured: bool = True
+
+
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Spot:
@@ -87,6 +109,18 @@ class Spot:
     def ellipse(self) -> tuple[float, ...]:
         """Its five parameters, in the order of `PARAMETERS`, px and rad."""
         return self.x_px, self.y_px, self.semi_major_px, self.semi_minor_px, self.angle_rad
+
+    @property
+    def outline(self) -> Outline:
+        """Its ellipse and how wide its edge is."""
+        return Outline(
+            x_px=self.x_px,
+            y_px=self.y_px,
+            semi_major_px=self.semi_major_px,
+            semi_minor_px=self.semi_minor_px,
+            angle_rad=self.angle_rad,
+            edge_width_px=self.edge_width_px,
+        )
 
     @property
     def sigma_semi_minor_px(self) -> float:

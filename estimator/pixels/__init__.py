@@ -17,6 +17,7 @@ solver        Poses of some frames by Gauss-Newton, with the wall's texture elim
 starts        Poses from which the fit of a first frame starts
 texture       The wall's texture as a Gaussian process
 tracker       Follows the pose from frame to frame
+verdict       Whether a pose explains its frame, and what is stated of it
 wall_motion   Where the wall's picture is in an image: shifted and turned since its map was begun
 """
 

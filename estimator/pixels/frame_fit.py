@@ -108,6 +108,11 @@ def _distances(
     return strange, np.maximum(strange, _grown(_unlike(solver, line)))
 
 
+def trusted(solver: Solver, line: Linear) -> Linear:
+    """A frame's model, in which cells that are unlike the wall have little weight."""
+    return line._replace(weight=line.weight * _trust(_grown(_unlike(solver, line))))
+
+
 def hidden(solver: Solver, solution: Solution) -> Bool[np.ndarray, "n"]:
     """Cells of a first frame's solution that are unlike the wall: hidden, or in other light."""
     return _grown(_unlike(solver, solver.linear(solution.frames[-1], solution.own))) > _FAR
@@ -194,7 +199,7 @@ def fit_wherever(
         motion = newest.cells.motion.after(WallMotion(*newest.shift))
         newest = replace(newest, cells=cells(motion), shift=(0.0, 0.0))
         solution.frames[-1] = newest
-        solution.linear[-1] = solver.linear(newest, solution.own)
+        solution.linear[-1] = trusted(solver, solver.linear(newest, solution.own))
     return solution, surprise.square, lost
 
 

@@ -86,6 +86,15 @@ class FrameState:
     shift: tuple[float, float] = (0.0, 0.0)
     shift_sigma: float = 1.0
 
+    @property
+    def axis_off(self) -> float:
+        """How far the axis is from the robot's, in standard deviations; 0 if it says nothing."""
+        if self.direction is None:
+            return 0.0
+        return math.acos(min(1.0, float(self.pose.axis @ self.direction.axis))) / (
+            self.direction.sigma
+        )
+
 
 def prior_of(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
     """Precision of a frame's states before it is seen, and the pull towards their means."""

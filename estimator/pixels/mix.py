@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.image import GREY_WEIGHTS, CameraNoise, Spot
+from estimator.image import GREY_WEIGHTS, CameraNoise, Outline
 from estimator.pixels.cells import CellLight, Window
 from estimator.pixels.solution import Solution
 
@@ -54,7 +54,7 @@ class Mix:
         )
 
 
-def plain_mix(channels: Float[np.ndarray, "h w 3"], spot: Spot) -> Mix:
+def plain_mix(channels: Float[np.ndarray, "h w 3"], spot: Outline) -> Mix:
     """The luminance, which JPEG keeps best, for light of the spot's colour."""
     u, v, r = spot.x_px, spot.y_px, max(0.5 * spot.semi_minor_px, 2.0)
     rows = slice(max(round(v - r), 0), round(v + r) + 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from estimator.files import (
     cache_file,
     kept_arrays,
 )
-from estimator.image import Spot
+from estimator.image import Outline
 from estimator.pixels.beam import BeamLight, Sweep
 from estimator.pixels.frame_state import Direction
 from estimator.pixels.reference import Reference
@@ -89,7 +90,7 @@ class PixelRanger:
 
     def distance(
         self,
-        spot: Spot,
+        outlines: Sequence[Outline],
         *,
         frame: np.ndarray,
         axis: Any = None,
@@ -100,8 +101,9 @@ class PixelRanger:
         """The pose in the next frame.
 
         Args:
-            spot: from `measure`.
-            frame: H x W x 3, in which the spot was measured.
+            outlines: the measured spot's alone, or those of whatever is bright if none could be
+                measured.
+            frame: H x W x 3.
             axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame.
             axis_sigma_rad: standard deviation of the axis across itself.
             sweep: motion during the exposure, from the robot; None if unknown.
@@ -110,7 +112,7 @@ class PixelRanger:
         direction = None if axis is None else Direction(np.asarray(axis), axis_sigma_rad)
         # Several threads would wait for each other longer than they work on matrices of this size.
         with self._libraries.limit(limits=1, user_api="blas"):
-            return self._tracker.read(frame, spot, direction, sweep, robot)
+            return self._tracker.read(frame, outlines, direction, sweep, robot)
 
 
 def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:

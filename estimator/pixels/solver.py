@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.linalg import cho_factor, solve_triangular
 
 from estimator.pixels.beam import POSE, BeamLight
@@ -269,10 +269,10 @@ class Solver:
             seen.append(np.log(np.maximum(light, 0.0) + ambient))
         return np.array(seen) - seen[0]
 
-    def half_maximum_px2(self, frame: FrameState, own: np.ndarray) -> float:
-        """Area of the image in which a frame's light is above half of its maximum, px²."""
+    def lit(self, frame: FrameState, own: np.ndarray) -> Bool[np.ndarray, "n"]:
+        """Cells in which a frame's light is above half of its maximum."""
         light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
-        return float(np.count_nonzero(light > 0.5 * light.max()) * self.window.side**2)
+        return light > 0.5 * light.max()
 
     def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float]:
         """A frame with the gain and ambient light that suit its pose, and its cost.

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.image import Spot
+from estimator.image import Outline
 from estimator.pixels.beam import BeamLight, Pose
 from estimator.pixels.frame_state import Direction, FrameState
 from estimator.pixels.solver import Solver
@@ -34,7 +34,7 @@ exp(-r/L)."""
 def scanned_starts(
     solver: Solver,
     frame_at: Callable[[Pose], FrameState],
-    spot: Spot,
+    spot: Outline,
     own: np.ndarray,
     directions: list[np.ndarray],
 ) -> list[FrameState]:
@@ -57,7 +57,7 @@ def scanned_starts(
             pose = solver.beam.pose(point - distance * axis, axis)
             state, cost = (None, np.inf) if pose is None else solver.scanned(frame_at(pose), own)
             if state is not None:
-                size = solver.half_maximum_px2(state, own) / spot_px2
+                size = np.count_nonzero(solver.lit(state, own)) * solver.window.side**2 / spot_px2
                 cost += (np.log(max(size, _TINY)) / _SIZE[solver.beam.sharp]) ** 2
             states.append(state)
             costs.append(cost)
@@ -70,7 +70,7 @@ def scanned_starts(
     return [state for _, state in found[:_MOST]]
 
 
-def blurred_starts(frame: FrameState, spot: Spot) -> list[FrameState]:
+def blurred_starts(frame: FrameState, spot: Outline) -> list[FrameState]:
     """A frame with the blurs that a sharp edge may have, which looks as wide as the spot's.
 
     Args:
@@ -103,14 +103,16 @@ def mirrored_start(solver: Solver, frame: FrameState, own: np.ndarray) -> FrameS
     return None if other is None else solver.scanned(replace(frame, pose=other), own)[0]
 
 
-def likely_directions(beam: BeamLight, spot: Spot, direction: Direction | None) -> list[np.ndarray]:
+def likely_directions(
+    beam: BeamLight, spot: Outline, direction: Direction | None
+) -> list[np.ndarray]:
     """Axes of the beam to start from: the robot's, or square to the wall and tilted as the spot."""
     if direction is not None:
         return [direction.axis]
     return list(_tilted(beam, spot))
 
 
-def _tilted(beam: BeamLight, spot: Spot) -> Iterator[np.ndarray]:
+def _tilted(beam: BeamLight, spot: Outline) -> Iterator[np.ndarray]:
     along = np.array([np.cos(spot.angle_rad), np.sin(spot.angle_rad)])
     middle = np.array([spot.x_px, spot.y_px])
     points, normals = beam.wall_points(np.stack([middle, middle + along]))

@@ -8,20 +8,20 @@ forgets its beginning drifts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.distance import Range, RangeFlag, TipPose, WallMemory
-from estimator.image import CameraNoise, Spot
-from estimator.pixels.beam import POSE, BeamLight, Sweep
+from estimator.distance import Range, RangeFlag, WallMemory
+from estimator.image import CameraNoise, Outline
+from estimator.pixels.beam import BeamLight, Sweep
 from estimator.pixels.belief import Belief, distinct
 from estimator.pixels.cells import COUNT, CellLight, Window
-from estimator.pixels.drift import drift_covariance
-from estimator.pixels.frame_fit import STEPS, fit_wherever, hidden, robust_fit
-from estimator.pixels.frame_state import OWN, Direction, FrameState, Linear
+from estimator.pixels.frame_fit import STEPS, fit_wherever, hidden, robust_fit, trusted
+from estimator.pixels.frame_state import Direction, FrameState, Linear
 from estimator.pixels.mix import Mix, evener_mix, plain_mix
 from estimator.pixels.reference import Reference
 from estimator.pixels.registration import farthest_px
@@ -35,6 +35,7 @@ from estimator.pixels.starts import (
     scanned_starts,
 )
 from estimator.pixels.texture import Texture, texture_of
+from estimator.pixels.verdict import flag_of, range_of
 from estimator.pixels.wall_motion import STILL, WallMotion
 
 _REACH = 2.0  # of the half-maximum ellipse; farther out there is hardly any light
@@ -49,16 +50,21 @@ _AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly not
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
 _SURPRISE = 1.5
 """Square of a first frame's surprise, above which its wall is not that of the reference."""
-_SIZE = (1.5, 1.1)
-"""Ratio of the spot's area to that of the fitted light, above which the light is another one, for
-light without and with a sharp edge. The contour of a bell on a textured wall leaves 10 to 20 %,
-that of a blurred edge up to 8 %."""
-_MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 _DRIFTED_PX = 1.0  # of the wall since the first frame, which is worth a word
-_PLACE_PX, _ALONG_MM = 0.02, 0.0003
-"""Errors of the spot's place and of the distance by the image model, on rendered frames of known
-pose on even walls."""
+_AGAINST = 5.0  # standard deviations from the robot's axis that no pose has
+_GUESSES = 2  # outlines that are tried in a frame without a measured spot
+_LIKE_LAST = 1.5  # ratio of areas within which an outline may be that of the last frame
+
+
+class _Picture(NamedTuple):
+    """A frame, and what the robot says of it; see `PoseTracker.read`."""
+
+    channels: Float[np.ndarray, "h w 3"]
+    usable: Bool[np.ndarray, "h w"]
+    direction: Direction | None
+    sweep: Sweep | None
+    robot: RobotPose | None
 
 
 class PoseTracker:
@@ -82,6 +88,7 @@ class PoseTracker:
         self.beam, self.noise, self._shake_px = beam, noise, shake_px
         self._reference = reference
         self._beliefs: list[Belief] = []
+        self._last: Outline | None = None  # in the last frame with a pose
         self._mix: Mix | None = None
         self._drift = np.zeros(2)  # of the view, px, by the maps that were forgotten
         self._unknown_px = 0.0  # what it may have drifted since, if no map was found again
@@ -95,7 +102,7 @@ class PoseTracker:
     def read(
         self,
         image: np.ndarray,
-        spot: Spot,
+        outlines: Sequence[Outline],
         direction: Direction | None = None,
         sweep: Sweep | None = None,
         robot: RobotPose | None = None,
@@ -104,74 +111,89 @@ class PoseTracker:
 
         Args:
             image: H x W x 3.
-            spot: from `measure`.
+            outlines: of the measured spot, or of whatever is bright if none could be measured.
             direction: of the beam, from the robot.
             sweep: motion during the exposure, from the robot; None if unknown.
             robot: where the robot says the tool is; None if it does not.
         """
-        channels = self.noise.channels(image)
         usable = np.all(image < self.noise.full_scale, axis=-1)
+        picture = _Picture(self.noise.channels(image), usable, direction, sweep, robot)
+        if any(outline.measured for outline in outlines):
+            return self._read_spot(picture, outlines[0])
+        return self._read_unmeasured(picture, outlines)
+
+    def _read_spot(self, picture: _Picture, outline: Outline) -> Range:
+        """The pose of a measured spot."""
         flag, wall = RangeFlag.NOT_CONVERGED, WallMemory.NEW
         if self._beliefs:
-            self._follow(channels, usable, spot, sweep, robot)
-            flag = self._flag(spot)
-            best = self._beliefs[0]
-            wall = WallMemory.MOVED if best.drifted_px > _DRIFTED_PX else WallMemory.KNOWN
-            if flag is RangeFlag.NONE and best.lost:
-                flag = RangeFlag.MISFIT  # of the wall that was learnt
+            flag, wall = self._followed(picture, outline)
         if flag is not RangeFlag.NONE:
             # Where the past does not explain the frame, it may be wrong.
             wall = WallMemory.DROPPED if self._beliefs else WallMemory.NEW
             if self._beliefs:
                 self._reference = None  # nor does it
             self.forget()
-            self._begin(channels, usable, spot, direction, sweep, robot)
-            flag = self._flag(spot)
+            flag = self._begun(picture, outline)
             if self._reference is not None:
                 wall = WallMemory.KNOWN
                 if flag is not RangeFlag.NONE or self._beliefs[0].lost:
                     self._reference, wall = None, WallMemory.DROPPED
-                    self._begin(channels, usable, spot, direction, sweep, robot)
-                    flag = self._flag(spot)
+                    flag = self._begun(picture, outline)
         if flag is not RangeFlag.NONE:
             self.forget()
-            return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=flag, wall=wall)
+            return _missing(flag, wall)
+        return self._range(wall, outline)
+
+    def _read_unmeasured(self, picture: _Picture, outlines: Sequence[Outline]) -> Range:
+        """The pose of a spot that could not be measured, if the light is the beam's nonetheless."""
+        before = self._beliefs
+        if before and self._last is not None:
+            outline = _like(self._last, outlines)
+            flag, wall = self._followed(picture, outline)
+            if flag is RangeFlag.NONE:
+                return self._range(wall, outline)
+            self._beliefs = before
+            return _missing(flag, wall)
+        flag = RangeFlag.NOT_CONVERGED
+        for outline in outlines[:_GUESSES]:
+            flag = self._begun(picture, outline)
+            if flag is RangeFlag.NONE and not self._beliefs[0].lost:
+                return self._range(WallMemory.NEW, outline)
+            self._beliefs = []
+        return _missing(flag, WallMemory.NEW)
+
+    def _followed(self, picture: _Picture, outline: Outline) -> tuple[RangeFlag, WallMemory]:
+        """Explain a frame by the earlier ones: why that failed, if so, and what the wall did."""
+        self._follow(picture, outline)
         best = self._beliefs[0]
-        others = tuple(float(one.newest.pose.distance) for one in self._beliefs[1:])
-        # Where the view was in the first frame, if it shakes, nobody knows.
-        shake = max(best.shake_px, self._shake_px)
-        place = self.beam.scale_mm_px * math.hypot(_PLACE_PX, shake)
-        doubt = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
-        drifts = [self._drift + best.drift(frame) for frame in best.solution.frames]
+        wall = WallMemory.MOVED if best.drifted_px > _DRIFTED_PX else WallMemory.KNOWN
+        flag = flag_of(best, outline)
+        if flag is RangeFlag.NONE and best.lost:
+            flag = RangeFlag.MISFIT  # of the wall that was learnt
+        return flag, wall
+
+    def _begun(self, picture: _Picture, outline: Outline) -> RangeFlag:
+        """Explain a frame by itself: why that failed, if so."""
+        self._begin(picture, outline)
+        return flag_of(self._beliefs[0] if self._beliefs else None, outline)
+
+    def _range(self, wall: WallMemory, outline: Outline) -> Range:
+        best, *others = self._beliefs
+        self._last = outline
         if wall is WallMemory.DROPPED:
             self._unknown_px = max(self._unknown_px, farthest_px(best.solver.window))
-        for way in self._unknown_px * np.eye(2) if self._unknown_px else ():
-            doubt += drift_covariance(best.solver, best.solution, [way for _ in drifts])
-        if np.any(drifts):
-            doubt += drift_covariance(best.solver, best.solution, drifts)
-        return _range(best.solution, others, doubt, wall)
+        return range_of(
+            best,
+            tuple(float(one.newest.pose.distance) for one in others),
+            wall,
+            shake_px=self._shake_px,
+            drift_px=self._drift,
+            unknown_px=self._unknown_px,
+        )
 
-    def _flag(self, spot: Spot) -> RangeFlag:
-        """Whether the newest frame is explained."""
-        best = self._beliefs[0].solution if self._beliefs else None
-        if best is None or not best.converged:
-            return RangeFlag.NOT_CONVERGED
-        size = self._beliefs[0].solver.half_maximum_px2(best.frames[-1], best.own)
-        seen = math.pi * spot.semi_major_px * spot.semi_minor_px
-        most = _SIZE[self.beam.sharp]
-        alike = 1.0 / most < size / seen < most
-        return RangeFlag.NONE if best.chi_squared < _MISFIT and alike else RangeFlag.MISFIT
-
-    def _begin(
-        self,
-        channels: Float[np.ndarray, "h w 3"],
-        usable: Bool[np.ndarray, "h w"],
-        spot: Spot,
-        direction: Direction | None,
-        sweep: Sweep | None,
-        robot: RobotPose | None,
-    ) -> None:
+    def _begin(self, picture: _Picture, spot: Outline) -> None:
         """Explain a frame by itself."""
+        channels, usable, direction, sweep, robot = picture
         window = Window.around(np.array([spot.x_px, spot.y_px]), _reach(spot))
         mix = plain_mix(channels, spot)
         cells = self._cells(channels, usable, mix)
@@ -209,6 +231,9 @@ class PoseTracker:
         )
         solver = Solver(self.beam, window, texture, self._known(mix))
         again = [robust_fit(solver, [], one.frames[0], own) for one in found]
+        # A pose may explain the light by chance, but not against the robot.
+        as_told = [one for one in again if one[0].frames[0].axis_off < _AGAINST]
+        again = as_told or again
         self._beliefs = distinct(
             [
                 Belief(
@@ -226,15 +251,9 @@ class PoseTracker:
         """What the reference says of the wall in a mixture of channels."""
         return None if self._reference is None else self._reference.seen_in(mix).known
 
-    def _follow(
-        self,
-        channels: Float[np.ndarray, "h w 3"],
-        usable: Bool[np.ndarray, "h w"],
-        spot: Spot,
-        sweep: Sweep | None,
-        robot: RobotPose | None,
-    ) -> None:
+    def _follow(self, picture: _Picture, spot: Outline) -> None:
         """Explain a frame together with earlier ones."""
+        channels, usable, _, sweep, robot = picture
         assert self._mix is not None
         mix = self._mix
 
@@ -252,7 +271,7 @@ class PoseTracker:
             off = np.abs(on_map - solver.window.corner_px - held).max()
             if off > _CENTRED * held or abs(math.log(held / reach)) > _SIZED:
                 solver = solver.at(Window.around(on_map, reach))
-                kept = [(state, solver.linear(state, own)) for state, _ in kept]
+                kept = [(state, trusted(solver, solver.linear(state, own))) for state, _ in kept]
                 texture_map, _ = solver.known([line for _, line in kept])
             start = self._start(belief.newest, solver, cells(motion), point, own, sweep)
             start = replace(
@@ -339,34 +358,24 @@ class PoseTracker:
         )
 
 
-def _reach(spot: Spot) -> float:
+def _missing(flag: RangeFlag, wall: WallMemory) -> Range:
+    return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=flag, wall=wall)
+
+
+def _like(last: Outline, outlines: Sequence[Outline]) -> Outline:
+    """The outline that may be the last one's, or else that itself."""
+
+    def way(outline: Outline) -> float:
+        return math.hypot(outline.x_px - last.x_px, outline.y_px - last.y_px)
+
+    def alike(outline: Outline) -> bool:
+        size = outline.semi_major_px * outline.semi_minor_px
+        ratio = size / (last.semi_major_px * last.semi_minor_px)
+        return 1.0 / _LIKE_LAST < ratio < _LIKE_LAST and way(outline) < last.semi_major_px
+
+    return min(filter(alike, outlines), key=way, default=last._replace(measured=False))
+
+
+def _reach(spot: Outline) -> float:
     """From the spot's centre, px, to where there is hardly any light."""
     return _REACH * spot.semi_major_px + _BESIDE_PX
-
-
-def _range(
-    solution: Solution,
-    others_mm: tuple[float, ...],
-    doubt: Float[np.ndarray, "5 5"],
-    wall: WallMemory,
-) -> Range:
-    """Of the newest frame; `doubt` is a covariance that its fit does not know of."""
-    at = OWN * (len(solution.frames) - 1)
-    pose = solution.frames[-1].pose
-    covariance = solution.covariance[at : at + POSE, at : at + POSE] + doubt
-    across = np.stack([pose.first, pose.second])
-    found = TipPose(
-        tip_mm=np.asarray(pose.tip),
-        axis=np.asarray(pose.axis),
-        distance_mm=float(pose.distance),
-        covariance=pose.slopes @ covariance @ pose.slopes.T,
-        across=across,
-    )
-    return Range(
-        distance_mm=found.distance_mm,
-        sigma_mm=float(np.sqrt(covariance[2, 2])),
-        others_mm=others_mm,
-        poses=(found,),
-        chi_squared=solution.chi_squared,
-        wall=wall,
-    )

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from estimator.detector import LiteralSettings, SubpixelSettings, TrackState, measure
+from estimator.detector import (
+    LiteralSettings,
+    SubpixelSettings,
+    TrackState,
+    bright_outlines,
+    measure,
+)
 from estimator.distance import AT_REST, Budget, Budgets, Motion, Range, RangeFlag, Ranger
 from estimator.files import Calibration, Pose, PoseTrack, Quaternion, Stated, turned
 from estimator.image import NoSpot, Reason, Spot
@@ -31,7 +37,8 @@ class Reading(NamedTuple):
 
     Attributes:
         result: the spot, or why there is none.
-        range: its distance; None without a spot or without a calibration.
+        range: its distance; None without a calibration, or where there is none. The mode pixels may
+            find one where no spot could be measured.
         pose_age_s: age of the robot's pose at the frame's time; NaN where none was known.
         budget: what the distance is worth; None without one.
     """
@@ -53,8 +60,8 @@ class Reading(NamedTuple):
 
     @property
     def doubt(self) -> str:
-        """A `Reason` for no spot, else a `RangeFlag` of the distance; empty if all is well."""
-        if isinstance(self.result, NoSpot):
+        """A `RangeFlag` of the distance, or a `Reason` for none; empty if all is well."""
+        if isinstance(self.result, NoSpot) and self.range is None:
             return self.result.reason.value
         flag = self.range.flag if self.range else RangeFlag.NONE
         return "" if flag is RangeFlag.NONE else flag.value
@@ -176,7 +183,7 @@ class Reader:
         result, self._state = measure(image, self._state, self.settings)
         pose, age_s = poses.at(time_s) or (None, math.nan)
         own = None if math.isnan(exposure_s) else exposure_s
-        if self._pixel_ranger is not None and isinstance(result, Spot):
+        if self._pixel_ranger is not None:
             times = time_s, self._exposure_s or own or 0.0
             found = self._by_pixels(self._pixel_ranger, result, image, pose, poses, times)
             return Reading(result, found, age_s)
@@ -199,13 +206,16 @@ class Reader:
     def _by_pixels(
         self,
         ranger: PixelRanger,
-        spot: Spot,
+        result: Spot | NoSpot,
         image: np.ndarray,
         pose: Pose | None,
         poses: PoseTrack,
         times: tuple[float, float],
-    ) -> Range:
-        """The pose by all pixels; `times` are the frame's and its exposure, s."""
+    ) -> Range | None:
+        """The pose by all pixels; `times` are the frame's and its exposure, s.
+
+        None if no spot was measured and no pose was found either.
+        """
         from estimator.pixels import NODES, RobotPose, Sweep
 
         axis = sweep = robot = None
@@ -220,14 +230,20 @@ class Reader:
                 sweep = Sweep(tips[1:] - tips[0], axes[1:] - axes[0])
                 speed = math.hypot(*self._motion(pose, poses, 0.0).velocity_mm_s)
                 robot = RobotPose(tips[0], axes[0], _ROBOT_MM + speed * self._clock_sigma_s)
-        return ranger.distance(
-            spot,
+        assert isinstance(self.settings, SubpixelSettings), "the mode pixels follows its spots"
+        if isinstance(result, Spot):
+            outlines = [result.outline]
+        else:
+            outlines = bright_outlines(image, self.settings)
+        found = ranger.distance(
+            outlines,
             frame=image,
             axis=axis,
             axis_sigma_rad=self._axis_sigma_rad,
             sweep=sweep,
             robot=robot,
         )
+        return found if result or found.poses else None
 
     def _beam_axis(self, pose: Pose, calibration: Calibration) -> np.ndarray:
         """The beam's direction at a pose of the robot, eye frame."""

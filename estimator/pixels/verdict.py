@@ -1,0 +1,98 @@
+"""Whether a pose explains its frame, and what is stated of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from estimator.distance import Range, RangeFlag, TipPose, WallMemory
+from estimator.image import Outline
+from estimator.pixels.beam import POSE
+from estimator.pixels.belief import Belief
+from estimator.pixels.drift import drift_covariance
+from estimator.pixels.frame_state import OWN
+
+_MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
+_SIZE = (1.5, 1.1)
+"""Ratio of the spot's area to that of the fitted light, above which the light is another one, for
+light without and with a sharp edge. The contour of a bell on a textured wall leaves 10 to 20 %,
+that of a blurred edge up to 8 %."""
+_BRIGHT_SIZE = 1.25
+"""The same for the outline of something bright, which is good to 3 px."""
+_VISIBLE = 0.75
+"""Least share of the light that is seen and like the wall. Letters, rings and polygons are bright,
+too, and pass for spots of which something hides a part."""
+_PLACE_PX, _ALONG_MM = 0.02, 0.0003
+"""Errors of the spot's place and of the distance by the image model, on rendered frames of known
+pose on even walls."""
+
+
+def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
+    """Why the newest frame is not explained, if so.
+
+    Args:
+        belief: the best explanation; None if there is none.
+        outline: in the frame.
+    """
+    if belief is None or not belief.solution.converged:
+        return RangeFlag.NOT_CONVERGED
+    best, sharp = belief.solution, belief.solver.beam.sharp
+    lit = belief.solver.lit(best.frames[-1], best.own)
+    size = float(np.count_nonzero(lit)) * belief.solver.window.side**2
+    seen = math.pi * outline.semi_major_px * outline.semi_minor_px
+    most = _SIZE[sharp] if outline.measured else _BRIGHT_SIZE
+    explained = best.chi_squared < _MISFIT and 1.0 / most < size / seen < most
+    if explained and not outline.measured and len(best.frames) == 1:
+        usable = best.linear[-1].weight > 0
+        explained = bool(np.mean(usable[lit]) > _VISIBLE)
+    return RangeFlag.NONE if explained else RangeFlag.MISFIT
+
+
+def range_of(
+    belief: Belief,
+    others_mm: tuple[float, ...],
+    wall: WallMemory,
+    *,
+    shake_px: float,
+    drift_px: Float[np.ndarray, "2"],
+    unknown_px: float,
+) -> Range:
+    """What is stated of the newest frame's pose.
+
+    Args:
+        belief: the best explanation.
+        others_mm: distances of other explanations.
+        wall: what was known of the wall.
+        shake_px: least standard deviation of the image's shake along each side.
+        drift_px: of the view before the wall's map was begun.
+        unknown_px: what it may have drifted without anybody seeing it.
+    """
+    solver, solution = belief.solver, belief.solution
+    # Where the view was in the first frame, if it shakes, nobody knows.
+    place = solver.beam.scale_mm_px * math.hypot(_PLACE_PX, max(belief.shake_px, shake_px))
+    doubt = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
+    drifts = [drift_px + belief.drift(frame) for frame in solution.frames]
+    for way in unknown_px * np.eye(2) if unknown_px else ():
+        doubt += drift_covariance(solver, solution, [way for _ in drifts])
+    if np.any(drifts):
+        doubt += drift_covariance(solver, solution, drifts)
+    at = OWN * (len(solution.frames) - 1)
+    pose = solution.frames[-1].pose
+    covariance = solution.covariance[at : at + POSE, at : at + POSE] + doubt
+    found = TipPose(
+        tip_mm=np.asarray(pose.tip),
+        axis=np.asarray(pose.axis),
+        distance_mm=float(pose.distance),
+        covariance=pose.slopes @ covariance @ pose.slopes.T,
+        across=np.stack([pose.first, pose.second]),
+    )
+    return Range(
+        distance_mm=found.distance_mm,
+        sigma_mm=float(np.sqrt(covariance[2, 2])),
+        others_mm=others_mm,
+        poses=(found,),
+        chi_squared=solution.chi_squared,
+        wall=wall,
+    )
