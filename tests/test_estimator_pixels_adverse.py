@@ -26,8 +26,8 @@ def test_a_blurred_edge_does_not_pull_the_distance(tmp_path, wall):
 
 @pytest.mark.parametrize("wall", ["printed paper", "retina"])
 def test_an_edge_that_a_bayer_filter_samples_does_not_pull_the_distance(tmp_path, wall):
-    # A red pixel in four is seen. The mixture in which a retina is even is a difference of colours,
-    # whose edges differ; with the errors of a camera that sees all colours, chi squared was 39 and 31.
+    # One pixel in four is red. The mixture in which a retina is even is a difference of colours,
+    # whose edges differ; with the errors of a camera without a filter, chi squared was 39 and 31.
     found = _of(tmp_path, wall=wall, camera={"bayer": "RGGB"})
     assert max(chi_squared for _, _, chi_squared in found) < _MOST
 
