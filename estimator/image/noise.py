@@ -32,6 +32,7 @@ class CameraNoise:
         response: response curve of the pixel values.
         prnu: standard deviation of the pixels' gain, relative.
         dsnu_e: standard deviation of the pixels' dark signal, electrons.
+        cut: error of a pixel that an edge cuts, over the step; no camera sees all of a pixel alike.
         correlated: growth of the variance of a mean over many pixels, whose noise is correlated.
         coarse_colours: whether only the sum of the channels is true to the light, as after JPEG.
     """
@@ -44,6 +45,7 @@ class CameraNoise:
     response: Response
     prnu: float = 0.0
     dsnu_e: float = 0.0
+    cut: float = 0.02
     correlated: float = 1.0
     coarse_colours: bool = False
 

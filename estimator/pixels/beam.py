@@ -32,10 +32,13 @@ _SWEPT_SLOPES = 0.5
 and the pose for too well known."""
 _POSITIONS_SHARP, _POSITIONS = (3, 6, 12), (3, 6)
 """Numbers of these positions, for light with and without a sharp edge; each is compiled once."""
-_FLOOR_SHARP, _FLOOR = 5e-4, 2e-3
-"""Relative errors of the light of a cone, in closed form, and of a lens, from a table."""
 _STILL_SHARP_PX, _STILL_PX = 0.1, 0.5  # way of the light that is not averaged
-_LEAST_BLUR_PX2 = 0.25  # of a sharp edge, below which its light changes in proportion
+_CUT = 0.02  # of a camera that is not known, see `CameraNoise`
+_SOFT = 0.13
+"""Share of an error of cut pixels where an edge is two pixels wide, as that of a lens's light is at
+least: edges at random places and angles, sampled by a Bayer filter."""
+_LEAST_BLUR_PX2 = 0.25
+"""Below it the light of a sharp edge changes in proportion, and that of a lens as heat spreads."""
 _NARROW = 0.25
 """Variance of a blur, in squares of a cell's side, from which light spreads from cell to cell: then
 an edge reaches over two cells, and where in one it lies does not matter."""
@@ -134,7 +137,8 @@ class BeamLight:
         sharp: bool,
     ) -> None:
         self.source, self.spread, self.sharp = source, spread, sharp
-        self.floor = _FLOOR_SHARP if sharp else _FLOOR
+        cut = _CUT if microscope.noise is None else microscope.noise.cut
+        self.cut = cut if sharp else _SOFT * cut
         self.camera = microscope.ideal_microscope()
         self.wall = microscope.wall()
         self.scale_mm_px = microscope.scale_mm_px
@@ -203,8 +207,9 @@ class BeamLight:
         if moved is not None:
             value = self.irradiance_alone(lattice, pose, own, moved)
         cells2 = window.side**2  # px²
-        if self.sharp and blur_px2 < _NARROW * cells2:
-            # Where in a cell an edge lies, only the beam knows.
+        narrow = blur_px2 < _NARROW * cells2
+        if narrow and (self.sharp or blur_px2 >= _LEAST_BLUR_PX2):
+            # Where in a cell the light is steep, only the beam knows.
             at_least = max(blur_px2, _LEAST_BLUR_PX2)
             aside = self.irradiance_alone(lattice, pose, own, self._aside(moved, at_least))
             bend, tails = (aside - value) / at_least, np.zeros_like(value)
