@@ -17,9 +17,12 @@ load               Long measurements: `eyespot track` of many frames, and a `Rea
 output             Tables and sentences on the terminal, processor times, and memory
 photon_fit         Accuracy of a lens fitted through its own glass, with Mitsuba behind JAX
 pixel_adverse      The mode pixels where beams, walls and cameras are not as it believes
+pixel_branches     Whether the mode pixels takes the wrong one of two distances behind a lens
 pixel_coverage     Whether the stated errors of the mode pixels hold, on many single frames
 pixel_frames       Frames of a rendered stack, read in the mode pixels and in the other modes
+pixel_memory       Memory and time of the mode pixels over many frames
 pixel_pose         Accuracy and stated errors of the mode pixels on rendered stacks
+pixel_set          The mode pixels on the stacks of a set with adverse conditions
 pixel_stacks       Drawn stacks for the benches of the mode pixels, and calibrations of their beams
 render_efficiency  Noise and time of a rendered spot, compared with common ways to render it
 render_speed       Time of a labelled frame, from the scene to files on disk

@@ -119,7 +119,7 @@ def frame_errors(
             half_maximum_px=_half_maximum_error_px(world, pose, labels),
             subpixel_px=_semi_minor_error_px(subpixel.read(frame.image), labels),
             literal_px=_semi_minor_error_px(literal.read(frame.image), labels),
-            doubt=_doubt(read),
+            doubt=doubt_of_pose(read),
             memory=read.range.wall.value if read.range else "",
             bound_mm=labels.bound_d_mm,
             seconds=seconds,
@@ -160,8 +160,8 @@ def told_poses(stack: Stack, rng: np.random.Generator) -> PoseTrack:
     )
 
 
-def _doubt(read: Reading) -> str:
-    """Why the pose is doubtful or missing; the spot may be missing where there is a pose."""
+def doubt_of_pose(read: Reading) -> str:
+    """Why the pose is doubtful or missing; empty if all is well, even where there is no spot."""
     if read.range is None:
         return read.doubt
     return "" if read.range.flag is RangeFlag.NONE else read.range.flag.value

@@ -48,8 +48,8 @@ def _errors(frames: dict[tuple[str, str], list[FrameErrors]]) -> Table:
         *("tip, µm", "axis, °", "stated", "chi²_5 / 5", "e₁′, px", "sub-pixel", "literal"),
         "ms, median",
         caption="bound: of Cramér and Rao, for the distance from the spot's ellipse on a wall that "
-        "is known; e₁′: semi-minor axis of the half-maximum ellipse; nan: no spot was found, as by the "
-        "literal mode at exposures that are not the paper's",
+        "is known; e₁′: semi-minor axis of the half-maximum ellipse; nan: no spot, as by the "
+        "literal mode, whose threshold is for the paper's exposure",
     )
     for (beam, wall), own in frames.items():
         groups = {
