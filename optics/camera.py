@@ -257,6 +257,7 @@ def _distort(
     )
 
 
+@jax.jit  # else every call would compile the loop anew
 def _undistort(
     offset: Float[Array, "*batch 2"],
     distortion: Float[Array, "5"],

@@ -27,8 +27,15 @@ MAKE_BENCH = (
 """What `make bench` runs. Each module has a function `run(*, full: bool)` that prints tables,
 some with a seed, too."""
 
-BY_NAME_ONLY = ("lens_fit", "photon_fit", "estimator.tuning", "set_size")
-"""Benches that take long, and whose results the documents do not state."""
+BY_NAME_ONLY = (
+    "lens_fit",
+    "photon_fit",
+    "estimator.tuning",
+    "set_size",
+    "pixel_branches",
+    "pixel_memory",
+)
+"""Benches that take long."""
 
 SEEDED = ("estimator.stated_errors",)
 """Benches whose frames follow from a seed."""
@@ -50,7 +57,8 @@ def main(
         typer.Option(
             "--full",
             help="Use more or larger frames in render_speed, estimator.accuracy, image_fit, "
-            "pixel_pose, pixel_adverse, load, estimator.stated_errors.",
+            "pixel_pose, pixel_adverse, pixel_branches, pixel_memory, load, "
+            "estimator.stated_errors.",
         ),
     ] = False,
     seed: Annotated[

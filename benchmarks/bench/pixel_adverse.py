@@ -1,6 +1,6 @@
 """The mode pixels where the world is not as it believes: beams, walls, cameras, other tools.
 
-Each row is a few stacks on printed paper and on a drawn retina (`pixel_frames`). A pose that is
+Each row is a few stacks on printed paper and on a drawn retina (`pixel_stacks`). A pose that is
 far off and not doubtful is a silent error; frames that the sub-pixel mode measures should be
 measured here too.
 """
@@ -16,9 +16,9 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.bench.output import show, table
-from benchmarks.bench.pixel_frames import Circumstances, Reading, readings_of
+from benchmarks.bench.pixel_frames import FrameErrors
+from benchmarks.bench.pixel_stacks import Circumstances, drawn_errors, prepare
 from benchmarks.evaluation import rms
-from scenes import load_mitsuba
 
 _FRAMES = 8
 _BEAMS, _WALLS = ("cone", "dome, vitreous"), ("printed paper", "retina")
@@ -56,19 +56,19 @@ _ROWS = {
 
 def run(*, full: bool) -> None:
     """Render, read, and print the errors (`full` draws three times as many stacks)."""
-    load_mitsuba()
-    readings: dict[str, list[Reading]] = {}
+    prepare()
+    frames: dict[str, list[FrameErrors]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, row in _ROWS.items():
-            rng, own = np.random.default_rng(7), readings.setdefault(name, [])  # the same draws
+            rng, own = np.random.default_rng(7), frames.setdefault(name, [])  # the same draws
             for number in range(3 if full else 1):
                 for beam in _BEAMS:
                     for wall in _WALLS:
                         motion = "hand" if number % 2 else "withdrawal"
                         tables = _of_wall(row.tables, wall)
                         what = Circumstances(beam, wall, motion, _FRAMES, tables, row.sigmas)
-                        own += readings_of(what, rng, Path(folder) / f"{name} {len(own)}")
-    show(_table(readings), width=_WIDTH)
+                        own += drawn_errors(what, rng, Path(folder) / f"{name} {len(own)}")
+    show(_table(frames), width=_WIDTH)
 
 
 def _of_wall(tables: dict[str, dict[str, Any]], wall: str) -> dict[str, dict[str, Any]]:
@@ -77,14 +77,14 @@ def _of_wall(tables: dict[str, dict[str, Any]], wall: str) -> dict[str, dict[str
     return {name: own | more.get(name, {}) for name, own in tables.items()}
 
 
-def _table(readings: dict[str, list[Reading]]) -> Table:
+def _table(frames: dict[str, list[FrameErrors]]) -> Table:
     made = table(
         f"mode pixels, {len(_BEAMS)} beams on {len(_WALLS)} walls",
         *("circumstance", "frames", "sub-pixel", "pixels", "doubtful", "wall moved / dropped"),
         *("d RMS, µm", "median", "stated", "tip, µm", "axis, °", "chi²_5 / 5", "silently wrong"),
         caption=f"silently wrong: chi squared of the pose above {_SILENT:g}; median, of |error|",
     )
-    for name, some in readings.items():
+    for name, some in frames.items():
         posed = [one for one in some if one.posed]
         made.add_row(
             name,

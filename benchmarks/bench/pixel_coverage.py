@@ -1,16 +1,14 @@
 """Whether the stated errors of the mode pixels hold: many stacks of one frame, a draw each.
 
     python -m benchmarks.bench.pixel_coverage FILE.jsonl 500
+    python -m benchmarks.bench.pixel_coverage FILE.jsonl 500 --of 2 --part 1    # beside --part 0
 
-A line of the file is a frame of one beam and one wall. What the file has is not measured again, so
-that a stopped run goes on.
+A line of the file (`lines`) is a frame of one beam and one wall.
 """
 
 from __future__ import annotations
 
-import json
 import tempfile
-from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,11 +17,10 @@ import typer
 from rich.table import Table
 from scipy.stats import binom, chi2
 
+from benchmarks.bench.lines import add_line, lines_in
 from benchmarks.bench.output import show, table
-from benchmarks.bench.pixel_frames import BEAMS, WALLS, Circumstances, readings_of
-from scenes import load_mitsuba
+from benchmarks.bench.pixel_stacks import BEAMS, WALLS, Circumstances, drawn_errors, prepare
 
-_SEED = 20261124
 _WIDTH = 190  # characters of the table
 _LEVELS = 0.6827, 0.95
 _WRONG = 1e-4
@@ -33,39 +30,28 @@ _WRONG = 1e-4
 def main(
     file: Annotated[Path, typer.Argument(help="Lines of frames that were measured; grows.")],
     stacks: Annotated[int, typer.Argument(min=1, help="Stacks on each wall, of all beams.")],
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the stacks.")] = 20261124,
+    of: Annotated[int, typer.Option(min=1, help="Processes that share the stacks.")] = 1,
+    part: Annotated[int, typer.Option(min=0, help="Which of them this is, from 0.")] = 0,
 ) -> None:
     """Render and read single frames, and print how many are within their stated errors."""
-    load_mitsuba()
-    done = _lines(file)
-    have = {(line["wall"], line["number"]) for line in done}
-    with file.open("a") as out:
-        for number in range(stacks):
-            for wall in WALLS:
-                if (wall, number) not in have:
-                    line = _measured(wall, number)
-                    out.write(json.dumps(line) + "\n")
-                    out.flush()
-                    done.append(line)
-    show(_table(done), width=_WIDTH)
+    prepare()
+    have = {(line["seed"], line["wall"], line["number"]) for line in lines_in(file)}
+    for number in range(part, stacks, of):
+        for wall in WALLS:
+            if (seed, wall, number) not in have:
+                add_line(file, _measured(seed, wall, number))
+    show(_table(lines_in(file)), width=_WIDTH)
 
 
-def _lines(file: Path) -> list[dict[str, Any]]:
-    if not file.exists():
-        return []
-    # A line that a kill cut off has no end.
-    whole = [line for line in file.read_text().splitlines(keepends=True) if line.endswith("\n")]
-    file.write_text("".join(whole))
-    return [json.loads(line) for line in whole]
-
-
-def _measured(wall: str, number: int) -> dict[str, Any]:
-    rng = np.random.default_rng([_SEED, WALLS.index(wall), number])
+def _measured(seed: int, wall: str, number: int) -> dict[str, Any]:
+    rng = np.random.default_rng([seed, WALLS.index(wall), number])
     beam = list(BEAMS)[number % len(BEAMS)]
     motion = "hand" if number % 2 else "withdrawal"
     with tempfile.TemporaryDirectory() as folder:
         what = Circumstances(beam, wall, motion, 1)
-        (first,) = islice(readings_of(what, rng, Path(folder) / "stack"), 1)
-    return first._asdict() | {"number": number}
+        first = next(drawn_errors(what, rng, Path(folder) / "stack"))
+    return {"seed": seed, "wall": wall, "number": number, "beam": beam} | first._asdict()
 
 
 def _table(lines: list[dict[str, Any]]) -> Table:

@@ -1,8 +1,8 @@
-"""Rendered stacks of a drawn scene, read in the mode pixels, and how far each frame is off.
+"""Frames of a rendered stack, read in the mode pixels, and how far each is off.
 
-The beam is known. The robot says the beam's axis with an error of 5 degrees, one draw a stack, and
-the tip's relative motion; nothing says the distance. Each wall, beam and motion is drawn anew from
-a seed: place, tilt, texture and noise.
+The beam is known, as a calibration says it. The robot says the beam's axis with an error of 5
+degrees, one draw a stack, and the tip's relative motion; nothing says the distance. The sub-pixel
+and the literal mode measure the same frames.
 """
 
 from __future__ import annotations
@@ -10,74 +10,40 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 import optics
+from benchmarks.sets.read import own_reader
 from benchmarks.studies.pose import PRIOR_DEG, drawn_prior
-from estimator.distance import TipPose
+from estimator.distance import RangeFlag, TipPose
 from estimator.files import (
     Calibration,
+    FrameLabels,
     Pose,
     PoseTrack,
     Stack,
+    read_microscope,
     read_poses,
     write_calibration,
 )
-from estimator.run import Options, Reader
+from estimator.run import Options, Reader, Reading
 from estimator.sources import open_source
-from scenes import Scene, SceneError, render_stack
+from scenes import Scene
 from scenes.world import World
 
-BEAMS: dict[str, dict[str, Any]] = {
-    "cone": {"kind": "cone"},
-    "dome, vitreous": {"kind": "lens", "lens": "dome", "medium": "vitreous"},
-    "candidate, air": {"kind": "lens", "lens": "paper-candidate", "medium": "air"},
-}
-WALLS = ("uniform", "printed paper", "retina", "photograph")
-_FIELD_MM = 2.2  # half of the photograph's width, where every wall has a picture
-_SURE = 1e-6  # relative error of a beam that is known
-_FRAMES = 12  # over which the withdrawal goes 2 mm
-_TRIES = 50  # draws of a scene until its spot lies in the window
 
-
-@dataclass(frozen=True)
-class Circumstances:
-    """What a stack is of.
-
-    Attributes:
-        beam: one of `BEAMS`.
-        wall: one of `WALLS`.
-        motion: "withdrawal" or "hand".
-        frames: number of frames.
-        tables: what else the scene has, by table.
-        sigmas: relative errors of the beam's own parameters, by name.
-    """
-
-    beam: str
-    wall: str
-    motion: str
-    frames: int
-    tables: dict[str, dict[str, Any]] = field(default_factory=dict)
-    sigmas: dict[str, float] = field(default_factory=dict)
-
-
-class Reading(NamedTuple):
+class FrameErrors(NamedTuple):
     """Errors of one frame; lengths in mm, angles in degrees, and NaN where there is no pose.
 
-    `wall` is of the scene, `memory` a `WallMemory`, and `bound_mm` the Cramér-Rao bound of the
-    distance from the ellipse, where the scene asks for it. The squares of the Mahalanobis distances
-    are of the pose's five numbers, of its tip and of its axis. `half_maximum_px` is the semi-minor
-    axis of the half-maximum ellipse at the pose, and `subpixel_px` the one that the sub-pixel mode
-    measures, both less the true one.
+    `doubt` is of the pose, or says why there is none; `memory` is a `WallMemory`. `bound_mm` is the
+    Cramér-Rao bound of the distance from the ellipse, where the scene asks for it. The squares of
+    the Mahalanobis distances are of the pose's five numbers, of its tip and of its axis.
+    `half_maximum_px` is the semi-minor axis of the half-maximum ellipse at the pose, `subpixel_px`
+    and `literal_px` those that the two other modes measure, all less the true one.
     """
 
-    beam: str
-    wall: str
-    motion: str
     frame: int
     d_mm: float
     distance_mm: float
@@ -90,7 +56,7 @@ class Reading(NamedTuple):
     axis_chi_squared: float
     half_maximum_px: float
     subpixel_px: float
-    found: bool
+    literal_px: float
     doubt: str
     memory: str
     bound_mm: float
@@ -101,179 +67,153 @@ class Reading(NamedTuple):
         """Whether there is a pose without a doubt."""
         return not math.isnan(self.distance_mm) and not self.doubt
 
+    @property
+    def found(self) -> bool:
+        """Whether the sub-pixel mode measures the spot."""
+        return not math.isnan(self.subpixel_px)
 
-def readings_of(what: Circumstances, rng: np.random.Generator, folder: Path) -> Iterator[Reading]:
-    """Render a drawn stack into a folder and read its frames.
+
+def frame_errors(
+    stack: Stack,
+    calibration: Calibration,
+    rng: np.random.Generator,
+    *,
+    alone_every: int | None = None,
+) -> Iterator[FrameErrors]:
+    """Read the frames of a stack in their order.
+
+    Args:
+        stack: rendered, of one exposure.
+        calibration: of its beam.
+        rng: draws the error of the axis.
+        alone_every: the first of each so many frames is read as if nothing came before it; None:
+            only the stack's first.
 
     Raises:
-        SceneError: no drawn scene is possible.
+        InputError: the mode pixels cannot read the stack; the text says why.
     """
-    stack, world = _rendered(what, rng, folder)
-    reader, poses = _reader(stack, what, rng)
-    for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
+    world = World(Scene.model_validate(stack.description["scene"]))
+    microscope = read_microscope(stack.folder / "microscope.json")
+    reader, poses = robot_reader(stack, calibration), told_poses(stack, rng)
+    start = stack.labels[0].half_max_x_px, stack.labels[0].half_max_y_px
+    subpixel, literal = (own_reader(m, microscope, click=start) for m in ("subpixel", "literal"))
+    for number, (frame, labels) in enumerate(
+        zip(open_source(stack.folder), stack.labels, strict=True)
+    ):
+        if alone_every is not None and number % alone_every == 0:
+            reader.forget()
+            subpixel.forget()
+            literal.look_at(labels.half_max_x_px, labels.half_max_y_px)
         began = time.perf_counter()
         read = reader.read(
             frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
         )
         seconds = time.perf_counter() - began
-        off, covariance = np.full(5, math.nan), np.eye(5)
-        distance = sigma = subpixel = half = math.nan
-        whole = of_tip = of_axis = math.nan
-        if read.result:
-            subpixel = read.result.semi_minor_px - labels.half_max_semi_minor_px
-        if read.range and read.range.poses:
-            pose = read.range.poses[0]
-            assert pose.covariance is not None
-            off, covariance = pose.less(labels.tip_mm, labels.axis), pose.covariance
-            whole, of_tip, of_axis = (
-                pose.chi_squared(labels.tip_mm, labels.axis, part=part)
-                for part in (slice(None), slice(3), slice(3, None))
-            )
-            distance, sigma = read.range.distance_mm - labels.d_mm, read.range.sigma_mm
-            half = _half_maximum_px(world, pose) - labels.half_max_semi_minor_px
-        yield Reading(
-            beam=what.beam,
-            wall=what.wall,
-            motion=what.motion,
-            frame=frame.index,
+        pose = read.range.poses[0] if read.range and read.range.poses else None
+        yield FrameErrors(
+            frame=number,
             d_mm=labels.d_mm,
-            distance_mm=distance,
-            sigma_mm=sigma,
-            tip_mm=float(np.linalg.norm(off[:3])),
-            axis_deg=math.degrees(np.linalg.norm(off[3:])),
-            sigma_axis_deg=math.degrees(math.sqrt(covariance[3, 3] + covariance[4, 4])),
-            chi_squared=whole,
-            tip_chi_squared=of_tip,
-            axis_chi_squared=of_axis,
-            half_maximum_px=half,
-            subpixel_px=subpixel,
-            found=bool(read.result),
-            doubt=read.doubt,
+            **_errors_of_pose(pose, labels),
+            distance_mm=read.distance_mm - labels.d_mm,
+            sigma_mm=read.sigma_distance_mm,
+            half_maximum_px=_half_maximum_error_px(world, pose, labels),
+            subpixel_px=_semi_minor_error_px(subpixel.read(frame.image), labels),
+            literal_px=_semi_minor_error_px(literal.read(frame.image), labels),
+            doubt=doubt_of_pose(read),
             memory=read.range.wall.value if read.range else "",
             bound_mm=labels.bound_d_mm,
             seconds=seconds,
         )
 
 
-def _half_maximum_px(world: World, pose: TipPose) -> float:
-    """Semi-minor axis of the half-maximum ellipse that the true beam would have at a pose."""
-    truth = optics.spot_truth(
-        world.wall,
-        world.microscope,
-        world.table,
-        tip=pose.tip_mm[None],
-        axis=pose.axis[None],
-        half_angle=world.cone.half_angle,
-        apex_offset=world.cone.apex_offset,
-    )
-    return float(truth.half_max.semi_minor[0])
+def robot_reader(stack: Stack, calibration: Calibration) -> Reader:
+    """A reader that knows the beam, and of the robot how well it says the axis.
 
-
-def _rendered(what: Circumstances, rng: np.random.Generator, folder: Path) -> tuple[Stack, World]:
-    for _ in range(_TRIES):
-        seed = int(rng.integers(1, 2**31))
-        scene = Scene.model_validate(_scene(what, seed, rng))
-        try:
-            return render_stack(scene, folder), World(scene)
-        except SceneError as error:  # the drawn spot leaves the window
-            refused = error
-    raise refused
-
-
-def _scene(what: Circumstances, seed: int, rng: np.random.Generator) -> dict[str, Any]:
-    distance = float(rng.uniform(1.0, 3.5))
-    moves = {
-        "withdrawal": {
-            "start_mm": distance,
-            "travel_mm": 2.0 * what.frames / _FRAMES,
-            "frames": what.frames,
-            "speed_mm_s": 1.0,
-        },
-        "hand": {
-            "kind": "hand",
-            "distance_mm": distance,
-            "duration_s": 0.1 * what.frames - 0.05,  # in the middle between frames
-            "top_speed_mm_s": 2.0,
-            "seed": seed,
-        },
-    }
-    tables: dict[str, Any] = {
-        "schema": 1,
-        "seed": seed,
-        "phantom": {"wall": what.wall, "texture_seed": seed},
-        "instrument": {"visible": False},
-        "source": BEAMS[what.beam],
-        "spot": {
-            "eccentricity_mm": float(rng.uniform(0, _FIELD_MM)),
-            "azimuth_deg": float(rng.uniform(60, 120)),
-            "incidence_deg": float(rng.uniform(10, 30)),
-            "incidence_azimuth_deg": float(rng.uniform(0, 360)),
-        },
-        "motion": moves[what.motion],
-        "exposures": {"kinds": ["metered"]},
-    }
-    for name, table in what.tables.items():
-        tables[name] = tables.get(name, {}) | table
-    return tables
-
-
-def _reader(
-    stack: Stack, what: Circumstances, rng: np.random.Generator
-) -> tuple[Reader, PoseTrack]:
-    """A reader with the true beam, and the robot's poses with an error of the axis."""
-    calibration, stated = stack.folder / "beam.json", stack.folder / "stated.toml"
-    write_calibration(calibration, _calibration(what, rng))
-    still = "shake_px" not in what.tables.get("unrest", {})
-    shake = "shake_px = 0.0\n" if still else ""  # of one that shakes nothing is known
-    stated.write_text(f"axis_sigma_deg = {PRIOR_DEG}\n{shake}")
-    reader = Options.of(
+    Whether the microscope shakes is known. If it does not, no error of the image's place is stated.
+    """
+    beam, stated = stack.folder / "beam.json", stack.folder / "stated.toml"
+    write_calibration(beam, calibration)
+    still = stack.described("scene.unrest.shake_px", float) == 0.0
+    stated.write_text(f"axis_sigma_deg = {PRIOR_DEG}\n" + ("shake_px = 0.0\n" if still else ""))
+    return Options.of(
         {
             "mode": "pixels",
-            "calibration": calibration,
+            "calibration": beam,
             "microscope": stack.folder / "microscope.json",
             "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
             "stated": stated,
         }
     ).reader()
+
+
+def told_poses(stack: Stack, rng: np.random.Generator) -> PoseTrack:
+    """The robot's poses of a stack, all with one drawn error of the axis."""
     axis = np.array(stack.labels[0].axis)
     turn = drawn_prior(axis, rng) - axis
-    told = [
-        Pose.along(
-            _unit(np.array(pose.axis) + turn), time_s=pose.time_s, position_mm=pose.position_mm
-        )
-        for pose in read_poses(stack.folder / "kinematics.csv")
-    ]
-    return reader, PoseTrack(told)
+    return PoseTrack(
+        [
+            Pose.along(
+                _unit(np.array(pose.axis) + turn), time_s=pose.time_s, position_mm=pose.position_mm
+            )
+            for pose in read_poses(stack.folder / "kinematics.csv")
+        ]
+    )
+
+
+def doubt_of_pose(read: Reading) -> str:
+    """Why the pose is doubtful or missing; empty if all is well, even where there is no spot."""
+    if read.range is None:
+        return read.doubt
+    return "" if read.range.flag is RangeFlag.NONE else read.range.flag.value
+
+
+def _errors_of_pose(pose: TipPose | None, labels: FrameLabels) -> dict[str, float]:
+    names = "tip_mm", "axis_deg", "sigma_axis_deg"
+    squares = {
+        "chi_squared": slice(None),
+        "tip_chi_squared": slice(3),
+        "axis_chi_squared": slice(3, None),
+    }
+    if pose is None:
+        return dict.fromkeys((*names, *squares), math.nan)
+    assert pose.covariance is not None
+    off = pose.less(labels.tip_mm, labels.axis)
+    sigma = math.sqrt(pose.covariance[3, 3] + pose.covariance[4, 4])
+    errors = float(np.linalg.norm(off[:3])), math.degrees(np.linalg.norm(off[3:]))
+    return dict(zip(names, (*errors, math.degrees(sigma)), strict=True)) | {
+        name: pose.chi_squared(labels.tip_mm, labels.axis, part=part)
+        for name, part in squares.items()
+    }
+
+
+def _semi_minor_error_px(read: Reading, labels: FrameLabels) -> float:
+    if not read.result:
+        return math.nan
+    return read.result.semi_minor_px - labels.half_max_semi_minor_px
+
+
+def _half_maximum_error_px(world: World, pose: TipPose | None, labels: FrameLabels) -> float:
+    """Error of the semi-minor axis that the true beam's half-maximum ellipse has at a pose."""
+    if pose is None:
+        return math.nan
+    (semi_minor,) = half_maximum_px(world, pose.tip_mm[None], pose.axis)
+    return float(semi_minor) - labels.half_max_semi_minor_px
+
+
+def half_maximum_px(world: World, tips: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Semi-minor axes of the half-maximum ellipses of the true beam at tips, n x 3, px."""
+    truth = optics.spot_truth(
+        world.wall,
+        world.microscope,
+        world.table,
+        tip=tips,
+        axis=np.broadcast_to(axis, tips.shape),
+        half_angle=world.cone.half_angle,
+        apex_offset=world.cone.apex_offset,
+    )
+    return np.asarray(truth.half_max.semi_minor)
 
 
 def _unit(vector: np.ndarray) -> tuple[float, float, float]:
     x, y, z = (vector / np.linalg.norm(vector)).tolist()
     return x, y, z
-
-
-def _calibration(what: Circumstances, rng: np.random.Generator) -> Calibration:
-    source = BEAMS[what.beam]
-    medium = source.get("medium", "air")
-    if source["kind"] == "cone":
-        model, values = "planar", {"k": 20.0, "b": -5.117}
-    else:
-        lens = optics.load_lens(source["lens"])
-        model = "lens"
-        values = {name: float(x) for name, x in vars(lens).items() if x is not None}
-    sigmas = [what.sigmas.get(name, _SURE) * abs(value) for name, value in values.items()]
-    values = {
-        name: value + sigma * rng.standard_normal() if name in what.sigmas else value
-        for (name, value), sigma in zip(values.items(), sigmas, strict=True)
-    }
-    if model == "lens":  # the drawn cap may not reach below the core
-        values["glue_length"] = max(values["glue_length"], values["sag"])
-    return Calibration(
-        model=model,
-        values=values,
-        covariance=np.diag(np.square(sigmas)),
-        medium=medium,
-        medium_index=optics.MEDIA[medium],
-        fitted_on="the beam that was rendered",
-        data_sha256="0" * 64,
-        software="benchmarks.bench.pixel_frames",
-    )
