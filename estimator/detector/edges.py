@@ -34,6 +34,7 @@ class EdgeFit:
         inliers: (RAYS,) rays whose edge belongs to the ellipse.
         inside: (RAYS,) rays whose contour point lies in the frame.
         scatter: standard deviation of the inliers' offsets, radii.
+        steeper: how much steeper single rays are than their mean (`Band.steeper`).
     """
 
     ellipse: Ellipse
@@ -44,6 +45,7 @@ class EdgeFit:
     inliers: np.ndarray
     inside: np.ndarray
     scatter: float
+    steeper: float
 
 
 def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | NoSpot:
@@ -216,6 +218,7 @@ def _finished(refined: Refined) -> EdgeFit:
         inliers=refined.inliers,
         inside=refined.band.inside,
         scatter=math.sqrt(float(errors @ errors) / len(rows)),
+        steeper=1.0 if broad else refined.band.steeper(refined.inliers),
     )
 
 

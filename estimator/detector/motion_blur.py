@@ -151,6 +151,7 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         offsets=np.where(fit.found, 0.0, fit.offsets),
         inliers=fit.found,
         scatter=0.0,
+        steeper=1.0,
     )
 
 

@@ -189,6 +189,10 @@ class Refine:
     """- | ratio of long to short waves, in variance, that noise alone can have | set by hand:
     neighbouring rays share pixels, so that noise falls with the harmonic
     """
+    BESIDE = 5
+    """- | one of so many samples of a band, at either end, lies beside the edge | derived: the band
+    reaches to three edge widths, the edge to nearly two
+    """
     INTERPOLATION_PX2 = 1 / 6
     """px^2 | variance of the blur by linear interpolation | derived: t (1 - t) on average over a
     pixel
@@ -454,6 +458,10 @@ class Verdict:
     """edge widths | scatter of the edges of an ellipse | set by hand between textured walls' spots
     (0.12) and hexagons (0.23)
     """
+    STEEPER = 1.2
+    """- | steepness of single rays over that of their mean | set by hand between sharp edges on
+    textured walls (1.15) and words in thick letters (1.6 and more)
+    """
     FINEST_PX = 1.0
     """px | width of an edge that is drawn in whole pixels | derived"""
     VAGUEST = 0.01
@@ -474,6 +482,23 @@ class Verdict:
     """
     LESS_SEEN = 0.1
     """- | loss of coverage from which the whole frame is searched for a better view | set by hand
+    """
+
+
+class Hollow:
+    """Dark places inside an ellipse (`hollow`)."""
+
+    SHARE = 0.02
+    """- | area of dark places behind a visible edge, over the ellipse's | set by hand between
+    shafts at any angle (0.019) and letters (0.03 and more)
+    """
+    SIDE = 48
+    """- | side of the grid of pixels that spans the ellipse | set by hand: a shaft of a tenth of a
+    diameter is five wide
+    """
+    DIRECTIONS = 36
+    """- | directions of the straight ways out | set by hand: between two of them a way of a radius
+    strays by 0.04 radii
     """
 
 
