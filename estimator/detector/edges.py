@@ -47,6 +47,16 @@ class EdgeFit:
     scatter: float
     steeper: float
 
+    @property
+    def seen(self) -> np.ndarray:
+        """Rays that show the ellipse's edge, (RAYS,).
+
+        A ray roughened by texture counts as seen if its edge lies within half an edge width of the
+        ellipse.
+        """
+        on_ellipse = np.abs(self.offsets) < Refine.SAME_EDGE * self.levels.width
+        return self.inliers | (self.found & on_ellipse)
+
 
 def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | NoSpot:
     """Ellipse of the half-maximum contour near a candidate.

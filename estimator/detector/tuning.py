@@ -158,6 +158,10 @@ class Refine:
     """radii | error of a sharp edge that never belongs to the ellipse | set by hand for shafts and
     shadows of drawn frames
     """
+    SAME_EDGE = 0.5
+    """edge widths | from the ellipse within which an edge is the spot's, texture or not | set by
+    hand
+    """
     DARKEST_GAIN = 0.6
     """- | brightness of a ray over the mean ray's: darker rays are hidden | set by hand for shafts,
     and for shadows that take 60 % or more of the light
@@ -448,10 +452,6 @@ class Reflection:
 class Verdict:
     """Spot or not (`verdict`)."""
 
-    SAME_EDGE = 0.5
-    """edge widths | from the ellipse within which an edge is the spot's, texture or not | set by
-    hand
-    """
     ROUGHEST = 0.05
     """radii | scatter of the sharp edges of an ellipse | set by hand for spotless frames"""
     COARSEST = 0.17

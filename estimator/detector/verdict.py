@@ -14,12 +14,11 @@ import numpy as np
 from estimator.detector.contour import contour_of, patch_round
 from estimator.detector.edges import EdgeFit
 from estimator.detector.ellipse import covariance_of_axes, refitted
-from estimator.detector.hollow import hollow_share
 from estimator.detector.motion_blur import at_mid_exposure
 from estimator.detector.reflection import shows_spot
 from estimator.detector.regions import Region
 from estimator.detector.settings import SubpixelSettings
-from estimator.detector.tuning import Hollow, Motion, Refine, Verdict
+from estimator.detector.tuning import Motion, Refine, Verdict
 from estimator.detector.unwrap import contour_points, shares_of_contour
 from estimator.image import NoSpot, Reason, Spot
 
@@ -61,8 +60,6 @@ def _judged(region: Region) -> Sighting | NoSpot:
     spot = _spot_of(fit, region.settings, region.saturated[region.channel])
     if isinstance(spot, NoSpot):
         return spot
-    if _is_hollow(contour, region):
-        return NoSpot(Reason.NONE_FOUND)
     smallest = region.settings.min_semi_minor_px
     if fit.levels.width > Refine.BROAD and shows_spot(
         patch_round(region, fit.ellipse), fit, smallest
@@ -132,30 +129,11 @@ def _is_coarse(fit: EdgeFit) -> bool:
     return fit.scatter > Verdict.COARSEST * width
 
 
-def _is_hollow(fit: EdgeFit, region: Region) -> bool:
-    """Whether an ellipse is dark behind a visible edge, as letters are (`hollow`)."""
-    levels = fit.levels
-    if levels.width > Refine.BROAD:
-        return False
-    patch = patch_round(region, fit.ellipse)
-    return hollow_share(patch, fit.ellipse, _seen(fit), levels.half, levels.width) > Hollow.SHARE
-
-
-def _seen(fit: EdgeFit) -> np.ndarray:
-    """Rays that show the ellipse's edge, (RAYS,).
-
-    A ray roughened by texture counts as seen if its edge lies within half an edge width of the
-    ellipse.
-    """
-    on_ellipse = np.abs(fit.offsets) < Verdict.SAME_EDGE * fit.levels.width
-    return fit.inliers | (fit.found & on_ellipse)
-
-
 def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:
     semi_major, semi_minor, angle = fit.ellipse.axes()
     levels = fit.levels
     coverage, belonging, in_frame = shares_of_contour(
-        fit.ellipse, _seen(fit), fit.inliers, fit.inside
+        fit.ellipse, fit.seen, fit.inliers, fit.inside
     )
     coherent = fit.scatter < Verdict.ROUGHEST * (1 + levels.width / Refine.BROAD)
     if not coherent or belonging < Verdict.SHORTEST_ARC:
