@@ -418,6 +418,10 @@ class Motion:
     """typical residuals | where a pixel counts half | set by hand"""
     PARAMETERS = 12
     """- | parameters of a moving spot | derived: ellipse 5, path 2, bend 2, width, two levels"""
+    LEAST_SHARE = 0.25
+    """- | change of the pull by a step over what the weights say, at least | set by hand: 0.85 for
+    normal errors
+    """
     LEAST_LEFT = 0.01
     """- | part of a block's residuals that a fit leaves at least | set by hand: where a block alone
     determines a parameter
