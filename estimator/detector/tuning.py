@@ -276,9 +276,13 @@ class Broad:
     """- | coefficients of the polynomial in the radius through a top | set by hand for light of
     glue lenses
     """
-    TOP_OVER_CONTOUR = 18.0
-    """- | variance of the texture under the top over that of the contour's longest waves | set by
-    hand for retinas
+    SLOPE_OVER_SURROUNDINGS = 1.5
+    """- | variance of the wall's slope under a spot, in any direction, over the squared slope of
+    its surroundings | fitted to bells on a fundus photograph
+    """
+    TOP_OVER_CONTOUR = 36.0
+    """- | variance of the texture under the top over that of the contour's longest waves | fitted
+    to bells on printed retinas, a fundus photograph and texture of spectrum 1/f
     """
 
 
@@ -361,6 +365,12 @@ class HalfLevel:
     """peak | what is left there | set by hand for light of glue lenses"""
     RINGS = (0.0, 0.1, 0.2, 0.3, 0.4)
     """radii | rings of the background, from where it begins | set by hand"""
+    SURROUNDINGS = (2.6, 2.9, 3.2, 3.5, 3.8, 4.1)
+    """radii | rings in which the wall's slope shows | set by hand: a Gaussian bell has 1 % of its
+    peak left at the first
+    """
+    LIT_SURROUNDINGS = 0.03
+    """peak | darkest surroundings that show the wall's slope | set by hand: a few grey levels"""
     NEARER = 0.75
     """- | the rings' distance from the edge times this, if they are out of view | set by hand"""
     TRIES = 6
