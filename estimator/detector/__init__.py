@@ -6,6 +6,7 @@ tracking     From frame to frame: where the spot is looked for, and which of the
 verdict      Spot or not: every reason to reject what was fitted, in one place
 motion_blur  The ellipse in the middle of the exposure, of a spot that moved during it
 reflection   Distinguishes a broad spot from a specular reflection of a wet wall with the spot on it
+hollow       Dark places inside an ellipse that nothing which reaches in from outside can explain
 contour      The half-maximum contour of a region: which light it is fitted to, and through which
              ellipse
 texture      The wall's texture, estimated from its colours

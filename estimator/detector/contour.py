@@ -14,9 +14,10 @@ import numpy as np
 from estimator.detector.coarse import Candidate, Coarse
 from estimator.detector.edges import EdgeFit, fit_edge
 from estimator.detector.ellipse import Ellipse
+from estimator.detector.hollow import hollow_share
 from estimator.detector.regions import Region, coarse_window
 from estimator.detector.texture import without_texture
-from estimator.detector.tuning import RAYS, Capture, Refine
+from estimator.detector.tuning import RAYS, Capture, Hollow, Refine
 from estimator.detector.unwrap import Patch
 from estimator.image import NoSpot, Reason, Window
 
@@ -62,8 +63,16 @@ def _fitted(region: Region, candidate: Candidate) -> EdgeFit | NoSpot:
         if again := fit_edge(even, region.coarse, candidate):
             patch, fit = even, again
     if fit and not fit.levels.sees_background:
-        return fit_edge(patch, _whole_frame(region), candidate)
-    return fit
+        fit = fit_edge(patch, _whole_frame(region), candidate)
+    return NoSpot(Reason.NONE_FOUND) if fit and _is_hollow(patch, fit) else fit
+
+
+def _is_hollow(patch: Patch, fit: EdgeFit) -> bool:
+    """Whether an ellipse is dark behind a visible edge, as letters are."""
+    levels = fit.levels
+    if levels.width > Refine.BROAD:
+        return False
+    return hollow_share(patch, fit.ellipse, fit.seen, levels.half, levels.width) > Hollow.SHARE
 
 
 def _colours_show_texture(region: Region) -> bool:

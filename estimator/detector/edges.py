@@ -12,9 +12,16 @@ from estimator.detector.band import Refined
 from estimator.detector.broad import refine_broad
 from estimator.detector.coarse import Candidate, Coarse
 from estimator.detector.ellipse import Ellipse, robust_step
-from estimator.detector.levels import RADII, RADIUS_STEP, Levels, background_of, levels_of
+from estimator.detector.levels import (
+    RADII,
+    RADIUS_STEP,
+    Levels,
+    background_of,
+    levels_of,
+    slope_of_surroundings,
+)
 from estimator.detector.sharp import refine_sharp
-from estimator.detector.tuning import Capture, ErrorGrowth, Refine
+from estimator.detector.tuning import Broad, Capture, ErrorGrowth, Refine
 from estimator.detector.unwrap import DESIGN, Patch, ring_variance, ring_variances
 from estimator.image import NoSpot, Reason
 
@@ -34,6 +41,7 @@ class EdgeFit:
         inliers: (RAYS,) rays whose edge belongs to the ellipse.
         inside: (RAYS,) rays whose contour point lies in the frame.
         scatter: standard deviation of the inliers' offsets, radii.
+        steeper: how much steeper single rays are than their mean (`Band.steeper`).
     """
 
     ellipse: Ellipse
@@ -44,6 +52,17 @@ class EdgeFit:
     inliers: np.ndarray
     inside: np.ndarray
     scatter: float
+    steeper: float
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Rays that show the ellipse's edge, (RAYS,).
+
+        A ray roughened by texture counts as seen if its edge lies within half an edge width of the
+        ellipse.
+        """
+        on_ellipse = np.abs(self.offsets) < Refine.SAME_EDGE * self.levels.width
+        return self.inliers | (self.found & on_ellipse)
 
 
 def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | NoSpot:
@@ -103,7 +122,7 @@ def _refined(
             return NoSpot(Reason.NONE_FOUND)
         inliers, levels = refined.inliers, now
         refined = _refined_once(patch, refined.ellipse, inliers, levels)
-    return refined if isinstance(refined, NoSpot) else _finished(refined)
+    return refined if isinstance(refined, NoSpot) else _finished(refined, coarse)
 
 
 def _refined_once(
@@ -179,7 +198,7 @@ def _crossings(profiles: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarr
     return RADII[0] - 1 + RADIUS_STEP * (nearest + share), found
 
 
-def _finished(refined: Refined) -> EdgeFit:
+def _finished(refined: Refined, coarse: Coarse) -> EdgeFit:
     levels = refined.levels
     rows = DESIGN[refined.inliers]
     errors = np.where(refined.inliers, refined.offsets, 0.0)
@@ -193,10 +212,12 @@ def _finished(refined: Refined) -> EdgeFit:
     variance = ring_variance(errors, harmonics) / share * freedom / (freedom - 2)
     step_covariance = variance * cv2.invert(rows.T @ rows)[1]
     texture = refined.band.texture
+    centre_variance = refined.centre_variance
     if broad:
         steepness = _steepness(errors)
         first, second = (1 + texture * (g - 1) for g in _growth(steepness, np.array([1.0, 2.0])))
         longer = _longer_waves(size=first, centre=first, shape=second)
+        centre_variance = _centre_variance_of_slope(coarse, refined.ellipse, levels)
     else:
         rise = ErrorGrowth.RISE * texture * levels.width
         longer = _longer_waves(
@@ -206,7 +227,7 @@ def _finished(refined: Refined) -> EdgeFit:
         )
     step_covariance = longer @ step_covariance @ longer
     step_covariance[2:4, 2:4] += refined.size_variance
-    step_covariance[[0, 1], [0, 1]] += refined.centre_variance
+    step_covariance[[0, 1], [0, 1]] += centre_variance
     return EdgeFit(
         ellipse=refined.ellipse,
         step_covariance=step_covariance,
@@ -216,7 +237,21 @@ def _finished(refined: Refined) -> EdgeFit:
         inliers=refined.inliers,
         inside=refined.band.inside,
         scatter=math.sqrt(float(errors @ errors) / len(rows)),
+        steeper=1.0 if broad else refined.band.steeper(refined.inliers),
     )
+
+
+def _centre_variance_of_slope(coarse: Coarse, ellipse: Ellipse, levels: Levels) -> float:
+    """Variance of either coordinate of a bell's centre because the wall slopes under it, radii.
+
+    A bell on a sloping wall looks like one that has moved, and the contour does not show that. What
+    slopes far beyond the spot slopes under it, too.
+    """
+    slope = slope_of_surroundings(coarse, ellipse, levels)
+    if slope is None:
+        return 0.0
+    shift = math.pi / 2 * levels.width**2 * float(slope @ slope)
+    return Broad.SLOPE_OVER_SURROUNDINGS * shift
 
 
 def _steepness(errors: np.ndarray) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from estimator.detector.coarse import Candidate, Coarse
 from estimator.detector.ellipse import Ellipse
 from estimator.detector.tuning import RAYS, HalfLevel, Rays, WideView
-from estimator.detector.unwrap import Patch
+from estimator.detector.unwrap import DESIGN, Patch
 
 RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
 """Radii of the wide view, in units of the ellipse."""
@@ -21,6 +21,8 @@ RADIUS_STEP = float(RADII[1] - RADII[0])
 _EVEN_POWERS = RADII[:, None] ** np.array([0, 2, 4])
 _NEAR_EDGE = np.abs(RADII[1:-1] - 1) < HalfLevel.NEAR_EDGE
 _BACKGROUND_RADII = np.array(HalfLevel.RINGS)
+_SURROUNDINGS = np.array(HalfLevel.SURROUNDINGS)
+_DIRECTIONS = DESIGN[::2, :2].T
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,31 @@ def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float
             return float(np.partition(ring, ring.size // 2)[ring.size // 2]) * coarse.unit, radius
         radius = 1 + HalfLevel.NEARER * (radius - 1)
     return None
+
+
+def slope_of_surroundings(coarse: Coarse, ellipse: Ellipse, levels: Levels) -> np.ndarray | None:
+    """Slope of the signal round a spot over its mean there, per radius of the ellipse, (2,).
+
+    None if too little of the surroundings is in view, or if they are so dark that they show noise
+    and the spot's tails instead of the wall.
+    """
+    view = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
+    signal = view.unwrapped(ellipse, _SURROUNDINGS, every=2)
+    rows = np.column_stack(
+        [np.ones(signal.size), *(np.multiply.outer(c, _SURROUNDINGS).ravel() for c in _DIRECTIONS)]
+    )
+    signal = signal.ravel()
+    seen = ~np.isnan(signal)
+    if np.count_nonzero(seen) < signal.size // 4:
+        return None
+    seen &= np.nan_to_num(signal) < 2 * np.median(signal[seen])  # no glints
+    rows, signal = rows[seen], signal[seen, None].astype(float)
+    _, fitted = cv2.solve(rows.T @ rows, rows.T @ signal)
+    mean = float(fitted[0, 0])
+    if mean * coarse.unit < HalfLevel.LIT_SURROUNDINGS * levels.amplitude:
+        return None
+    slope: np.ndarray = fitted[1:, 0] / mean
+    return slope
 
 
 def dark_radius(width: float) -> float:

@@ -133,6 +133,12 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         if np.abs(step[:5]).max() < Motion.SETTLED:
             break
     covariance = _covariance(gram, pull, columns * np.sqrt(weight)[..., None])
+    # A residual that grows loses weight, so a step changes the pull by less than the weights say
+    # (Huber 1981, section 6.3).
+    bending = weight * (2 * weight - 1)
+    bent = (flat.T * bending.ravel()).astype(float) @ flat
+    share = np.trace(np.linalg.solve(gram, bent)) / Motion.PARAMETERS
+    covariance /= max(share, Motion.LEAST_SHARE) ** 2
     path = moving.path
     # Variance of the path's length, times its square.
     doubt = path @ covariance[5:7, 5:7] @ path
@@ -151,6 +157,7 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         offsets=np.where(fit.found, 0.0, fit.offsets),
         inliers=fit.found,
         scatter=0.0,
+        steeper=1.0,
     )
 
 

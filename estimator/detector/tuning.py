@@ -158,6 +158,10 @@ class Refine:
     """radii | error of a sharp edge that never belongs to the ellipse | set by hand for shafts and
     shadows of drawn frames
     """
+    SAME_EDGE = 0.5
+    """edge widths | from the ellipse within which an edge is the spot's, texture or not | set by
+    hand
+    """
     DARKEST_GAIN = 0.6
     """- | brightness of a ray over the mean ray's: darker rays are hidden | set by hand for shafts,
     and for shadows that take 60 % or more of the light
@@ -188,6 +192,10 @@ class Refine:
     NOISE_AT_MOST = 6.0
     """- | ratio of long to short waves, in variance, that noise alone can have | set by hand:
     neighbouring rays share pixels, so that noise falls with the harmonic
+    """
+    BESIDE = 5
+    """- | one of so many samples of a band, at either end, lies beside the edge | derived: the band
+    reaches to three edge widths, the edge to nearly two
     """
     INTERPOLATION_PX2 = 1 / 6
     """px^2 | variance of the blur by linear interpolation | derived: t (1 - t) on average over a
@@ -268,9 +276,13 @@ class Broad:
     """- | coefficients of the polynomial in the radius through a top | set by hand for light of
     glue lenses
     """
-    TOP_OVER_CONTOUR = 18.0
-    """- | variance of the texture under the top over that of the contour's longest waves | set by
-    hand for retinas
+    SLOPE_OVER_SURROUNDINGS = 1.5
+    """- | variance of the wall's slope under a spot, in any direction, over the squared slope of
+    its surroundings | fitted to bells on a fundus photograph
+    """
+    TOP_OVER_CONTOUR = 36.0
+    """- | variance of the texture under the top over that of the contour's longest waves | fitted
+    to bells on printed retinas, a fundus photograph and texture of spectrum 1/f
     """
 
 
@@ -353,6 +365,12 @@ class HalfLevel:
     """peak | what is left there | set by hand for light of glue lenses"""
     RINGS = (0.0, 0.1, 0.2, 0.3, 0.4)
     """radii | rings of the background, from where it begins | set by hand"""
+    SURROUNDINGS = (2.6, 2.9, 3.2, 3.5, 3.8, 4.1)
+    """radii | rings in which the wall's slope shows | set by hand: a Gaussian bell has 1 % of its
+    peak left at the first
+    """
+    LIT_SURROUNDINGS = 0.03
+    """peak | darkest surroundings that show the wall's slope | set by hand: a few grey levels"""
     NEARER = 0.75
     """- | the rings' distance from the edge times this, if they are out of view | set by hand"""
     TRIES = 6
@@ -410,6 +428,10 @@ class Motion:
     """typical residuals | where a pixel counts half | set by hand"""
     PARAMETERS = 12
     """- | parameters of a moving spot | derived: ellipse 5, path 2, bend 2, width, two levels"""
+    LEAST_SHARE = 0.25
+    """- | change of the pull by a step over what the weights say, at least | set by hand: 0.85 for
+    normal errors
+    """
     LEAST_LEFT = 0.01
     """- | part of a block's residuals that a fit leaves at least | set by hand: where a block alone
     determines a parameter
@@ -444,15 +466,15 @@ class Reflection:
 class Verdict:
     """Spot or not (`verdict`)."""
 
-    SAME_EDGE = 0.5
-    """edge widths | from the ellipse within which an edge is the spot's, texture or not | set by
-    hand
-    """
     ROUGHEST = 0.05
     """radii | scatter of the sharp edges of an ellipse | set by hand for spotless frames"""
     COARSEST = 0.17
     """edge widths | scatter of the edges of an ellipse | set by hand between textured walls' spots
     (0.12) and hexagons (0.23)
+    """
+    STEEPER = 1.2
+    """- | steepness of single rays over that of their mean | set by hand between sharp edges on
+    textured walls (1.15) and words in thick letters (1.6 and more)
     """
     FINEST_PX = 1.0
     """px | width of an edge that is drawn in whole pixels | derived"""
@@ -474,6 +496,23 @@ class Verdict:
     """
     LESS_SEEN = 0.1
     """- | loss of coverage from which the whole frame is searched for a better view | set by hand
+    """
+
+
+class Hollow:
+    """Dark places inside an ellipse (`hollow`)."""
+
+    SHARE = 0.02
+    """- | area of dark places behind a visible edge, over the ellipse's | set by hand between
+    shafts at any angle (0.019) and letters (0.03 and more)
+    """
+    SIDE = 48
+    """- | side of the grid of pixels that spans the ellipse | set by hand: a shaft of a tenth of a
+    diameter is five wide
+    """
+    DIRECTIONS = 36
+    """- | directions of the straight ways out | set by hand: between two of them a way of a radius
+    strays by 0.04 radii
     """
 
 

@@ -55,7 +55,7 @@ def _judged(region: Region) -> Sighting | NoSpot:
     if isinstance(contour, NoSpot):
         return contour
     fit = contour
-    if fit.levels.width > Motion.SMEARED and not _is_rough(fit):
+    if fit.levels.width > Motion.SMEARED and not _is_coarse(fit):
         fit = at_mid_exposure(patch_round(region, fit.ellipse, fit.levels.width), fit)
     spot = _spot_of(fit, region.settings, region.saturated[region.channel])
     if isinstance(spot, NoSpot):
@@ -113,9 +113,17 @@ _NEARNESS = (
 
 
 def _is_rough(fit: EdgeFit) -> bool:
-    """Whether an outline is none of an ellipse, such as a polygon's or a letter's.
+    """Whether an outline is none of an ellipse, such as a polygon's or a word's.
 
-    A wall's texture moves an edge by less than the edge is wide, and so does a spot's motion.
+    Not that of a spot in motion before `at_mid_exposure`: its rays are not equally steep.
+    """
+    return _is_coarse(fit) or fit.steeper > Verdict.STEEPER
+
+
+def _is_coarse(fit: EdgeFit) -> bool:
+    """Whether the edges scatter about the ellipse by more than texture and motion explain.
+
+    Either moves an edge by less than the edge is wide.
     """
     width = math.hypot(fit.levels.width, Verdict.FINEST_PX / fit.ellipse.axes()[1])
     return fit.scatter > Verdict.COARSEST * width
@@ -124,11 +132,9 @@ def _is_rough(fit: EdgeFit) -> bool:
 def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:
     semi_major, semi_minor, angle = fit.ellipse.axes()
     levels = fit.levels
-    # A ray roughened by texture counts as seen if its edge lies within half an edge width of the
-    # ellipse.
-    on_ellipse = np.abs(fit.offsets) < Verdict.SAME_EDGE * levels.width
-    seen = fit.inliers | (fit.found & on_ellipse)
-    coverage, belonging, in_frame = shares_of_contour(fit.ellipse, seen, fit.inliers, fit.inside)
+    coverage, belonging, in_frame = shares_of_contour(
+        fit.ellipse, fit.seen, fit.inliers, fit.inside
+    )
     coherent = fit.scatter < Verdict.ROUGHEST * (1 + levels.width / Refine.BROAD)
     if not coherent or belonging < Verdict.SHORTEST_ARC:
         return NoSpot(Reason.NONE_FOUND)
