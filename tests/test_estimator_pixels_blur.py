@@ -125,7 +125,7 @@ def test_light_that_is_steep_within_a_cell_is_blurred_where_it_is_steep(sharp):
     window = Window.around(np.zeros(2), 104.0)
     lattice = beam.lattice(window, STILL)
     none = np.zeros(0)
-    seen = beam.irradiance(lattice, pose, none, window=window, blur_px2=radius**2 / 4).value
+    seen = beam.irradiance(window, STILL, pose, none, blur_px2=radius**2 / 4).value
     # The disc, by 200 places of equal light.
     number = np.arange(200) + 0.5
     far, turn = radius * np.sqrt(number / 200), number * math.pi * (3.0 - math.sqrt(5.0))

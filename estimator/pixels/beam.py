@@ -39,9 +39,12 @@ _SOFT = 0.13
 least: edges at random places and angles, sampled by a Bayer filter."""
 _LEAST_BLUR_PX2 = 0.25
 """Below it the light of a sharp edge changes in proportion, and that of a lens as heat spreads."""
+_PARTS = 2
+"""Parts of a cell's side, between which the light of a sharp edge spreads."""
 _NARROW = 0.25
-"""Variance of a blur, in squares of a cell's side, from which light spreads from cell to cell: then
-an edge reaches over two cells, and where in one it lies does not matter."""
+"""Variance of a blur, in squares of a part's side, from which light spreads from part to part: then
+an edge reaches over two of them, and where in one it lies does not matter."""
+_LATTICES = 12  # that are kept; each has 400 KB, one of parts four times as much
 _WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
 
 
@@ -139,6 +142,7 @@ class BeamLight:
         self.source, self.spread, self.sharp = source, spread, sharp
         cut = _CUT if microscope.noise is None else microscope.noise.cut
         self.cut = cut if sharp else _SOFT * cut
+        self.lattice = functools.lru_cache(maxsize=_LATTICES)(self._lattice)
         self.camera = microscope.ideal_microscope()
         self.wall = microscope.wall()
         self.scale_mm_px = microscope.scale_mm_px
@@ -161,20 +165,24 @@ class BeamLight:
         point, normal = pixels_see(self.camera, self.wall, np.asarray(pixels, float))
         return np.asarray(point), np.asarray(normal)
 
-    def lattice(self, window: Window, motion: WallMotion) -> Lattice:
-        """The wall that a window's cells show after a motion of the wall's picture."""
+    def _lattice(self, window: Window, motion: WallMotion, parts: int = 1) -> Lattice:
+        """The wall that a window's cells show after a motion of the wall's picture.
+
+        Each side of a cell may be divided into some parts.
+        """
         from optics.wall_light import square_lattice
 
-        corner, right = motion.image_px(window.corner_px), window.side * motion.ways[:, 0]
-        return square_lattice(self.camera, self.wall, corner=corner, right=right, count=COUNT)
+        corner, right = motion.image_px(window.corner_px), window.side / parts * motion.ways[:, 0]
+        count = parts * COUNT
+        return square_lattice(self.camera, self.wall, corner=corner, right=right, count=count)
 
     def irradiance(
         self,
-        lattice: Lattice,
+        window: Window,
+        motion: WallMotion,
         pose: Pose,
         own: Float[np.ndarray, "q"],
         *,
-        window: Window,
         sweep: Sweep | None = None,
         blur_px2: float = 0.0,
         kurtosis: float = 0.0,
@@ -182,16 +190,17 @@ class BeamLight:
         """Irradiance of the cells per unit power, 1/mm², as the camera sees it.
 
         Args:
-            lattice: of the window, from `lattice`.
+            window: the cells.
+            motion: of the wall's picture.
             pose: the pose.
             own: changes of the beam's own parameters, in the terms of `spread`.
-            window: the cells.
             sweep: motion during the exposure; None for a tip at rest.
             blur_px2: variance of the image's blur along each side.
             kurtosis: its excess kurtosis.
         """
         from optics.wall_light import BeamFrame, irradiance_and_slopes
 
+        lattice = self.lattice(window, motion)
         swept_px = 0.0 if sweep is None else self._swept_px(pose, sweep)
         moved, few = None, None
         if sweep is not None and swept_px > (_STILL_SHARP_PX if self.sharp else _STILL_PX):
@@ -207,7 +216,7 @@ class BeamLight:
         if moved is not None:
             value = self.irradiance_alone(lattice, pose, own, moved)
         cells2 = window.side**2  # px²
-        narrow = blur_px2 < _NARROW * cells2
+        narrow = blur_px2 < _NARROW * cells2 / _PARTS**2
         if narrow and (self.sharp or blur_px2 >= _LEAST_BLUR_PX2):
             # Where in a cell the light is steep, only the beam knows.
             at_least = max(blur_px2, _LEAST_BLUR_PX2)
@@ -215,8 +224,16 @@ class BeamLight:
             bend, tails = (aside - value) / at_least, np.zeros_like(value)
             seen = value + blur_px2 * bend
         else:
-            wide = blurred_with_growth(value, blur_px2 / cells2, kurtosis)
-            seen, bend, tails = wide.value, wide.by_variance / cells2, wide.by_kurtosis
+            fine, parts = value, 1
+            if self.sharp:
+                fine, parts = (
+                    self.irradiance_alone(self.lattice(window, motion, _PARTS), pose, own, moved),
+                    _PARTS,
+                )
+            part2 = cells2 / parts**2
+            wide = blurred_with_growth(fine, blur_px2 / part2, kurtosis)
+            seen, bend, tails = (_whole(values, parts) for values in wide)
+            bend = bend / part2
         slopes = blurred(slopes, blur_px2 / cells2, kurtosis)
         return SeenLight(seen, slopes, bend, tails, value - at_rest, seen - value)
 
@@ -256,6 +273,11 @@ class BeamLight:
             lattice, self.source, BeamFrame(*pose), own=own, spread=self.spread, steps=steps
         )
         return np.asarray(light)
+
+
+def _whole(values: Float[np.ndarray, "m"], parts: int) -> Float[np.ndarray, "n"]:
+    """Means over cells of the values of their parts."""
+    return values.reshape(COUNT, parts, COUNT, parts).mean(axis=(1, 3)).ravel()
 
 
 def _steps(sweep: Sweep, counts: tuple[int, ...], needed: float) -> Steps:

@@ -60,7 +60,6 @@ _HIDDEN = 16.0  # largest square of a cell's residual that counts for a start, i
 _BRIGHTER, _DIM = 0.75, 0.5
 """Quantiles: of the lit cells' light, most of which may be hidden; and of all cells by the beam's
 light, of which the dimmer ones show the ambient light."""
-_LATTICES = 8  # of motions of the wall; each has 400 KB
 
 
 class Solver:
@@ -83,8 +82,7 @@ class Solver:
     ) -> None:
         self.beam, self.window, self.texture = beam, window, texture
         self._reference = reference
-        kept = functools.lru_cache(maxsize=_LATTICES)
-        self.lattice = kept(functools.partial(beam.lattice, window))
+        self.lattice = functools.partial(beam.lattice, window)
         self.side_mm = window.side * beam.scale_mm_px
         covariance = texture.covariance(COUNT, self.side_mm)
         self._precision = solved(cho_factor(covariance, lower=True), np.eye(COUNT**2))
@@ -218,10 +216,10 @@ class Solver:
         """A frame's model at its state."""
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
         seen = self.beam.irradiance(
-            self.lattice(frame.cells.motion),
+            self.window,
+            frame.cells.motion,
             frame.pose,
             own,
-            window=self.window,
             sweep=frame.sweep,
             blur_px2=frame.blur_px2,
             kurtosis=frame.kurtosis,
