@@ -10,7 +10,7 @@ hollow       Dark places inside an ellipse that nothing which reaches in from ou
 contour      The half-maximum contour of a region: which light it is fitted to, and through which
              ellipse
 texture      The wall's texture, estimated from its colours
-outlines     Outlines of bright regions, for those who look for a spot where none can be measured
+outlines     Where the spot may be in a frame in which none was measured
 regions      Bright regions of a frame that may be the spot: anywhere in a window, or at the last
              contour
 channel      The colour channel in which a region of a frame is measured

@@ -3,7 +3,7 @@ from .contour import contour_of as contour_of
 from .edges import EdgeFit as EdgeFit
 from .ellipse import Ellipse as Ellipse
 from .literal import LiteralSettings as LiteralSettings
-from .outlines import bright_outlines as bright_outlines
+from .outlines import outlines_of as outlines_of
 from .regions import Region as Region
 from .regions import regions_in as regions_in
 from .settings import SubpixelSettings as SubpixelSettings

@@ -1,4 +1,4 @@
-"""Outlines of bright regions, for those who look for a spot where none can be measured."""
+"""Where the spot may be in a frame in which none was measured."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 
 from estimator.detector.regions import Region, regions_in
 from estimator.detector.settings import SubpixelSettings
-from estimator.image import Outline, Window, checked_frame
+from estimator.detector.tracking import TrackState, measure
+from estimator.image import NoSpot, Outline, Reason, Spot, Window, checked_frame
 
 _CONTRAST = 0.25
 """Least (peak - background) / background. Texture alone reaches it, but a spot under the haze of a
@@ -16,17 +17,29 @@ wet wall has no more."""
 _FILLED = 0.8  # least share of the ellipse round a region
 
 
-def bright_outlines(frame: np.ndarray, settings: SubpixelSettings) -> list[Outline]:
-    """Ellipses round the bright regions of a frame that fill theirs, brightest first.
-
-    They are good to a few px, and each may be something else than a spot.
+def outlines_of(
+    frame: np.ndarray, result: Spot | NoSpot, settings: SubpixelSettings
+) -> list[Outline]:
+    """The measured spot's outline, that of a fainter one, or those of whatever is bright.
 
     Args:
         frame: as `measure` takes it.
-        settings: of the mode; regions of less contrast than it asks for are outlined, too.
+        result: what was measured in it.
+        settings: with which it was measured.
     """
+    if isinstance(result, Spot):
+        return [result.outline]
     frame = checked_frame(frame)
     settings = replace(settings, min_contrast=min(settings.min_contrast, _CONTRAST))
+    if result.reason is Reason.NONE_FOUND:
+        fainter, _ = measure(frame, TrackState(), settings)
+        if isinstance(fainter, Spot):
+            return [fainter.outline]
+    return _bright_outlines(frame, settings)
+
+
+def _bright_outlines(frame: np.ndarray, settings: SubpixelSettings) -> list[Outline]:
+    """Ellipses round the bright regions of a frame that fill theirs, good to a few px."""
     found = []
     for region in regions_in(frame, Window.whole(frame), settings):
         if isinstance(region, Region) and region.fills_its_ellipse() > _FILLED:

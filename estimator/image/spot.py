@@ -61,7 +61,7 @@ class Outline(NamedTuple):
         semi_minor_px: half of the shorter axis, px.
         angle_rad: semi-major axis from +u (right) towards +v (down).
         edge_width_px: as of `Spot`; 0 where it is not known.
-        measured: whether it is a measured spot's, and not that of something bright.
+        measured: whether it is that of a spot, and not of something bright that may be one.
     """
 
     x_px: float

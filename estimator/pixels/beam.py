@@ -201,7 +201,7 @@ class BeamLight:
         from optics.wall_light import BeamFrame, irradiance_and_slopes
 
         lattice = self.lattice(window, motion)
-        swept_px = 0.0 if sweep is None else self._swept_px(pose, sweep)
+        swept_px = 0.0 if sweep is None else self.swept_px(pose, sweep)
         moved, few = None, None
         if sweep is not None and swept_px > (_STILL_SHARP_PX if self.sharp else _STILL_PX):
             counts = _POSITIONS_SHARP if self.sharp else _POSITIONS
@@ -252,7 +252,7 @@ class BeamLight:
             shares=np.repeat(shares, len(aside)) / len(aside),
         )
 
-    def _swept_px(self, pose: Pose, sweep: Sweep) -> float:
+    def swept_px(self, pose: Pose, sweep: Sweep) -> float:
         """Way of the light during an exposure, px."""
         ways = np.diff(sweep.tip + pose.distance * sweep.axis, axis=0)
         along = ways @ pose.axis

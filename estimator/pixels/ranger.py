@@ -101,8 +101,7 @@ class PixelRanger:
         """The pose in the next frame.
 
         Args:
-            outlines: the measured spot's alone, or those of whatever is bright if none could be
-                measured.
+            outlines: where the spot is, see `detector.outlines_of`.
             frame: H x W x 3.
             axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame.
             axis_sigma_rad: standard deviation of the axis across itself.

@@ -53,7 +53,6 @@ _SURPRISE = 1.5
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 _DRIFTED_PX = 1.0  # of the wall since the first frame, which is worth a word
 _AGAINST = 5.0  # standard deviations from the robot's axis that no pose has
-_GUESSES = 2  # outlines that are tried in a frame without a measured spot
 _LIKE_LAST = 1.5  # ratio of areas within which an outline may be that of the last frame
 
 
@@ -111,7 +110,7 @@ class PoseTracker:
 
         Args:
             image: H x W x 3.
-            outlines: of the measured spot, or of whatever is bright if none could be measured.
+            outlines: where the spot is, see `detector.outlines_of`.
             direction: of the beam, from the robot.
             sweep: motion during the exposure, from the robot; None if unknown.
             robot: where the robot says the tool is; None if it does not.
@@ -145,7 +144,7 @@ class PoseTracker:
         return self._range(wall, outline)
 
     def _read_unmeasured(self, picture: _Picture, outlines: Sequence[Outline]) -> Range:
-        """The pose of a spot that could not be measured, if the light is the beam's nonetheless."""
+        """The pose of a spot that was not measured, if earlier frames explain the light."""
         before = self._beliefs
         if before and self._last is not None:
             outline = _like(self._last, outlines)
@@ -154,13 +153,7 @@ class PoseTracker:
                 return self._range(wall, outline)
             self._beliefs = before
             return _missing(flag, wall)
-        flag = RangeFlag.NOT_CONVERGED
-        for outline in outlines[:_GUESSES]:
-            flag = self._begun(picture, outline)
-            if flag is RangeFlag.NONE and not self._beliefs[0].lost:
-                return self._range(WallMemory.NEW, outline)
-            self._beliefs = []
-        return _missing(flag, WallMemory.NEW)
+        return _missing(RangeFlag.NOT_CONVERGED, WallMemory.NEW)
 
     def _followed(self, picture: _Picture, outline: Outline) -> tuple[RangeFlag, WallMemory]:
         """Explain a frame by the earlier ones: why that failed, if so, and what the wall did."""

@@ -21,12 +21,10 @@ light without and with a sharp edge. The contour of a bell on a textured wall le
 that of a blurred edge up to 8 %."""
 _BRIGHT_SIZE = 1.25
 """The same for the outline of something bright, which is good to 3 px."""
-_VISIBLE = 0.75
-"""Least share of the light that is seen and like the wall. Letters, rings and polygons are bright,
-too, and pass for spots of which something hides a part."""
-_PLACE_PX, _ALONG_MM = 0.02, 0.0003
-"""Errors of the spot's place and of the distance by the image model, on rendered frames of known
-pose on even walls."""
+_VAGUE = 0.5  # standard deviation of a distance over it, above which nothing is known of it
+_PLACE_PX, _ALONG_MM, _SWEPT = 0.004, 0.0001, 0.003
+"""Errors of the spot's place and of the distance by the image model, and of the place by the way of
+the light during the exposure, over that way. Of rendered frames of known pose on even walls."""
 
 
 def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
@@ -38,15 +36,14 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
     """
     if belief is None or not belief.solution.converged:
         return RangeFlag.NOT_CONVERGED
+    if belief.sigmas[2] > _VAGUE * belief.newest.pose.distance:
+        return RangeFlag.NOT_CONVERGED
     best, sharp = belief.solution, belief.solver.beam.sharp
     lit = belief.solver.lit(best.frames[-1], best.own)
     size = float(np.count_nonzero(lit)) * belief.solver.window.side**2
     seen = math.pi * outline.semi_major_px * outline.semi_minor_px
     most = _SIZE[sharp] if outline.measured else _BRIGHT_SIZE
     explained = best.chi_squared < _MISFIT and 1.0 / most < size / seen < most
-    if explained and not outline.measured and len(best.frames) == 1:
-        usable = best.linear[-1].weight > 0
-        explained = bool(np.mean(usable[lit]) > _VISIBLE)
     return RangeFlag.NONE if explained else RangeFlag.MISFIT
 
 
@@ -71,7 +68,10 @@ def range_of(
     """
     solver, solution = belief.solver, belief.solution
     # Where the view was in the first frame, if it shakes, nobody knows.
-    place = solver.beam.scale_mm_px * math.hypot(_PLACE_PX, max(belief.shake_px, shake_px))
+    shake = max(belief.shake_px, shake_px)
+    newest = belief.newest
+    swept = 0.0 if newest.sweep is None else solver.beam.swept_px(newest.pose, newest.sweep)
+    place = solver.beam.scale_mm_px * math.hypot(_PLACE_PX, _SWEPT * swept, shake)
     doubt = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
     drifts = [drift_px + belief.drift(frame) for frame in solution.frames]
     for way in unknown_px * np.eye(2) if unknown_px else ():

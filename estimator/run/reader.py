@@ -14,8 +14,8 @@ from estimator.detector import (
     LiteralSettings,
     SubpixelSettings,
     TrackState,
-    bright_outlines,
     measure,
+    outlines_of,
 )
 from estimator.distance import AT_REST, Budget, Budgets, Motion, Range, RangeFlag, Ranger
 from estimator.files import Calibration, Pose, PoseTrack, Quaternion, Stated, turned
@@ -231,10 +231,7 @@ class Reader:
                 speed = math.hypot(*self._motion(pose, poses, 0.0).velocity_mm_s)
                 robot = RobotPose(tips[0], axes[0], _ROBOT_MM + speed * self._clock_sigma_s)
         assert isinstance(self.settings, SubpixelSettings), "the mode pixels follows its spots"
-        if isinstance(result, Spot):
-            outlines = [result.outline]
-        else:
-            outlines = bright_outlines(image, self.settings)
+        outlines = outlines_of(image, result, self.settings)
         found = ranger.distance(
             outlines,
             frame=image,
