@@ -220,8 +220,10 @@ class BeamLight:
         if narrow and (self.sharp or blur_px2 >= _LEAST_BLUR_PX2):
             # Where in a cell the light is steep, only the beam knows.
             at_least = max(blur_px2, _LEAST_BLUR_PX2)
-            aside = self.irradiance_alone(lattice, pose, own, self._aside(moved, at_least))
-            bend, tails = (aside - value) / at_least, np.zeros_like(value)
+            around = moved if few is None else few
+            middle = value if few is None else self.irradiance_alone(lattice, pose, own, few)
+            aside = self.irradiance_alone(lattice, pose, own, self._aside(around, at_least))
+            bend, tails = (aside - middle) / at_least, np.zeros_like(value)
             seen = value + blur_px2 * bend
         else:
             fine, parts = value, 1

@@ -31,7 +31,10 @@ _GROWN = 1.2  # growth of a surprise's square that asks where the wall is
 _SURE = 16.0  # -2 log likelihood: four standard deviations
 _SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
 _ROUNDS = 3  # of weights for cells with other light
-_SETTLED = 0.3  # change of a weight's logarithm that does not matter
+_SETTLED = 0.2  # change of a weight, over that of a cell that is trusted, that does not matter
+_EVENEST = 0.03
+"""Least standard deviation of a wall's texture in that: what hides or shades a wall, or shines on
+it, changes its light by more than a tenth."""
 _BLOCK, _AROUND = np.ones((2, 2)), np.ones((5, 5))
 """Cells of the smallest thing that counts as large, and the cells that it and its border reach."""
 _START_PX, _START_ALONG = 4.0, 0.08
@@ -71,9 +74,10 @@ def robust_fit(
     steps: int = STEPS,
 ) -> tuple[Solution, Surprise]:
     """A solution in which cells with other light have little weight, and the surprise."""
-    trust = _trust(_unlike_at_start(solver, frame, own))
-    solution = solver.solve(kept, frame, own, steps=steps, trust=trust)
-    strange, far = _distances(solver, solution, trust)
+    line = solver.linear(frame, own)
+    trust = _trust(_unlike_at_start(solver, frame, own, line))
+    solution = solver.solve(kept, frame, own, steps=steps, trust=trust, line=line)
+    line, strange, far = _distances(solver, solution, trust)
     looked_at = solution.linear[-1].weight > 0
     if kept:  # what comes into the light is new, not a surprise
         before = np.sum([line.weight for _, line in kept], axis=0)
@@ -86,26 +90,25 @@ def robust_fit(
     kept = [(state, line._replace(weight=line.weight / noise)) for state, line in kept]
     for _ in range(_ROUNDS):
         before, trust = trust, _trust(far) / noise
-        if np.abs(np.log(trust / before)).max() < _SETTLED:
+        if np.abs(trust - before).max() < _SETTLED:
             break
-        solution = solver.solve(
-            kept, solution.frames[-1], solution.own, steps=_STEPS_AGAIN, trust=trust
-        )
-        _, far = _distances(solver, solution, trust)
+        start, own = solution.frames[-1], solution.own
+        solution = solver.solve(kept, start, own, steps=_STEPS_AGAIN, trust=trust, line=line)
+        line, _, far = _distances(solver, solution, trust)
     return solution, surprise
 
 
 def _distances(
     solver: Solver, solution: Solution, trust: Float[np.ndarray, "n"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """How far the newest frame's cells are from what all else says of them, and from any wall.
+) -> tuple[Linear, Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """The newest frame's model with all trust, and how far its cells are from what all else says.
 
-    In standard deviations; the second is the larger of both.
+    In standard deviations; second also from any wall, where that is farther.
     """
     line = solution.linear[-1]
     line = line._replace(weight=line.weight / trust)
     strange = np.abs(solution.strange(len(solution.linear) - 1, trust))
-    return strange, np.maximum(strange, _grown(_unlike(solver, line)))
+    return line, strange, np.maximum(strange, _grown(_unlike(solver, line)))
 
 
 def trusted(solver: Solver, line: Linear) -> Linear:
@@ -124,10 +127,11 @@ def _trust(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
 
 
 def _unlike_at_start(
-    solver: Solver, frame: FrameState, own: Float[np.ndarray, "q"]
+    solver: Solver, frame: FrameState, own: Float[np.ndarray, "q"], line: Linear
 ) -> Float[np.ndarray, "n"]:
     """As `_unlike`, at a pose from which a fit starts, near which any pose may be right."""
-    line = solver.linear(frame, own)
+    if not _large(_unlike(solver, line)).any():
+        return np.zeros(line.weight.size)
     place, along = _START_PX * solver.beam.scale_mm_px, _START_ALONG * frame.pose.distance
     shifts = np.diag([place, place, along])
     changes = solver.changes(frame, own, [*shifts, *-shifts])
@@ -141,10 +145,14 @@ def _grown(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
 
     They show a part of it, and where it hides the edge of the light, it passes for that edge.
     """
+    return np.maximum(far, cv2.dilate(_large(far), _AROUND).ravel())
+
+
+def _large(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "count count"]:
+    """Distances of blocks of cells that are all far; 0 elsewhere."""
     grid = far.reshape(COUNT, COUNT)
     least = cv2.erode(grid, _BLOCK, borderType=cv2.BORDER_REPLICATE)
-    large = cv2.dilate(np.where(least > _FAR, least, 0.0), _AROUND)
-    return np.maximum(far, large.ravel())
+    return np.where(least > _FAR, least, 0.0)
 
 
 def _unlike(solver: Solver, line: Linear) -> Float[np.ndarray, "n"]:
@@ -154,7 +162,8 @@ def _unlike(solver: Solver, line: Linear) -> Float[np.ndarray, "n"]:
     their neighbours say, but too dark or too bright.
     """
     used = line.weight > 0
-    variance = solver.texture.variance + 1.0 / np.where(used, line.weight, 1.0)
+    wall = max(solver.texture.variance, _EVENEST**2)
+    variance = wall + 1.0 / np.where(used, line.weight, 1.0)
     return np.where(used, np.abs(line.residual) / np.sqrt(variance), 0.0)
 
 

@@ -113,6 +113,7 @@ class Solver:
         *,
         steps: int,
         trust: Float[np.ndarray, "n"] | None = None,
+        line: Linear | None = None,
     ) -> Solution:
         """Iterate from the frames' states.
 
@@ -122,13 +123,15 @@ class Solver:
             own: changes of the beam's own parameters, see `BeamLight`.
             steps: most iterations.
             trust: factors on the weights of the newest frame's cells.
+            line: its model, with all trust, where it is known already.
         """
         frames = [*(state for state, _ in kept), frame]
         newest, size = len(kept), OWN * (len(kept) + 1) + len(own)
         blur = OWN * newest + BLUR
         gone, damping, converged = np.zeros(size), _LEAST_DAMPING, False
         lines = [line for _, line in kept]
-        lines.append(self.linear(frame, own, trust=trust))
+        line = self.linear(frame, own) if line is None else line
+        lines.append(line if trust is None else line._replace(weight=line.weight * trust))
         told = _motions(frames)
         hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
         for _ in range(steps):
