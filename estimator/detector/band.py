@@ -32,6 +32,7 @@ class Refined:
         offsets: (RAYS,) radial distance of each ray's edge from the ellipse, units of the radius.
         found: (RAYS,) rays with an edge.
         inliers: (RAYS,) rays whose edge belongs to the ellipse.
+        shaded: (RAYS,) rays in a shadow in which they still show an edge.
         band: from which they were measured.
     """
 
@@ -43,7 +44,13 @@ class Refined:
     offsets: np.ndarray
     found: np.ndarray
     inliers: np.ndarray
+    shaded: np.ndarray
     band: Band
+
+    @property
+    def bright(self) -> np.ndarray:
+        """Inliers outside the shadow, of which a mean profile may be made, (RAYS,)."""
+        return self.inliers & ~self.shaded
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +111,26 @@ class Band:
     def gain(self) -> np.ndarray:
         """Brightness of each ray over the mean profile's, (RAYS,)."""
         return self.profiles @ self.mean / (self.mean @ self.mean)
+
+    def in_shade(self, stretch: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Light, outward shift and misfit of each ray's profile if it is shaded, (RAYS,).
+
+        A shadow dims the spot's light and not the rest, so that a profile is a share of the mean,
+        a constant, and the changes by shift and stretch. It is so dim that noise counts, and is
+        therefore averaged with its neighbours.
+
+        Args:
+            stretch: (n,) change of a profile with a wider edge.
+        """
+        beside = Refine.SHADED_NEIGHBOURS
+        around = np.concatenate([self.profiles[-beside:], self.profiles, self.profiles[:beside]])
+        smooth = cv2.blur(around, (1, 2 * beside + 1))[beside:-beside]
+        basis = np.stack([self.mean, -self.slope, stretch, np.ones_like(self.mean)], axis=1)
+        _, parts = cv2.solve(basis.T @ basis, basis.T @ smooth.T)
+        light = np.maximum(parts[0], 1e-6)
+        left = smooth.T - basis @ parts
+        misfit = np.sqrt(np.square(left).mean(axis=0)) / light
+        return parts[0], parts[1] / light, misfit
 
     def steeper(self, rays: np.ndarray) -> float:
         """How much steeper single rays are than their mean: 1 if they show the same edge.
@@ -246,6 +273,7 @@ class Band:
         *,
         half: float,
         half_variance: float,
+        shaded: np.ndarray,
         centre_variance: float = 0.0,
     ) -> Refined:
         """The ellipse moved by a fitted step (see `robust_step`) and to the half level's offset.
@@ -265,6 +293,7 @@ class Band:
             offsets=offsets - DESIGN @ step,
             found=found,
             inliers=inliers,
+            shaded=shaded,
             band=self,
         )
 

@@ -66,7 +66,10 @@ def refine_broad(
     texture = ring_variance(np.where(found, gain - 1, 0.0), slice(2, 5)) / RAYS
     variance = levels.variance + Broad.TOP_OVER_CONTOUR * texture
     levels = replace(levels, width=band.width(levels), variance=variance)
-    return band.refined(levels, offsets, found, fitted, half=crossing, half_variance=0.0)
+    shaded = np.zeros(RAYS, bool)  # a shadow's rim looks like a broad flank
+    return band.refined(
+        levels, offsets, found, fitted, half=crossing, half_variance=0.0, shaded=shaded
+    )
 
 
 def _simple_peak(gram: np.ndarray, pull: np.ndarray) -> float:

@@ -72,7 +72,8 @@ def _is_hollow(patch: Patch, fit: EdgeFit) -> bool:
     levels = fit.levels
     if levels.width > Refine.BROAD:
         return False
-    return hollow_share(patch, fit.ellipse, fit.seen, levels.half, levels.width) > Hollow.SHARE
+    lit = fit.seen & ~fit.shaded
+    return hollow_share(patch, fit.ellipse, lit, levels.half, levels.width) > Hollow.SHARE
 
 
 def _colours_show_texture(region: Region) -> bool:

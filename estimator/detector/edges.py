@@ -39,6 +39,7 @@ class EdgeFit:
         offsets: (RAYS,) radial distance of each ray's edge from the ellipse, radii.
         found: (RAYS,) rays with an edge.
         inliers: (RAYS,) rays whose edge belongs to the ellipse.
+        shaded: (RAYS,) rays in a shadow in which they still show an edge.
         inside: (RAYS,) rays whose contour point lies in the frame.
         scatter: standard deviation of the inliers' offsets, radii.
         steeper: how much steeper single rays are than their mean (`Band.steeper`).
@@ -50,6 +51,7 @@ class EdgeFit:
     offsets: np.ndarray
     found: np.ndarray
     inliers: np.ndarray
+    shaded: np.ndarray
     inside: np.ndarray
     scatter: float
     steeper: float
@@ -120,7 +122,7 @@ def _refined(
         now = _with_background_in_view(refined, coarse)
         if now is None:
             return NoSpot(Reason.NONE_FOUND)
-        inliers, levels = refined.inliers, now
+        inliers, levels = refined.bright, now
         refined = _refined_once(patch, refined.ellipse, inliers, levels)
     return refined if isinstance(refined, NoSpot) else _finished(refined, coarse)
 
@@ -138,7 +140,7 @@ def _settled(refined: Refined, inliers: np.ndarray, before: Levels) -> bool:
     same_kind = (after.width > Refine.BROAD) == (
         before.width > Refine.BROAD
     ) and after.width > Refine.SAME_WIDTH * before.width
-    same_rays = np.count_nonzero(refined.inliers != inliers) <= Refine.EXCHANGED_RAYS
+    same_rays = np.count_nonzero(refined.bright != inliers) <= Refine.EXCHANGED_RAYS
     settled = refined.move < min(Refine.SETTLED * after.width, Refine.SETTLED_BROAD)
     return settled and bool(same_rays) and same_kind and after.sees_background
 
@@ -235,9 +237,10 @@ def _finished(refined: Refined, coarse: Coarse) -> EdgeFit:
         offsets=refined.offsets,
         found=refined.found,
         inliers=refined.inliers,
+        shaded=refined.shaded,
         inside=refined.band.inside,
         scatter=math.sqrt(float(errors @ errors) / len(rows)),
-        steeper=1.0 if broad else refined.band.steeper(refined.inliers),
+        steeper=1.0 if broad else refined.band.steeper(refined.bright),
     )
 
 

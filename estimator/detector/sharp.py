@@ -68,10 +68,21 @@ def refine_sharp(
         return NoSpot(Reason.NONE_FOUND)
     typical = float(np.partition(plain, plain.size // 2)[plain.size // 2])
     smooth = rough < Sharp.ROUGH * max(typical, 1e-5 * levels.amplitude**2)
+    shaded = np.zeros(RAYS, bool)
+    if not saturated and bool((band.whole & (gain <= Refine.DARKEST_GAIN)).any()):
+        light, shaded_shifts, misfit = band.in_shade(stretch)
+        shaded = _eroded(
+            band.whole
+            & (gain <= Refine.DARKEST_GAIN)
+            & (light > Sharp.DEEPEST_SHADE)
+            & (misfit < Sharp.SHADED_MISFIT * levels.amplitude)
+            & (np.abs(shaded_shifts) < reach)
+        )
+        offsets = np.where(shaded, shaded_shifts, offsets)
     fitted = robust_step(
         DESIGN,
         offsets,
-        _eroded(found & smooth),
+        _eroded(found & smooth) | shaded,
         band.inliers,
         tolerance=Sharp.FORGIVEN * levels.width,
         limit=Refine.FURTHEST,
@@ -83,7 +94,9 @@ def refine_sharp(
         if hidden is None:
             return NoSpot(Reason.SATURATED)
         levels, half, variance = hidden
-        return band.refined(levels, offsets, found, fitted, half=half, half_variance=variance)
+        return band.refined(
+            levels, offsets, found, fitted, half=half, half_variance=variance, shaded=shaded
+        )
     slope, doubt = _slope(band, found, levels.width)
     levels = _sharpened(levels, band, slope, doubt)
     crossing = band.half_crossing(levels.half, Sharp.MIDDLE * levels.width)
@@ -99,11 +112,12 @@ def refine_sharp(
     return band.refined(
         levels,
         offsets,
-        found,
+        found | shaded,
         (step, rays),
         half=crossing,
         half_variance=(Sharp.SIZE_PX / ellipse.axes()[1]) ** 2,
         centre_variance=per_slope**2 * doubt / 2,
+        shaded=shaded,
     )
 
 

@@ -166,6 +166,10 @@ class Refine:
     """- | brightness of a ray over the mean ray's: darker rays are hidden | set by hand for shafts,
     and for shadows that take 60 % or more of the light
     """
+    SHADED_NEIGHBOURS = 3
+    """rays | neighbours on either side with which a shaded ray is averaged | set by hand: as many
+    as are spoilt by a shadow's rim
+    """
     BRIGHTEST_GAIN = 1 / DARKEST_GAIN
     """- | the same: brighter rays show a glint | derived"""
     SAMPLING_PX = 0.7
@@ -242,6 +246,14 @@ class Sharp:
     SIZE_PX = 0.005
     """px | error of the place of the half level between pixels, the same for all rays | fitted to
     rendered cones: sizes of oblique spots are off by 0.005 px RMS, those of circles by 0.009 px
+    """
+    DEEPEST_SHADE = 0.08
+    """- | share of the light in which an edge is still measured | set by hand: 15 grey levels,
+    noise of two
+    """
+    SHADED_MISFIT = 0.06
+    """- | deviation of a shaded profile from a dimmed mean, over its own height | set by hand
+    between shadows on textured walls (0.04) and shafts
     """
     SPOILED_RAYS = 3
     """rays | neighbours of a ray without an edge that are not used | set by hand for rims of shafts
