@@ -42,7 +42,8 @@ class EdgeFit:
         shaded: (RAYS,) rays in a shadow in which they still show an edge.
         inside: (RAYS,) rays whose contour point lies in the frame.
         scatter: standard deviation of the inliers' offsets, radii.
-        steeper: how much steeper single rays are than their mean (`Band.steeper`).
+        steeper: how much steeper single rays are than their mean (`Band.steeper`), where the edges
+            scatter.
     """
 
     ellipse: Ellipse
@@ -230,6 +231,8 @@ def _finished(refined: Refined, coarse: Coarse) -> EdgeFit:
     step_covariance = longer @ step_covariance @ longer
     step_covariance[2:4, 2:4] += refined.size_variance
     step_covariance[[0, 1], [0, 1]] += centre_variance
+    scatter = math.sqrt(float(errors @ errors) / len(rows))
+    clean = broad or scatter < Refine.CLEAN * levels.width
     return EdgeFit(
         ellipse=refined.ellipse,
         step_covariance=step_covariance,
@@ -239,8 +242,8 @@ def _finished(refined: Refined, coarse: Coarse) -> EdgeFit:
         inliers=refined.inliers,
         shaded=refined.shaded,
         inside=refined.band.inside,
-        scatter=math.sqrt(float(errors @ errors) / len(rows)),
-        steeper=1.0 if broad else refined.band.steeper(refined.bright),
+        scatter=scatter,
+        steeper=1.0 if clean else refined.band.steeper(refined.bright),
     )
 
 

@@ -42,10 +42,10 @@ def hollow_share(
     inside = _RADIUS < 1 - Sharp.PLATEAU * width
     light = _on_grid(patch, ellipse)
     dark = inside & (light < half)
-    thick = cv2.morphologyEx(dark.view(np.uint8), cv2.MORPH_OPEN, _THICK).view(bool)
     area = np.count_nonzero(inside)
-    if np.count_nonzero(thick) <= Hollow.SHARE * area:
+    if np.count_nonzero(dark) <= Hollow.SHARE * area:
         return 0.0
+    thick = cv2.morphologyEx(dark.view(np.uint8), cv2.MORPH_OPEN, _THICK).view(bool)
     passable = np.where(inside, dark | np.isnan(light), ~seen[_RAY])
     return np.count_nonzero(thick & ~_reached_from_outside(passable)) / area
 

@@ -162,6 +162,10 @@ class Refine:
     """edge widths | from the ellipse within which an edge is the spot's, texture or not | set by
     hand
     """
+    CLEAN = 0.1
+    """edge widths | scatter of the edges of what is plainly an ellipse | set by hand: merged
+    letters scatter by 0.12 and more
+    """
     DARKEST_GAIN = 0.6
     """- | brightness of a ray over the mean ray's: darker rays are hidden | set by hand for shafts,
     and for shadows that take 60 % or more of the light
