@@ -46,7 +46,8 @@ def calibration_in(folder: Path) -> Path:
     return path
 
 
-def _reader(stack, folder: Path, **options):
+def reader_in(stack, folder: Path, **options):
+    """A reader of a stack in the mode pixels, with the true cone."""
     return Options.of(
         {
             "mode": "pixels",
@@ -60,7 +61,7 @@ def _reader(stack, folder: Path, **options):
 
 def readings_of(stack, folder: Path, poses=None, **options):
     """What the wall was known as, the distance's error and chi squared of the pose, by frame."""
-    reader = _reader(stack, folder, **options)
+    reader = reader_in(stack, folder, **options)
     poses = poses or read_poses(stack.folder / "kinematics.csv")
     for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
         found = reader.read(

@@ -1,9 +1,12 @@
 """The mode pixels states its errors also where the camera is not the one that it believes."""
 
+import numpy as np
 import pytest
 
+from benchmarks.bench.estimator.lookalikes import LOOKALIKES
+from estimator import NoSpot, Reason, SubpixelSettings, TrackState, measure, open_source
 from estimator.distance import WallMemory
-from tests.pixel_stacks import cone_stack, readings_of
+from tests.pixel_stacks import cone_stack, reader_in, readings_of
 
 _MOST = 30.0  # chi squared of five numbers exceeds it once in 70,000
 
@@ -70,3 +73,65 @@ def test_an_edge_that_moved_during_the_exposure_is_no_sharp_edge(tmp_path, seed)
         seed=seed,
     )
     assert max(chi_squared for _, _, chi_squared in found) < _MOST
+
+
+def test_a_spot_far_out_of_focus_is_that_of_a_blurred_disc(tmp_path):
+    # Blurred by a disc with a radius of 18 px, a third of the spot's. The sub-pixel mode's spot is
+    # 1 px too small, 20 um of distance a pixel and more; a Gaussian blur leaves 0.1 to 0.3 mm.
+    microscope = {"numerical_aperture": 0.04, "focus_mm": 3.0, "samples": 64}
+    found = _of(tmp_path, microscope=microscope | {"width_px": 400, "height_px": 400})
+    assert max(abs(distance) for _, distance, _ in found) < 0.1
+    assert max(chi_squared for _, _, chi_squared in found) < _MOST
+
+
+def test_light_that_spreads_in_the_wall_does_not_pull_the_distance(tmp_path):
+    # By an exponential of 0.03 to 0.05 mm, seven pixels, whose long tails no Gaussian blur has.
+    phantom = {"wall": "printed paper", "texture_seed": 4, "spread": "own"}
+    found = _of(tmp_path, phantom=phantom | {"spread_mm": [0.05, 0.04, 0.03]})
+    assert max(abs(distance) for _, distance, _ in found) < 0.1
+    assert max(chi_squared for _, _, chi_squared in found) < _MOST
+
+
+def test_a_tool_that_hides_a_part_of_the_spot_does_not_pull_the_pose(tmp_path):
+    # Taken for the wall's texture, the tool made chi squared exceed 500.
+    found = _of(
+        tmp_path,
+        wall="retina",
+        spot={"eccentricity_mm": 0.05, "azimuth_deg": 0.0, "incidence_deg": 28.0},
+        microscope={"width_px": 640, "height_px": 480},
+        second_tool={
+            "visible": True,
+            "gauge": 23,
+            "trocar_azimuth_deg": 150.0,
+            "tip_mm": [-0.2, 0.3, -10.0],
+        },
+        motion={"start_mm": 2.8, "travel_mm": 0.6, "frames": 4, "speed_mm_s": 1.0},
+    )
+    assert max(chi_squared for _, _, chi_squared in found) < _MOST
+
+
+def test_a_spot_too_faint_for_the_sub_pixel_mode_has_a_pose(tmp_path):
+    # A film of water reflects the microscope's light over all of the wall; the spot is half as
+    # bright again.
+    stack = cone_stack(
+        tmp_path / "stack",
+        phantom={"wall": "retina", "texture_seed": 4, "coat": "glossy"},
+        spot={"eccentricity_mm": 0.3, "azimuth_deg": 202.0, "incidence_deg": 25.0},
+        microscope={"width_px": 640, "height_px": 480, "illumination_mw_mm2": 0.92},
+        motion={"start_mm": 2.8, "travel_mm": 0.3, "frames": 3, "speed_mm_s": 1.0},
+    )
+    frames = list(open_source(stack.folder))
+    results = [measure(frame.image, TrackState(), SubpixelSettings())[0] for frame in frames]
+    assert results == [NoSpot(Reason.NONE_FOUND)] * len(frames)
+    found = list(readings_of(stack, tmp_path))
+    assert max(chi_squared for _, _, chi_squared in found) < _MOST
+
+
+def test_bright_things_that_are_no_spots_have_no_pose(tmp_path):
+    stack = cone_stack(tmp_path / "stack", microscope={"width_px": 640, "height_px": 480})
+    reader = reader_in(stack, tmp_path)
+    for name, make in LOOKALIKES.items():
+        for seed in range(5):
+            reader.forget()
+            reading = reader.read(make(np.random.default_rng([9, seed])))
+            assert reading.range is None, f"{name}, seed {seed}"

@@ -12,6 +12,7 @@ from estimator.image import Outline
 from estimator.pixels.beam import POSE
 from estimator.pixels.belief import Belief
 from estimator.pixels.drift import drift_covariance
+from estimator.pixels.edge_shift import blur_covariance
 from estimator.pixels.frame_state import OWN
 
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
@@ -78,6 +79,7 @@ def range_of(
     swept = 0.0 if newest.sweep is None else solver.beam.swept_px(newest.pose, newest.sweep)
     place = solver.beam.scale_mm_px * math.hypot(_PLACE_PX, _SWEPT * swept, shake)
     doubt = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
+    doubt += blur_covariance(solver, solution)
     drifts = [drift_px + belief.drift(frame) for frame in solution.frames]
     for way in unknown_px * np.eye(2) if unknown_px else ():
         doubt += drift_covariance(solver, solution, [way for _ in drifts])
