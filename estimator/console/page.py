@@ -185,7 +185,7 @@ class Page:
 
     def _show_reading(self, view: View) -> None:
         reading = view.reading
-        no_spot = isinstance(reading.result, NoSpot)
+        no_spot = isinstance(reading.result, NoSpot) and reading.range is None
         doubt = reading.doubt.replace("_", " ")
         kind = "lost" if no_spot else "doubtful" if doubt else "good"
         self._set_state(kind, "no spot" if no_spot else "doubtful" if doubt else "good")

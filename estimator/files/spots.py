@@ -103,7 +103,8 @@ class SpotRecord:
         time_s: of the frame; NaN if unknown.
         mode: "literal", "subpixel" or "pixels".
         result: the spot, or why there is none.
-        distance_mm: from the tip to the wall along the beam; NaN without a calibration.
+        distance_mm: from the tip to the wall along the beam; NaN without a calibration. The mode
+            pixels may know it without a spot.
         sigma_distance_mm: its standard deviation.
         pose_age_s: age of the robot's pose at the frame's time; NaN if unknown.
         distance_low_mm: begin of the 95 % interval of the distance, which contains the model's

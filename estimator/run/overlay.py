@@ -50,8 +50,8 @@ def annotated(
         colour = _RED
     else:
         _draw_ellipse(picture, record.result, camera)
-        if not math.isnan(record.distance_mm):
-            lines.append(f"d = {record.distance_mm:.3f} +- {record.sigma_distance_mm:.3f} mm")
+    if not math.isnan(record.distance_mm):  # the mode pixels may know it without a spot
+        lines.append(f"d = {record.distance_mm:.3f} +- {record.sigma_distance_mm:.3f} mm")
     _write(picture, lines, colour)
     return picture
 
