@@ -7,6 +7,7 @@ cells         The light of a frame on a lattice of square cells
 drift         What a drift of the microscope would do to a pose
 edge_shift    What an error of the blur would do to a pose
 frame_fit     Fits the newest frame: other light has little weight, and the wall may have moved
+frame_model   The model of one frame on the cells of a window
 frame_state   The states of a frame, its model on the cells of a window, and what is known before
 mix           The mixture of a camera's channels in which the wall is most even
 ranger        Distances and poses, for a calibration and a microscope file

@@ -62,7 +62,7 @@ def _pulled(
         right, down = (-part * drift).tolist()
         drifted = WallMotion(right, down).after(motion)
         seen, fitted = (
-            beam.irradiance_alone(solver.lattice(where), at, own)
+            beam.irradiance_alone(solver.model.lattice(where), at, own)
             for where, at in ((drifted, other), (motion, frame.pose))
         )
         changes.append((seen - fitted) / (fitted + np.exp(frame.log_ambient)) / part)

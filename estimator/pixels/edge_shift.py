@@ -44,10 +44,10 @@ def blur_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 
 
 def _changes(solver: Solver, solution: Solution, frame: FrameState) -> Float[np.ndarray, "3 n"]:
     """How a frame's log light changes if its edge is shifted outwards, evenly or to an oval."""
-    lit = solver.lit(frame, solution.own)
+    lit = solver.model.lit(frame, solution.own)
     side = solver.window.side
     radius = side * math.sqrt(np.count_nonzero(lit) / math.pi)
-    lattice = solver.lattice(frame.cells.motion)
+    lattice = solver.model.lattice(frame.cells.motion)
     light = solver.beam.irradiance_alone(lattice, frame.pose, solution.own)
     light = np.maximum(blurred(light, frame.blur_px2 / side**2, frame.kurtosis), 0.0)
     steep = np.hypot(*np.gradient(light.reshape(COUNT, COUNT), side)).ravel()

@@ -74,7 +74,7 @@ def robust_fit(
     steps: int = STEPS,
 ) -> tuple[Solution, Surprise]:
     """A solution in which cells with other light have little weight, and the surprise."""
-    line = solver.linear(frame, own)
+    line = solver.model.linear(frame, own)
     trust = _trust(_unlike_at_start(solver, frame, own, line))
     solution = solver.solve(kept, frame, own, steps=steps, trust=trust, line=line)
     line, strange, far = _distances(solver, solution, trust)
@@ -118,7 +118,7 @@ def trusted(solver: Solver, line: Linear) -> Linear:
 
 def hidden(solver: Solver, solution: Solution) -> Bool[np.ndarray, "n"]:
     """Cells of a first frame's solution that are unlike the wall: hidden, or in other light."""
-    return _grown(_unlike(solver, solver.linear(solution.frames[-1], solution.own))) > _FAR
+    return _grown(_unlike(solver, solver.model.linear(solution.frames[-1], solution.own))) > _FAR
 
 
 def _trust(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -134,7 +134,7 @@ def _unlike_at_start(
         return np.zeros(line.weight.size)
     place, along = _START_PX * solver.beam.scale_mm_px, _START_ALONG * frame.pose.distance
     shifts = np.diag([place, place, along])
-    changes = solver.changes(frame, own, [*shifts, *-shifts])
+    changes = solver.model.changes(frame, own, [*shifts, *-shifts])
     least, most = np.min(changes, axis=0), np.max(changes, axis=0)
     residual = line.residual - np.clip(line.residual, least, most)
     return _grown(_unlike(solver, line._replace(residual=residual)))
@@ -208,7 +208,7 @@ def fit_wherever(
         motion = newest.cells.motion.after(WallMotion(*newest.shift))
         newest = replace(newest, cells=cells(motion), shift=(0.0, 0.0))
         solution.frames[-1] = newest
-        solution.linear[-1] = trusted(solver, solver.linear(newest, solution.own))
+        solution.linear[-1] = trusted(solver, solver.model.linear(newest, solution.own))
     return solution, surprise.square, lost
 
 

@@ -17,13 +17,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.linalg import cho_factor, solve_triangular
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from estimator.pixels.beam import POSE, BeamLight
-from estimator.pixels.blur import LEAST_KURTOSIS, MOST_KURTOSIS, blurred
-from estimator.pixels.cells import COUNT, SHADES, Window
+from estimator.pixels.blur import LEAST_KURTOSIS, MOST_KURTOSIS
+from estimator.pixels.cells import COUNT, Window
+from estimator.pixels.frame_model import FrameModel
 from estimator.pixels.frame_state import (
     AMBIENT,
     BLUR,
@@ -41,25 +41,10 @@ from estimator.pixels.robot import Motion, motion_between
 from estimator.pixels.solution import Solution, inverse_diagonal, solved
 from estimator.pixels.texture import Texture
 
-_SHADED = 3.0  # largest logarithm of ambient light over that in the middle
-_SMEAR = 0.15
-"""Error of what motion changes in the light, over the change: a robot says some 200 poses a second,
-and a hand's tremor has its way between them."""
-_BLURRED = 0.3
-"""Error of what a blur changes in the light, over the change: its shape is not known."""
-_FLOOR = 5e-4
-"""Relative error of the light, of a cone in closed form and of a lens from a table. In the cells of
-rendered even walls the residuals have the variance of the photons within 5 %, also where that is
-1e-3 and less."""
-_DARKEST = 1e-6  # full wells
 _RIDGE = 1e-12  # of a state's own information, so that one without any does not matter
 _DONE, _SMALL = 0.1, 0.3
 """In standard deviations: a shorter step ends the iteration; a last step as short is an answer."""
 _LEAST_DAMPING = 1e-3
-_HIDDEN = 16.0  # largest square of a cell's residual that counts for a start, in variances
-_BRIGHTER, _DIM = 0.75, 0.5
-"""Quantiles: of the lit cells' light, most of which may be hidden; and of all cells by the beam's
-light, of which the dimmer ones show the ambient light."""
 
 
 class Solver:
@@ -82,9 +67,8 @@ class Solver:
     ) -> None:
         self.beam, self.window, self.texture = beam, window, texture
         self._reference = reference
-        self.lattice = functools.partial(beam.lattice, window)
-        self.side_mm = window.side * beam.scale_mm_px
-        covariance = texture.covariance(COUNT, self.side_mm)
+        self.model = FrameModel(beam, window, texture)
+        covariance = texture.covariance(COUNT, self.model.side_mm)
         self._precision = solved(cho_factor(covariance, lower=True), np.eye(COUNT**2))
         self._pull = np.zeros(COUNT**2)
         if reference is not None:
@@ -130,7 +114,7 @@ class Solver:
         blur = OWN * newest + BLUR
         gone, damping, converged = np.zeros(size), _LEAST_DAMPING, False
         lines = [line for _, line in kept]
-        line = self.linear(frame, own) if line is None else line
+        line = self.model.linear(frame, own) if line is None else line
         lines.append(line if trust is None else line._replace(weight=line.weight * trust))
         told = _motions(frames)
         hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
@@ -151,7 +135,7 @@ class Solver:
                 new_own = own + step[size - len(own) :]
                 # With the weights of before, so that costs compare.
                 trial = [_shifted(line, step, k, size) for k, line in enumerate(lines[:-1])]
-                fresh = self.linear(moved, new_own, trust=trust)
+                fresh = self.model.linear(moved, new_own, trust=trust)
                 trial.append(fresh._replace(weight=lines[-1].weight))
                 here = gone + step
                 here[OWN * newest : OWN * (newest + 1)] = 0.0
@@ -212,122 +196,6 @@ class Solver:
     @functools.cached_property
     def _prior_log_determinant(self) -> float:
         return _log_determinant(cho_factor(self._precision, lower=True))
-
-    def linear(
-        self, frame: FrameState, own: np.ndarray, *, trust: np.ndarray | None = None
-    ) -> Linear:
-        """A frame's model at its state."""
-        light, usable = (part.ravel() for part in frame.cells.means(self.window))
-        seen = self.beam.irradiance(
-            self.window,
-            frame.cells.motion,
-            frame.pose,
-            own,
-            sweep=frame.sweep,
-            blur_px2=frame.blur_px2,
-            kurtosis=frame.kurtosis,
-        )
-        shade = np.clip(np.array(frame.shade) @ SHADES, -_SHADED, _SHADED)
-        ambient = np.exp(frame.log_ambient + shade)
-        # Between the samples of a table, light that is nearly none may be less than none.
-        total = np.maximum(seen.value, 0.0) + ambient
-        model = np.exp(frame.log_gain) * total
-        error = np.hypot(_SMEAR * seen.by_motion, _BLURRED * seen.by_blur) / total
-        weight = self._weight(frame, light, usable, model, error=error)
-        deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
-        light = np.maximum(light, np.maximum(deviation, _DARKEST))
-        grain = np.zeros((2, total.size)) if frame.grain is None else frame.grain
-        return Linear(
-            residual=np.where(usable, np.log(light / model) + np.array(frame.shift) @ grain, 0.0),
-            slopes=np.concatenate(
-                [
-                    seen.slopes[:POSE] / total,
-                    np.ones((1, total.size)),
-                    ambient / total[None],
-                    ambient * SHADES / total,
-                    seen.bend[None] / total,
-                    seen.tails[None] / total,
-                    -grain,
-                ]
-            ),
-            shared=seen.slopes[POSE:] / total,
-            weight=weight if trust is None else weight * trust,
-        )
-
-    def changes(
-        self, frame: FrameState, own: np.ndarray, moves: list[Float[np.ndarray, "3"]]
-    ) -> Float[np.ndarray, "k n"]:
-        """How the log light of cells changes if the spot moves; also by not at all.
-
-        Args:
-            frame: at its state.
-            own: changes of the beam's own parameters.
-            moves: of the spot to the right and downwards on the wall, and of the distance, mm.
-        """
-        lattice, ambient = self.lattice(frame.cells.motion), np.exp(frame.log_ambient)
-        seen = []
-        for move in [np.zeros(3), *moves]:
-            pose = self.beam.pose(*frame.pose.moved(np.concatenate([move, np.zeros(2)])))
-            light = self.beam.irradiance_alone(lattice, pose or frame.pose, own)
-            light = blurred(light, frame.blur_px2 / self.window.side**2, frame.kurtosis)
-            seen.append(np.log(np.maximum(light, 0.0) + ambient))
-        return np.array(seen) - seen[0]
-
-    def lit(self, frame: FrameState, own: np.ndarray) -> Bool[np.ndarray, "n"]:
-        """Cells in which a frame's light is above half of its maximum."""
-        light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
-        return light > 0.5 * light.max()
-
-    def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float]:
-        """A frame with the gain and ambient light that suit its pose, and its cost.
-
-        Where something hides the spot or casts a shadow on it, it is darker. So the gain is that of
-        the brighter cells.
-        """
-        light, usable = (part.ravel() for part in frame.cells.means(self.window))
-        irradiance = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
-        lit = usable & (irradiance > 0.5 * irradiance.max(where=usable, initial=0.0))
-        dim = usable & (irradiance <= np.quantile(irradiance[usable], _DIM))
-        gain = offset = 0.0
-        for _ in range(2):
-            gain = float(np.quantile((light - offset)[lit] / irradiance[lit], _BRIGHTER))
-            offset = float(np.median((light - gain * irradiance)[dim]))
-        gain = max(gain, _DARKEST)
-        ambient = np.clip(offset / gain, 1e-4, 1.0)
-        suited = replace(frame, log_gain=float(np.log(gain)), log_ambient=float(np.log(ambient)))
-        model = np.exp(suited.log_gain) * (np.maximum(irradiance, 0.0) + ambient)
-        weight = self._weight(suited, light, usable, model)
-        # Here the texture counts as noise without correlation: this finds starts, not poses.
-        spread = 1.0 / np.where(usable, weight, 1.0) + self.texture.variance
-        residual = np.log(np.maximum(light, _DARKEST) / np.maximum(model, _DARKEST))
-        squares = np.minimum(np.square(residual) / spread, _HIDDEN)
-        return suited, float(np.sum(np.where(usable, squares, 0.0))) + prior_cost(suited)
-
-    def _weight(
-        self,
-        frame: FrameState,
-        light: np.ndarray,
-        usable: np.ndarray,
-        model: np.ndarray,
-        *,
-        error: np.ndarray | float = 0.0,
-    ) -> np.ndarray:
-        """1 over the variances of the cells' log light, by camera, image model and its error."""
-        # The level is that of both, so that neither a wrong model nor a dark cell has too much
-        # weight.
-        level = np.maximum(np.sqrt(np.maximum(light, _DARKEST) * model), _DARKEST)
-        variance = frame.cells.variance(level) / self.window.side**2 / level**2
-        slope = np.hypot(*np.gradient(np.log(model).reshape(COUNT, COUNT))).ravel()
-        # Light enters at the bright side of a cell, where the reflectance differs.
-        aside = np.minimum(slope / 12.0, 0.5) * self.side_mm
-        variance += np.square(error) + _FLOOR**2 + 0.5 * self.texture.roughness * aside
-        # As many pixels as a side is long are cut by a sharp edge, if the cell is one between a
-        # brighter and a darker one. Its light is wrong then, and all the more its logarithm.
-        brighter = maximum_filter(model.reshape(COUNT, COUNT), 3).ravel()
-        darker = minimum_filter(model.reshape(COUNT, COUNT), 3).ravel()
-        step = 2.0 * np.sqrt((brighter - model) * (model - darker))
-        variance += np.square(self.beam.cut * step / level) / self.window.side**3
-        return np.where(usable, 1.0 / variance, 0.0)
 
     def _system(
         self,

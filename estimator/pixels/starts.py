@@ -49,15 +49,16 @@ def scanned_starts(
     """
     found: list[tuple[float, FrameState]] = []
     spot_px2 = np.pi * spot.semi_major_px * spot.semi_minor_px
+    model = solver.model
     point = solver.beam.wall_points(np.array([[spot.x_px, spot.y_px]]))[0][0]
     for axis in directions:
         costs: list[float] = []
         states: list[FrameState | None] = []
         for distance in _DISTANCES_MM:
             pose = solver.beam.pose(point - distance * axis, axis)
-            state, cost = (None, np.inf) if pose is None else solver.scanned(frame_at(pose), own)
+            state, cost = (None, np.inf) if pose is None else model.scanned(frame_at(pose), own)
             if state is not None:
-                size = np.count_nonzero(solver.lit(state, own)) * solver.window.side**2 / spot_px2
+                size = np.count_nonzero(model.lit(state, own)) * model.window.side**2 / spot_px2
                 cost += (np.log(max(size, _TINY)) / _SIZE[solver.beam.sharp]) ** 2
             states.append(state)
             costs.append(cost)
@@ -100,7 +101,7 @@ def mirrored_start(solver: Solver, frame: FrameState, own: np.ndarray) -> FrameS
     normal = np.cross(pose.right, pose.down)
     axis = 2.0 * (pose.axis @ normal) * normal - pose.axis
     other = solver.beam.pose(pose.spot - pose.distance * axis, axis)
-    return None if other is None else solver.scanned(replace(frame, pose=other), own)[0]
+    return None if other is None else solver.model.scanned(replace(frame, pose=other), own)[0]
 
 
 def likely_directions(

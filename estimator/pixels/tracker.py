@@ -220,7 +220,7 @@ class PoseTracker:
         ]
         line = min(found, key=solver.unlikelihood_of).linear[0]
         texture = texture_of(
-            line.residual, line.weight, line.slopes, count=COUNT, side_mm=solver.side_mm
+            line.residual, line.weight, line.slopes, count=COUNT, side_mm=solver.model.side_mm
         )
         solver = Solver(self.beam, window, texture, self._known(mix))
         again = [robust_fit(solver, [], one.frames[0], own) for one in found]
@@ -264,7 +264,9 @@ class PoseTracker:
             off = np.abs(on_map - solver.window.corner_px - held).max()
             if off > _CENTRED * held or abs(math.log(held / reach)) > _SIZED:
                 solver = solver.at(Window.around(on_map, reach))
-                kept = [(state, trusted(solver, solver.linear(state, own))) for state, _ in kept]
+                kept = [
+                    (state, trusted(solver, solver.model.linear(state, own))) for state, _ in kept
+                ]
                 texture_map, _ = solver.known([line for _, line in kept])
             start = self._start(belief.newest, solver, cells(motion), point, own, sweep)
             start = replace(
@@ -309,7 +311,7 @@ class PoseTracker:
                 frame = replace(
                     last, cells=cells, pose=pose, direction=None, ambient_prior=prior, sweep=sweep
                 )
-                found.append(solver.scanned(frame, own))
+                found.append(solver.model.scanned(frame, own))
         best, _ = min(found, key=lambda one: one[1])
         return replace(best, log_ambient=last.log_ambient)
 
@@ -324,7 +326,7 @@ class PoseTracker:
             for (state, line), (_, old) in zip(kept, before, strict=True)
         ]
         pose = newest[0].pose
-        radius = 0.5 * COUNT * solver.side_mm / _REACH
+        radius = 0.5 * COUNT * solver.model.side_mm / _REACH
         apart = [
             max(
                 float(np.linalg.norm(pose.spot - state.pose.spot)) / radius / _NEW,

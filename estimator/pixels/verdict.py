@@ -43,7 +43,7 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
     if belief.sigmas[2] > _VAGUE * belief.newest.pose.distance:
         return RangeFlag.NOT_CONVERGED
     best, sharp = belief.solution, belief.solver.beam.sharp
-    lit = belief.solver.lit(best.frames[-1], best.own)
+    lit = belief.solver.model.lit(best.frames[-1], best.own)
     size = float(np.count_nonzero(lit)) * belief.solver.window.side**2
     seen = math.pi * outline.semi_major_px * outline.semi_minor_px
     most = _SIZE[sharp] if outline.measured else _BRIGHT_SIZE
