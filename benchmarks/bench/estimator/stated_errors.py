@@ -2,8 +2,8 @@
 
 Each frame is independent: another wall, another ellipse, other noise, no tracking. The frames are
 drawn by `own_frames`, whose formulas are not those of `scenes`, or rendered. The constants of the
-detector were set on drawn retinas and on texture of spectrum 1/f; the photograph is a wall that
-they were not set on.
+detector were set on drawn retinas and on texture of spectrum 1/f, those of bells' centres on the
+photograph too.
 """
 
 from __future__ import annotations
