@@ -9,12 +9,8 @@ import numpy as np
 from estimator.detector.regions import Region, regions_in
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tracking import TrackState, measure
+from estimator.detector.tuning import Faint
 from estimator.image import NoSpot, Outline, Reason, Spot, Window, checked_frame
-
-_CONTRAST = 0.25
-"""Least (peak - background) / background. Texture alone reaches it, but a spot under the haze of a
-wet wall has no more."""
-_FILLED = 0.8  # least share of the ellipse round a region
 
 
 def outlines_of(
@@ -30,7 +26,7 @@ def outlines_of(
     if isinstance(result, Spot):
         return [result.outline]
     frame = checked_frame(frame)
-    settings = replace(settings, min_contrast=min(settings.min_contrast, _CONTRAST))
+    settings = replace(settings, min_contrast=min(settings.min_contrast, Faint.CONTRAST))
     if result.reason is Reason.NONE_FOUND:
         fainter, _ = measure(frame, TrackState(), settings)
         if isinstance(fainter, Spot):
@@ -42,7 +38,7 @@ def _bright_outlines(frame: np.ndarray, settings: SubpixelSettings) -> list[Outl
     """Ellipses round the bright regions of a frame that fill theirs, good to a few px."""
     found = []
     for region in regions_in(frame, Window.whole(frame), settings):
-        if isinstance(region, Region) and region.fills_its_ellipse() > _FILLED:
+        if isinstance(region, Region) and region.fills_its_ellipse() > Faint.FILLED:
             x, y = region.ellipse.centre.tolist()
             semi_major, semi_minor, angle = region.ellipse.axes()
             if semi_minor > settings.min_semi_minor_px and semi_major < settings.max_semi_major_px:

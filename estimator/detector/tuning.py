@@ -580,3 +580,14 @@ class SpotProfile:
     """
     FEWEST_RAYS = 48
     """rays | least number that lies in the frame | derived: a quarter of `RAYS`"""
+
+
+class Faint:
+    """Where a spot may be that was not measured (`outlines`)."""
+
+    CONTRAST = 0.25
+    """- | least (peak - background) / background | set by hand: texture alone reaches it, but a spot
+    under the haze of a wet wall has no more
+    """
+    FILLED = 0.8
+    """- | least share of the ellipse round a region that the region takes up | set by hand"""
