@@ -586,8 +586,8 @@ class Faint:
     """Where a spot may be that was not measured (`outlines`)."""
 
     CONTRAST = 0.25
-    """- | least (peak - background) / background | set by hand: texture alone reaches it, but a spot
-    under the haze of a wet wall has no more
+    """- | least (peak - background) / background | set by hand: texture alone reaches it, but a
+    spot under the haze of a wet wall has no more
     """
     FILLED = 0.8
     """- | least share of the ellipse round a region that the region takes up | set by hand"""
