@@ -1,11 +1,15 @@
 """The mode pixels states its errors also where the camera is not the one that it believes."""
 
+import functools
+
 import numpy as np
 import pytest
 
 from benchmarks.bench.estimator.lookalikes import LOOKALIKES
 from estimator import NoSpot, Reason, SubpixelSettings, TrackState, measure, open_source
-from estimator.distance import WallMemory
+from estimator.distance import RangeFlag, WallMemory
+from estimator.pixels import ranger
+from estimator.pixels.beam import BeamLight
 from tests.pixel_stacks import cone_stack, reader_in, readings_of
 
 _MOST = 30.0  # chi squared of five numbers exceeds it once in 70,000
@@ -125,6 +129,19 @@ def test_a_spot_too_faint_for_the_sub_pixel_mode_has_a_pose(tmp_path):
     assert results == [NoSpot(Reason.NONE_FOUND)] * len(frames)
     found = list(readings_of(stack, tmp_path))
     assert max(chi_squared for _, _, chi_squared in found) < _MOST
+
+
+def test_a_distance_at_which_the_light_is_not_known_is_none(tmp_path, monkeypatch):
+    # The table of a lens ends at 0.25 mm. A tip at 0.06 mm was read at 0.19 mm, 31 stated errors
+    # off.
+    stack = cone_stack(tmp_path / "stack", motion={"start_mm": 2.0, "travel_mm": 0.1, "frames": 1})
+    known = functools.partial(BeamLight, within_mm=(2.5, 9.0))
+    monkeypatch.setattr(ranger, "BeamLight", lambda *a, within_mm, **more: known(*a, **more))
+    (frame,) = open_source(stack.folder)
+    reading = reader_in(stack, tmp_path).read(frame.image, time_s=frame.time_s)
+    assert reading.result
+    assert reading.doubt == RangeFlag.OUT_OF_RANGE.value
+    assert np.isnan(reading.distance_mm)
 
 
 def test_bright_things_that_are_no_spots_have_no_pose(tmp_path):

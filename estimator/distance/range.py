@@ -15,9 +15,9 @@ class RangeFlag(Enum):
 
     AMBIGUOUS: other distances (`Range.others_mm`) explain the spot equally well. OUT_OF_RANGE: the
     model has no such spot, or needs an axis that the robot did not report (the distance is NaN),
-    or it has one only with the tip behind the wall (it is negative). MISFIT: the light is not that
-    of the calibrated beam on a wall. NOT_CONVERGED: the pose was not found. Both are of the mode
-    pixels.
+    or it has one only with the tip behind the wall (it is negative); in the mode pixels the spot is
+    nearer or farther than a lens's light was computed for. MISFIT: the light is not that of the
+    calibrated beam on a wall. NOT_CONVERGED: the pose was not found. Both are of the mode pixels.
     """
 
     NONE = "none"

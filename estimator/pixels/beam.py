@@ -129,6 +129,7 @@ class BeamLight:
         microscope: the camera and the wall.
         spread: turns independent numbers of variance 1 into errors of the beam's own parameters.
         sharp: whether the light ends at an edge.
+        within_mm: least and largest distance at which the light is known.
     """
 
     def __init__(
@@ -138,8 +139,10 @@ class BeamLight:
         spread: Float[np.ndarray, "p q"],
         *,
         sharp: bool,
+        within_mm: tuple[float, float] = (0.0, math.inf),
     ) -> None:
         self.source, self.spread, self.sharp = source, spread, sharp
+        self.within_mm = within_mm
         cut = _CUT if microscope.noise is None else microscope.noise.cut
         self.cut = cut if sharp else _SOFT * cut
         self.lattice = functools.lru_cache(maxsize=_LATTICES)(self._lattice)

@@ -78,7 +78,13 @@ class PixelRanger:
         source, spread = _lens(calibration, view) if lens else _cone(calibration)
         self._libraries = ThreadpoolController()
         self._tracker = PoseTracker(
-            BeamLight(source, view, spread, sharp=not lens),
+            BeamLight(
+                source,
+                view,
+                spread,
+                sharp=not lens,
+                within_mm=(_NEAREST_MM, _FARTHEST_MM) if lens else (0.0, math.inf),
+            ),
             microscope.noise,
             None if reference is None else Reference(reference, microscope.noise),
             shake_px=shake_px,

@@ -40,6 +40,9 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
     """
     if belief is None or not belief.solution.converged:
         return RangeFlag.NOT_CONVERGED
+    nearest, farthest = belief.solver.beam.within_mm
+    if not nearest < belief.newest.pose.distance < farthest:
+        return RangeFlag.OUT_OF_RANGE
     if belief.sigmas[2] > _VAGUE * belief.newest.pose.distance:
         return RangeFlag.NOT_CONVERGED
     best, sharp = belief.solution, belief.solver.beam.sharp
