@@ -249,7 +249,7 @@ def test_a_topic_is_a_source_that_says_when_images_stop(
     ("parameter", "said"),
     [
         ("image_topik:=/camera", "image_topik is unknown"),
-        ("mode:=fast", "mode: .*'literal'; got 'fast'"),
+        ("mode:=fast", "mode: .*'pixels'; got 'fast'"),
         ("settings.min_contrast:=high", "settings: "),
         ("image_topic:=two words", "two words"),
     ],
