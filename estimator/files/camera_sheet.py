@@ -13,10 +13,10 @@ _BAYER = 10.0 / 3.0
 """Growth of the variance of a mean over many pixels by a Bayer filter: a mean of three independent
 channels has 3 variances of 9, one of a filtered camera's 4 + 2 + 4, as it has read a quarter, half
 and a quarter of the pixels."""
-_SHARP, _BAYER_CUT = 0.02, 0.5
-"""Error of a pixel that an edge cuts, over the step, without and with a Bayer filter. Edges at
-random places and angles leave 0.3 of the step in a demosaiced red or blue image and 0.14 in a green
-one, and 0.5 in a mixture like 1.8 red - 0.9 green, in which a retina is even."""
+_BAYER_CUT = 0.5
+"""Error of a pixel that an edge cuts, over the step, with a Bayer filter. Edges at random places
+and angles leave 0.3 of the step in a demosaiced red or blue image and 0.14 in a green one, and 0.5
+in a mixture like 1.8 red - 0.9 green, in which a retina is even."""
 _NonNegative = Annotated[float, Field(ge=0, le=1e15)]
 
 
@@ -57,7 +57,7 @@ class CameraSheet(Strict):
             response=response,
             prnu=self.prnu,
             dsnu_e=self.dsnu_e,
-            cut=_BAYER_CUT if self.bayer else _SHARP,
+            cut=_BAYER_CUT if self.bayer else CameraNoise.cut,
             correlated=_BAYER if self.bayer else 1.0,
             coarse_colours=self.jpeg,
         )

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.files import MicroscopeFile
+from estimator.image import CameraNoise
 from estimator.pixels.blur import blurred, blurred_with_growth
 from estimator.pixels.cells import COUNT, Window
 from estimator.pixels.wall_motion import WallMotion
@@ -33,7 +34,6 @@ and the pose for too well known."""
 _POSITIONS_SHARP, _POSITIONS = (3, 6, 12), (3, 6)
 """Numbers of these positions, for light with and without a sharp edge; each is compiled once."""
 _STILL_SHARP_PX, _STILL_PX = 0.1, 0.5  # way of the light that is not averaged
-_CUT = 0.02  # of a camera that is not known, see `CameraNoise`
 _SOFT = 0.13
 """Share of an error of cut pixels where an edge is two pixels wide, as that of a lens's light is at
 least: edges at random places and angles, sampled by a Bayer filter."""
@@ -143,7 +143,7 @@ class BeamLight:
     ) -> None:
         self.source, self.spread, self.sharp = source, spread, sharp
         self.within_mm = within_mm
-        cut = _CUT if microscope.noise is None else microscope.noise.cut
+        cut = (microscope.noise or CameraNoise).cut
         self.cut = cut if sharp else _SOFT * cut
         self.lattice = functools.lru_cache(maxsize=_LATTICES)(self._lattice)
         self.camera = microscope.ideal_microscope()

@@ -89,8 +89,8 @@ def robust_fit(
     noise = others.square if others.unusual and still else 1.0
     kept = [(state, line._replace(weight=line.weight / noise)) for state, line in kept]
     for _ in range(_ROUNDS):
-        before, trust = trust, _trust(far) / noise
-        if np.abs(trust - before).max() < _SETTLED:
+        last, trust = trust, _trust(far) / noise
+        if np.abs(trust - last).max() < _SETTLED:
             break
         start, own = solution.frames[-1], solution.own
         solution = solver.solve(kept, start, own, steps=_STEPS_AGAIN, trust=trust, line=line)

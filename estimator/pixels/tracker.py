@@ -146,14 +146,14 @@ class PoseTracker:
     def _read_unmeasured(self, picture: _Picture, outlines: Sequence[Outline]) -> Range:
         """The pose of a spot that was not measured, if earlier frames explain the light."""
         before = self._beliefs
-        if before and self._last is not None:
-            outline = _like(self._last, outlines)
-            flag, wall = self._followed(picture, outline)
-            if flag is RangeFlag.NONE:
-                return self._range(wall, outline)
-            self._beliefs = before
-            return _missing(flag, wall)
-        return _missing(RangeFlag.NOT_CONVERGED, WallMemory.NEW)
+        if not before or self._last is None:
+            return _missing(RangeFlag.NOT_CONVERGED, WallMemory.NEW)
+        outline = _like(self._last, outlines)
+        flag, wall = self._followed(picture, outline)
+        if flag is RangeFlag.NONE:
+            return self._range(wall, outline)
+        self._beliefs = before
+        return _missing(flag, wall)
 
     def _followed(self, picture: _Picture, outline: Outline) -> tuple[RangeFlag, WallMemory]:
         """Explain a frame by the earlier ones: why that failed, if so, and what the wall did."""
