@@ -13,7 +13,7 @@ from estimator.files import MicroscopeFile
 from estimator.image import CameraNoise
 from estimator.pixels.blur import blurred, blurred_with_growth
 from estimator.pixels.cells import COUNT, Window
-from estimator.pixels.wall_motion import WallMotion
+from estimator.pixels.wall_motion import STILL, WallMotion
 
 if TYPE_CHECKING:
     from optics.wall_light import Lattice, Steps
@@ -33,6 +33,9 @@ _SWEPT_SLOPES = 0.5
 and the pose for too well known."""
 _POSITIONS_SHARP, _POSITIONS = (3, 6, 12), (3, 6)
 """Numbers of these positions, for light with and without a sharp edge; each is compiled once."""
+_WAYS = (0.0, 0.3, 0.47, 0.7, 1.2, 2.0)
+"""Ways over a cell's side for which numbers of positions differ, for the value or its slopes."""
+_USUAL_REACH_PX = 60.0
 _STILL_SHARP_PX, _STILL_PX = 0.1, 0.5  # way of the light that is not averaged
 _SOFT = 0.13
 """Share of an error of cut pixels where an edge is two pixels wide, as that of a lens's light is at
@@ -149,6 +152,7 @@ class BeamLight:
         self.camera = microscope.ideal_microscope()
         self.wall = microscope.wall()
         self.scale_mm_px = microscope.scale_mm_px
+        self._middle_px = 0.5 * np.array([microscope.width_px, microscope.height_px])
 
     def pose(self, tip: np.ndarray, axis: np.ndarray) -> Pose | None:
         """The pose of a tip and an axis; None if the beam meets no wall ahead of the tip."""
@@ -256,6 +260,28 @@ class BeamLight:
             axes=np.repeat(axes, len(aside), axis=0),
             shares=np.repeat(shares, len(aside)) / len(aside),
         )
+
+    def compile(self) -> None:
+        """Compile what frames may need, or load it, so that none of a sequence waits for it.
+
+        Takes 1 to 3 s where JAX has kept what it compiled.
+        """
+        window = Window.around(self._middle_px, _USUAL_REACH_PX)
+        (point,), (normal,) = self.wall_points(self._middle_px[None])
+        pose = self.pose(point + normal, -normal)
+        assert pose is not None, "the middle of an image shows the wall"
+        for cells in _WAYS:
+            way = cells * window.side * self.scale_mm_px
+            sweep = Sweep(np.outer(way * NODES, pose.right), np.zeros((NODES.size, 3)))
+            for blur_px2 in (_LEAST_BLUR_PX2, float(window.side**2)):
+                self.irradiance(
+                    window,
+                    STILL,
+                    pose,
+                    np.zeros(self.spread.shape[1]),
+                    sweep=sweep,
+                    blur_px2=blur_px2,
+                )
 
     def swept_px(self, pose: Pose, sweep: Sweep) -> float:
         """Way of the light during an exposure, px."""

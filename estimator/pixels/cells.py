@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -19,6 +20,12 @@ SIDES = np.stack([np.tile(_ALONG, COUNT), np.repeat(_ALONG, COUNT)])
 """Place of each cell to the right of the window's middle and below it, over half of its side."""
 SHADES = np.stack([*SIDES, SIDES[0] ** 2, SIDES[0] * SIDES[1], SIDES[1] ** 2])
 """Polynomials of that place up to the second degree, without the constant."""
+
+_CENTRED = 0.2  # shift of a point from the middle over half of the side, that a window serves for
+_SIZED = 1.16  # ratio of its side to the one that suits, up to which it does
+_AHEAD, _AHEAD_FRAMES = 0.15, 4.0
+"""How far ahead of a moving point a new window lies: over the reach, and in frames, the less of
+both. So it serves for several frames; what is kept of earlier ones takes as long to model anew."""
 
 
 class Window(NamedTuple):
@@ -39,6 +46,31 @@ class Window(NamedTuple):
         side = max(2, int(np.ceil(2.0 * reach_px / COUNT)))
         left, top = np.round(np.asarray(centre_px) - 0.5 * COUNT * side).astype(int).tolist()
         return cls(left, top, side)
+
+    def following(
+        self, centre_px: Float[np.ndarray, "2"], reach_px: float, way_px: Float[np.ndarray, "2"]
+    ) -> Window:
+        """This window as long as it serves for a point that moves, or else one ahead of the point.
+
+        If only the place does not serve, it is moved by whole cells.
+
+        Args:
+            centre_px: the point.
+            reach_px: to what must lie within the window.
+            way_px: of the point since the frame before.
+        """
+        off = np.abs(centre_px - self.middle_px).max() / (0.5 * COUNT * self.side)
+        needed = 2.0 * reach_px / COUNT
+        sized = needed < _SIZED * self.side < _SIZED**2 * math.ceil(needed)
+        if off < _CENTRED and sized:
+            return self
+        ahead = _AHEAD_FRAMES * way_px
+        most = _AHEAD * reach_px / max(float(np.abs(ahead).max()), 1e-9)
+        fresh = Window.around(centre_px + min(most, 1.0) * ahead, reach_px)
+        if not sized:
+            return fresh
+        right, down = np.round((fresh.middle_px - self.middle_px) / self.side).astype(int).tolist()
+        return self._replace(left=self.left + self.side * right, top=self.top + self.side * down)
 
     @property
     def corner_px(self) -> Float[np.ndarray, "2"]:
@@ -68,6 +100,18 @@ class Window(NamedTuple):
         ]
         part[...] = chosen[cut[0] :, cut[1] :][: part.shape[0], : part.shape[1]]
         return mask
+
+
+def rolled(values: Float[np.ndarray, "*k n"], right: int, down: int) -> Float[np.ndarray, "*k n"]:
+    """Values of a window's cells after it has moved; 0 for new cells."""
+    grids = values.reshape(*values.shape[:-1], COUNT, COUNT)
+    rolled = np.zeros_like(grids)
+    (rows, old_rows), (columns, old_columns) = (
+        (slice(max(-way, 0), COUNT - max(way, 0)), slice(max(way, 0), COUNT - max(-way, 0)))
+        for way in (down, right)
+    )
+    rolled[..., rows, columns] = grids[..., old_rows, old_columns]
+    return rolled.reshape(values.shape)
 
 
 class CellLight:

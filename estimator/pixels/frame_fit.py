@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.pixels.cells import COUNT, CellLight
+from estimator.pixels.cells import COUNT, CellLight, Window, rolled
 from estimator.pixels.frame_state import FrameState, Linear
 from estimator.pixels.registration import registered
 from estimator.pixels.solution import Solution
@@ -30,6 +31,8 @@ _UNUSUAL = 4.0  # standard deviations of a surprise
 _GROWN = 1.2  # growth of a surprise's square that asks where the wall is
 _SURE = 16.0  # -2 log likelihood: four standard deviations
 _SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
+_THREADS = 2
+_SEEN = 0.01  # share of a frame's light that is worth a new model
 _ROUNDS = 3  # of weights for cells with other light
 _SETTLED = 0.2  # change of a weight, over that of a cell that is trusted, that does not matter
 _EVENEST = 0.03
@@ -111,9 +114,40 @@ def _distances(
     return line, strange, np.maximum(strange, _grown(_unlike(solver, line)))
 
 
-def trusted(solver: Solver, line: Linear) -> Linear:
-    """A frame's model, in which cells that are unlike the wall have little weight."""
-    return line._replace(weight=line.weight * _trust(_grown(_unlike(solver, line))))
+def modelled(
+    solver: Solver, frames: list[FrameState], own: Float[np.ndarray, "q"]
+) -> list[tuple[FrameState, Linear]]:
+    """Frames with their models, in which cells that are unlike the wall have little weight."""
+
+    def model(frame: FrameState) -> tuple[FrameState, Linear]:
+        line = solver.model.linear(frame, own)
+        return frame, line._replace(weight=line.weight * _trust(_grown(_unlike(solver, line))))
+
+    # JAX, and NumPy with whole arrays, let another thread work.
+    with ThreadPoolExecutor(_THREADS) as pool:
+        return list(pool.map(model, frames))
+
+
+def moved(
+    solver: Solver,
+    window: Window,
+    kept: list[tuple[FrameState, Linear]],
+    own: Float[np.ndarray, "q"],
+) -> tuple[Solver, list[tuple[FrameState, Linear]]]:
+    """The solver of another window, and kept frames with their models there.
+
+    A frame is modelled anew only if it has some light in cells that are new.
+    """
+    old, solver = solver.window, solver.at(window)
+    right, down = (window.left - old.left) // old.side, (window.top - old.top) // old.side
+    if window.side != old.side:
+        return solver, modelled(solver, [state for state, _ in kept], own)
+    new = rolled(np.ones(COUNT**2), right, down) == 0
+    kept = [(state, line.after(right, down)) for state, line in kept]
+    lit = [k for k, (state, _) in enumerate(kept) if solver.model.share(state, own, new) > _SEEN]
+    for k, fresh in zip(lit, modelled(solver, [kept[k][0] for k in lit], own), strict=True):
+        kept[k] = fresh
+    return solver, kept
 
 
 def hidden(solver: Solver, solution: Solution) -> Bool[np.ndarray, "n"]:
@@ -207,8 +241,7 @@ def fit_wherever(
     if math.hypot(*newest.shift) > _SHIFTED_PX:
         motion = newest.cells.motion.after(WallMotion(*newest.shift))
         newest = replace(newest, cells=cells(motion), shift=(0.0, 0.0))
-        solution.frames[-1] = newest
-        solution.linear[-1] = trusted(solver, solver.model.linear(newest, solution.own))
+        solution.frames[-1], solution.linear[-1] = modelled(solver, [newest], solution.own)[0]
     return solution, surprise.square, lost
 
 

@@ -114,6 +114,11 @@ class FrameModel:
         light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
         return light > 0.5 * light.max()
 
+    def share(self, frame: FrameState, own: np.ndarray, cells: Bool[np.ndarray, "n"]) -> float:
+        """How much of the window's light is that of some cells, in a frame."""
+        light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
+        return float(light[cells].sum() / max(light.sum(), _DARKEST))
+
     def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float]:
         """A frame with the gain and ambient light that suit its pose, and its cost.
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.pixels.beam import POSE, Pose, Sweep
-from estimator.pixels.cells import SHADES, CellLight
+from estimator.pixels.cells import SHADES, CellLight, rolled
 from estimator.pixels.robot import RobotPose
 
 GAIN, AMBIENT, SHADE, BLUR, TAILS = POSE, POSE + 1, slice(POSE + 2, POSE + 7), POSE + 7, POSE + 8
@@ -48,6 +48,10 @@ class Linear(NamedTuple):
     slopes: Float[np.ndarray, "16 n"]
     shared: Float[np.ndarray, "q n"]
     weight: Float[np.ndarray, "n"]
+
+    def after(self, right: int, down: int) -> Linear:
+        """The model after the window has moved by some cells; new cells have no weight."""
+        return Linear(*(rolled(part, right, down) for part in self))
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,14 +77,16 @@ class PixelRanger:
         lens = calibration.model == "lens"
         source, spread = _lens(calibration, view) if lens else _cone(calibration)
         self._libraries = ThreadpoolController()
+        beam = BeamLight(
+            source,
+            view,
+            spread,
+            sharp=not lens,
+            within_mm=(_NEAREST_MM, _FARTHEST_MM) if lens else (0.0, math.inf),
+        )
+        beam.compile()
         self._tracker = PoseTracker(
-            BeamLight(
-                source,
-                view,
-                spread,
-                sharp=not lens,
-                within_mm=(_NEAREST_MM, _FARTHEST_MM) if lens else (0.0, math.inf),
-            ),
+            beam,
             microscope.noise,
             None if reference is None else Reference(reference, microscope.noise),
             shake_px=shake_px,

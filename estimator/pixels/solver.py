@@ -68,12 +68,11 @@ class Solver:
         self.beam, self.window, self.texture = beam, window, texture
         self._reference = reference
         self.model = FrameModel(beam, window, texture)
-        covariance = texture.covariance(COUNT, self.model.side_mm)
-        self._precision = solved(cho_factor(covariance, lower=True), np.eye(COUNT**2))
+        self._precision = _precision(texture, self.model.side_mm)
         self._pull = np.zeros(COUNT**2)
         if reference is not None:
             information, self._pull = reference(window)
-            self._precision += information
+            self._precision = self._precision + information
 
     def at(self, window: Window) -> Solver:
         """The solver of another window on the same wall."""
@@ -130,6 +129,13 @@ class Solver:
                 step -= inverse[:, at] * (excess / inverse[at, at])
             distance = float(np.sqrt(step @ hessian @ step / size))
             moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
+            if distance < _DONE and moved is not None:
+                # So near, the model is linear.
+                lines = [_shifted(line, step, k, size) for k, line in enumerate(lines)]
+                cost -= float(2.0 * step @ gradient - step @ hessian @ step)
+                frame, own, gone = moved, own + step[size - len(own) :], gone + step
+                frames[-1], converged = frame, True
+                break
             trial = None
             if moved is not None:
                 new_own = own + step[size - len(own) :]
@@ -156,8 +162,6 @@ class Solver:
             frames[-1], lines, told = frame, [*trial[:-1], fresh], new_told
             hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
             converged = distance < _SMALL
-            if distance < _DONE:
-                break
         for k in range(newest):
             before = frames[k]
             frames[k] = self._moved(before, gone[OWN * k : OWN * (k + 1)]) or before
@@ -287,6 +291,13 @@ class Solver:
             kurtosis=frame.kurtosis + float(change[TAILS]),
             shift=tuple(np.add(frame.shift, change[SHIFT]).tolist()),
         )
+
+
+@functools.lru_cache(maxsize=8)
+def _precision(texture: Texture, side_mm: float) -> Float[np.ndarray, "n n"]:
+    """Of the cells' log reflectance before any frame. A window of the same cells has the same."""
+    covariance = texture.covariance(COUNT, side_mm)
+    return solved(cho_factor(covariance, lower=True), np.eye(COUNT**2))
 
 
 def _log_determinant(factor: tuple[np.ndarray, bool]) -> float:

@@ -20,7 +20,7 @@ from estimator.image import CameraNoise, Outline
 from estimator.pixels.beam import BeamLight, Sweep
 from estimator.pixels.belief import Belief, distinct
 from estimator.pixels.cells import COUNT, CellLight, Window
-from estimator.pixels.frame_fit import STEPS, fit_wherever, hidden, robust_fit, trusted
+from estimator.pixels.frame_fit import STEPS, fit_wherever, hidden, moved, robust_fit
 from estimator.pixels.frame_state import Direction, FrameState, Linear
 from estimator.pixels.mix import Mix, evener_mix, plain_mix
 from estimator.pixels.reference import Reference
@@ -43,8 +43,6 @@ _BESIDE_PX = 6.0
 _KEPT = 6  # earlier frames
 _NEW = 0.25  # shift over the spot's radius that makes a frame worth keeping
 _GROWN = 0.07  # change of the distance's logarithm that does
-_CENTRED = 0.15  # shift of the spot over the window's reach that asks for another window
-_SIZED = 0.15  # change of the reach's logarithm that does
 _STEPS_FIRST = 14
 _AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly nothing is known
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
@@ -247,8 +245,8 @@ class PoseTracker:
     def _follow(self, picture: _Picture, spot: Outline) -> None:
         """Explain a frame together with earlier ones."""
         channels, usable, _, sweep, robot = picture
-        assert self._mix is not None
-        mix = self._mix
+        assert self._mix is not None and self._last is not None
+        mix, last = self._mix, np.array([self._last.x_px, self._last.y_px])
 
         def cells(motion: WallMotion) -> CellLight:
             return self._cells(channels, usable, mix, motion)
@@ -260,13 +258,10 @@ class PoseTracker:
             solver, kept, own = belief.solver, belief.kept, belief.solution.own
             motion = belief.expected_motion
             on_map, texture_map = motion.map_px(centre), belief.solution.texture_map
-            held = 0.5 * COUNT * solver.window.side
-            off = np.abs(on_map - solver.window.corner_px - held).max()
-            if off > _CENTRED * held or abs(math.log(held / reach)) > _SIZED:
-                solver = solver.at(Window.around(on_map, reach))
-                kept = [
-                    (state, trusted(solver, solver.model.linear(state, own))) for state, _ in kept
-                ]
+            before = belief.newest.cells.motion.map_px(last)
+            window = solver.window.following(on_map, reach, on_map - before)
+            if window != solver.window:
+                solver, kept = moved(solver, window, kept, own)
                 texture_map, _ = solver.known([line for _, line in kept])
             start = self._start(belief.newest, solver, cells(motion), point, own, sweep)
             start = replace(

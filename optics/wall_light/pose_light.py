@@ -159,13 +159,12 @@ def _light_of(
         if steps is None:
             return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()
 
-        def add(total: Array, step: Steps) -> tuple[Array, None]:
-            along = turned + step.axes
+        def at(way: Array, turn: Array) -> Array:
+            along = turned + turn
             along = along / jnp.linalg.norm(along)
-            part = lattice_irradiance(lattice, changed, tip=moved + step.tips, axis=along)
-            return total + step.shares * part, None
+            return lattice_irradiance(lattice, changed, tip=moved + way, axis=along).ravel()
 
-        places = Steps(*map(jnp.asarray, steps))
-        return jax.lax.scan(add, jnp.zeros(lattice.area.shape), places)[0].ravel()
+        # All at once, which two cores do in less time than one after the other.
+        return jnp.asarray(steps.shares) @ jax.vmap(at)(*map(jnp.asarray, steps[:2]))
 
     return light
