@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from estimator.detector.regions import Region, regions_in
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tracking import TrackState, measure
 from estimator.detector.tuning import Faint
+from estimator.detector.verdict import spot_on_reflection
 from estimator.image import NoSpot, Outline, Reason, Spot, Window, checked_frame
 
 
@@ -31,7 +33,24 @@ def outlines_of(
         fainter, _ = measure(frame, TrackState(), settings)
         if isinstance(fainter, Spot):
             return [fainter.outline]
+    if result.reason is Reason.AMBIGUOUS:
+        on_reflections = _outlines_on_reflections(frame, settings)
+        if on_reflections:
+            return on_reflections
     return _bright_outlines(frame, settings)
+
+
+def _outlines_on_reflections(frame: np.ndarray, settings: SubpixelSettings) -> list[Outline]:
+    """Spots on a wet wall's reflections of a lamp."""
+    found = []
+    for region in regions_in(frame, Window.whole(frame), settings):
+        fit = spot_on_reflection(region) if isinstance(region, Region) else None
+        if fit is not None:
+            x, y = fit.ellipse.centre.tolist()
+            semi_major, semi_minor, angle = fit.ellipse.axes()
+            width = fit.levels.width * math.sqrt(semi_major * semi_minor)
+            found.append(Outline(x, y, semi_major, semi_minor, angle, width))
+    return found
 
 
 def _bright_outlines(frame: np.ndarray, settings: SubpixelSettings) -> list[Outline]:

@@ -16,8 +16,8 @@ from estimator.detector.tuning import Reflection
 from estimator.detector.unwrap import Patch
 
 
-def shows_spot(patch: Patch, bell: EdgeFit, smallest_px: float) -> bool:
-    """Whether a bell shows an ellipse with a sharp rim.
+def spot_on(patch: Patch, bell: EdgeFit, smallest_px: float) -> EdgeFit | None:
+    """The ellipse with a sharp rim that a bell shows; None if it shows none.
 
     Args:
         patch: signal round the bell.
@@ -31,7 +31,7 @@ def shows_spot(patch: Patch, bell: EdgeFit, smallest_px: float) -> bool:
     stride = max(light.shape) // Reflection.SIDE + 1
     height, width = (length // stride for length in light.shape)
     if min(height, width) < 2 * Reflection.POWERS:
-        return False
+        return None
     light = light[: height * stride, : width * stride]
     small = cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA)
     down, across = _polynomials(height), _polynomials(width)
@@ -47,9 +47,10 @@ def shows_spot(patch: Patch, bell: EdgeFit, smallest_px: float) -> bool:
         if isinstance(candidates, TooSmall):
             continue
         fits = (fit_edge(standing_out, coarse, candidate) for candidate in candidates)
-        if any(isinstance(fit, EdgeFit) and _is_rim(fit, smallest_px) for fit in fits):
-            return True
-    return False
+        for fit in fits:
+            if isinstance(fit, EdgeFit) and _is_rim(fit, smallest_px):
+                return fit
+    return None
 
 
 def _is_rim(fit: EdgeFit, smallest_px: float) -> bool:

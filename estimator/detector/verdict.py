@@ -15,7 +15,7 @@ from estimator.detector.contour import contour_of, patch_round
 from estimator.detector.edges import EdgeFit
 from estimator.detector.ellipse import covariance_of_axes, refitted
 from estimator.detector.motion_blur import at_mid_exposure
-from estimator.detector.reflection import shows_spot
+from estimator.detector.reflection import spot_on
 from estimator.detector.regions import Region
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tuning import Motion, Refine, Verdict
@@ -60,12 +60,21 @@ def _judged(region: Region) -> Sighting | NoSpot:
     spot = _spot_of(fit, region.settings, region.saturated[region.channel])
     if isinstance(spot, NoSpot):
         return spot
-    smallest = region.settings.min_semi_minor_px
-    if fit.levels.width > Refine.BROAD and shows_spot(
-        patch_round(region, fit.ellipse), fit, smallest
-    ):
+    if _rim_on(region, fit) is not None:
         return NoSpot(Reason.AMBIGUOUS)
     return Sighting(spot, contour, region.channel)
+
+
+def spot_on_reflection(region: Region) -> EdgeFit | None:
+    """The spot that a region's light shows, where that is a wet wall's reflection of a lamp."""
+    contour = contour_of(region)
+    return _rim_on(region, contour) if isinstance(contour, EdgeFit) else None
+
+
+def _rim_on(region: Region, fit: EdgeFit) -> EdgeFit | None:
+    if fit.levels.width < Refine.BROAD:
+        return None
+    return spot_on(patch_round(region, fit.ellipse), fit, region.settings.min_semi_minor_px)
 
 
 def continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:

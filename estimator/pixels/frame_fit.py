@@ -38,8 +38,8 @@ _SETTLED = 0.2  # change of a weight, over that of a cell that is trusted, that 
 _EVENEST = 0.03
 """Least standard deviation of a wall's texture in that: what hides or shades a wall, or shines on
 it, changes its light by more than a tenth."""
-_BLOCK, _AROUND = np.ones((2, 2)), np.ones((5, 5))
-"""Cells of the smallest thing that counts as large, and the cells that it and its border reach."""
+_BLOCK, _AROUND = np.ones((2, 2)), np.ones((4, 4))
+"""Cells of the smallest thing that counts as large, and those that it and its border reach."""
 _START_PX, _START_ALONG = 4.0, 0.08
 """Largest errors of a pose from which a fit starts: of the spot's outline, px, with an axis that is
 some degrees off, and of the distance, relative, by the grid of `starts`."""
@@ -179,7 +179,7 @@ def _grown(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
 
     They show a part of it, and where it hides the edge of the light, it passes for that edge.
     """
-    return np.maximum(far, cv2.dilate(_large(far), _AROUND).ravel())
+    return np.maximum(far, cv2.dilate(_large(far), _AROUND, anchor=(1, 1)).ravel())
 
 
 def _large(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "count count"]:

@@ -114,6 +114,11 @@ class FrameModel:
         light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
         return light > 0.5 * light.max()
 
+    def contrast(self, frame: FrameState, own: np.ndarray) -> float:
+        """The beam's light over the ambient light, where it is brightest."""
+        light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
+        return float(light.max() / np.exp(frame.log_ambient))
+
     def share(self, frame: FrameState, own: np.ndarray, cells: Bool[np.ndarray, "n"]) -> float:
         """How much of the window's light is that of some cells, in a frame."""
         light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)

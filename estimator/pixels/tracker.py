@@ -267,7 +267,7 @@ class PoseTracker:
             start = replace(
                 start,
                 grain=solver.grain(texture_map),
-                shift_sigma=belief.shift_sigma_px,
+                shift_sigma=math.hypot(belief.shift_sigma_px, math.sqrt(2.0) * self._shake_px),
                 # Where the microscope drifts, the eye frame moves against the robot.
                 robot=robot if belief.drifted_px < _DRIFTED_PX else None,
             )

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from estimator.distance import Range, RangeFlag, TipPose, WallMemory
 from estimator.image import Outline
+from estimator.pixels.ambient_shape import ambient_covariance
 from estimator.pixels.beam import POSE
 from estimator.pixels.belief import Belief
 from estimator.pixels.drift import drift_covariance
@@ -25,8 +26,9 @@ _BRIGHT_SIZE = 1.25
 _VISIBLE = 0.25
 """Least share of the lit cells that is seen in a first frame. Of a spot that a shadow left a fifth
 of, poses were up to six standard deviations off; with a third and more, none was off by three."""
+_FAINTEST = 0.1  # least light of the beam over the ambient one, where it is brightest
 _VAGUE = 0.5  # standard deviation of a distance over it, above which nothing is known of it
-_PLACE_PX, _ALONG_MM, _SWEPT = 0.02, 0.0001, 0.003
+_PLACE_PX, _ALONG_MM, _SWEPT = 0.005, 0.0001, 0.003
 """Errors of the spot's place and of the distance by the image model, and of the place by the way of
 the light during the exposure, over that way. Of rendered frames of known pose: on even walls the
 place is right to 0.004 px, under the haze of a varnished one to 0.05 px."""
@@ -52,6 +54,9 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
     seen = math.pi * outline.semi_major_px * outline.semi_minor_px
     most = _SIZE[sharp] if outline.measured else _BRIGHT_SIZE
     explained = best.chi_squared < _MISFIT and 1.0 / most < size / seen < most
+    # A wider blur, or light that hardly shows, makes a spot of anything: of a wet wall's haze.
+    explained &= 4.0 * math.pi * best.frames[-1].blur_px2 < size
+    explained &= belief.solver.model.contrast(best.frames[-1], best.own) > _FAINTEST
     if len(best.frames) == 1:
         explained &= bool(np.mean(best.linear[0].weight[lit] > 0) > _VISIBLE)
     return RangeFlag.NONE if explained else RangeFlag.MISFIT
@@ -83,7 +88,7 @@ def range_of(
     swept = 0.0 if newest.sweep is None else solver.beam.swept_px(newest.pose, newest.sweep)
     place = solver.beam.scale_mm_px * math.hypot(_PLACE_PX, _SWEPT * swept, shake)
     doubt = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
-    doubt += blur_covariance(solver, solution)
+    doubt += blur_covariance(solver, solution) + ambient_covariance(solver, solution)
     drifts = [drift_px + belief.drift(frame) for frame in solution.frames]
     for way in unknown_px * np.eye(2) if unknown_px else ():
         doubt += drift_covariance(solver, solution, [way for _ in drifts])
