@@ -475,8 +475,10 @@ class Reflection:
     """radii | widest rim of a spot on a reflection | set by hand for rendered wet walls"""
     SMOOTHEST = 0.008
     """radii | scatter of that rim: more is the wall's texture | set by hand for bells on retinas"""
-    SEEN = 0.5
-    """- | fraction of that rim that is visible | set by hand"""
+    SEEN = 0.35
+    """- | fraction of that rim that is visible | set by hand: 0.41 where a reflection's edge crosses
+    the spot
+    """
 
 
 class Verdict:

@@ -26,7 +26,7 @@ _BRIGHT_SIZE = 1.25
 _VISIBLE = 0.25
 """Least share of the lit cells that is seen in a first frame. Of a spot that a shadow left a fifth
 of, poses were up to six standard deviations off; with a third and more, none was off by three."""
-_FAINTEST = 0.1  # least light of the beam over the ambient one, where it is brightest
+_FAINTEST = 0.03  # least light of the beam over the ambient one, where it is brightest
 _VAGUE = 0.5  # standard deviation of a distance over it, above which nothing is known of it
 _PLACE_PX, _ALONG_MM, _SWEPT = 0.005, 0.0001, 0.003
 """Errors of the spot's place and of the distance by the image model, and of the place by the way of
