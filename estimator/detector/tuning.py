@@ -476,8 +476,8 @@ class Reflection:
     SMOOTHEST = 0.008
     """radii | scatter of that rim: more is the wall's texture | set by hand for bells on retinas"""
     SEEN = 0.35
-    """- | fraction of that rim that is visible | set by hand: 0.41 where a reflection's edge crosses
-    the spot
+    """- | fraction of that rim that is visible | set by hand: 0.41 where a reflection ends on the
+    spot
     """
 
 
