@@ -16,7 +16,10 @@ from optics import InputError
 
 
 def main(topic: str, out: Path) -> None:
-    """Read until the images that have come stop; note images' times and digests, and the poses."""
+    """Read until the images that have come stop; note images' times and digests, and the poses.
+
+    Print what is missing when it is missed.
+    """
     poses = RecentPoses()
     source = open_topic(topic, poses=poses)
     digests: dict[int, str] = {}
@@ -29,6 +32,7 @@ def main(topic: str, out: Path) -> None:
                 ).hexdigest()
         except InputError as error:
             faults.append(f"{error}")
+            print(error, flush=True)
     out.write_text(json.dumps({"digests": digests, "faults": faults, "poses": len(poses.track())}))
     os._exit(0)  # ROS's threads go on
 
