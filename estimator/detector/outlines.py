@@ -33,7 +33,7 @@ def outlines_of(
         fainter, _ = measure(frame, TrackState(), settings)
         if isinstance(fainter, Spot):
             return [fainter.outline]
-    if result.reason is Reason.AMBIGUOUS:
+    if result.reason in (Reason.AMBIGUOUS, Reason.OCCLUDED):
         on_reflections = _outlines_on_reflections(frame, settings)
         if on_reflections:
             return on_reflections

@@ -475,9 +475,8 @@ class Reflection:
     """radii | widest rim of a spot on a reflection | set by hand for rendered wet walls"""
     SMOOTHEST = 0.008
     """radii | scatter of that rim: more is the wall's texture | set by hand for bells on retinas"""
-    SEEN = 0.35
-    """- | fraction of that rim that is visible | set by hand: 0.41 where a reflection ends on the
-    spot
+    SEEN = 0.25
+    """- | fraction of that rim that is visible | set by hand: 0.3 where a reflection ends on a spot
     """
 
 
