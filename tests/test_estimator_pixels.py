@@ -1,5 +1,6 @@
 """The mode pixels: its light, its texture, its poses on rendered frames, and what it refuses."""
 
+import itertools
 import json
 import math
 from pathlib import Path
@@ -17,7 +18,7 @@ from estimator.files import (
 )
 from estimator.image import NoSpot, Reason
 from estimator.pixels import PixelRanger
-from estimator.pixels.cells import COUNT, CellLight, Window
+from estimator.pixels.cells import COUNT, CellLight, Window, rolled
 from estimator.pixels.mix import _most_even
 from estimator.pixels.texture import LENGTHS_MM, Texture, texture_of
 from estimator.run import Options
@@ -206,6 +207,33 @@ def test_cells_with_an_unusable_pixel_and_cells_outside_of_the_image_are_left_ou
     assert not kept[-1].any()  # 30 + 26 * 7 = 212 px
     assert np.count_nonzero(~kept[:24, :22]) == 1
     np.testing.assert_allclose(light[:24, :22], 0.25)
+
+
+def test_a_window_stays_as_long_as_it_serves_and_moves_ahead_by_whole_cells():
+    window = Window.around(np.array([300.0, 200.0]), 70.0)
+    for way in (3.0, -3.0):
+        places = [np.array([300.0 + way * k, 200.0]) for k in range(60)]
+        now, changes = window, 0
+        for before, place in itertools.pairwise(places):
+            then = now.following(place, 70.0, place - before)
+            changes += then != now
+            assert then.side == now.side
+            assert (then.left - now.left) % now.side == 0
+            now = then
+            # All that must be seen of a spot lies within: a reach of 70 px less a fifth.
+            assert np.abs(place - now.middle_px).max() + 0.8 * 70.0 < 13 * now.side
+        assert 1 <= changes < 20
+    assert window.following(np.array([300.0, 200.0]), 100.0, np.zeros(2)).side > window.side
+
+
+def test_the_model_of_a_moved_window_is_that_of_the_same_cells():
+    values = np.arange(2.0 * COUNT**2).reshape(2, -1)
+    moved = rolled(values, 3, -2).reshape(2, COUNT, COUNT)
+    old = values.reshape(2, COUNT, COUNT)
+    # Cell (row, column) of the new window is (row - 2, column + 3) of the old one.
+    np.testing.assert_array_equal(moved[:, 2:, :-3], old[:, :-2, 3:])
+    assert not moved[:, :2].any()
+    assert not moved[:, :, -3:].any()
 
 
 def _rendered(folder: Path, *, texture_seed: int):

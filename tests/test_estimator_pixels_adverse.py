@@ -10,6 +10,8 @@ from estimator import NoSpot, Reason, SubpixelSettings, TrackState, measure, ope
 from estimator.distance import RangeFlag, WallMemory
 from estimator.pixels import ranger
 from estimator.pixels.beam import BeamLight
+from estimator.pixels.cells import COUNT
+from estimator.pixels.frame_fit import _grown
 from tests.pixel_stacks import cone_stack, reader_in, readings_of
 
 _MOST = 30.0  # chi squared of five numbers exceeds it once in 70,000
@@ -184,3 +186,12 @@ def test_a_spot_on_a_lamp_s_reflection_has_a_pose(tmp_path):
     assert results == [NoSpot(Reason.AMBIGUOUS)] * len(frames)
     found = list(readings_of(stack, tmp_path))
     assert max(chi_squared for _, _, chi_squared in found) < _MOST
+
+
+def test_the_border_of_a_hidden_cell_is_as_wide_on_all_sides():
+    far = np.zeros((COUNT, COUNT))
+    far[8:11, 14:20] = 9.0
+    grown = _grown(far.ravel()).reshape(COUNT, COUNT)
+    expected = np.zeros_like(far)
+    expected[7:12, 13:21] = 9.0
+    np.testing.assert_array_equal(grown, expected)

@@ -1,5 +1,6 @@
 """Tip and axis of the beam from all pixels of the spot, on a wall that is learnt meanwhile.
 
+ambient       What an error of the ambient light's shape would do to a pose
 beam          The light of a calibrated beam on the cells of a window, with its derivatives
 belief        One explanation of the frames so far, and which explanations stay possible
 blur          A blur of the image, on the cells of a lattice

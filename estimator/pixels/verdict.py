@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from estimator.distance import Range, RangeFlag, TipPose, WallMemory
 from estimator.image import Outline
-from estimator.pixels.ambient_shape import ambient_covariance
+from estimator.pixels.ambient import ambient_covariance
 from estimator.pixels.beam import POSE
 from estimator.pixels.belief import Belief
 from estimator.pixels.drift import drift_covariance
