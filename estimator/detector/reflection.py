@@ -40,6 +40,7 @@ def spot_on(patch: Patch, bell: EdgeFit, smallest_px: float) -> EdgeFit | None:
     coarse = Coarse.of_signal(small - surface, stride=stride, x0=x0, y0=y0)
     above = light - cv2.resize(surface, light.shape[::-1], interpolation=cv2.INTER_LINEAR)
     standing_out = Patch(above, x0, y0)
+    rims: list[EdgeFit] = []
     # Without its surface, a bell leaves rings.
     for candidates in bright_regions(
         coarse, min_contrast=0, min_area=Reflection.SMALLEST * light.size, solid=False
@@ -47,10 +48,8 @@ def spot_on(patch: Patch, bell: EdgeFit, smallest_px: float) -> EdgeFit | None:
         if isinstance(candidates, TooSmall):
             continue
         fits = (fit_edge(standing_out, coarse, candidate) for candidate in candidates)
-        for fit in fits:
-            if isinstance(fit, EdgeFit) and _is_rim(fit, smallest_px):
-                return fit
-    return None
+        rims += [fit for fit in fits if isinstance(fit, EdgeFit) and _is_rim(fit, smallest_px)]
+    return max(rims, key=lambda rim: float(rim.inliers.mean()), default=None)
 
 
 def _is_rim(fit: EdgeFit, smallest_px: float) -> bool:

@@ -22,7 +22,7 @@ _CUBIC = np.stack([_X**3, _X**2 * _Y, _X * _Y**2, _Y**3]) - 0.6 * np.stack(
     [_X, _Y / 1.8, _X / 1.8, _Y]
 )
 """Terms of the third degree, without what terms of the first would explain."""
-_SHARE = 1.0  # of the third degree over those of the first and second
+_SHARE = 1.5  # of the third degree over those of the first and second
 _LEAST = 0.02  # of the shading's terms, below which the ambient light counts as even
 
 

@@ -50,6 +50,9 @@ and dark. Without it, the squares of the errors over the stated ones were 1.5 to
 retinas, 1.3 to 1.9 on printed paper, and 0.9 to 1.2 on a photograph."""
 _AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly nothing is known
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
+_CLEAR = 3.0
+"""Least light of the beam over the ambient one, from which the mixture of colours is chosen. Where
+a lamp's reflection is as bright, the mixture that is even may lack the beam's colour."""
 _SURPRISE = 1.5
 """Square of a first frame's surprise, above which its wall is not that of the reference."""
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
@@ -213,7 +216,8 @@ class PoseTracker:
             found.append(robust_fit(solver, [], mirrored, own, steps=_STEPS_FIRST)[0])
         # Again with this wall's texture, in the channels in which it has the least.
         usable = usable & ~window.pixels(hidden(solver, best), usable.shape)
-        if not self.noise.coarse_colours:
+        clear = solver.model.contrast(best.frames[0], best.own) > _CLEAR
+        if clear and not self.noise.coarse_colours:
             mix = evener_mix(channels, usable, window, best, mix)
         self._mix = mix
         cells = self._cells(channels, usable, mix)
