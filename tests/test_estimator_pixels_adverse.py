@@ -23,6 +23,14 @@ def _of(folder, *, wall="printed paper", options=None, **tables):
     return list(readings_of(stack, folder, **(options or {})))
 
 
+def _assert_posed_where_subpixel_says(stack, folder, reason):
+    frames = list(open_source(stack.folder))
+    results = [measure(frame.image, TrackState(), SubpixelSettings())[0] for frame in frames]
+    assert results == [NoSpot(reason)] * len(frames)
+    found = list(readings_of(stack, folder))
+    assert max(chi_squared for _, _, chi_squared in found) < _MOST
+
+
 @pytest.mark.parametrize("wall", ["printed paper", "retina"])
 def test_a_blurred_edge_does_not_pull_the_distance(tmp_path, wall):
     # Blurred by a disc with a radius of 2 px. Where a cell's edge is believed to leak no light into
@@ -126,11 +134,7 @@ def test_a_spot_too_faint_for_the_sub_pixel_mode_has_a_pose(tmp_path):
         microscope={"width_px": 640, "height_px": 480, "illumination_mw_mm2": 0.92},
         motion={"start_mm": 2.8, "travel_mm": 0.3, "frames": 3, "speed_mm_s": 1.0},
     )
-    frames = list(open_source(stack.folder))
-    results = [measure(frame.image, TrackState(), SubpixelSettings())[0] for frame in frames]
-    assert results == [NoSpot(Reason.NONE_FOUND)] * len(frames)
-    found = list(readings_of(stack, tmp_path))
-    assert max(chi_squared for _, _, chi_squared in found) < _MOST
+    _assert_posed_where_subpixel_says(stack, tmp_path, Reason.NONE_FOUND)
 
 
 def test_a_distance_at_which_the_light_is_not_known_is_none(tmp_path, monkeypatch):
@@ -181,11 +185,7 @@ def test_a_spot_on_a_lamp_s_reflection_has_a_pose(tmp_path):
         microscope={"width_px": 640, "height_px": 480, "illumination_mw_mm2": 0.72},
         motion={"start_mm": 3.2, "travel_mm": 0.4, "frames": 3, "speed_mm_s": 1.0},
     )
-    frames = list(open_source(stack.folder))
-    results = [measure(frame.image, TrackState(), SubpixelSettings())[0] for frame in frames]
-    assert results == [NoSpot(Reason.AMBIGUOUS)] * len(frames)
-    found = list(readings_of(stack, tmp_path))
-    assert max(chi_squared for _, _, chi_squared in found) < _MOST
+    _assert_posed_where_subpixel_says(stack, tmp_path, Reason.AMBIGUOUS)
 
 
 def test_the_border_of_a_hidden_cell_is_as_wide_on_all_sides():

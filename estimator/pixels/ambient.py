@@ -46,7 +46,6 @@ def ambient_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, 
 
 def _share(solver: Solver, solution: Solution, frame: FrameState) -> Float[np.ndarray, "n"]:
     """The ambient light's share of each cell's light."""
-    lattice = solver.model.lattice(frame.cells.motion)
-    light = np.maximum(solver.beam.irradiance_alone(lattice, frame.pose, solution.own), 0.0)
+    light = np.maximum(solver.model.light(frame, solution.own), 0.0)
     ambient = np.exp(frame.log_ambient)
     return ambient / (light + ambient)

@@ -47,8 +47,7 @@ def _changes(solver: Solver, solution: Solution, frame: FrameState) -> Float[np.
     lit = solver.model.lit(frame, solution.own)
     side = solver.window.side
     radius = side * math.sqrt(np.count_nonzero(lit) / math.pi)
-    lattice = solver.model.lattice(frame.cells.motion)
-    light = solver.beam.irradiance_alone(lattice, frame.pose, solution.own)
+    light = solver.model.light(frame, solution.own)
     light = np.maximum(blurred(light, frame.blur_px2 / side**2, frame.kurtosis), 0.0)
     steep = np.hypot(*np.gradient(light.reshape(COUNT, COUNT), side)).ravel()
     shift = _SHARE * frame.blur_px2 / (2.0 * radius)

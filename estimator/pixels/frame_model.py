@@ -109,19 +109,23 @@ class FrameModel:
             seen.append(np.log(np.maximum(light, 0.0) + ambient))
         return np.array(seen) - seen[0]
 
+    def light(self, frame: FrameState, own: np.ndarray) -> Float[np.ndarray, "n"]:
+        """Irradiance of the cells in a frame per unit power, 1/mm², without motion and blur."""
+        return self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
+
     def lit(self, frame: FrameState, own: np.ndarray) -> Bool[np.ndarray, "n"]:
         """Cells in which a frame's light is above half of its maximum."""
-        light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
+        light = self.light(frame, own)
         return light > 0.5 * light.max()
 
     def contrast(self, frame: FrameState, own: np.ndarray) -> float:
         """The beam's light over the ambient light, where it is brightest."""
-        light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
+        light = self.light(frame, own)
         return float(light.max() / np.exp(frame.log_ambient))
 
     def share(self, frame: FrameState, own: np.ndarray, cells: Bool[np.ndarray, "n"]) -> float:
         """How much of the window's light is that of some cells, in a frame."""
-        light = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
+        light = self.light(frame, own)
         return float(light[cells].sum() / max(light.sum(), _DARKEST))
 
     def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float]:
@@ -131,7 +135,7 @@ class FrameModel:
         the brighter cells.
         """
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
-        irradiance = self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
+        irradiance = self.light(frame, own)
         lit = usable & (irradiance > 0.5 * irradiance.max(where=usable, initial=0.0))
         dim = usable & (irradiance <= np.quantile(irradiance[usable], _DIM))
         gain = offset = 0.0
