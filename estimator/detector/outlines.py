@@ -28,8 +28,12 @@ def outlines_of(
     if isinstance(result, Spot):
         return [result.outline]
     frame = checked_frame(frame)
-    settings = replace(settings, min_contrast=min(settings.min_contrast, Faint.CONTRAST))
-    if result.reason is Reason.NONE_FOUND:
+    settings = replace(
+        settings,
+        min_contrast=min(settings.min_contrast, Faint.CONTRAST),
+        min_coverage=min(settings.min_coverage, Faint.COVERAGE),
+    )
+    if result.reason in (Reason.NONE_FOUND, Reason.OCCLUDED):
         fainter, _ = measure(frame, TrackState(), settings)
         if isinstance(fainter, Spot):
             return [fainter.outline]
@@ -37,7 +41,8 @@ def outlines_of(
         on_reflections = _outlines_on_reflections(frame, settings)
         if on_reflections:
             return on_reflections
-    return _bright_outlines(frame, settings)
+    saturated = result.reason is Reason.SATURATED
+    return [outline._replace(measured=saturated) for outline in _bright_outlines(frame, settings)]
 
 
 def _outlines_on_reflections(frame: np.ndarray, settings: SubpixelSettings) -> list[Outline]:

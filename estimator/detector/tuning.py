@@ -586,6 +586,8 @@ class SpotProfile:
 class Faint:
     """Where a spot may be that was not measured (`outlines`)."""
 
+    COVERAGE = 0.3
+    """- | fraction of the contour that tells where the spot is | derived: `Verdict.SHORTEST_ARC`"""
     CONTRAST = 0.25
     """- | least (peak - background) / background | set by hand: texture alone reaches it, but a
     spot under the haze of a wet wall has no more

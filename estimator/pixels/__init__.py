@@ -3,18 +3,22 @@
 ambient       What an error of the ambient light's shape would do to a pose
 beam          The light of a calibrated beam on the cells of a window, with its derivatives
 belief        One explanation of the frames so far, and which explanations stay possible
+bend          What the bend of the likely poses does to a pose's stated errors
 blur          A blur of the image, on the cells of a lattice
 cells         The light of a frame on a lattice of square cells
 drift         What a drift of the microscope would do to a pose
-edge_shift    What an error of the blur would do to a pose
+edge_shift    What an error of the blur, or of a saturated spot's border, would do to a pose
 frame_fit     Fits the newest frame: other light has little weight, and the wall may have moved
 frame_model   The model of one frame on the cells of a window
 frame_state   The states of a frame, its model on the cells of a window, and what is known before
+hidden        Pixels of a sharp spot that a tool hides, or on which its shadow lies
 mix           The mixture of a camera's channels in which the wall is most even
+picture       The pixels of a frame: their light, and which of them show the wall
 ranger        Distances and poses, for a calibration and a microscope file
 reference     What an image of the wall without the spot says of the wall
 registration  Where the wall's map lies in a frame in which the wall has moved
 robot         How the tool has moved from the first frame to another one, as the robot says it
+saturation    The light of a saturated spot with a sharp edge: how much of each cell it covers
 solution      What a fit of some frames found
 solver        Poses of some frames by Gauss-Newton, with the wall's texture eliminated
 starts        Poses from which the fit of a first frame starts

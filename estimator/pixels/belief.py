@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from estimator.pixels.beam import POSE
-from estimator.pixels.frame_state import OWN, FrameState, Linear
+from estimator.image import Outline
+from estimator.pixels.frame_state import FrameState, Linear
 from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
 from estimator.pixels.wall_motion import STILL, WallMotion
@@ -59,8 +59,7 @@ class Belief:
     @cached_property
     def sigmas(self) -> Float[np.ndarray, "5"]:
         """Standard deviations of the newest frame's pose."""
-        at = OWN * (len(self.solution.frames) - 1)
-        return np.sqrt(np.diag(self.solution.covariance)[at : at + POSE])
+        return np.sqrt(np.diag(self.solution.newest_covariance))
 
     @property
     def way_px(self) -> float:
@@ -83,6 +82,20 @@ class Belief:
         """Of the wall in the next frame: it moves on as it did, unless it only shakes."""
         motion = self.newest.cells.motion
         return self.step.after(motion) if self.way_px > _MOVES_ON_PX else motion
+
+    @property
+    def outline(self) -> Outline:
+        """The half-maximum ellipse of the newest frame's light, good to a part of a cell."""
+        window = self.solver.window
+        lit = self.solver.model.lit(self.newest, self.solution.own)
+        places = window.centres().reshape(-1, 2)[lit]
+        middle = self.newest.cells.motion.image_px(places.mean(axis=0))
+        # Half of an axis is twice the standard deviation along it.
+        variances, axes = np.linalg.eigh(4.0 * np.cov(places.T))
+        semi_minor, semi_major = np.sqrt(variances).tolist()
+        x, y = middle.tolist()
+        angle = math.atan2(axes[1, 1], axes[0, 1])
+        return Outline(x, y, semi_major, semi_minor, angle, measured=False)
 
     def drift(self, frame: FrameState) -> Float[np.ndarray, "2"]:
         """How far the wall has moved in the image from the map's begin to a frame, px."""

@@ -119,9 +119,10 @@ class CellLight:
 
     Args:
         light: per pixel, full wells.
-        usable: whether a pixel is neither saturated nor hidden.
+        usable: whether a pixel shows light, which may be that of full scale.
         variance: of a pixel with some light, full wells².
         motion: of the wall, in whose pixels the windows are.
+        ceiling: light of a pixel at full scale, if those of the spot are; infinite if not.
     """
 
     def __init__(
@@ -130,7 +131,9 @@ class CellLight:
         usable: Bool[np.ndarray, "h w"],
         variance: Callable[[np.ndarray], np.ndarray],
         motion: WallMotion = STILL,
+        ceiling: float = math.inf,
     ) -> None:
+        self.ceiling = ceiling
         self.shape, self.variance, self.motion, self._corner = light.shape, variance, motion, (0, 0)
         light, bad = light.astype(np.float32), (~usable).astype(np.float32)
         if motion != STILL:

@@ -1,9 +1,11 @@
-"""What an error of the blur would do to a pose.
+"""What an error of the blur, or of a saturated spot's border, would do to a pose.
 
 A blur moves the half maximum of a spot of radius R inwards by its variance over 2 R. The blur that
 is fitted has a shape between a few usual ones and is the same all over the window, and what is
 known of the wall is blurred as well. So this shift is known only about as well as it is large, and
-its error is alike in all frames: it does not average out.
+its error is alike in all frames: it does not average out. Where the wall's reflectance grows to one
+side, its blur brings light from there, and the edge moves that way by the variance times the growth
+of the logarithm.
 """
 
 from __future__ import annotations
@@ -14,11 +16,12 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.pixels.beam import POSE
-from estimator.pixels.blur import blurred
 from estimator.pixels.cells import COUNT
 from estimator.pixels.frame_state import FrameState
+from estimator.pixels.saturation import BLOOM_DOUBT_PX
 from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
+from estimator.pixels.texture import Texture
 
 _WIDE_PX2 = 0.5  # variance of a blur, below which its errors do not matter
 _SHARE = 2.0
@@ -27,31 +30,46 @@ distance was off by up to 0.5 of what the whole shift makes of it in first frame
 printed paper and by 1.5 to 2.6 on a retina in the frames that follow."""
 
 
-def blur_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 5"]:
-    """What errors of the blur may have done to the newest pose, in the terms of `POSE`.
+def edge_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 5"]:
+    """What such errors may have done to the newest pose, in the terms of `POSE`.
 
     Args:
         solver: of the solution.
         solution: with the newest frame last.
     """
-    if solution.frames[-1].blur_px2 < _WIDE_PX2:
+    newest = solution.frames[-1]
+    if newest.blur_px2 < _WIDE_PX2 and not newest.saturated:
         return np.zeros((POSE, POSE))
     shifts = np.array([_changes(solver, solution, frame) for frame in solution.frames])
-    # The edge may be shifted all round, or by an oval.
+    # The edge may be shifted all round, by an oval, or to a side.
     pulls = [solution.answer(list(shifts[:, k]))[:POSE] for k in range(shifts.shape[1])]
+    # Where the spot moves on, the wall grows otherwise.
+    still = [np.zeros_like(shifts[0, 0])] * (len(shifts) - 1)
+    pulls += [solution.answer([*still, shifts[-1, k]])[:POSE] for k in (3, 4)]
     return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
 
 
-def _changes(solver: Solver, solution: Solution, frame: FrameState) -> Float[np.ndarray, "3 n"]:
-    """How a frame's log light changes if its edge is shifted outwards, evenly or to an oval."""
+def _changes(solver: Solver, solution: Solution, frame: FrameState) -> Float[np.ndarray, "5 n"]:
+    """How a frame's log light changes if its edge is shifted evenly, to an oval, or to a side."""
     lit = solver.model.lit(frame, solution.own)
     side = solver.window.side
     radius = side * math.sqrt(np.count_nonzero(lit) / math.pi)
     light = solver.model.light(frame, solution.own)
-    light = np.maximum(blurred(light, frame.blur_px2 / side**2, frame.kurtosis), 0.0)
+    light = np.exp(solver.model.log_light(frame, light))
     steep = np.hypot(*np.gradient(light.reshape(COUNT, COUNT), side)).ravel()
-    shift = _SHARE * frame.blur_px2 / (2.0 * radius)
+    shift = _SHARE * frame.blur_px2 / (2.0 * radius) + BLOOM_DOUBT_PX * frame.saturated
     x, y = solver.window.centres().reshape(-1, 2).T
     angle = np.arctan2(y - y[lit].mean(), x - x[lit].mean())
-    evenly = shift * steep / (light + np.exp(frame.log_ambient))
-    return evenly * np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)])
+    aside = frame.blur_px2 * _growth(solver.texture, radius, solver.beam.scale_mm_px)
+    outwards = steep / light
+    evenly = shift * np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)])
+    to_a_side = aside * np.stack([np.cos(angle), np.sin(angle)])
+    return outwards * np.concatenate([evenly, to_a_side])
+
+
+def _growth(texture: Texture, radius_px: float, scale_mm_px: float) -> float:
+    """Standard deviation of the growth of log reflectance across a spot, 1/px."""
+    across = 2.0 * radius_px
+    # A blurred wall looks more even than it is.
+    least = Texture.usual()
+    return math.sqrt(max(one.variogram(across * scale_mm_px) for one in (texture, least))) / across

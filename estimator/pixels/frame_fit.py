@@ -33,6 +33,9 @@ _SURE = 16.0  # -2 log likelihood: four standard deviations
 _SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
 _THREADS = 2
 _SEEN = 0.01  # share of a frame's light that is worth a new model
+_LINEAR = 0.01
+"""Change of a distance over it, or turn, up to which a frame's model is linear: a spot's edge is
+wrong by 1e-4 of its radius then."""
 _ROUNDS = 3  # of weights for cells with other light
 _SETTLED = 0.2  # change of a weight, over that of a cell that is trusted, that does not matter
 _EVENEST = 0.03
@@ -148,6 +151,28 @@ def moved(
     for k, fresh in zip(lit, modelled(solver, [kept[k][0] for k in lit], own), strict=True):
         kept[k] = fresh
     return solver, kept
+
+
+def far_moved(
+    solver: Solver, kept: list[tuple[FrameState, Linear]], solution: Solution
+) -> list[tuple[FrameState, Linear]] | None:
+    """Kept frames, with new models of those that a solution moves too far for theirs.
+
+    None if there are none.
+    """
+    far = [
+        k
+        for k, ((before, _), after) in enumerate(zip(kept, solution.frames, strict=False))
+        if abs(after.pose.distance / before.pose.distance - 1.0) > _LINEAR
+        or np.linalg.norm(after.pose.axis - before.pose.axis) > _LINEAR
+    ]
+    if not far:
+        return None
+    kept = kept.copy()
+    fresh = modelled(solver, [solution.frames[k] for k in far], solution.own)
+    for k, one in zip(far, fresh, strict=True):
+        kept[k] = one
+    return kept
 
 
 def hidden(solver: Solver, solution: Solution) -> Bool[np.ndarray, "n"]:

@@ -6,6 +6,7 @@ See `solver` for the formula.
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from estimator.pixels.beam import POSE, BeamLight
 from estimator.pixels.blur import blurred
 from estimator.pixels.cells import COUNT, SHADES, Window
 from estimator.pixels.frame_state import FrameState, Linear, prior_cost
+from estimator.pixels.saturation import CUT, covered
 from estimator.pixels.texture import Texture
 
 _SHADED = 3.0  # largest logarithm of ambient light over that in the middle
@@ -30,7 +32,9 @@ rendered even walls the residuals have the variance of the photons within 5 %, a
 1e-3 and less."""
 _DARKEST = 1e-6  # full wells
 _HIDDEN = 16.0  # largest square of a cell's residual that counts for a start, in variances
-_BRIGHTER, _DIM = 0.75, 0.5
+_BRIGHTEST = 100.0  # ambient light over that of the beam, 1/mm², from which a fit starts
+_OVER = 4.0  # light of a saturated spot over full scale, from which a fit starts
+_BRIGHTER, _DIM = 0.75, 0.2
 """Quantiles: of the lit cells' light, most of which may be hidden; and of all cells by the beam's
 light, of which the dimmer ones show the ambient light."""
 
@@ -66,27 +70,39 @@ class FrameModel:
         shade = np.clip(np.array(frame.shade) @ SHADES, -_SHADED, _SHADED)
         ambient = np.exp(frame.log_ambient + shade)
         # Between the samples of a table, light that is nearly none may be less than none.
-        total = np.maximum(seen.value, 0.0) + ambient
+        value, of_beam = (
+            np.maximum(seen.value, 0.0),
+            np.concatenate([seen.slopes, seen.bend[None], seen.tails[None]]),
+        )
+        by_gain, uncovered = np.ones(value.size), np.ones(value.size)
+        if frame.saturated:
+            spot = covered(
+                value, self._room(frame, ambient), of_beam, pixel_mm=self.beam.scale_mm_px
+            )
+            value, of_beam, uncovered = spot.light, spot.slopes, 1.0 - spot.cover
+            usable = usable & ~spot.whole
+            by_gain = np.where(spot.over, ambient * uncovered / (value + ambient), 1.0)
+        total = value + ambient
         model = np.exp(frame.log_gain) * total
         error = np.hypot(_SMEAR * seen.by_motion, _BLURRED * seen.by_blur) / total
         weight = self._weight(frame, light, usable, model, error=error)
         deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
         light = np.maximum(light, np.maximum(deviation, _DARKEST))
         grain = np.zeros((2, total.size)) if frame.grain is None else frame.grain
+        by_beam, by_ambient = of_beam / total, ambient * uncovered / total
         return Linear(
             residual=np.where(usable, np.log(light / model) + np.array(frame.shift) @ grain, 0.0),
             slopes=np.concatenate(
                 [
-                    seen.slopes[:POSE] / total,
-                    np.ones((1, total.size)),
-                    ambient / total[None],
-                    ambient * SHADES / total,
-                    seen.bend[None] / total,
-                    seen.tails[None] / total,
+                    by_beam[:POSE],
+                    by_gain[None],
+                    by_ambient[None],
+                    by_ambient * SHADES,
+                    by_beam[-2:],
                     -grain,
                 ]
             ),
-            shared=seen.slopes[POSE:] / total,
+            shared=by_beam[POSE:-2],
             weight=weight if trust is None else weight * trust,
         )
 
@@ -100,14 +116,26 @@ class FrameModel:
             own: changes of the beam's own parameters.
             moves: of the spot to the right and downwards on the wall, and of the distance, mm.
         """
-        lattice, ambient = self.lattice(frame.cells.motion), np.exp(frame.log_ambient)
-        seen = []
+        lattice, seen = self.lattice(frame.cells.motion), []
         for move in [np.zeros(3), *moves]:
             pose = self.beam.pose(*frame.pose.moved(np.concatenate([move, np.zeros(2)])))
             light = self.beam.irradiance_alone(lattice, pose or frame.pose, own)
-            light = blurred(light, frame.blur_px2 / self.window.side**2, frame.kurtosis)
-            seen.append(np.log(np.maximum(light, 0.0) + ambient))
+            seen.append(self.log_light(frame, light))
         return np.array(seen) - seen[0]
+
+    def log_light(self, frame: FrameState, light: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Logarithm of a frame's light over its gain, where the beam's is some before the blur."""
+        light = blurred(light, frame.blur_px2 / self.window.side**2, frame.kurtosis)
+        light, ambient = np.maximum(light, 0.0), math.exp(frame.log_ambient)
+        if frame.saturated:
+            light = covered(light, self._room(frame, ambient)).light
+        return np.log(light + ambient)
+
+    def _room(
+        self, frame: FrameState, ambient: Float[np.ndarray, "n"] | float
+    ) -> Float[np.ndarray, "n"]:
+        """Light of the beam that takes a cell to full scale, beside the ambient light."""
+        return np.full(COUNT**2, frame.cells.ceiling * math.exp(-frame.log_gain)) - ambient
 
     def light(self, frame: FrameState, own: np.ndarray) -> Float[np.ndarray, "n"]:
         """Irradiance of the cells in a frame per unit power, 1/mm², without motion and blur."""
@@ -141,11 +169,15 @@ class FrameModel:
         gain = offset = 0.0
         for _ in range(2):
             gain = float(np.quantile((light - offset)[lit] / irradiance[lit], _BRIGHTER))
+            gain *= _OVER if frame.saturated else 1.0
             offset = float(np.median((light - gain * irradiance)[dim]))
         gain = max(gain, _DARKEST)
-        ambient = np.clip(offset / gain, 1e-4, 1.0)
+        ambient = np.clip(offset / gain, 1e-4, _BRIGHTEST)
         suited = replace(frame, log_gain=float(np.log(gain)), log_ambient=float(np.log(ambient)))
-        model = np.exp(suited.log_gain) * (np.maximum(irradiance, 0.0) + ambient)
+        model = np.maximum(irradiance, 0.0)
+        if frame.saturated:
+            model = covered(model, self._room(suited, ambient)).light
+        model = gain * (model + ambient)
         weight = self._weight(suited, light, usable, model)
         # Here the texture counts as noise without correlation: this finds starts, not poses.
         spread = 1.0 / np.where(usable, weight, 1.0) + self.texture.variance
@@ -176,5 +208,6 @@ class FrameModel:
         brighter = maximum_filter(model.reshape(COUNT, COUNT), 3).ravel()
         darker = minimum_filter(model.reshape(COUNT, COUNT), 3).ravel()
         step = 2.0 * np.sqrt((brighter - model) * (model - darker))
-        variance += np.square(self.beam.cut * step / level) / self.window.side**3
+        cut = CUT if frame.saturated else self.beam.cut
+        variance += np.square(cut * step / level) / self.window.side**3
         return np.where(usable, 1.0 / variance, 0.0)

@@ -24,6 +24,9 @@ _SHADE = np.array([0.5, 0.5, 0.3, 0.3, 0.3])
 _BLUR_PX2 = 2.0
 """Half width of the Cauchy distribution of the blur's variance. Most images are in focus, at NA
 0.05 within 0.4 mm. Nobody knows how far the others are out of focus."""
+_SATURATED_PX2 = 0.02
+"""Standard deviation of that variance where the spot is saturated: its blur cannot be told from its
+size there, and counts as part of what makes it look larger (`saturation`)."""
 _KURTOSIS = 1.0  # standard deviation of the blur's excess kurtosis; a disc has -1
 
 
@@ -91,6 +94,11 @@ class FrameState:
     shift_sigma: float = 1.0
 
     @property
+    def saturated(self) -> bool:
+        """Whether the spot is at full scale."""
+        return self.cells.ceiling < math.inf
+
+    @property
     def axis_off(self) -> float:
         """How far the axis is from the robot's, in standard deviations; 0 if it says nothing."""
         if self.direction is None:
@@ -108,7 +116,7 @@ def prior_of(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
     pull[AMBIENT] = (mean - frame.log_ambient) / sigma**2
     precision[SHADE, SHADE] = np.diag(_SHADE**-2)
     pull[SHADE] = np.array(frame.shade) / -(_SHADE**2)
-    precision[BLUR, BLUR] = 1.0 / (_BLUR_PX2**2 + frame.blur_px2**2)
+    precision[BLUR, BLUR] = 1.0 / _blur_scale(frame) ** 2
     pull[BLUR] = -precision[BLUR, BLUR] * frame.blur_px2
     precision[TAILS, TAILS] = _KURTOSIS**-2
     pull[TAILS] = -frame.kurtosis / _KURTOSIS**2
@@ -127,9 +135,19 @@ def prior_cost(frame: FrameState) -> float:
     mean, sigma = frame.ambient_prior
     cost = ((frame.log_ambient - mean) / sigma) ** 2
     cost += float(np.sum(np.square(frame.shade / _SHADE)))
-    cost += math.log1p((frame.blur_px2 / _BLUR_PX2) ** 2) + (frame.kurtosis / _KURTOSIS) ** 2
+    cost += _blur_cost(frame) + (frame.kurtosis / _KURTOSIS) ** 2
     cost += sum(x * x for x in frame.shift) / frame.shift_sigma**2
     if frame.direction is not None:
         off = np.cross(frame.pose.axis, frame.direction.axis)
         cost += float(off @ off) / frame.direction.sigma**2
     return cost
+
+
+def _blur_scale(frame: FrameState) -> float:
+    return _SATURATED_PX2 if frame.saturated else math.hypot(_BLUR_PX2, frame.blur_px2)
+
+
+def _blur_cost(frame: FrameState) -> float:
+    if frame.saturated:
+        return (frame.blur_px2 / _SATURATED_PX2) ** 2
+    return math.log1p((frame.blur_px2 / _BLUR_PX2) ** 2)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.image import GREY_WEIGHTS, CameraNoise, Outline
+from estimator.image import GREY_WEIGHTS, CameraNoise
 from estimator.pixels.cells import CellLight, Window
 from estimator.pixels.solution import Solution
 
@@ -54,13 +54,17 @@ class Mix:
         )
 
 
-def plain_mix(channels: Float[np.ndarray, "h w 3"], spot: Outline) -> Mix:
-    """The luminance, which JPEG keeps best, for light of the spot's colour."""
-    u, v, r = spot.x_px, spot.y_px, max(0.5 * spot.semi_minor_px, 2.0)
-    rows = slice(max(round(v - r), 0), round(v + r) + 1)
-    columns = slice(max(round(u - r), 0), round(u + r) + 1)
-    light = np.maximum(channels[rows, columns].mean(axis=(0, 1)), _LEAST)
+def plain_mix(light: Float[np.ndarray, "3"], saturated: Bool[np.ndarray, "3"]) -> Mix:
+    """The luminance, which JPEG keeps best, for light of some colour.
+
+    Args:
+        light: of the channels.
+        saturated: channels that do not count, unless all are.
+    """
+    light = np.maximum(light, _LEAST)
     parts = np.array(GREY_WEIGHTS) * light
+    if not saturated.all():
+        parts[saturated] = 0.0
     return Mix.of_shares(parts / parts.sum(), light)
 
 

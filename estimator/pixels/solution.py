@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_solve, lapack
 
+from estimator.pixels.beam import POSE
 from estimator.pixels.frame_state import OWN, FrameState, Linear
 
 
@@ -41,6 +42,12 @@ class Solution:
         total = sum(line.weight @ np.square(line.residual) for line in self.linear)
         total -= sum((line.weight * line.residual) @ self.texture_map for line in self.linear)
         return float(total / max(sum(np.count_nonzero(line.weight) for line in self.linear), 1))
+
+    @property
+    def newest_covariance(self) -> Float[np.ndarray, "5 5"]:
+        """Of the newest pose."""
+        at = OWN * (len(self.frames) - 1)
+        return self.covariance[at : at + POSE, at : at + POSE]
 
     def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "15"]:
         """How the newest frame's states move if the log light of all frames' cells changes."""

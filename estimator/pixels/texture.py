@@ -57,6 +57,11 @@ class Texture:
         """Of the cells' means, for count x count cells of a side on the wall."""
         return np.tensordot(self.variances, _kernels(count, side_mm), axes=1)
 
+    def variogram(self, apart_mm: float) -> float:
+        """Variance of the difference of two points that are some way apart."""
+        alike = np.exp(-apart_mm / np.array(LENGTHS_MM))
+        return float(2.0 * np.sum(self.variances * (1.0 - alike)))
+
     @property
     def roughness(self) -> float:
         """Slope of the variogram at 0, 1/mm: variance of the difference of two near points."""

@@ -13,16 +13,17 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from estimator.distance import Range, RangeFlag, WallMemory
 from estimator.image import CameraNoise, Outline
 from estimator.pixels.beam import BeamLight, Sweep
 from estimator.pixels.belief import Belief, distinct
 from estimator.pixels.cells import COUNT, CellLight, Window
-from estimator.pixels.frame_fit import STEPS, fit_wherever, hidden, moved, robust_fit
+from estimator.pixels.frame_fit import STEPS, far_moved, fit_wherever, hidden, moved, robust_fit
 from estimator.pixels.frame_state import Direction, FrameState, Linear
-from estimator.pixels.mix import Mix, evener_mix, plain_mix
+from estimator.pixels.mix import Mix, evener_mix
+from estimator.pixels.picture import Picture
 from estimator.pixels.reference import Reference
 from estimator.pixels.registration import farthest_px
 from estimator.pixels.robot import RobotPose
@@ -36,18 +37,23 @@ from estimator.pixels.starts import (
 )
 from estimator.pixels.texture import Texture, texture_of
 from estimator.pixels.verdict import flag_of, range_of
-from estimator.pixels.wall_motion import STILL, WallMotion
+from estimator.pixels.wall_motion import WallMotion
 
-_REACH = 2.0  # of the half-maximum ellipse; farther out there is hardly any light
-_BESIDE_PX = 6.0
+_REACH = (2.0, 1.2)
+"""Of the window over the half-maximum ellipse, for light without and with a sharp edge: farther out
+there is hardly any light. The smaller the cells, the less texture averages out within them."""
+_BESIDE_PX, _BESIDE_EDGE = 6.0, 2.5  # beside it, px, and in widths of the edge
 _KEPT = 6  # earlier frames
 _NEW = 0.25  # shift over the spot's radius that makes a frame worth keeping
 _GROWN = 0.07  # change of the distance's logarithm that does
 _STEPS_FIRST = 14
-_LUMPS = 1.4
-"""Variance of a wall over that of a Gaussian process that explains a frame as well: vessels are few
-and dark. Without it, the squares of the errors over the stated ones were 1.5 to 1.9 on drawn
-retinas, 1.3 to 1.9 on printed paper, and 0.9 to 1.2 on a photograph."""
+_FEWEST = 30  # cells of a first frame; it has sixteen states
+_LUMPS = (1.4, 1.1)
+"""Variance of a wall over that of a Gaussian process that explains a frame as well, for light
+without and with a sharp edge: vessels are few and dark. Without it, the squares of a bell's errors
+over the stated ones were 1.5 to 1.9 on drawn retinas, 1.3 to 1.9 on printed paper, and 0.9 to 1.2
+on a photograph. An edge is as long as many vessels are apart; there they were 0.5 to 1.3."""
+_ANEW = 3  # fits of a frame, if it moves the earlier ones far
 _AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly nothing is known
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
 _CLEAR = 3.0
@@ -61,11 +67,10 @@ _AGAINST = 5.0  # standard deviations from the robot's axis that no pose has
 _LIKE_LAST = 1.5  # ratio of areas within which an outline may be that of the last frame
 
 
-class _Picture(NamedTuple):
+class _Look(NamedTuple):
     """A frame, and what the robot says of it; see `PoseTracker.read`."""
 
-    channels: Float[np.ndarray, "h w 3"]
-    usable: Bool[np.ndarray, "h w"]
+    picture: Picture
     direction: Direction | None
     sweep: Sweep | None
     robot: RobotPose | None
@@ -120,49 +125,48 @@ class PoseTracker:
             sweep: motion during the exposure, from the robot; None if unknown.
             robot: where the robot says the tool is; None if it does not.
         """
-        usable = np.all(image < self.noise.full_scale, axis=-1)
-        picture = _Picture(self.noise.channels(image), usable, direction, sweep, robot)
+        look = _Look(Picture.of(image, self.noise), direction, sweep, robot)
         if any(outline.measured for outline in outlines):
-            return self._read_spot(picture, outlines[0])
-        return self._read_unmeasured(picture, outlines)
+            return self._read_spot(look, outlines[0])
+        return self._read_unmeasured(look, outlines)
 
-    def _read_spot(self, picture: _Picture, outline: Outline) -> Range:
+    def _read_spot(self, look: _Look, outline: Outline) -> Range:
         """The pose of a measured spot."""
         flag, wall = RangeFlag.NOT_CONVERGED, WallMemory.NEW
         if self._beliefs:
-            flag, wall = self._followed(picture, outline)
+            flag, wall = self._followed(look, outline)
         if flag is not RangeFlag.NONE:
             # Where the past does not explain the frame, it may be wrong.
             wall = WallMemory.DROPPED if self._beliefs else WallMemory.NEW
             if self._beliefs:
                 self._reference = None  # nor does it
             self.forget()
-            flag = self._begun(picture, outline)
+            flag = self._begun(look, outline)
             if self._reference is not None:
                 wall = WallMemory.KNOWN
                 if flag is not RangeFlag.NONE or self._beliefs[0].lost:
                     self._reference, wall = None, WallMemory.DROPPED
-                    flag = self._begun(picture, outline)
+                    flag = self._begun(look, outline)
         if flag is not RangeFlag.NONE:
             self.forget()
             return _missing(flag, wall)
         return self._range(wall, outline)
 
-    def _read_unmeasured(self, picture: _Picture, outlines: Sequence[Outline]) -> Range:
+    def _read_unmeasured(self, look: _Look, outlines: Sequence[Outline]) -> Range:
         """The pose of a spot that was not measured, if earlier frames explain the light."""
         before = self._beliefs
         if not before or self._last is None:
             return _missing(RangeFlag.NOT_CONVERGED, WallMemory.NEW)
         outline = _like(self._last, outlines)
-        flag, wall = self._followed(picture, outline)
+        flag, wall = self._followed(look, outline)
         if flag is RangeFlag.NONE:
             return self._range(wall, outline)
         self._beliefs = before
         return _missing(flag, wall)
 
-    def _followed(self, picture: _Picture, outline: Outline) -> tuple[RangeFlag, WallMemory]:
+    def _followed(self, look: _Look, outline: Outline) -> tuple[RangeFlag, WallMemory]:
         """Explain a frame by the earlier ones: why that failed, if so, and what the wall did."""
-        self._follow(picture, outline)
+        self._follow(look, outline)
         best = self._beliefs[0]
         wall = WallMemory.MOVED if best.drifted_px > _DRIFTED_PX else WallMemory.KNOWN
         flag = flag_of(best, outline)
@@ -170,14 +174,14 @@ class PoseTracker:
             flag = RangeFlag.MISFIT  # of the wall that was learnt
         return flag, wall
 
-    def _begun(self, picture: _Picture, outline: Outline) -> RangeFlag:
+    def _begun(self, look: _Look, outline: Outline) -> RangeFlag:
         """Explain a frame by itself: why that failed, if so."""
-        self._begin(picture, outline)
+        self._begin(look, outline)
         return flag_of(self._beliefs[0] if self._beliefs else None, outline)
 
     def _range(self, wall: WallMemory, outline: Outline) -> Range:
         best, *others = self._beliefs
-        self._last = outline
+        self._last = outline if outline.measured else best.outline
         if wall is WallMemory.DROPPED:
             self._unknown_px = max(self._unknown_px, farthest_px(best.solver.window))
         return range_of(
@@ -189,12 +193,14 @@ class PoseTracker:
             unknown_px=self._unknown_px,
         )
 
-    def _begin(self, picture: _Picture, spot: Outline) -> None:
+    def _begin(self, look: _Look, spot: Outline) -> None:
         """Explain a frame by itself."""
-        channels, usable, direction, sweep, robot = picture
-        window = Window.around(np.array([spot.x_px, spot.y_px]), _reach(spot))
-        mix = plain_mix(channels, spot)
-        cells = self._cells(channels, usable, mix)
+        picture, direction, sweep, robot = look
+        if self.beam.sharp:
+            picture = picture.with_sharp(spot)
+        window = Window.around(np.array([spot.x_px, spot.y_px]), self._reach(spot))
+        mix = picture.plain_mix(spot)
+        cells = picture.cells(mix)
         solver = Solver(self.beam, window, Texture.usual(), self._known(mix))
         own = np.zeros(self.beam.spread.shape[1])
         starts = scanned_starts(
@@ -215,20 +221,24 @@ class PoseTracker:
         if mirrored is not None:
             found.append(robust_fit(solver, [], mirrored, own, steps=_STEPS_FIRST)[0])
         # Again with this wall's texture, in the channels in which it has the least.
-        usable = usable & ~window.pixels(hidden(solver, best), usable.shape)
+        usable = picture.usable & ~window.pixels(hidden(solver, best), picture.usable.shape)
+        picture = replace(picture, usable=usable)
         clear = solver.model.contrast(best.frames[0], best.own) > _CLEAR
-        if clear and not self.noise.coarse_colours:
-            mix = evener_mix(channels, usable, window, best, mix)
+        if clear and not (self.noise.coarse_colours or picture.saturated.any()):
+            mix = evener_mix(picture.channels, usable, window, best, mix)
         self._mix = mix
-        cells = self._cells(channels, usable, mix)
+        cells = picture.cells(mix)
         found = [
             solver.solve([], replace(one.frames[0], cells=cells), own, steps=STEPS) for one in found
         ]
         line = min(found, key=solver.unlikelihood_of).linear[0]
+        if np.count_nonzero(line.weight) < _FEWEST:
+            self._beliefs = []
+            return
         texture = texture_of(
             line.residual, line.weight, line.slopes, count=COUNT, side_mm=solver.model.side_mm
         )
-        texture = replace(texture, variances=_LUMPS * texture.variances)
+        texture = replace(texture, variances=_LUMPS[self.beam.sharp] * texture.variances)
         solver = Solver(self.beam, window, texture, self._known(mix))
         again = [robust_fit(solver, [], one.frames[0], own) for one in found]
         # A pose may explain the light by chance, but not against the robot.
@@ -251,16 +261,18 @@ class PoseTracker:
         """What the reference says of the wall in a mixture of channels."""
         return None if self._reference is None else self._reference.seen_in(mix).known
 
-    def _follow(self, picture: _Picture, spot: Outline) -> None:
+    def _follow(self, look: _Look, spot: Outline) -> None:
         """Explain a frame together with earlier ones."""
-        channels, usable, _, sweep, robot = picture
+        picture, _, sweep, robot = look
+        if self.beam.sharp:
+            picture = picture.with_sharp(spot)
         assert self._mix is not None and self._last is not None
         mix, last = self._mix, np.array([self._last.x_px, self._last.y_px])
 
         def cells(motion: WallMotion) -> CellLight:
-            return self._cells(channels, usable, mix, motion)
+            return picture.cells(mix, motion)
 
-        centre, reach = np.array([spot.x_px, spot.y_px]), _reach(spot)
+        centre, reach = np.array([spot.x_px, spot.y_px]), self._reach(spot)
         point = self.beam.wall_points(centre[None])[0][0]
         followed = []
         for belief in self._beliefs:
@@ -280,9 +292,14 @@ class PoseTracker:
                 # Where the microscope drifts, the eye frame moves against the robot.
                 robot=robot if belief.drifted_px < _DRIFTED_PX else None,
             )
-            found, surprise, lost = fit_wherever(
-                solver, kept, start, own, cells, usual=belief.surprise
-            )
+            for _ in range(_ANEW):
+                found, surprise, lost = fit_wherever(
+                    solver, kept, start, own, cells, usual=belief.surprise
+                )
+                fresh = far_moved(solver, kept, found)
+                if fresh is None or lost:
+                    break
+                kept, start, own = fresh, found.frames[-1], found.own
             followed.append(
                 Belief(
                     solver=solver,
@@ -330,7 +347,7 @@ class PoseTracker:
             for (state, line), (_, old) in zip(kept, before, strict=True)
         ]
         pose = newest[0].pose
-        radius = 0.5 * COUNT * solver.model.side_mm / _REACH
+        radius = 0.5 * COUNT * solver.model.side_mm / _REACH[self.beam.sharp]
         apart = [
             max(
                 float(np.linalg.norm(pose.spot - state.pose.spot)) / radius / _NEW,
@@ -345,16 +362,10 @@ class PoseTracker:
             kept.pop(1 + int(np.argmin(apart[1:])))
         return [*kept, newest]
 
-    def _cells(
-        self,
-        channels: Float[np.ndarray, "h w 3"],
-        usable: Bool[np.ndarray, "h w"],
-        mix: Mix,
-        motion: WallMotion = STILL,
-    ) -> CellLight:
-        return CellLight(
-            mix.light(channels), usable, lambda light: mix.variance(self.noise, light), motion
-        )
+    def _reach(self, spot: Outline) -> float:
+        """From the spot's centre, px, to where there is hardly any light."""
+        beside = _BESIDE_PX + _BESIDE_EDGE * spot.edge_width_px * self.beam.sharp
+        return _REACH[self.beam.sharp] * spot.semi_major_px + beside
 
 
 def _missing(flag: RangeFlag, wall: WallMemory) -> Range:
@@ -373,8 +384,3 @@ def _like(last: Outline, outlines: Sequence[Outline]) -> Outline:
         return 1.0 / _LIKE_LAST < ratio < _LIKE_LAST and way(outline) < last.semi_major_px
 
     return min(filter(alike, outlines), key=way, default=last._replace(measured=False))
-
-
-def _reach(spot: Outline) -> float:
-    """From the spot's centre, px, to where there is hardly any light."""
-    return _REACH * spot.semi_major_px + _BESIDE_PX

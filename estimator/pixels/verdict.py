@@ -10,11 +10,11 @@ from jaxtyping import Float
 from estimator.distance import Range, RangeFlag, TipPose, WallMemory
 from estimator.image import Outline
 from estimator.pixels.ambient import ambient_covariance
-from estimator.pixels.beam import POSE
 from estimator.pixels.belief import Belief
+from estimator.pixels.bend import bend_covariance
 from estimator.pixels.drift import drift_covariance
-from estimator.pixels.edge_shift import blur_covariance
-from estimator.pixels.frame_state import OWN
+from estimator.pixels.edge_shift import edge_covariance
+from estimator.pixels.saturation import halo
 
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
 _SIZE = (1.5, 1.1)
@@ -23,11 +23,17 @@ light without and with a sharp edge. The contour of a bell on a textured wall le
 that of a blurred edge up to 8 %."""
 _BRIGHT_SIZE = 1.25
 """The same for the outline of something bright, which is good to 3 px."""
-_VISIBLE = 0.25
+_VISIBLE = 0.1
 """Least share of the lit cells that is seen in a first frame. Of a spot that a shadow left a fifth
 of, poses were up to six standard deviations off; with a third and more, none was off by three."""
+_HALO = 1.06
+"""Light beside a saturated spot over that farther away, from which it is a lamp's reflection: that
+of spots on drawn walls was 0.97 to 1.03, that of lamps 1.1 to 1.6."""
 _FAINTEST = 0.03  # least light of the beam over the ambient one, where it is brightest
-_VAGUE = 0.5  # standard deviation of a distance over it, above which nothing is known of it
+_VAGUE = (0.5, 0.05)
+"""Standard deviation of a distance over it, above which too little is known of it, for light
+without and with a sharp edge. The edge of a spot of which little is seen belongs to a bent line of
+poses; with 0.05 their bend is a tenth of a pixel, with 0.1 poses were far beyond their errors."""
 _PLACE_PX, _ALONG_MM, _SWEPT = 0.005, 0.0001, 0.003
 """Errors of the spot's place and of the distance by the image model, and of the place by the way of
 the light during the exposure, over that way. Of rendered frames of known pose: on even walls the
@@ -46,9 +52,9 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
     nearest, farthest = belief.solver.beam.within_mm
     if not nearest < belief.newest.pose.distance < farthest:
         return RangeFlag.OUT_OF_RANGE
-    if belief.sigmas[2] > _VAGUE * belief.newest.pose.distance:
-        return RangeFlag.NOT_CONVERGED
     best, sharp = belief.solution, belief.solver.beam.sharp
+    if belief.sigmas[2] > _VAGUE[sharp] * belief.newest.pose.distance:
+        return RangeFlag.NOT_CONVERGED
     lit = belief.solver.model.lit(best.frames[-1], best.own)
     size = float(np.count_nonzero(lit)) * belief.solver.window.side**2
     seen = math.pi * outline.semi_major_px * outline.semi_minor_px
@@ -57,8 +63,12 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
     # A wider blur, or light that hardly shows, makes a spot of anything: of a wet wall's haze.
     explained &= 4.0 * math.pi * best.frames[-1].blur_px2 < size
     explained &= belief.solver.model.contrast(best.frames[-1], best.own) > _FAINTEST
+    if best.frames[-1].saturated:
+        light, _ = best.frames[-1].cells.means(belief.solver.window)
+        explained &= halo(light.ravel(), lit) < _HALO
     if len(best.frames) == 1:
-        explained &= bool(np.mean(best.linear[0].weight[lit] > 0) > _VISIBLE)
+        _, usable = best.frames[0].cells.means(belief.solver.window)
+        explained &= bool(np.mean(usable.ravel()[lit]) > _VISIBLE)
     return RangeFlag.NONE if explained else RangeFlag.MISFIT
 
 
@@ -87,16 +97,16 @@ def range_of(
     newest = belief.newest
     swept = 0.0 if newest.sweep is None else solver.beam.swept_px(newest.pose, newest.sweep)
     place = solver.beam.scale_mm_px * math.hypot(_PLACE_PX, _SWEPT * swept, shake)
-    doubt = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
-    doubt += blur_covariance(solver, solution) + ambient_covariance(solver, solution)
+    place_and_distance = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
+    covariance = solution.newest_covariance + place_and_distance
+    covariance += edge_covariance(solver, solution) + ambient_covariance(solver, solution)
+    covariance += bend_covariance(solver, solution, covariance)
     drifts = [drift_px + belief.drift(frame) for frame in solution.frames]
     for way in unknown_px * np.eye(2) if unknown_px else ():
-        doubt += drift_covariance(solver, solution, [way for _ in drifts])
+        covariance += drift_covariance(solver, solution, [way for _ in drifts])
     if np.any(drifts):
-        doubt += drift_covariance(solver, solution, drifts)
-    at = OWN * (len(solution.frames) - 1)
+        covariance += drift_covariance(solver, solution, drifts)
     pose = solution.frames[-1].pose
-    covariance = solution.covariance[at : at + POSE, at : at + POSE] + doubt
     found = TipPose(
         tip_mm=np.asarray(pose.tip),
         axis=np.asarray(pose.axis),
