@@ -37,6 +37,7 @@ _WAYS = (0.0, 0.3, 0.47, 0.7, 1.2, 2.0)
 """Ways over a cell's side for which numbers of positions differ, for the value or its slopes."""
 _USUAL_REACH_PX = 60.0
 _STILL_SHARP_PX, _STILL_PX = 0.1, 0.5  # way of the light that is not averaged
+_STEADY_PX = 0.01  # unless its mean place is so far from that in the middle
 _SOFT = 0.13
 """Share of an error of cut pixels where an edge is two pixels wide, as that of a lens's light is at
 least: edges at random places and angles, sampled by a Bayer filter."""
@@ -210,7 +211,8 @@ class BeamLight:
         lattice = self.lattice(window, motion)
         swept_px = 0.0 if sweep is None else self.swept_px(pose, sweep)
         moved, few = None, None
-        if sweep is not None and swept_px > (_STILL_SHARP_PX if self.sharp else _STILL_PX):
+        still_px = _STILL_SHARP_PX if self.sharp else _STILL_PX
+        if sweep is not None and (swept_px > still_px or self._aside_px(pose, sweep) > _STEADY_PX):
             counts = _POSITIONS_SHARP if self.sharp else _POSITIONS
             moved = _steps(sweep, counts, swept_px / (_SWEPT * window.side))
             if swept_px > _SWEPT_SLOPES * window.side:
@@ -285,9 +287,16 @@ class BeamLight:
 
     def swept_px(self, pose: Pose, sweep: Sweep) -> float:
         """Way of the light during an exposure, px."""
-        ways = np.diff(sweep.tip + pose.distance * sweep.axis, axis=0)
-        along = ways @ pose.axis
-        across = np.linalg.norm(ways - along[:, None] * pose.axis, axis=1)
+        return self._way_px(pose, np.diff(sweep.tip + pose.distance * sweep.axis, axis=0))
+
+    def _aside_px(self, pose: Pose, sweep: Sweep) -> float:
+        """How far the light's mean place is from that in the middle of an exposure, px."""
+        return self._way_px(pose, np.mean(sweep.tip + pose.distance * sweep.axis, axis=0)[None])
+
+    def _way_px(self, pose: Pose, steps: Float[np.ndarray, "n 3"]) -> float:
+        """Way of the light along steps of the spot, px."""
+        along = steps @ pose.axis
+        across = np.linalg.norm(steps - along[:, None] * pose.axis, axis=1)
         return float(np.sum(across + _WIDENS * np.abs(along))) / self.scale_mm_px
 
     def irradiance_alone(

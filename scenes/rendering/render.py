@@ -22,8 +22,9 @@ from scenes.world import World
 
 # A contour that moves by less than 0.25 px is blurred by 0.25 px / sqrt(12) = 0.07 px, which is
 # negligible beside the 0.3 px of the pixel itself. The image of the tip, which is not measured, may
-# move by a pixel.
-_STILL_SPOT_PX, _STILL_TIP_PX = 0.25, 1.0
+# move by a pixel. Where it moves faster in one half of the exposure, its mean place is not that in
+# the middle: off by a quarter of the difference, if it starts within the exposure.
+_STILL_SPOT_PX, _STILL_TIP_PX, _STEADY_PX = 0.25, 1.0, 0.01
 # Largest change between iterations, in standard deviations of the noise. Where a sharp edge passes,
 # going from n to 3n sub-frames changes a pixel by up to 1/(3n) of its light.
 _SETTLED = 2.0
@@ -103,8 +104,8 @@ class Renderer:
             exposure_s: exposure time, s.
         """
         exposed = Exposed(sharp.radiance, 1)
-        spot_px, tip_px = self._shift(frame, exposure_s)
-        if spot_px < _STILL_SPOT_PX and tip_px < _STILL_TIP_PX:
+        spot_px, tip_px, uneven_px = self._shift(frame, exposure_s)
+        if spot_px < _STILL_SPOT_PX and tip_px < _STILL_TIP_PX and uneven_px < _STEADY_PX:
             return exposed
         # Frames with random noise never converge: use about one sub-frame per pixel of motion.
         most = min(max(spot_px, tip_px) if self.images.random else math.inf, _MOST_SUB_FRAMES)
@@ -133,8 +134,11 @@ class Renderer:
             total = total + self.images.at(tip=tip, axis=axis, seed=seed, moment=moment)[0]
         return total / np.float32(len(parts))
 
-    def _shift(self, frame: int, exposure_s: float) -> tuple[float, float]:
-        """Motion of the spot's contour and of the tip's image during an exposure, px."""
+    def _shift(self, frame: int, exposure_s: float) -> tuple[float, float, float]:
+        """Motion of the spot's contour and of the tip's image during an exposure, px.
+
+        Third how much the contour's differs between the exposure's halves.
+        """
         times = self.world.times[frame] + exposure_s * np.array([-0.5, 0.0, 0.5])
         tip, axis = self.world.motion.at(times)
         scale, camera = self.scene.microscope.scale_mm_px, self.world.microscope
@@ -147,7 +151,12 @@ class Renderer:
         moved = across / math.cos(float(self.world.truth.incidence[frame]))
         grown = np.abs(steps @ beam) * math.tan(float(self.world.truth.beam.half_angle[frame]))
         drift_px = exposure_s * self._unrest_px_s()
-        return float(np.sum(moved + grown)) / scale + drift_px, float(np.sum(tip_px)) + drift_px
+        spot_px = (moved + grown) / scale
+        return (
+            float(np.sum(spot_px)) + drift_px,
+            float(np.sum(tip_px)) + drift_px,
+            float(np.ptp(spot_px)),
+        )
 
     def _unrest_px_s(self) -> float:
         """Speed of the image by drift, and of the wall's picture by rotation, px/s."""
