@@ -31,6 +31,7 @@ BY_NAME_ONLY = (
     "lens_fit",
     "photon_fit",
     "estimator.tuning",
+    "estimator.edge_bound",
     "set_size",
     "pixel_branches",
     "pixel_memory",

@@ -1,6 +1,7 @@
 """Accuracy and speed of the estimator, on frames with known ellipses.
 
 accuracy     Compares errors, false spots and times with their limits
+edge_bound   The least error with which a spot's size can be known on a wall of unknown texture
 frame_kinds  The kinds of drawn frames, with the limits of the errors on them
 lookalikes   Bright things that are no spots: lamps' reflexes, text, polygons and rings
 methods      The compared methods: both modes of the estimator, and other software
