@@ -127,14 +127,11 @@ def frame_errors(
 
 
 def robot_reader(stack: Stack, calibration: Calibration) -> Reader:
-    """A reader that knows the beam, and of the robot how well it says the axis.
-
-    Whether the microscope shakes is known. If it does not, no error of the image's place is stated.
-    """
+    """A reader that knows the beam, how well the robot says the axis, and how the view shakes."""
     beam, stated = stack.folder / "beam.json", stack.folder / "stated.toml"
     write_calibration(beam, calibration)
-    still = stack.described("scene.unrest.shake_px", float) == 0.0
-    stated.write_text(f"axis_sigma_deg = {PRIOR_DEG}\n" + ("shake_px = 0.0\n" if still else ""))
+    shake_px = stack.described("scene.unrest.shake_px", float)
+    stated.write_text(f"axis_sigma_deg = {PRIOR_DEG}\nshake_px = {shake_px}\n")
     return Options.of(
         {
             "mode": "pixels",

@@ -33,7 +33,7 @@ def outlines_of(
         min_contrast=min(settings.min_contrast, Faint.CONTRAST),
         min_coverage=min(settings.min_coverage, Faint.COVERAGE),
     )
-    if result.reason in (Reason.NONE_FOUND, Reason.OCCLUDED):
+    if result.reason in (Reason.NONE_FOUND, Reason.OCCLUDED, Reason.CLIPPED):
         fainter, _ = measure(frame, TrackState(), settings)
         if isinstance(fainter, Spot):
             return [fainter.outline]

@@ -44,6 +44,17 @@ def drift_covariance(
     return np.outer(pull, pull) + np.diag([way, way, distance, turn, turn]) ** 2 * _SHARE**2
 
 
+def shake_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 5"]:
+    """What a shake of the view by a pixel along each side does to all poses on a map, per px².
+
+    Args:
+        solver: of the solution.
+        solution: of the map's first frame, which nobody knows the shake of.
+    """
+    shaken = [drift_covariance(solver, solution, [way]) for way in np.eye(2)]
+    return np.sum(shaken, axis=0)
+
+
 def _pulled(
     solver: Solver, solution: Solution, drifts_px: list[Float[np.ndarray, "2"]]
 ) -> Float[np.ndarray, "5"]:

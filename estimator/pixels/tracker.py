@@ -17,9 +17,10 @@ from jaxtyping import Float
 
 from estimator.distance import Range, RangeFlag, WallMemory
 from estimator.image import CameraNoise, Outline
-from estimator.pixels.beam import BeamLight, Sweep
+from estimator.pixels.beam import POSE, BeamLight, Sweep
 from estimator.pixels.belief import Belief, distinct
 from estimator.pixels.cells import COUNT, CellLight, Window
+from estimator.pixels.drift import shake_covariance
 from estimator.pixels.frame_fit import STEPS, far_moved, fit_wherever, hidden, moved, robust_fit
 from estimator.pixels.frame_state import Direction, FrameState, Linear
 from estimator.pixels.mix import Mix, evener_mix
@@ -99,6 +100,7 @@ class PoseTracker:
         self._beliefs: list[Belief] = []
         self._last: Outline | None = None  # in the last frame with a pose
         self._mix: Mix | None = None
+        self._shaken = np.zeros((POSE, POSE))  # what the first frame's shake does, per px²
         self._drift = np.zeros(2)  # of the view, px, by the maps that were forgotten
         self._unknown_px = 0.0  # what it may have drifted since, if no map was found again
 
@@ -177,7 +179,11 @@ class PoseTracker:
     def _begun(self, look: _Look, outline: Outline) -> RangeFlag:
         """Explain a frame by itself: why that failed, if so."""
         self._begin(look, outline)
-        return flag_of(self._beliefs[0] if self._beliefs else None, outline)
+        flag = flag_of(self._beliefs[0] if self._beliefs else None, outline)
+        if flag is RangeFlag.NONE:
+            best = self._beliefs[0]
+            self._shaken = shake_covariance(best.solver, best.solution)
+        return flag
 
     def _range(self, wall: WallMemory, outline: Outline) -> Range:
         best, *others = self._beliefs
@@ -189,6 +195,7 @@ class PoseTracker:
             tuple(float(one.newest.pose.distance) for one in others),
             wall,
             shake_px=self._shake_px,
+            shaken=self._shaken,
             drift_px=self._drift,
             unknown_px=self._unknown_px,
         )

@@ -78,6 +78,7 @@ def range_of(
     wall: WallMemory,
     *,
     shake_px: float,
+    shaken: Float[np.ndarray, "5 5"],
     drift_px: Float[np.ndarray, "2"],
     unknown_px: float,
 ) -> Range:
@@ -88,6 +89,7 @@ def range_of(
         others_mm: distances of other explanations.
         wall: what was known of the wall.
         shake_px: least standard deviation of the image's shake along each side.
+        shaken: what a shake does to the pose, per px².
         drift_px: of the view before the wall's map was begun.
         unknown_px: what it may have drifted without anybody seeing it.
     """
@@ -96,11 +98,12 @@ def range_of(
     shake = max(belief.shake_px, shake_px)
     newest = belief.newest
     swept = 0.0 if newest.sweep is None else solver.beam.swept_px(newest.pose, newest.sweep)
-    place = solver.beam.scale_mm_px * math.hypot(_PLACE_PX, _SWEPT * swept, shake)
+    place = solver.beam.scale_mm_px * math.hypot(_PLACE_PX, _SWEPT * swept)
     place_and_distance = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
     covariance = solution.newest_covariance + place_and_distance
     covariance += edge_covariance(solver, solution) + ambient_covariance(solver, solution)
     covariance += bend_covariance(solver, solution, covariance)
+    covariance += shake**2 * shaken
     drifts = [drift_px + belief.drift(frame) for frame in solution.frames]
     for way in unknown_px * np.eye(2) if unknown_px else ():
         covariance += drift_covariance(solver, solution, [way for _ in drifts])
