@@ -42,6 +42,8 @@ def bend_covariance(
         evenly = _even_part(solver, frame, solution.own, covariance[:, k] / sigmas[k])
         bend = solution.answer([*earlier, evenly])[:POSE]
         bend -= fitted[:, k] / fitted[k, k] * bend[k]  # the best pose at this distance or turn
+        # Where the light says too little, the second order says nothing.
+        bend = np.clip(bend, -sigmas, sigmas)
         found += _FOURTH * np.outer(bend, bend)
     return found
 

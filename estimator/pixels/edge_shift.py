@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from estimator.pixels.beam import POSE
 from estimator.pixels.cells import COUNT
-from estimator.pixels.frame_state import FrameState
+from estimator.pixels.frame_state import BLUR
 from estimator.pixels.saturation import BLOOM_DOUBT_PX
 from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
@@ -28,6 +28,10 @@ _SHARE = 2.0
 """Error of the shift, over the shift. On rendered cones out of focus by 2 and 3 mm at NA 0.04 the
 distance was off by up to 0.5 of what the whole shift makes of it in first frames, by up to 1.1 on
 printed paper and by 1.5 to 2.6 on a retina in the frames that follow."""
+_ONE_WAY, _MOST_PX2 = 0.7, 4.0
+"""How much wider a blur is along one direction, over its variance, and up to which variance, px²:
+where the view moves during the exposure, by the whole of it. A motion by seven pixels has 4 px²; a
+wider blur is that of a camera out of focus."""
 
 
 def edge_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 5"]:
@@ -40,8 +44,8 @@ def edge_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 
     newest = solution.frames[-1]
     if newest.blur_px2 < _WIDE_PX2 and not newest.saturated:
         return np.zeros((POSE, POSE))
-    shifts = np.array([_changes(solver, solution, frame) for frame in solution.frames])
-    # The edge may be shifted all round, by an oval, or to a side.
+    shifts = np.array([_changes(solver, solution, k) for k in range(len(solution.frames))])
+    # The edge may be shifted all round, by an oval, or to a side, or wider along one direction.
     pulls = [solution.answer(list(shifts[:, k]))[:POSE] for k in range(shifts.shape[1])]
     # Where the spot moves on, the wall grows otherwise.
     still = [np.zeros_like(shifts[0, 0])] * (len(shifts) - 1)
@@ -49,8 +53,9 @@ def edge_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 
     return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
 
 
-def _changes(solver: Solver, solution: Solution, frame: FrameState) -> Float[np.ndarray, "5 n"]:
-    """How a frame's log light changes if its edge is shifted evenly, to an oval, or to a side."""
+def _changes(solver: Solver, solution: Solution, k: int) -> Float[np.ndarray, "7 n"]:
+    """How frame k's log light changes by each of these errors."""
+    frame, by_blur = solution.frames[k], solution.linear[k].slopes[BLUR]
     lit = solver.model.lit(frame, solution.own)
     side = solver.window.side
     radius = side * math.sqrt(np.count_nonzero(lit) / math.pi)
@@ -62,9 +67,11 @@ def _changes(solver: Solver, solution: Solution, frame: FrameState) -> Float[np.
     angle = np.arctan2(y - y[lit].mean(), x - x[lit].mean())
     aside = frame.blur_px2 * _growth(solver.texture, radius, solver.beam.scale_mm_px)
     outwards = steep / light
-    evenly = shift * np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)])
+    oval = np.stack([np.cos(2 * angle), np.sin(2 * angle)])
     to_a_side = aside * np.stack([np.cos(angle), np.sin(angle)])
-    return outwards * np.concatenate([evenly, to_a_side])
+    shifts = np.concatenate([shift * np.ones((1, angle.size)), shift * oval, to_a_side])
+    one_way = _ONE_WAY * min(frame.blur_px2, _MOST_PX2)
+    return np.concatenate([outwards * shifts, one_way * by_blur * oval])
 
 
 def _growth(texture: Texture, radius_px: float, scale_mm_px: float) -> float:

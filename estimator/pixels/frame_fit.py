@@ -266,7 +266,10 @@ def fit_wherever(
     if math.hypot(*newest.shift) > _SHIFTED_PX:
         motion = newest.cells.motion.after(WallMotion(*newest.shift))
         newest = replace(newest, cells=cells(motion), shift=(0.0, 0.0))
-        solution.frames[-1], solution.linear[-1] = modelled(solver, [newest], solution.own)[0]
+        # With the weights that the solution's other parts have.
+        line = solver.model.linear(newest, solution.own)
+        line = line._replace(weight=solution.linear[-1].weight)
+        solution.frames[-1], solution.linear[-1] = newest, line
     return solution, surprise.square, lost
 
 
