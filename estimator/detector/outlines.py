@@ -18,7 +18,7 @@ from estimator.image import NoSpot, Outline, Reason, Spot, Window, checked_frame
 def outlines_of(
     frame: np.ndarray, result: Spot | NoSpot, settings: SubpixelSettings
 ) -> list[Outline]:
-    """The measured spot's outline, that of a fainter one, or those of whatever is bright.
+    """The outline of the spot, even if it is faint or seen in part, or those of whatever is bright.
 
     Args:
         frame: as `measure` takes it.
@@ -41,8 +41,7 @@ def outlines_of(
         on_reflections = _outlines_on_reflections(frame, settings)
         if on_reflections:
             return on_reflections
-    saturated = result.reason is Reason.SATURATED
-    return [outline._replace(measured=saturated) for outline in _bright_outlines(frame, settings)]
+    return _bright_outlines(frame, settings, measured=result.reason is Reason.SATURATED)
 
 
 def _outlines_on_reflections(frame: np.ndarray, settings: SubpixelSettings) -> list[Outline]:
@@ -58,7 +57,9 @@ def _outlines_on_reflections(frame: np.ndarray, settings: SubpixelSettings) -> l
     return found
 
 
-def _bright_outlines(frame: np.ndarray, settings: SubpixelSettings) -> list[Outline]:
+def _bright_outlines(
+    frame: np.ndarray, settings: SubpixelSettings, *, measured: bool
+) -> list[Outline]:
     """Ellipses round the bright regions of a frame that fill theirs, good to a few px."""
     found = []
     for region in regions_in(frame, Window.whole(frame), settings):
@@ -66,5 +67,5 @@ def _bright_outlines(frame: np.ndarray, settings: SubpixelSettings) -> list[Outl
             x, y = region.ellipse.centre.tolist()
             semi_major, semi_minor, angle = region.ellipse.axes()
             if semi_minor > settings.min_semi_minor_px and semi_major < settings.max_semi_major_px:
-                found.append(Outline(x, y, semi_major, semi_minor, angle, measured=False))
+                found.append(Outline(x, y, semi_major, semi_minor, angle, measured=measured))
     return found

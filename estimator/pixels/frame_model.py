@@ -70,10 +70,8 @@ class FrameModel:
         shade = np.clip(np.array(frame.shade) @ SHADES, -_SHADED, _SHADED)
         ambient = np.exp(frame.log_ambient + shade)
         # Between the samples of a table, light that is nearly none may be less than none.
-        value, of_beam = (
-            np.maximum(seen.value, 0.0),
-            np.concatenate([seen.slopes, seen.bend[None], seen.tails[None]]),
-        )
+        value = np.maximum(seen.value, 0.0)
+        of_beam = np.concatenate([seen.slopes, seen.bend[None], seen.tails[None]])
         by_gain, uncovered = np.ones(value.size), np.ones(value.size)
         if frame.saturated:
             spot = covered(

@@ -134,6 +134,7 @@ class PoseTracker:
 
     def _read_spot(self, look: _Look, outline: Outline) -> Range:
         """The pose of a measured spot."""
+        look = self._shown(look, outline)
         flag, wall = RangeFlag.NOT_CONVERGED, WallMemory.NEW
         if self._beliefs:
             flag, wall = self._followed(look, outline)
@@ -160,11 +161,17 @@ class PoseTracker:
         if not before or self._last is None:
             return _missing(RangeFlag.NOT_CONVERGED, WallMemory.NEW)
         outline = _like(self._last, outlines)
-        flag, wall = self._followed(look, outline)
+        flag, wall = self._followed(self._shown(look, outline), outline)
         if flag is RangeFlag.NONE:
             return self._range(wall, outline)
         self._beliefs = before
         return _missing(flag, wall)
+
+    def _shown(self, look: _Look, outline: Outline) -> _Look:
+        """The frame without what hides the spot, where that can be told."""
+        if not self.beam.sharp:
+            return look
+        return look._replace(picture=look.picture.with_sharp(outline))
 
     def _followed(self, look: _Look, outline: Outline) -> tuple[RangeFlag, WallMemory]:
         """Explain a frame by the earlier ones: why that failed, if so, and what the wall did."""
@@ -203,8 +210,6 @@ class PoseTracker:
     def _begin(self, look: _Look, spot: Outline) -> None:
         """Explain a frame by itself."""
         picture, direction, sweep, robot = look
-        if self.beam.sharp:
-            picture = picture.with_sharp(spot)
         window = Window.around(np.array([spot.x_px, spot.y_px]), self._reach(spot))
         mix = picture.plain_mix(spot)
         cells = picture.cells(mix)
@@ -271,8 +276,6 @@ class PoseTracker:
     def _follow(self, look: _Look, spot: Outline) -> None:
         """Explain a frame together with earlier ones."""
         picture, _, sweep, robot = look
-        if self.beam.sharp:
-            picture = picture.with_sharp(spot)
         assert self._mix is not None and self._last is not None
         mix, last = self._mix, np.array([self._last.x_px, self._last.y_px])
 

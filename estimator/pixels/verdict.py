@@ -24,8 +24,8 @@ that of a blurred edge up to 8 %."""
 _BRIGHT_SIZE = 1.25
 """The same for the outline of something bright, which is good to 3 px."""
 _VISIBLE = 0.1
-"""Least share of the lit cells that is seen in a first frame. Of a spot that a shadow left a fifth
-of, poses were up to six standard deviations off; with a third and more, none was off by three."""
+"""Least share of the lit cells that is seen in a first frame. A crescent of a tenth still has an
+edge; whether it tells the distance, the stated error says (`_VAGUE`)."""
 _HALO = 1.06
 """Light beside a saturated spot over that farther away, from which it is a lamp's reflection: that
 of spots on drawn walls was 0.97 to 1.03, that of lamps 1.1 to 1.6."""
@@ -63,12 +63,11 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
     # A wider blur, or light that hardly shows, makes a spot of anything: of a wet wall's haze.
     explained &= 4.0 * math.pi * best.frames[-1].blur_px2 < size
     explained &= belief.solver.model.contrast(best.frames[-1], best.own) > _FAINTEST
+    light, usable = (part.ravel() for part in best.frames[-1].cells.means(belief.solver.window))
     if best.frames[-1].saturated:
-        light, _ = best.frames[-1].cells.means(belief.solver.window)
-        explained &= halo(light.ravel(), lit) < _HALO
+        explained &= halo(light, lit) < _HALO
     if len(best.frames) == 1:
-        _, usable = best.frames[0].cells.means(belief.solver.window)
-        explained &= bool(np.mean(usable.ravel()[lit]) > _VISIBLE)
+        explained &= bool(np.mean(usable[lit]) > _VISIBLE)
     return RangeFlag.NONE if explained else RangeFlag.MISFIT
 
 
