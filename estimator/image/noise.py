@@ -33,6 +33,7 @@ class CameraNoise:
         prnu: standard deviation of the pixels' gain, relative.
         dsnu_e: standard deviation of the pixels' dark signal, electrons.
         cut: error of a pixel that an edge cuts, over the step; no camera sees all of a pixel alike.
+            The usual value is that of rendered edges, whose errors at random places are below it.
         correlated: growth of the variance of a mean over many pixels, whose noise is correlated.
         coarse_colours: whether only the sum of the channels is true to the light, as after JPEG.
     """
@@ -45,7 +46,7 @@ class CameraNoise:
     response: Response
     prnu: float = 0.0
     dsnu_e: float = 0.0
-    cut: float = 0.02
+    cut: float = 0.01
     correlated: float = 1.0
     coarse_colours: bool = False
 

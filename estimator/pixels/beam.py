@@ -42,7 +42,9 @@ _SOFT = 0.13
 """Share of an error of cut pixels where an edge is two pixels wide, as that of a lens's light is at
 least: edges at random places and angles, sampled by a Bayer filter."""
 _LEAST_BLUR_PX2 = 0.25
-"""Below it the light of a sharp edge changes in proportion, and that of a lens as heat spreads."""
+"""Below it the light changes as a parabola."""
+_MORE = 1.2  # of a blur, for its derivative
+_NO_BLUR_PX2 = 0.05  # below it a lens's light may as well spread from cell to cell, in less time
 _PARTS = 2
 """Parts of a cell's side, between which the light of a sharp edge spreads."""
 _NARROW = 0.25
@@ -226,14 +228,22 @@ class BeamLight:
             value = self.irradiance_alone(lattice, pose, own, moved)
         cells2 = window.side**2  # px²
         narrow = blur_px2 < _NARROW * cells2 / _PARTS**2
-        if narrow and (self.sharp or blur_px2 >= _LEAST_BLUR_PX2):
+        if narrow and (self.sharp or blur_px2 >= _NO_BLUR_PX2):
             # Where in a cell the light is steep, only the beam knows.
             at_least = max(blur_px2, _LEAST_BLUR_PX2)
             around = moved if few is None else few
             middle = value if few is None else self.irradiance_alone(lattice, pose, own, few)
-            aside = self.irradiance_alone(lattice, pose, own, self._aside(around, at_least))
-            bend, tails = (aside - middle) / at_least, np.zeros_like(value)
-            seen = value + blur_px2 * bend
+
+            def change(variance_px2: float) -> np.ndarray:
+                places = self._aside(around, variance_px2)
+                return self.irradiance_alone(lattice, pose, own, places) - middle
+
+            all_, share = change(at_least), blur_px2 / at_least
+            # A sharp edge loses less by a blur, the wider it is already.
+            last = (change(_MORE * at_least) - all_) / (_MORE - 1.0) if self.sharp else all_
+            seen = value + share * (2.0 * all_ - last + share * (last - all_))
+            bend = (2.0 * all_ - last + 2.0 * share * (last - all_)) / at_least
+            tails = np.zeros_like(value)
         else:
             fine, parts = value, 1
             if self.sharp:

@@ -42,8 +42,9 @@ from estimator.pixels.solution import Solution, inverse_diagonal, solved
 from estimator.pixels.texture import Texture
 
 _RIDGE = 1e-12  # of a state's own information, so that one without any does not matter
-_DONE, _SMALL = 0.1, 0.3
-"""In standard deviations: a shorter step ends the iteration; a last step as short is an answer."""
+_DONE, _SMALL, _ROUGH = 0.1, 0.3, 0.6
+"""In standard deviations: a shorter step ends the iteration; a last step as short is an answer, the
+third where the spot is saturated: cells that come to full scale make the cost rough."""
 _LEAST_DAMPING = 1e-3
 
 
@@ -117,17 +118,28 @@ class Solver:
         lines.append(line if trust is None else line._replace(weight=line.weight * trust))
         told = _motions(frames)
         hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
-        for _ in range(steps):
-            inverse = _inverse(hessian, damping=damping)
-            step = inverse @ gradient
-            # An image is never sharper than sharp, and blurs have limits: the best step within.
+        information = _Information(hessian)
+        small = _ROUGH if frame.saturated else _SMALL
+
+        def step_within(damping: float) -> np.ndarray:
+            """The best step with an image that is not sharper than sharp, and a possible blur."""
+            step = information.solved(gradient, damping)
             for at, state, least, most in (
                 (blur, frame.blur_px2, 0.0, np.inf),
                 (blur + 1, frame.kurtosis, LEAST_KURTOSIS, MOST_KURTOSIS),
             ):
                 excess = state + step[at] - np.clip(state + step[at], least, most)
-                step -= inverse[:, at] * (excess / inverse[at, at])
+                if excess:
+                    column = information.solved(np.eye(1, size, at)[0], damping)
+                    step -= column * (excess / column[at])
+            return step
+
+        for _ in range(steps):
+            # How far the minimum is, the step without damping says: one with it is always short.
+            step = step_within(0.0)
             distance = float(np.sqrt(step @ hessian @ step / size))
+            if distance >= _DONE:
+                step = step_within(damping)
             moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
             if distance < _DONE and moved is not None:
                 # So near, the model is linear.
@@ -149,7 +161,7 @@ class Solver:
                 new_told = [*told[:-1], *_motions([frames[0], moved])] if kept else told
                 new_cost = self._cost(then, trial, new_told, new_own, here, factor)
             if trial is None or not new_cost <= cost + 1e-9 * abs(cost):
-                if distance < _SMALL and damping <= _LEAST_DAMPING:
+                if distance < small and damping <= _LEAST_DAMPING:
                     converged = True  # at the minimum, within what the derivatives are good for
                     break
                 damping = 10 * damping
@@ -161,7 +173,8 @@ class Solver:
             damping = max(0.1 * damping, _LEAST_DAMPING)
             frames[-1], lines, told = frame, [*trial[:-1], fresh], new_told
             hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
-            converged = distance < _SMALL
+            information = _Information(hessian)
+            converged = distance < small
         for k in range(newest):
             before = frames[k]
             frames[k] = self._moved(before, gone[OWN * k : OWN * (k + 1)]) or before
@@ -169,7 +182,7 @@ class Solver:
             frames=frames,
             linear=lines,
             own=own,
-            covariance=_inverse(hessian),
+            covariance=information.inverse(),
             cost=cost,
             texture_map=self._map(lines, factor),
             factor=factor,
@@ -304,12 +317,23 @@ def _log_determinant(factor: tuple[np.ndarray, bool]) -> float:
     return 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
 
 
-def _inverse(hessian: np.ndarray, *, damping: float = 0.0) -> np.ndarray:
-    """Inverse of an information matrix, in units in which each state has the information 1."""
-    own = np.diag(hessian)
-    size = 1.0 / np.sqrt(np.maximum(own, _RIDGE * own.max()))
-    scaled = size[:, None] * hessian * size + (damping + _RIDGE) * np.eye(len(own))
-    return size[:, None] * np.linalg.pinv(scaled, hermitian=True) * size
+class _Information:
+    """An information matrix, in units in which each state has the information 1."""
+
+    def __init__(self, hessian: Float[np.ndarray, "s s"]) -> None:
+        own = np.diag(hessian)
+        size = 1.0 / np.sqrt(np.maximum(own, _RIDGE * own.max()))
+        values, vectors = np.linalg.eigh(size[:, None] * hessian * size)
+        self._values = np.maximum(values, 0.0) + _RIDGE
+        self._ways = size[:, None] * vectors
+
+    def solved(self, values: Float[np.ndarray, "s"], damping: float) -> Float[np.ndarray, "s"]:
+        """The inverse times values, with a damping that is added to each state's information."""
+        return self._ways @ ((values @ self._ways) / (self._values + damping))
+
+    def inverse(self) -> Float[np.ndarray, "s s"]:
+        """The inverse."""
+        return (self._ways / self._values) @ self._ways.T
 
 
 def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:

@@ -1,9 +1,14 @@
 """The wall's texture as a Gaussian process on a lattice of cells.
 
-The logarithm of the reflectance has the covariance sum_j a_j exp(-h/l_j), h apart. The lengths l_j
-are fixed, a factor of four apart. The variances a_j follow from the first frames by restricted
-maximum likelihood (Patterson and Thompson 1971), so that vessels, grain and slow shading each have
-their share.
+The logarithm of the reflectance has the covariance sum_j a_j k_j(h / l_j), h apart. The lengths l_j
+are fixed, a factor of three to four apart. The variances a_j follow from the first frames by
+restricted maximum likelihood (Patterson and Thompson 1971), so that grain, vessels and slow shading
+each have their share.
+
+The grain is rough, with k = exp(-x). Vessels and shading are smooth in small, with the k of Matern
+of the order 3/2 (Stein 1999). With rough ones the small cells tell more of the large ones than they
+know: with all parts rough, a frame's light at its known pose is less likely by factors of 1e3 to
+1e10 on drawn retinas, 3 to 1e5 on prints and up to 300 on a photograph.
 """
 
 from __future__ import annotations
@@ -19,15 +24,15 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-LENGTHS_MM = (0.08, 0.32, 1.28)
-"""Correlation lengths: from a few pixels to the size of a spot."""
-_USUAL = (0.04, 0.06, 0.06)
+LENGTHS_MM = (0.08, 0.25, 1.0)
+"""Correlation lengths of grain, vessels and shading: from a few pixels to the size of a spot."""
+_USUAL = (0.02, 0.05, 0.07)
 """Standard deviations of the parts before a frame was seen, relative: the order of a retina's."""
-_ANY, _ALIKE = 2.0 * math.log(10.0), 2.0 * math.log(2.0)
+_ANY, _ALIKE = 2.0 * math.log(30.0), 2.0 * math.log(10.0)
 """Standard deviations of a variance's logarithm before a frame was seen, of all parts together and
-of each part by itself. Two thirds of all walls have a contrast within a factor of ten of what is
-usual, so that a sheet of paper is no surprise; and a wall that is even in small is even in
-large, within a factor of two."""
+of each part by itself. Two thirds of all walls have a contrast within a factor of 30 of what is
+usual, so that a sheet of paper is no surprise, and parts within a factor of ten of each other: a
+print has no grain, and a photograph's grain is all that it has in small."""
 _RANK = 1e-9  # of the largest derivative
 _WITHIN = 0.52
 """Mean distance of two points of a square, over its side."""
@@ -59,13 +64,15 @@ class Texture:
 
     def variogram(self, apart_mm: float) -> float:
         """Variance of the difference of two points that are some way apart."""
-        alike = np.exp(-apart_mm / np.array(LENGTHS_MM))
-        return float(2.0 * np.sum(self.variances * (1.0 - alike)))
+        return float(2.0 * np.sum(self.variances * (1.0 - _alike(np.array(apart_mm)))))
 
     @property
     def roughness(self) -> float:
-        """Slope of the variogram at 0, 1/mm: variance of the difference of two near points."""
-        return float(2.0 * np.sum(self.variances / np.array(LENGTHS_MM)))
+        """Slope of the variogram at 0, 1/mm: variance of the difference of two near points.
+
+        Only the grain has one.
+        """
+        return float(2.0 * self.variances[0] / LENGTHS_MM[0])
 
     @property
     def variance(self) -> float:
@@ -147,5 +154,11 @@ def _kernels(count: int, side_mm: float) -> Float[np.ndarray, "parts n n"]:
     square = (place[:, None] - place) ** 2
     apart = np.add.outer(square, square).transpose(0, 2, 1, 3).reshape(count**2, count**2)
     # Means over cells vary less than points do: even those of one cell are some way apart.
-    distance = side_mm * np.sqrt(apart + _WITHIN**2)
-    return np.stack([np.exp(-distance / length) for length in LENGTHS_MM])
+    return _alike(side_mm * np.sqrt(apart + _WITHIN**2))
+
+
+def _alike(apart_mm: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "parts *n"]:
+    """Correlation of points that are some way apart, by each part."""
+    grain, *smooth = LENGTHS_MM
+    ways = [math.sqrt(3.0) * apart_mm / length for length in smooth]
+    return np.stack([np.exp(-apart_mm / grain), *((1.0 + way) * np.exp(-way) for way in ways)])

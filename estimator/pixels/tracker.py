@@ -49,11 +49,6 @@ _NEW = 0.25  # shift over the spot's radius that makes a frame worth keeping
 _GROWN = 0.07  # change of the distance's logarithm that does
 _STEPS_FIRST = 14
 _FEWEST = 30  # cells of a first frame; it has sixteen states
-_LUMPS = (1.4, 1.1)
-"""Variance of a wall over that of a Gaussian process that explains a frame as well, for light
-without and with a sharp edge: vessels are few and dark. Without it, the squares of a bell's errors
-over the stated ones were 1.5 to 1.9 on drawn retinas, 1.3 to 1.9 on printed paper, and 0.9 to 1.2
-on a photograph. An edge is as long as many vessels are apart; there they were 0.5 to 1.3."""
 _ANEW = 3  # fits of a frame, if it moves the earlier ones far
 _AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly nothing is known
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
@@ -250,7 +245,6 @@ class PoseTracker:
         texture = texture_of(
             line.residual, line.weight, line.slopes, count=COUNT, side_mm=solver.model.side_mm
         )
-        texture = replace(texture, variances=_LUMPS[self.beam.sharp] * texture.variances)
         solver = Solver(self.beam, window, texture, self._known(mix))
         again = [robust_fit(solver, [], one.frames[0], own) for one in found]
         # A pose may explain the light by chance, but not against the robot.

@@ -34,7 +34,7 @@ _VAGUE = (0.5, 0.05)
 """Standard deviation of a distance over it, above which too little is known of it, for light
 without and with a sharp edge. The edge of a spot of which little is seen belongs to a bent line of
 poses; with 0.05 their bend is a tenth of a pixel, with 0.1 poses were far beyond their errors."""
-_PLACE_PX, _ALONG_MM, _SWEPT = 0.005, 0.0001, 0.003
+_PLACE_PX, _ALONG_MM, _SWEPT = 0.004, 0.0001, 0.003
 """Errors of the spot's place and of the distance by the image model, and of the place by the way of
 the light during the exposure, over that way. Of rendered frames of known pose: on even walls the
 place is right to 0.004 px, under the haze of a varnished one to 0.05 px."""
