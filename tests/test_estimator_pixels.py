@@ -167,6 +167,17 @@ def test_the_texture_of_a_drawn_wall_is_found():
     assert len(LENGTHS_MM) == 3
 
 
+@pytest.mark.parametrize(("part", "power"), [(0, 1), (1, 2), (2, 2)])
+def test_grain_is_rough_and_what_is_larger_is_smooth(part, power):
+    texture, near = Texture(np.eye(3)[part]), 1e-3 * LENGTHS_MM[part]
+    # Near 0, 2 (1 - exp(-x)) is 2 x, and 2 (1 - (1 + y) exp(-y)), y = sqrt(3) x, is 3 x^2; the next
+    # terms are 5e-4 and 1.2e-3 of these.
+    slope = 2.0 if power == 1 else 3.0
+    expected = slope * (near / LENGTHS_MM[part]) ** power
+    assert texture.variogram(near) == pytest.approx(expected, rel=2e-3)
+    assert texture.roughness == pytest.approx(2.0 / LENGTHS_MM[0] if power == 1 else 0.0)
+
+
 @pytest.mark.parametrize("contrast", [0.0, 0.001, 0.01, 0.1])
 def test_the_texture_is_as_large_as_the_wall_s_whether_it_is_even_or_not(contrast):
     rng = np.random.default_rng(11)

@@ -16,6 +16,7 @@ from estimator.pixels.wall_motion import STILL
 from optics.wall_light import Steps, UniformCone
 
 MIDDLE = COUNT // 2
+SCALE = 0.0067  # mm/px
 
 
 def _grid(values):
@@ -104,15 +105,14 @@ def test_the_growth_is_the_derivative(kurtosis):
     np.testing.assert_allclose(found.by_kurtosis, by_kurtosis / (2 * step), atol=1e-9)
 
 
-@pytest.mark.parametrize("sharp", [True, False])
-def test_light_that_is_steep_within_a_cell_is_blurred_where_it_is_steep(sharp):
-    scale, radius = 0.0067, 2.0  # mm/px; px, of the disc that a focus 0.5 mm off makes at NA 0.05
+def _cone_beam(sharp):
+    """A cone's light on a round wall, and a pose with a spot about the image's middle."""
     microscope = MicroscopeFile(
         width_px=200,
         height_px=200,
         camera_matrix=None,
         distortion=np.zeros(0),
-        scale_mm_px=scale,
+        scale_mm_px=SCALE,
         principal_point_px=(0.0, 0.0),
         pinhole_height_mm=math.inf,
         eye_radius_mm=11.5,
@@ -122,6 +122,28 @@ def test_light_that_is_steep_within_a_cell_is_blurred_where_it_is_steep(sharp):
     tip, axis = np.array([-0.28, -0.18, -8.5]), np.array([0.1, 0.05, -math.sqrt(1 - 0.0125)])
     pose = beam.pose(tip, axis)
     assert pose is not None
+    return beam, pose
+
+
+@pytest.mark.parametrize("blur_px2", [0.1, 0.2499, 0.2501, 0.5])
+def test_the_growth_with_a_narrow_blur_is_the_derivative(blur_px2):
+    # A fit that is told another growth than the light has goes to and fro about its minimum.
+    beam, pose = _cone_beam(sharp=True)
+    window, step = Window.around(np.zeros(2), 104.0), 1e-3
+    below, here, above = (
+        beam.irradiance(window, STILL, pose, np.zeros(0), blur_px2=blur_px2 + by)
+        for by in (-step, 0.0, step)
+    )
+    growth = (above.value - below.value) / (2.0 * step)
+    # Above 0.25 px^2 the derivative is a difference over a fifth of the blur, along which the
+    # growth of an edge, as 1/sqrt, changes by a tenth.
+    assert np.linalg.norm(here.bend - growth) < 0.15 * np.linalg.norm(growth)
+
+
+@pytest.mark.parametrize("sharp", [True, False])
+def test_light_that_is_steep_within_a_cell_is_blurred_where_it_is_steep(sharp):
+    radius = 2.0  # px, of the disc that a focus 0.5 mm off makes at NA 0.05
+    beam, pose = _cone_beam(sharp)
     window = Window.around(np.zeros(2), 104.0)
     lattice = beam.lattice(window, STILL)
     none = np.zeros(0)
@@ -129,7 +151,7 @@ def test_light_that_is_steep_within_a_cell_is_blurred_where_it_is_steep(sharp):
     # The disc, by 200 places of equal light.
     number = np.arange(200) + 0.5
     far, turn = radius * np.sqrt(number / 200), number * math.pi * (3.0 - math.sqrt(5.0))
-    aside = scale * np.stack([far * np.cos(turn), far * np.sin(turn), 0.0 * far], axis=-1)
+    aside = SCALE * np.stack([far * np.cos(turn), far * np.sin(turn), 0.0 * far], axis=-1)
     disc = Steps(tips=aside, axes=np.zeros((200, 3)), shares=np.full(200, 1 / 200))
     exact = beam.irradiance_alone(lattice, pose, none, disc)
     still = beam.irradiance_alone(lattice, pose, none)
