@@ -59,7 +59,7 @@ def _pulled(
     solver: Solver, solution: Solution, drifts_px: list[Float[np.ndarray, "2"]]
 ) -> Float[np.ndarray, "5"]:
     """How far the newest pose would be off."""
-    beam, own = solver.beam, solution.own
+    model, beam, own = solver.model, solver.beam, solution.own
     changes, way = [], np.zeros(3)
     for frame, drift in zip(solution.frames, drifts_px, strict=True):
         length, motion = float(np.linalg.norm(drift)), frame.cells.motion
@@ -73,10 +73,10 @@ def _pulled(
         right, down = (-part * drift).tolist()
         drifted = WallMotion(right, down).after(motion)
         seen, fitted = (
-            beam.irradiance_alone(solver.model.lattice(where), at, own)
+            model.log_light(frame, beam.irradiance_alone(model.lattice(where), at, own))
             for where, at in ((drifted, other), (motion, frame.pose))
         )
-        changes.append((seen - fitted) / (fitted + np.exp(frame.log_ambient)) / part)
+        changes.append((seen - fitted) / part)
     pull = solution.answer(changes)[:POSE]
     newest = solution.frames[-1].pose
     pull[:2] -= way @ np.stack([newest.right, newest.down], axis=-1)

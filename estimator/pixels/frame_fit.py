@@ -175,7 +175,7 @@ def far_moved(
     return kept
 
 
-def hidden(solver: Solver, solution: Solution) -> Bool[np.ndarray, "n"]:
+def unlike_wall(solver: Solver, solution: Solution) -> Bool[np.ndarray, "n"]:
     """Cells of a first frame's solution that are unlike the wall: hidden, or in other light."""
     return _grown(_unlike(solver, solver.model.linear(solution.frames[-1], solution.own))) > _FAR
 

@@ -21,7 +21,14 @@ from estimator.pixels.beam import POSE, BeamLight, Sweep
 from estimator.pixels.belief import Belief, distinct
 from estimator.pixels.cells import COUNT, CellLight, Window
 from estimator.pixels.drift import shake_covariance
-from estimator.pixels.frame_fit import STEPS, far_moved, fit_wherever, hidden, moved, robust_fit
+from estimator.pixels.frame_fit import (
+    STEPS,
+    far_moved,
+    fit_wherever,
+    moved,
+    robust_fit,
+    unlike_wall,
+)
 from estimator.pixels.frame_state import Direction, FrameState, Linear
 from estimator.pixels.mix import Mix, evener_mix
 from estimator.pixels.picture import Picture
@@ -228,7 +235,7 @@ class PoseTracker:
         if mirrored is not None:
             found.append(robust_fit(solver, [], mirrored, own, steps=_STEPS_FIRST)[0])
         # Again with this wall's texture, in the channels in which it has the least.
-        usable = picture.usable & ~window.pixels(hidden(solver, best), picture.usable.shape)
+        usable = picture.usable & ~window.pixels(unlike_wall(solver, best), picture.usable.shape)
         picture = replace(picture, usable=usable)
         clear = solver.model.contrast(best.frames[0], best.own) > _CLEAR
         if clear and not (self.noise.coarse_colours or picture.saturated.any()):
