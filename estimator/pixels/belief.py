@@ -117,7 +117,7 @@ class Belief:
 
 def distinct(beliefs: list[Belief]) -> list[Belief]:
     """The best explanation, and others that are different and nearly as good."""
-    if len(beliefs) == 1:  # a likelihood takes some milliseconds
+    if len(beliefs) < 2:  # a likelihood takes some milliseconds
         return beliefs
     best, *others = sorted(beliefs, key=lambda one: one.unlikelihood)
     kept = [best]

@@ -157,8 +157,10 @@ class FrameModel:
         light = self.light(frame, own)
         return float(light[cells].sum() / max(light.sum(), _DARKEST))
 
-    def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float]:
+    def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float] | None:
         """A frame with the gain and ambient light that suit its pose, and its cost.
+
+        None if the beam lights no cell that is usable.
 
         Where something hides the spot or casts a shadow on it, it is darker. So the gain is that of
         the brighter cells.
@@ -166,6 +168,8 @@ class FrameModel:
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
         irradiance = self.light(frame, own)
         lit = usable & (irradiance > 0.5 * irradiance.max(where=usable, initial=0.0))
+        if not lit.any():
+            return None
         dim = usable & (irradiance <= np.quantile(irradiance[usable], _DIM))
         gain = offset = 0.0
         for _ in range(2):

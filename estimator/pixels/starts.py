@@ -56,7 +56,8 @@ def scanned_starts(
         states: list[FrameState | None] = []
         for distance in _DISTANCES_MM:
             pose = solver.beam.pose(point - distance * axis, axis)
-            state, cost = (None, np.inf) if pose is None else model.scanned(frame_at(pose), own)
+            scanned = None if pose is None else model.scanned(frame_at(pose), own)
+            state, cost = (None, np.inf) if scanned is None else scanned
             if state is not None:
                 size = np.count_nonzero(model.lit(state, own)) * model.window.side**2 / spot_px2
                 cost += (np.log(max(size, _TINY)) / _SIZE[solver.beam.sharp]) ** 2
@@ -95,13 +96,14 @@ def mirrored_start(solver: Solver, frame: FrameState, own: np.ndarray) -> FrameS
         own: changes of the beam's own parameters.
 
     Returns:
-        The frame, or None if such a beam meets no wall.
+        The frame, or None if such a beam meets no wall that is seen.
     """
     pose = frame.pose
     normal = np.cross(pose.right, pose.down)
     axis = 2.0 * (pose.axis @ normal) * normal - pose.axis
     other = solver.beam.pose(pose.spot - pose.distance * axis, axis)
-    return None if other is None else solver.model.scanned(replace(frame, pose=other), own)[0]
+    scanned = None if other is None else solver.model.scanned(replace(frame, pose=other), own)
+    return None if scanned is None else scanned[0]
 
 
 def likely_directions(

@@ -177,8 +177,11 @@ class PoseTracker:
 
     def _followed(self, look: _Look, outline: Outline) -> tuple[RangeFlag, WallMemory]:
         """Explain a frame by the earlier ones: why that failed, if so, and what the wall did."""
-        self._follow(look, outline)
-        best = self._beliefs[0]
+        followed = self._follow(look, outline)
+        if not followed:
+            return RangeFlag.NOT_CONVERGED, WallMemory.DROPPED
+        self._beliefs = followed
+        best = followed[0]
         wall = WallMemory.MOVED if best.drifted_px > _DRIFTED_PX else WallMemory.KNOWN
         flag = flag_of(best, outline)
         if flag is RangeFlag.NONE and best.lost:
@@ -274,8 +277,8 @@ class PoseTracker:
         """What the reference says of the wall in a mixture of channels."""
         return None if self._reference is None else self._reference.seen_in(mix).known
 
-    def _follow(self, look: _Look, spot: Outline) -> None:
-        """Explain a frame together with earlier ones."""
+    def _follow(self, look: _Look, spot: Outline) -> list[Belief]:
+        """Explanations of a frame together with earlier ones."""
         picture, _, sweep, robot = look
         assert self._mix is not None and self._last is not None
         mix, last = self._mix, np.array([self._last.x_px, self._last.y_px])
@@ -296,6 +299,8 @@ class PoseTracker:
                 solver, kept = moved(solver, window, kept, own)
                 texture_map, _ = solver.known([line for _, line in kept])
             start = self._start(belief.newest, solver, cells(motion), point, own, sweep)
+            if start is None:
+                continue
             start = replace(
                 start,
                 grain=solver.grain(texture_map),
@@ -322,7 +327,7 @@ class PoseTracker:
                     shake_before_px=belief.shake_px,
                 )
             )
-        self._beliefs = distinct(followed)
+        return distinct(followed)
 
     def _start(
         self,
@@ -332,8 +337,11 @@ class PoseTracker:
         point: Float[np.ndarray, "3"],
         own: Float[np.ndarray, "q"],
         sweep: Sweep | None,
-    ) -> FrameState:
-        """The last pose where the spot is now, at the distance that suits its light."""
+    ) -> FrameState | None:
+        """The last pose where the spot is now, at the distance that suits its light.
+
+        None if it lights nothing there that is seen.
+        """
         prior = (last.log_ambient, _AMBIENT_STAYS)
         found = []
         for factor in _OTHER_DISTANCES:
@@ -344,8 +352,8 @@ class PoseTracker:
                     last, cells=cells, pose=pose, direction=None, ambient_prior=prior, sweep=sweep
                 )
                 found.append(solver.model.scanned(frame, own))
-        best, _ = min(found, key=lambda one: one[1])
-        return replace(best, log_ambient=last.log_ambient)
+        best = min(filter(None, found), key=lambda one: one[1], default=None)
+        return None if best is None else replace(best[0], log_ambient=last.log_ambient)
 
     def _kept(
         self, solver: Solver, solution: Solution, before: list[tuple[FrameState, Linear]]
