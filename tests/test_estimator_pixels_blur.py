@@ -11,12 +11,15 @@ from scipy.stats import norm
 from estimator.files import MicroscopeFile
 from estimator.pixels.beam import BeamLight
 from estimator.pixels.blur import blurred, blurred_with_growth
-from estimator.pixels.cells import COUNT, Window
+from estimator.pixels.cells import COUNT, CellLight, Window
+from estimator.pixels.frame_model import FrameModel
+from estimator.pixels.frame_state import FrameState
+from estimator.pixels.texture import Texture
 from estimator.pixels.wall_motion import STILL
 from optics.wall_light import Steps, UniformCone
 
 MIDDLE = COUNT // 2
-SCALE = 0.0067  # mm/px
+SCALE, CENTRE = 0.0067, np.full(2, 100.0)  # mm/px, px
 
 
 def _grid(values):
@@ -113,7 +116,7 @@ def _cone_beam(sharp):
         camera_matrix=None,
         distortion=np.zeros(0),
         scale_mm_px=SCALE,
-        principal_point_px=(0.0, 0.0),
+        principal_point_px=tuple(CENTRE),
         pinhole_height_mm=math.inf,
         eye_radius_mm=11.5,
     )
@@ -125,11 +128,24 @@ def _cone_beam(sharp):
     return beam, pose
 
 
+def test_a_beam_that_lights_nothing_of_the_window_suits_no_frame():
+    beam, pose = _cone_beam(sharp=True)
+    image, usable = np.full((1000, 200), 0.1), np.ones((1000, 200), bool)
+    frame = FrameState(
+        CellLight(image, usable, np.zeros_like), pose, 0.0, 0.0, None, ambient_prior=(-4.0, 3.0)
+    )
+    # The spot is some 50 px wide and near the centre; the second window is 500 px below it.
+    for below, lit in ((0.0, True), (500.0, False)):
+        window = Window.around(CENTRE + np.array([0.0, below]), 60.0)
+        model = FrameModel(beam, window, Texture.usual())
+        assert (model.scanned(frame, np.zeros(0)) is not None) == lit
+
+
 @pytest.mark.parametrize("blur_px2", [0.1, 0.2499, 0.2501, 0.5])
 def test_the_growth_with_a_narrow_blur_is_the_derivative(blur_px2):
     # A fit that is told another growth than the light has goes to and fro about its minimum.
     beam, pose = _cone_beam(sharp=True)
-    window, step = Window.around(np.zeros(2), 104.0), 1e-3
+    window, step = Window.around(CENTRE, 104.0), 1e-3
     below, here, above = (
         beam.irradiance(window, STILL, pose, np.zeros(0), blur_px2=blur_px2 + by)
         for by in (-step, 0.0, step)
@@ -144,7 +160,7 @@ def test_the_growth_with_a_narrow_blur_is_the_derivative(blur_px2):
 def test_light_that_is_steep_within_a_cell_is_blurred_where_it_is_steep(sharp):
     radius = 2.0  # px, of the disc that a focus 0.5 mm off makes at NA 0.05
     beam, pose = _cone_beam(sharp)
-    window = Window.around(np.zeros(2), 104.0)
+    window = Window.around(CENTRE, 104.0)
     lattice = beam.lattice(window, STILL)
     none = np.zeros(0)
     seen = beam.irradiance(window, STILL, pose, none, blur_px2=radius**2 / 4).value

@@ -33,6 +33,7 @@ _FLOOR = 5e-4
 rendered even walls the residuals have the variance of the photons within 5 %, also where that is
 1e-3 and less."""
 _DARKEST = 1e-6  # full wells
+_NO_LIGHT = 1e-6  # 1/mm², above what rounding leaves of none
 _HIDDEN = 16.0  # largest square of a cell's residual that counts for a start, in variances
 _BRIGHTEST = 100.0  # ambient light over that of the beam, 1/mm², from which a fit starts
 _OVER = 4.0  # light of a saturated spot over full scale, from which a fit starts
@@ -167,7 +168,7 @@ class FrameModel:
         """
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
         irradiance = self.light(frame, own)
-        lit = usable & (irradiance > 0.5 * irradiance.max(where=usable, initial=0.0))
+        lit = usable & (irradiance > 0.5 * irradiance.max(where=usable, initial=_NO_LIGHT))
         if not lit.any():
             return None
         dim = usable & (irradiance <= np.quantile(irradiance[usable], _DIM))
