@@ -208,7 +208,12 @@ class FrameModel:
         slope = np.hypot(*np.gradient(np.log(model).reshape(COUNT, COUNT))).ravel()
         # Light enters at the bright side of a cell, where the reflectance differs.
         aside = np.minimum(slope / 12.0, 0.5) * self.side_mm
-        variance += np.square(error) + _FLOOR**2 + 0.5 * self.texture.roughness * aside
+        # A first frame takes that for the wall. Later ones, whose light is elsewhere in the cells,
+        # differ from its map by it: at smooth parts by more than the variogram says, because one
+        # light is bright on one side of many cells.
+        first = frame.grain is None
+        apart = self.texture.variogram(aside) if first else self.texture.roughness * aside
+        variance += np.square(error) + _FLOOR**2 + 0.5 * apart
         # As many pixels as a side is long are cut by a sharp edge, if the cell is one between a
         # brighter and a darker one. Its light is wrong then, and all the more its logarithm.
         brighter = maximum_filter(model.reshape(COUNT, COUNT), 3).ravel()

@@ -62,17 +62,15 @@ class Texture:
         """Of the cells' means, for count x count cells of a side on the wall."""
         return np.tensordot(self.variances, _kernels(count, side_mm), axes=1)
 
-    def variogram(self, apart_mm: float) -> float:
+    def variogram(self, apart_mm: Float[np.ndarray, "*n"] | float) -> Float[np.ndarray, "*n"]:
         """Variance of the difference of two points that are some way apart."""
-        return float(2.0 * np.sum(self.variances * (1.0 - _alike(np.array(apart_mm)))))
+        unlike = 1.0 - _alike(np.asarray(apart_mm))
+        return np.asarray(2.0 * np.tensordot(self.variances, unlike, axes=1))
 
     @property
     def roughness(self) -> float:
-        """Slope of the variogram at 0, 1/mm: variance of the difference of two near points.
-
-        Only the grain has one.
-        """
-        return float(2.0 * self.variances[0] / LENGTHS_MM[0])
+        """Slope of the variogram at 0 if all parts were rough, 1/mm."""
+        return float(2.0 * np.sum(self.variances / np.array(LENGTHS_MM)))
 
     @property
     def variance(self) -> float:
