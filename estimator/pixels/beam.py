@@ -42,7 +42,7 @@ _SOFT = 0.13
 """Share of an error of cut pixels where an edge is two pixels wide, as that of a lens's light is at
 least: edges at random places and angles, sampled by a Bayer filter."""
 _LEAST_BLUR_PX2 = 0.25
-"""Below it the light changes as a parabola."""
+"""Below it the light of a sharp edge changes as a parabola, and that of a lens in proportion."""
 _MORE = 1.2  # of a blur, for its derivative
 _NO_BLUR_PX2 = 0.05  # below it a lens's light may as well spread from cell to cell, in less time
 _PARTS = 2
@@ -241,8 +241,9 @@ class BeamLight:
             all_, share = change(at_least), blur_px2 / at_least
             # A sharp edge loses less by a blur, the wider it is already.
             last = (change(_MORE * at_least) - all_) / (_MORE - 1.0) if self.sharp else all_
-            seen = value + share * (2.0 * all_ - last + share * (last - all_))
-            bend = (2.0 * all_ - last + 2.0 * share * (last - all_)) / at_least
+            straight, curved = 2.0 * all_ - last, last - all_
+            seen = value + share * (straight + share * curved)
+            bend = (straight + 2.0 * share * curved) / at_least
             tails = np.zeros_like(value)
         else:
             fine, parts = value, 1

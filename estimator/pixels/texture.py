@@ -7,8 +7,8 @@ each have their share.
 
 The grain is rough, with k = exp(-x). Vessels and shading are smooth in small, with the k of Matern
 of the order 3/2 (Stein 1999). With rough ones the small cells tell more of the large ones than they
-know: with all parts rough, a frame's light at its known pose is less likely by factors of 1e3 to
-1e10 on drawn retinas, 3 to 1e5 on prints and up to 300 on a photograph.
+know: with all parts rough, a frame's light at its known pose is less likely by factors of 1e6 to
+1e10 on drawn retinas, 3 to 2e5 on prints and up to 300 on a photograph.
 """
 
 from __future__ import annotations
