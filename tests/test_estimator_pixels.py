@@ -20,7 +20,6 @@ from estimator.image import NoSpot, Reason
 from estimator.pixels import PixelRanger
 from estimator.pixels.cells import COUNT, CellLight, Window, rolled
 from estimator.pixels.mix import _most_even
-from estimator.pixels.texture import LENGTHS_MM, Texture, texture_of
 from estimator.run import Options
 from estimator.sources import open_source
 from optics import InputError
@@ -142,60 +141,6 @@ def test_a_cell_that_the_cone_s_edge_cuts_has_the_mean_light_of_its_points():
         # Of 100 rows of points each is cut at a random place: 0.3 / sqrt(100) of a point's share,
         # 3e-4 of the step. Rows along the edge are cut alike, which is up to ten times as much.
         assert light[row, column] == pytest.approx(points.mean(), abs=3e-3 * light.max())
-
-
-def test_the_texture_of_a_drawn_wall_is_found():
-    rng = np.random.default_rng(3)
-    count, side = 20, 0.06
-    true = Texture(np.array([0.05, 0.10, 0.001]) ** 2)
-    field = np.linalg.cholesky(true.covariance(count, side) + 1e-12 * np.eye(count**2))
-    found = []
-    for _ in range(6):
-        noise = 0.005
-        residual = field @ rng.standard_normal(count**2) + noise * rng.standard_normal(count**2)
-        texture = texture_of(
-            residual,
-            np.full(count**2, noise**-2.0),
-            np.ones((1, count**2)),
-            count=count,
-            side_mm=side,
-        )
-        found.append(np.sum(texture.variances[:2]))
-    # 400 cells and lengths of 1.3 and 5 cells have some 60 independent parts: 18 % a wall. The
-    # third length takes what it cannot be told from.
-    assert np.mean(found) == pytest.approx(np.sum(true.variances[:2]), rel=0.35)
-    assert len(LENGTHS_MM) == 3
-
-
-@pytest.mark.parametrize(("part", "power"), [(0, 1), (1, 2), (2, 2)])
-def test_grain_is_rough_and_what_is_larger_is_smooth(part, power):
-    texture, near = Texture(np.eye(3)[part]), 1e-3 * LENGTHS_MM[part]
-    # Near 0, 2 (1 - exp(-x)) is 2 x, and 2 (1 - (1 + y) exp(-y)), y = sqrt(3) x, is 3 x^2; the next
-    # terms are 5e-4 and 1.2e-3 of these.
-    slope = 2.0 if power == 1 else 3.0
-    expected = slope * (near / LENGTHS_MM[part]) ** power
-    assert texture.variogram(near) == pytest.approx(expected, rel=2e-3)
-
-
-@pytest.mark.parametrize("contrast", [0.0, 0.001, 0.01, 0.1])
-def test_the_texture_is_as_large_as_the_wall_s_whether_it_is_even_or_not(contrast):
-    rng = np.random.default_rng(11)
-    count, side, noise = 20, 0.06, 0.002
-    true = Texture(np.square(contrast * np.array([0.5, 0.7, 0.5])))
-    field = np.linalg.cholesky(true.covariance(count, side) + 1e-12 * np.eye(count**2))
-    residual = field @ rng.standard_normal(count**2) + noise * rng.standard_normal(count**2)
-    found = texture_of(
-        residual,
-        np.full(count**2, noise**-2.0),
-        np.ones((1, count**2)),
-        count=count,
-        side_mm=side,
-    )
-    # Of 400 cells the noise's variance is known to sqrt(2 / 400), which a texture may hide in: a
-    # quarter of the noise. The longest part, as long as the window, may be twice too large.
-    hidden = noise**2 / 14
-    assert found.variance < 4 * (true.variance + hidden)
-    assert np.sum(found.variances[:2]) > np.sum(true.variances[:2]) / 2
 
 
 def test_the_mixture_of_channels_cancels_what_they_share():

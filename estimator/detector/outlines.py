@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimator.detector.ellipse import Ellipse
 from estimator.detector.regions import Region, regions_in
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tracking import TrackState, measure
@@ -50,10 +51,9 @@ def _outlines_on_reflections(frame: np.ndarray, settings: SubpixelSettings) -> l
     for region in regions_in(frame, Window.whole(frame), settings):
         fit = spot_on_reflection(region) if isinstance(region, Region) else None
         if fit is not None:
-            x, y = fit.ellipse.centre.tolist()
-            semi_major, semi_minor, angle = fit.ellipse.axes()
-            width = fit.levels.width * math.sqrt(semi_major * semi_minor)
-            found.append(Outline(x, y, semi_major, semi_minor, angle, width))
+            outline = _outline(fit.ellipse)
+            size = math.sqrt(outline.semi_major_px * outline.semi_minor_px)
+            found.append(outline._replace(edge_width_px=fit.levels.width * size))
     return found
 
 
@@ -64,8 +64,15 @@ def _bright_outlines(
     found = []
     for region in regions_in(frame, Window.whole(frame), settings):
         if isinstance(region, Region) and region.fills_its_ellipse() > Faint.FILLED:
-            x, y = region.ellipse.centre.tolist()
-            semi_major, semi_minor, angle = region.ellipse.axes()
-            if semi_minor > settings.min_semi_minor_px and semi_major < settings.max_semi_major_px:
-                found.append(Outline(x, y, semi_major, semi_minor, angle, measured=measured))
+            outline = _outline(region.ellipse)
+            if (
+                outline.semi_minor_px > settings.min_semi_minor_px
+                and outline.semi_major_px < settings.max_semi_major_px
+            ):
+                found.append(outline._replace(measured=measured))
     return found
+
+
+def _outline(ellipse: Ellipse) -> Outline:
+    x, y = ellipse.centre.tolist()
+    return Outline(x, y, *ellipse.axes())

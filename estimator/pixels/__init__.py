@@ -8,10 +8,13 @@ blur          A blur of the image, on the cells of a lattice
 cells         The light of a frame on a lattice of square cells
 drift         What a drift of the microscope would do to a pose
 edge_shift    What an error of the blur, or of a saturated spot's border, would do to a pose
+first_frame   Explains a frame by itself: its pose, and the texture of a wall that is not known yet
 frame_fit     Fits the newest frame: other light has little weight, and the wall may have moved
 frame_model   The model of one frame on the cells of a window
 frame_state   The states of a frame, its model on the cells of a window, and what is known before
 hidden        Pixels of a sharp spot that a tool hides, or on which its shadow lies
+later_frame   Explains a frame together with earlier ones, which have shown a part of its wall
+look          What is looked at: a frame, and what the robot says of it
 mix           The mixture of a camera's channels in which the wall is most even
 picture       The pixels of a frame: their light, and which of them show the wall
 ranger        Distances and poses, for a calibration and a microscope file

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.image import Outline
+from estimator.pixels.frame_model import lit
 from estimator.pixels.frame_state import FrameState, Linear
 from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
@@ -31,6 +32,7 @@ class Belief:
         solver: of the window and with the wall's texture.
         kept: frames that are fitted again with each new one.
         solution: of the newest frame and those that were kept then.
+        learnt_px2: `lit_px2` when the texture was learnt.
         surprise: mean square of the newest frame's cells less what all else says of them, in
             variances; see `frame_fit.Surprise`.
         lost: whether the newest frame shows another wall than the earlier ones or the reference.
@@ -41,6 +43,7 @@ class Belief:
     solver: Solver
     kept: list[tuple[FrameState, Linear]]
     solution: Solution
+    learnt_px2: float
     surprise: float = 1.0
     lost: bool = False
     step: WallMotion = STILL
@@ -87,8 +90,8 @@ class Belief:
     def outline(self) -> Outline:
         """The half-maximum ellipse of the newest frame's light, good to a part of a cell."""
         window = self.solver.window
-        lit = self.solver.model.lit(self.newest, self.solution.own)
-        places = window.centres().reshape(-1, 2)[lit]
+        light = self.solver.model.light(self.newest, self.solution.own)
+        places = window.centres().reshape(-1, 2)[lit(light)]
         middle = self.newest.cells.motion.image_px(places.mean(axis=0))
         # Half of an axis is twice the standard deviation along it.
         variances, axes = np.linalg.eigh(4.0 * np.cov(places.T))
@@ -113,6 +116,12 @@ class Belief:
         turned = mine.axis - its.axis
         change = np.array([mine.distance - its.distance, turned @ its.first, turned @ its.second])
         return bool((np.abs(change) > _SAME * other.sigmas[2:]).any())
+
+
+def lit_px2(solver: Solver, solution: Solution) -> float:
+    """Area of the window's wall that any frame of a solution lights."""
+    seen = [lit(solver.model.light(frame, solution.own)) for frame in solution.frames]
+    return float(np.count_nonzero(np.any(seen, axis=0))) * solver.window.side**2
 
 
 def distinct(beliefs: list[Belief]) -> list[Belief]:

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from estimator.pixels.beam import POSE
 from estimator.pixels.cells import COUNT
+from estimator.pixels.frame_model import lit
 from estimator.pixels.frame_state import BLUR
 from estimator.pixels.saturation import BLOOM_DOUBT_PX
 from estimator.pixels.solution import Solution
@@ -56,15 +57,14 @@ def edge_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 
 def _changes(solver: Solver, solution: Solution, k: int) -> Float[np.ndarray, "7 n"]:
     """How frame k's log light changes by each of these errors."""
     frame, by_blur = solution.frames[k], solution.linear[k].slopes[BLUR]
-    lit = solver.model.lit(frame, solution.own)
-    side = solver.window.side
-    radius = side * math.sqrt(np.count_nonzero(lit) / math.pi)
     light = solver.model.light(frame, solution.own)
+    side, spot = solver.window.side, lit(light)
+    radius = side * math.sqrt(np.count_nonzero(spot) / math.pi)
     light = np.exp(solver.model.log_light(frame, light))
     steep = np.hypot(*np.gradient(light.reshape(COUNT, COUNT), side)).ravel()
     shift = _SHARE * frame.blur_px2 / (2.0 * radius) + BLOOM_DOUBT_PX * frame.saturated
     x, y = solver.window.centres().reshape(-1, 2).T
-    angle = np.arctan2(y - y[lit].mean(), x - x[lit].mean())
+    angle = np.arctan2(y - y[spot].mean(), x - x[spot].mean())
     aside = frame.blur_px2 * _growth(solver.texture, radius, solver.beam.scale_mm_px)
     outwards = steep / light
     oval = np.stack([np.cos(2 * angle), np.sin(2 * angle)])

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from estimator.pixels.cells import COUNT, CellLight, Window, rolled
+from estimator.pixels.frame_model import share
 from estimator.pixels.frame_state import FrameState, Linear
 from estimator.pixels.registration import registered
 from estimator.pixels.solution import Solution
@@ -137,17 +138,22 @@ def moved(
     kept: list[tuple[FrameState, Linear]],
     own: Float[np.ndarray, "q"],
 ) -> tuple[Solver, list[tuple[FrameState, Linear]]]:
-    """The solver of another window, and kept frames with their models there.
+    """The solver of another window with its map, and kept frames with their models there.
 
     A frame is modelled anew only if it has some light in cells that are new.
     """
     old, solver = solver.window, solver.at(window)
     right, down = (window.left - old.left) // old.side, (window.top - old.top) // old.side
     if window.side != old.side:
-        return solver, modelled(solver, [state for state, _ in kept], own)
+        states = [state for state, _ in kept]
+        solver = solver.with_map_of(modelled(solver, states, own))
+        return solver, modelled(solver, states, own)
     new = rolled(np.ones(COUNT**2), right, down) == 0
     kept = [(state, line.after(right, down)) for state, line in kept]
-    lit = [k for k, (state, _) in enumerate(kept) if solver.model.share(state, own, new) > _SEEN]
+    solver = solver.with_map_of(kept)
+    lit = [
+        k for k, (state, _) in enumerate(kept) if share(solver.model.light(state, own), new) > _SEEN
+    ]
     for k, fresh in zip(lit, modelled(solver, [kept[k][0] for k in lit], own), strict=True):
         kept[k] = fresh
     return solver, kept
@@ -253,7 +259,7 @@ def fit_wherever(
     solution, surprise = robust_fit(solver, kept, frame, own)
     lost = False
     if surprise.unusual and surprise.square > _GROWN * usual:
-        alone, _ = robust_fit(solver, [], replace(frame, grain=None), own)
+        alone, _ = robust_fit(solver.with_map(None), [], frame, own)
         known, variance = solver.known([line for _, line in kept])
         step = registered(alone.linear[0], known, variance, solver.window)
         if step is not None:

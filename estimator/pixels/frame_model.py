@@ -49,10 +49,17 @@ class FrameModel:
         beam: the light of the beam.
         window: the cells.
         texture: of the wall.
+        grain: how the wall's map grows to the right and downwards, 1/px; None if there is no map.
     """
 
-    def __init__(self, beam: BeamLight, window: Window, texture: Texture) -> None:
-        self.beam, self.window, self.texture = beam, window, texture
+    def __init__(
+        self,
+        beam: BeamLight,
+        window: Window,
+        texture: Texture,
+        grain: Float[np.ndarray, "2 n"] | None = None,
+    ) -> None:
+        self.beam, self.window, self.texture, self.grain = beam, window, texture, grain
         self.lattice = functools.partial(beam.lattice, window)
         self.side_mm = window.side * beam.scale_mm_px
 
@@ -90,7 +97,7 @@ class FrameModel:
         weight = self._weight(frame, light, usable, model, error=error)
         deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
         light = np.maximum(light, np.maximum(deviation, _DARKEST))
-        grain = np.zeros((2, total.size)) if frame.grain is None else frame.grain
+        grain = np.zeros((2, total.size)) if self.grain is None else self.grain
         by_beam, by_ambient = of_beam / total, ambient * uncovered / total
         return Linear(
             residual=np.where(usable, np.log(light / model) + np.array(frame.shift) @ grain, 0.0),
@@ -143,21 +150,6 @@ class FrameModel:
         """Irradiance of the cells in a frame per unit power, 1/mm², without motion and blur."""
         return self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
 
-    def lit(self, frame: FrameState, own: np.ndarray) -> Bool[np.ndarray, "n"]:
-        """Cells in which a frame's light is above half of its maximum."""
-        light = self.light(frame, own)
-        return light > 0.5 * light.max()
-
-    def contrast(self, frame: FrameState, own: np.ndarray) -> float:
-        """The beam's light over the ambient light, where it is brightest."""
-        light = self.light(frame, own)
-        return float(light.max() / np.exp(frame.log_ambient))
-
-    def share(self, frame: FrameState, own: np.ndarray, cells: Bool[np.ndarray, "n"]) -> float:
-        """How much of the window's light is that of some cells, in a frame."""
-        light = self.light(frame, own)
-        return float(light[cells].sum() / max(light.sum(), _DARKEST))
-
     def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float] | None:
         """A frame with the gain and ambient light that suit its pose, and its cost.
 
@@ -208,12 +200,7 @@ class FrameModel:
         slope = np.hypot(*np.gradient(np.log(model).reshape(COUNT, COUNT))).ravel()
         # Light enters at the bright side of a cell, where the reflectance differs.
         aside = np.minimum(slope / 12.0, 0.5) * self.side_mm
-        # A first frame takes that for the wall. Later ones, whose light is elsewhere in the cells,
-        # differ from its map. With the variogram chi squared of a dome on a drawn retina was 90,
-        # with the slope of rough parts 20; why the variogram is too little is not known.
-        first = frame.grain is None
-        apart = self.texture.variogram(aside) if first else self.texture.roughness * aside
-        variance += np.square(error) + _FLOOR**2 + 0.5 * apart
+        variance += np.square(error) + _FLOOR**2 + 0.5 * self.texture.variogram(aside)
         # As many pixels as a side is long are cut by a sharp edge, if the cell is one between a
         # brighter and a darker one. Its light is wrong then, and all the more its logarithm.
         brighter = maximum_filter(model.reshape(COUNT, COUNT), 3).ravel()
@@ -222,3 +209,18 @@ class FrameModel:
         cut = CUT if frame.saturated else self.beam.cut
         variance += np.square(cut * step / level) / self.window.side**3
         return np.where(usable, 1.0 / variance, 0.0)
+
+
+def lit(light: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    """Cells in which a beam's light is above half of its maximum."""
+    return light > 0.5 * light.max()
+
+
+def contrast(light: Float[np.ndarray, "n"], frame: FrameState) -> float:
+    """A beam's light in a frame over the ambient light, where it is brightest."""
+    return float(light.max() / np.exp(frame.log_ambient))
+
+
+def share(light: Float[np.ndarray, "n"], cells: Bool[np.ndarray, "n"]) -> float:
+    """How much of a beam's light falls on some cells."""
+    return float(light[cells].sum() / max(light.sum(), _DARKEST))

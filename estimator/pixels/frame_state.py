@@ -73,9 +73,9 @@ class FrameState:
         shade: logarithm of the ambient light less that in the middle, in terms of `SHADES`.
         blur_px2: variance of the image's blur.
         kurtosis: its excess kurtosis.
-        grain: how the map that is known grows to the right and downwards, 1/px; None if no map is.
         shift: of the wall since `cells` were cut, px.
-        shift_sigma: its standard deviation before the frame was seen, px.
+        shift_sigma: its standard deviation before the frame was seen, px. The map begins with the
+            first frame, so that hardly any is its own.
     """
 
     cells: CellLight
@@ -89,9 +89,8 @@ class FrameState:
     shade: tuple[float, ...] = (0.0,) * len(SHADES)
     blur_px2: float = 0.0
     kurtosis: float = 0.0
-    grain: Float[np.ndarray, "2 n"] | None = None
     shift: tuple[float, float] = (0.0, 0.0)
-    shift_sigma: float = 1.0
+    shift_sigma: float = 1e-3
 
     @property
     def saturated(self) -> bool:

@@ -12,6 +12,7 @@ variance would forget that the errors of map and poses hang together, and drift.
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -57,6 +58,7 @@ class Solver:
         texture: of the wall.
         reference: what an image without the spot says of a window's cells: information, and its
             product with the best guess of their log reflectance; None without such an image.
+        grain: see `FrameModel`.
     """
 
     def __init__(
@@ -65,10 +67,11 @@ class Solver:
         window: Window,
         texture: Texture,
         reference: Callable[[Window], tuple[np.ndarray, np.ndarray]] | None = None,
+        grain: Float[np.ndarray, "2 n"] | None = None,
     ) -> None:
         self.beam, self.window, self.texture = beam, window, texture
         self._reference = reference
-        self.model = FrameModel(beam, window, texture)
+        self.model = FrameModel(beam, window, texture, grain)
         self._precision = _precision(texture, self.model.side_mm)
         self._pull = np.zeros(COUNT**2)
         if reference is not None:
@@ -79,15 +82,30 @@ class Solver:
         """The solver of another window on the same wall."""
         return Solver(self.beam, window, self.texture, self._reference)
 
+    def of_texture(self, texture: Texture) -> Solver:
+        """The solver of the same window for another texture."""
+        return Solver(self.beam, self.window, texture, self._reference, self.model.grain)
+
+    def with_map(self, texture_map: Float[np.ndarray, "n"] | None) -> Solver:
+        """This solver, whose models take the wall's grain from a map; from none, if it is None."""
+        grain = None
+        if texture_map is not None:
+            down, right = np.gradient(texture_map.reshape(COUNT, COUNT), self.window.side)
+            grain = np.stack([right.ravel(), down.ravel()])
+        # Not made anew, because that takes as long as a frame.
+        fresh = copy.copy(self)
+        fresh.model = FrameModel(self.beam, self.window, self.texture, grain)
+        return fresh
+
+    def with_map_of(self, kept: list[tuple[FrameState, Linear]]) -> Solver:
+        """The same with the map that frames show."""
+        lines = [line for _, line in kept]
+        return self.with_map(self._map(lines, self._factor(lines)))
+
     def known(self, lines: list[Linear]) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Log reflectance of the cells by frames, and its variance."""
         factor = self._factor(lines)
         return self._map(lines, factor), inverse_diagonal(factor)
-
-    def grain(self, texture_map: Float[np.ndarray, "n"]) -> Float[np.ndarray, "2 n"]:
-        """How a map of the cells grows to the right and downwards, 1/px."""
-        down, right = np.gradient(texture_map.reshape(COUNT, COUNT), self.window.side)
-        return np.stack([right.ravel(), down.ravel()])
 
     def solve(
         self,
@@ -120,26 +138,12 @@ class Solver:
         hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
         information = _Information(hessian)
         small = _ROUGH if frame.saturated else _SMALL
-
-        def step_within(damping: float) -> np.ndarray:
-            """The best step with an image that is not sharper than sharp, and a possible blur."""
-            step = information.solved(gradient, damping)
-            for at, state, least, most in (
-                (blur, frame.blur_px2, 0.0, np.inf),
-                (blur + 1, frame.kurtosis, LEAST_KURTOSIS, MOST_KURTOSIS),
-            ):
-                excess = state + step[at] - np.clip(state + step[at], least, most)
-                if excess:
-                    column = information.solved(np.eye(1, size, at)[0], damping)
-                    step -= column * (excess / column[at])
-            return step
-
         for _ in range(steps):
             # How far the minimum is, the step without damping says: one with it is always short.
-            step = step_within(0.0)
+            step = _step_within(information, gradient, frame, blur, 0.0)
             distance = float(np.sqrt(step @ hessian @ step / size))
             if distance >= _DONE:
-                step = step_within(damping)
+                step = _step_within(information, gradient, frame, blur, damping)
             moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
             if distance < _DONE and moved is not None:
                 # So near, the model is linear.
@@ -334,6 +338,22 @@ class _Information:
     def inverse(self) -> Float[np.ndarray, "s s"]:
         """The inverse."""
         return (self._ways / self._values) @ self._ways.T
+
+
+def _step_within(
+    information: _Information, gradient: np.ndarray, frame: FrameState, blur: int, damping: float
+) -> np.ndarray:
+    """The best step with a possible blur of a frame, whose variance has the number `blur`."""
+    step = information.solved(gradient, damping)
+    for at, state, least, most in (
+        (blur, frame.blur_px2, 0.0, np.inf),  # no image is sharper than sharp
+        (blur + 1, frame.kurtosis, LEAST_KURTOSIS, MOST_KURTOSIS),
+    ):
+        excess = state + step[at] - np.clip(state + step[at], least, most)
+        if excess:
+            column = information.solved(np.eye(1, step.size, at)[0], damping)
+            step -= column * (excess / column[at])
+    return step
 
 
 def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:

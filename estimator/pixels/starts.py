@@ -14,6 +14,7 @@ import numpy as np
 
 from estimator.image import Outline
 from estimator.pixels.beam import BeamLight, Pose
+from estimator.pixels.frame_model import lit
 from estimator.pixels.frame_state import Direction, FrameState
 from estimator.pixels.solver import Solver
 
@@ -59,7 +60,8 @@ def scanned_starts(
             scanned = None if pose is None else model.scanned(frame_at(pose), own)
             state, cost = (None, np.inf) if scanned is None else scanned
             if state is not None:
-                size = np.count_nonzero(model.lit(state, own)) * model.window.side**2 / spot_px2
+                cells = np.count_nonzero(lit(model.light(state, own)))
+                size = cells * model.window.side**2 / spot_px2
                 cost += (np.log(max(size, _TINY)) / _SIZE[solver.beam.sharp]) ** 2
             states.append(state)
             costs.append(cost)

@@ -1,7 +1,7 @@
 """The wall's texture as a Gaussian process on a lattice of cells.
 
 The logarithm of the reflectance has the covariance sum_j a_j k_j(h / l_j), h apart. The lengths l_j
-are fixed, a factor of three to four apart. The variances a_j follow from the first frames by
+are fixed, a factor of three to four apart. The variances a_j follow from the frames so far by
 restricted maximum likelihood (Patterson and Thompson 1971), so that grain, vessels and slow shading
 each have their share.
 
@@ -68,11 +68,6 @@ class Texture:
         return np.asarray(2.0 * np.tensordot(self.variances, unlike, axes=1))
 
     @property
-    def roughness(self) -> float:
-        """Slope of the variogram at 0 if all parts were rough, 1/mm."""
-        return float(2.0 * np.sum(self.variances / np.array(LENGTHS_MM)))
-
-    @property
     def variance(self) -> float:
         """Of a point's log reflectance."""
         return float(np.sum(self.variances))
@@ -86,7 +81,7 @@ def texture_of(
     count: int,
     side_mm: float,
 ) -> Texture:
-    """The texture that explains the residuals of a frame's cells.
+    """The texture that explains the residuals of cells.
 
     Args:
         residual: log light less its model, of count x count cells.

@@ -14,6 +14,7 @@ from estimator.pixels.belief import Belief
 from estimator.pixels.bend import bend_covariance
 from estimator.pixels.drift import drift_covariance
 from estimator.pixels.edge_shift import edge_covariance
+from estimator.pixels.frame_model import contrast, lit
 from estimator.pixels.saturation import halo
 
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
@@ -55,19 +56,20 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
     best, sharp = belief.solution, belief.solver.beam.sharp
     if belief.sigmas[2] > _VAGUE[sharp] * belief.newest.pose.distance:
         return RangeFlag.NOT_CONVERGED
-    lit = belief.solver.model.lit(best.frames[-1], best.own)
-    size = float(np.count_nonzero(lit)) * belief.solver.window.side**2
+    newest, window = belief.newest, belief.solver.window
+    by_beam = belief.solver.model.light(newest, best.own)
+    spot = lit(by_beam)
+    size = float(np.count_nonzero(spot)) * window.side**2
     seen = math.pi * outline.semi_major_px * outline.semi_minor_px
     most = _SIZE[sharp] if outline.measured else _BRIGHT_SIZE
     explained = best.chi_squared < _MISFIT and 1.0 / most < size / seen < most
     # A wider blur, or light that hardly shows, makes a spot of anything: of a wet wall's haze.
-    explained &= 4.0 * math.pi * best.frames[-1].blur_px2 < size
-    explained &= belief.solver.model.contrast(best.frames[-1], best.own) > _FAINTEST
-    light, usable = (part.ravel() for part in best.frames[-1].cells.means(belief.solver.window))
-    if best.frames[-1].saturated:
-        explained &= halo(light, lit) < _HALO
-    if len(best.frames) == 1:
-        explained &= bool(np.mean(usable[lit]) > _VISIBLE)
+    explained &= 4.0 * math.pi * newest.blur_px2 < size
+    explained &= contrast(by_beam, newest) > _FAINTEST
+    if newest.saturated or len(best.frames) == 1:
+        light, usable = (part.ravel() for part in newest.cells.means(window))
+        explained &= not newest.saturated or halo(light, spot) < _HALO
+        explained &= len(best.frames) > 1 or bool(np.mean(usable[spot]) > _VISIBLE)
     return RangeFlag.NONE if explained else RangeFlag.MISFIT
 
 
