@@ -26,8 +26,8 @@ def cone_stack(folder: Path, **tables):
     return render_stack(Scene.model_validate(scene | tables), folder)
 
 
-def calibration_in(folder: Path) -> Path:
-    """The calibration file of the cone that is rendered."""
+def calibration_in(folder: Path, *, sigma_b_mm: float = 1e-5) -> Path:
+    """The calibration file of the cone that is rendered, whose b has some stated error."""
     values = {"k": 20.0, "b": -5.117}
     path = folder / "cone.json"
     write_calibration(
@@ -35,7 +35,7 @@ def calibration_in(folder: Path) -> Path:
         Calibration(
             model="planar",
             values=values,
-            covariance=np.diag([1e-8, 1e-10]),
+            covariance=np.diag([1e-8, sigma_b_mm**2]),
             medium="air",
             medium_index=1.0,
             fitted_on="the cone that was rendered",
@@ -46,12 +46,12 @@ def calibration_in(folder: Path) -> Path:
     return path
 
 
-def reader_in(stack, folder: Path, **options):
+def reader_in(stack, folder: Path, *, sigma_b_mm: float = 1e-5, **options):
     """A reader of a stack in the mode pixels, with the true cone."""
     return Options.of(
         {
             "mode": "pixels",
-            "calibration": calibration_in(folder),
+            "calibration": calibration_in(folder, sigma_b_mm=sigma_b_mm),
             "microscope": stack.folder / "microscope.json",
             "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
             **options,

@@ -191,6 +191,11 @@ def test_the_model_of_a_moved_window_is_that_of_the_same_cells():
     assert not moved[:, :, -3:].any()
 
 
+@pytest.mark.parametrize("way", [(COUNT, 0), (-40, 3), (2, 31)])
+def test_a_window_that_has_moved_by_more_than_its_side_has_none_of_its_cells(way):
+    assert not rolled(np.ones(COUNT**2), *way).any()
+
+
 def _rendered(folder: Path, *, texture_seed: int):
     return cone_stack(folder, phantom={"wall": "printed paper", "texture_seed": texture_seed})
 

@@ -53,6 +53,21 @@ def test_a_shadow_over_more_than_half_of_the_contour_leaves_a_pose(tmp_path):
     assert max(chi_squared for _, chi_squared in found) < _MOST
 
 
+def test_a_tip_at_the_wall_has_a_pose_with_a_beam_that_is_known_less_well(tmp_path):
+    # The tool hides a third of the spot of a tip 0.15 mm off, and b is known to 0.028 mm.
+    stack = cone_stack(
+        tmp_path / "stack",
+        instrument={"visible": True},
+        spot={"incidence_deg": 30.0, "incidence_azimuth_deg": 90.0},
+        microscope={"width_px": 640, "height_px": 480},
+        motion={"start_mm": "contact", "travel_mm": 0.6, "frames": 4, "speed_mm_s": 0.1},
+    )
+    found = list(readings_of(stack, tmp_path, sigma_b_mm=0.028))
+    assert max(chi_squared for _, _, chi_squared in found) < _MOST
+    # The true b was told: what is left are the frame's own errors.
+    assert max(abs(distance) for _, distance, _ in found) < 0.028
+
+
 @pytest.mark.parametrize(("wall", "level"), [("printed paper", 0.12), ("retina", 0.18)])
 def test_a_saturated_spot_has_a_pose(tmp_path, wall, level):
     # Its edge is 0.3 to 0.5 px outside of the spot's: 40 um of distance, if that is not known.

@@ -135,6 +135,7 @@ class BeamLight:
         microscope: the camera and the wall.
         spread: turns independent numbers of variance 1 into errors of the beam's own parameters.
         sharp: whether the light ends at an edge.
+        apex_mm: how far behind the tip the light begins to widen.
         within_mm: least and largest distance at which the light is known.
     """
 
@@ -145,10 +146,11 @@ class BeamLight:
         spread: Float[np.ndarray, "p q"],
         *,
         sharp: bool,
+        apex_mm: float = 0.0,
         within_mm: tuple[float, float] = (0.0, math.inf),
     ) -> None:
         self.source, self.spread, self.sharp = source, spread, sharp
-        self.within_mm = within_mm
+        self.apex_mm, self.within_mm = apex_mm, within_mm
         cut = (microscope.noise or CameraNoise).cut
         self.cut = cut if sharp else _SOFT * cut
         self.lattice = functools.lru_cache(maxsize=_LATTICES)(self._lattice)

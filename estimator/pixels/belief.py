@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from estimator.image import Outline
 from estimator.pixels.frame_model import lit
-from estimator.pixels.frame_state import FrameState, Linear
+from estimator.pixels.frame_state import SHIFT, FrameState, Linear
 from estimator.pixels.solution import Solution
 from estimator.pixels.solver import Solver
 from estimator.pixels.wall_motion import STILL, WallMotion
@@ -21,6 +21,8 @@ _UNDECIDED = 16.0
 _SAME = 3.0  # standard deviations within which two poses are one
 _CALMS = 0.9  # of the shake that is expected, from frame to frame
 _MOVES_ON_PX = 4.0  # of the wall from frame to frame; a microscope shakes by one or two
+_DRIFTED_PX, _SURELY = 1.0, 3.0
+"""Least drift of the wall since the first frame that is worth a word: px, standard deviations."""
 _STAYS_PX = 0.1  # shift of a wall that keeps still; one that moved may move as far again
 
 
@@ -64,11 +66,21 @@ class Belief:
         """Standard deviations of the newest frame's pose."""
         return np.sqrt(np.diag(self.solution.newest_covariance))
 
+    @cached_property
+    def shift_variance_px2(self) -> float:
+        """Variance of the newest frame's shift, of both sides together."""
+        return float(np.trace(self.solution.newest_states(SHIFT)))
+
     @property
     def way_px(self) -> float:
-        """How far the wall has moved in the image since the frame before."""
+        """How far the wall has moved in the image since the frame before.
+
+        Less what errors of the shifts, of this frame and of that one, look like: a wall of which
+        little is seen would move on, and ever farther, by its errors.
+        """
         middle = self.newest.cells.motion.image_px(self.solver.window.middle_px)
-        return math.hypot(*(self.step.image_px(middle) - middle))
+        way = self.step.image_px(middle) - middle
+        return math.sqrt(max(float(way @ way) - 2.0 * self.shift_variance_px2, 0.0))
 
     @property
     def shake_px(self) -> float:
@@ -106,9 +118,10 @@ class Belief:
         return frame.cells.motion.image_px(middle) - middle
 
     @property
-    def drifted_px(self) -> float:
-        """Length of the newest frame's drift."""
-        return math.hypot(*self.drift(self.newest))
+    def drifted(self) -> bool:
+        """Whether the wall has moved since the map's begin, beyond what may be an error."""
+        way = math.hypot(*self.drift(self.newest))
+        return way > max(_DRIFTED_PX, _SURELY * math.sqrt(self.shift_variance_px2))
 
     def differs(self, other: Belief) -> bool:
         """Whether the newest pose is another one."""

@@ -106,6 +106,7 @@ def rolled(values: Float[np.ndarray, "*k n"], right: int, down: int) -> Float[np
     """Values of a window's cells after it has moved; 0 for new cells."""
     grids = values.reshape(*values.shape[:-1], COUNT, COUNT)
     rolled = np.zeros_like(grids)
+    right, down = (min(max(way, -COUNT), COUNT) for way in (right, down))
     (rows, old_rows), (columns, old_columns) = (
         (slice(max(-way, 0), COUNT - max(way, 0)), slice(max(way, 0), COUNT - max(-way, 0)))
         for way in (down, right)

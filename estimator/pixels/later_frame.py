@@ -32,7 +32,6 @@ is larger than the spot may as well be its light."""
 _ANEW = 3  # fits of a frame, if it moves the earlier ones far
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
-DRIFTED_PX = 1.0  # of the wall since the first frame, which is worth a word
 
 
 def explained_with(
@@ -73,7 +72,7 @@ def explained_with(
         start,
         shift_sigma=math.hypot(belief.shift_sigma_px, math.sqrt(2.0) * shake_px),
         # Where the microscope drifts, the eye frame moves against the robot.
-        robot=look.robot if belief.drifted_px < DRIFTED_PX else None,
+        robot=None if belief.drifted else look.robot,
     )
     found, surprise, lost, kept = _fitted(solver, kept, start, own, cells, belief.surprise)
     learnt_px2, seen_px2 = belief.learnt_px2, lit_px2(solver, found)

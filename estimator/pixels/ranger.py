@@ -82,6 +82,7 @@ class PixelRanger:
             view,
             spread,
             sharp=not lens,
+            apex_mm=0.0 if lens else -calibration.values["b"],
             within_mm=(_NEAREST_MM, _FARTHEST_MM) if lens else (0.0, math.inf),
         )
         beam.compile()

@@ -62,8 +62,23 @@ class Solution:
     @property
     def newest_covariance(self) -> Float[np.ndarray, "5 5"]:
         """Of the newest pose."""
+        return self.newest_states(slice(POSE))
+
+    @property
+    def shown_covariance(self) -> Float[np.ndarray, "5 5"]:
+        """The same as if the beam's own parameters were known: what the frames leave open."""
+        if not len(self.own):
+            return self.newest_covariance
+        at, own = OWN * (len(self.frames) - 1), len(self.own)
+        with_own = self.covariance[at : at + POSE, -own:]
+        slopes = np.linalg.solve(self.covariance[-own:, -own:], with_own.T)
+        return self.newest_covariance - with_own @ slopes
+
+    def newest_states(self, states: slice) -> Float[np.ndarray, "k k"]:
+        """Covariance of some of the newest frame's states."""
         at = OWN * (len(self.frames) - 1)
-        return self.covariance[at : at + POSE, at : at + POSE]
+        newest = self.covariance[at : at + OWN, at : at + OWN]
+        return newest[states, states]
 
     def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "15"]:
         """How the newest frame's states move if the log light of all frames' cells changes."""

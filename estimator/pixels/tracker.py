@@ -19,7 +19,7 @@ from estimator.pixels.belief import Belief, distinct
 from estimator.pixels.drift import shake_covariance
 from estimator.pixels.first_frame import explained_alone
 from estimator.pixels.frame_state import Direction
-from estimator.pixels.later_frame import DRIFTED_PX, explained_with
+from estimator.pixels.later_frame import explained_with
 from estimator.pixels.look import Look
 from estimator.pixels.mix import Mix
 from estimator.pixels.picture import Picture
@@ -134,7 +134,7 @@ class PoseTracker:
             return RangeFlag.NOT_CONVERGED, WallMemory.DROPPED
         self._beliefs = followed
         best = followed[0]
-        wall = WallMemory.MOVED if best.drifted_px > DRIFTED_PX else WallMemory.KNOWN
+        wall = WallMemory.MOVED if best.drifted else WallMemory.KNOWN
         flag = flag_of(best, outline)
         if flag is RangeFlag.NONE and best.lost:
             flag = RangeFlag.MISFIT  # of the wall that was learnt

@@ -31,10 +31,11 @@ _HALO = 1.06
 """Light beside a saturated spot over that farther away, from which it is a lamp's reflection: that
 of spots on drawn walls was 0.97 to 1.03, that of lamps 1.1 to 1.6."""
 _FAINTEST = 0.03  # least light of the beam over the ambient one, where it is brightest
-_VAGUE = (0.5, 0.05)
-"""Standard deviation of a distance over it, above which too little is known of it, for light
-without and with a sharp edge. The edge of a spot of which little is seen belongs to a bent line of
-poses; with 0.05 their bend is a tenth of a pixel, with 0.1 poses were far beyond their errors."""
+_VAGUE = (0.5, 0.02)
+"""Standard deviation of a distance over that from where the light widens, above which a frame shows
+too little of it, for light without and with a sharp edge; what is not known of the beam does not
+count. The edge of a spot of which little is seen belongs to a bent line of poses; with 0.02 their
+bend is a tenth of a pixel, with twice that poses were far beyond their errors."""
 _PLACE_PX, _ALONG_MM, _SWEPT = 0.004, 0.0001, 0.003
 """Errors of the spot's place and of the distance by the image model, and of the place by the way of
 the light during the exposure, over that way. Of rendered frames of known pose: on even walls the
@@ -54,7 +55,8 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
     if not nearest < belief.newest.pose.distance < farthest:
         return RangeFlag.OUT_OF_RANGE
     best, sharp = belief.solution, belief.solver.beam.sharp
-    if belief.sigmas[2] > _VAGUE[sharp] * belief.newest.pose.distance:
+    widened = belief.newest.pose.distance + belief.solver.beam.apex_mm
+    if math.sqrt(best.shown_covariance[2, 2]) > _VAGUE[sharp] * widened:
         return RangeFlag.NOT_CONVERGED
     newest, window = belief.newest, belief.solver.window
     by_beam = belief.solver.model.light(newest, best.own)
