@@ -1,5 +1,7 @@
 """The mode pixels: what it learns of a wall's texture from one frame, and from several."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.linalg import cho_factor
@@ -9,24 +11,27 @@ from estimator.pixels.frame_state import Linear
 from estimator.pixels.solution import Solution
 from estimator.pixels.texture import LENGTHS_MM, Texture, texture_of
 
+_SIDE_MM = 0.06
+
+
+def _root(texture, count):
+    """A matrix that turns independent numbers of variance 1 into a wall of count x count cells."""
+    return np.linalg.cholesky(texture.covariance(count, _SIDE_MM) + 1e-12 * np.eye(count**2))
+
+
+def _found_in_even_light(root, rng, *, noise):
+    """The texture that is found in a drawn wall, if the fit knows nothing but the gain."""
+    n = len(root)
+    residual = root @ rng.standard_normal(n) + noise * rng.standard_normal(n)
+    weight = np.full(n, noise**-2.0)
+    return texture_of(residual, weight, np.ones((1, n)), count=math.isqrt(n), side_mm=_SIDE_MM)
+
 
 def test_the_texture_of_a_drawn_wall_is_found():
     rng = np.random.default_rng(3)
-    count, side = 20, 0.06
     true = Texture(np.array([0.05, 0.10, 0.001]) ** 2)
-    field = np.linalg.cholesky(true.covariance(count, side) + 1e-12 * np.eye(count**2))
-    found = []
-    for _ in range(6):
-        noise = 0.005
-        residual = field @ rng.standard_normal(count**2) + noise * rng.standard_normal(count**2)
-        texture = texture_of(
-            residual,
-            np.full(count**2, noise**-2.0),
-            np.ones((1, count**2)),
-            count=count,
-            side_mm=side,
-        )
-        found.append(np.sum(texture.variances[:2]))
+    root = _root(true, 20)
+    found = [np.sum(_found_in_even_light(root, rng, noise=0.005).variances[:2]) for _ in range(6)]
     # 400 cells and lengths of 1.3 and 5 cells have some 60 independent parts: 18 % a wall. The
     # third length takes what it cannot be told from.
     assert np.mean(found) == pytest.approx(np.sum(true.variances[:2]), rel=0.35)
@@ -46,17 +51,9 @@ def test_grain_is_rough_and_what_is_larger_is_smooth(part, power):
 @pytest.mark.parametrize("contrast", [0.0, 0.001, 0.01, 0.1])
 def test_the_texture_is_as_large_as_the_wall_s_whether_it_is_even_or_not(contrast):
     rng = np.random.default_rng(11)
-    count, side, noise = 20, 0.06, 0.002
+    noise = 0.002
     true = Texture(np.square(contrast * np.array([0.5, 0.7, 0.5])))
-    field = np.linalg.cholesky(true.covariance(count, side) + 1e-12 * np.eye(count**2))
-    residual = field @ rng.standard_normal(count**2) + noise * rng.standard_normal(count**2)
-    found = texture_of(
-        residual,
-        np.full(count**2, noise**-2.0),
-        np.ones((1, count**2)),
-        count=count,
-        side_mm=side,
-    )
+    found = _found_in_even_light(_root(true, 20), rng, noise=noise)
     # Of 400 cells the noise's variance is known to sqrt(2 / 400), which a texture may hide in: a
     # quarter of the noise. The longest part, as long as the window, may be twice too large.
     hidden = noise**2 / 14
@@ -64,9 +61,9 @@ def test_the_texture_is_as_large_as_the_wall_s_whether_it_is_even_or_not(contras
     assert np.sum(found.variances[:2]) > np.sum(true.variances[:2]) / 2
 
 
-def _seen(wall, rng, *, middle, side_mm):
+def _seen(wall, rng, *, middle):
     """A wall in a bell of light that the fit knows nothing of but the bell's kind."""
-    place = COUNT * side_mm / 2 * SHADES[:2] - np.array(middle)[:, None]
+    place = COUNT * _SIDE_MM / 2 * SHADES[:2] - np.array(middle)[:, None]
     x, y = place / 0.4
     square = x**2 + y**2
     light = np.exp(-square) + 0.02
@@ -80,24 +77,19 @@ def _seen(wall, rng, *, middle, side_mm):
 
 
 def test_frames_in_different_light_show_a_texture_that_one_frame_hides_in_its_light():
-    rng, side_mm = np.random.default_rng(8), 0.06
+    rng = np.random.default_rng(8)
     true = Texture(np.array([0.02, 0.06, 0.08]) ** 2)
-    field = np.linalg.cholesky(true.covariance(COUNT, side_mm) + 1e-12 * np.eye(COUNT**2))
+    root = _root(true, COUNT)
     one: list[float] = []
     both: list[float] = []
     for _ in range(5):
-        wall = field @ rng.standard_normal(COUNT**2)
-        frames = [
-            _seen(wall, rng, middle=middle, side_mm=side_mm) for middle in ((0, 0), (0.3, 0.2))
-        ]
+        wall = root @ rng.standard_normal(COUNT**2)
+        frames = [_seen(wall, rng, middle=middle) for middle in ((0, 0), (0.3, 0.2))]
         for found, lines in ((one, frames[:1]), (both, frames)):
             total = Solution(
                 [], lines, np.zeros(0), np.eye(1), 0.0, wall, cho_factor(np.eye(1)), True
             )
-            line = total.together
-            texture = texture_of(
-                line.residual, line.weight, line.slopes, count=COUNT, side_mm=side_mm
-            )
+            texture = texture_of(*total.together, count=COUNT, side_mm=_SIDE_MM)
             found.append(abs(np.log(texture.variances[-1] / true.variances[-1])))
     # Of the longest part a window shows one wave or two, so that one wall may be far off.
     assert np.median(both) < 0.7 * np.median(one)

@@ -122,7 +122,4 @@ def explained_alone(
 
 def learnt_texture(solver: Solver, solution: Solution) -> Texture:
     """The texture that all frames of a solution show. Takes a second or two."""
-    line = solution.together
-    return texture_of(
-        line.residual, line.weight, line.slopes, count=COUNT, side_mm=solver.model.side_mm
-    )
+    return texture_of(*solution.together, count=COUNT, side_mm=solver.model.side_mm)

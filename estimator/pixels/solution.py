@@ -44,20 +44,19 @@ class Solution:
         return float(total / max(sum(np.count_nonzero(line.weight) for line in self.linear), 1))
 
     @property
-    def together(self) -> Linear:
-        """What all frames say of the cells' reflectance, as if it was one frame of many states.
+    def together(
+        self,
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "p n"]]:
+        """What all frames say of the wall, as if it was one frame of many states.
 
-        How they differ from each other says nothing of the reflectance.
+        Residual, weight and derivatives, as `texture_of` takes them. How the frames differ from
+        each other says nothing of the reflectance.
         """
         weight = np.sum([line.weight for line in self.linear], axis=0)
         shares = [line.weight / np.where(weight > 0, weight, 1.0) for line in self.linear]
         parts = list(zip(shares, self.linear, strict=True))
-        return Linear(
-            residual=np.sum([share * line.residual for share, line in parts], axis=0),
-            slopes=np.concatenate([share * line.slopes for share, line in parts]),
-            shared=np.sum([share * line.shared for share, line in parts], axis=0),
-            weight=weight,
-        )
+        residual = np.sum([share * line.residual for share, line in parts], axis=0)
+        return residual, weight, np.concatenate([share * line.slopes for share, line in parts])
 
     @property
     def newest_covariance(self) -> Float[np.ndarray, "5 5"]:

@@ -68,10 +68,11 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
     # A wider blur, or light that hardly shows, makes a spot of anything: of a wet wall's haze.
     explained &= 4.0 * math.pi * newest.blur_px2 < size
     explained &= contrast(by_beam, newest) > _FAINTEST
-    if newest.saturated or len(best.frames) == 1:
-        light, usable = (part.ravel() for part in newest.cells.means(window))
-        explained &= not newest.saturated or halo(light, spot) < _HALO
-        explained &= len(best.frames) > 1 or bool(np.mean(usable[spot]) > _VISIBLE)
+    light, usable = (part.ravel() for part in newest.cells.means(window))
+    if newest.saturated:
+        explained &= halo(light, spot) < _HALO
+    if len(best.frames) == 1:
+        explained &= bool(np.mean(usable[spot]) > _VISIBLE)
     return RangeFlag.NONE if explained else RangeFlag.MISFIT
 
 
