@@ -23,6 +23,7 @@ def test_a_flank_of_a_single_grey_pixel_hides_its_edge(radius, grey):
         variance=0.0,
         background=0.0,
         background_radius=1.5,
+        scatter=1.0,
         width=0.011,
         half_radius=1.0,
     )

@@ -145,12 +145,13 @@ def test_views_and_negative_values_are_measured() -> None:
 
 _LENIENT = SubpixelSettings(min_semi_minor_px=3, min_contrast=0.05)
 _WIDE_OPEN = SubpixelSettings(
-    response=Response(curve="srgb"),
+    response=Response(curve="srgb", full_scale=65535),
     min_semi_minor_px=3,
     min_contrast=0.3,
     min_coverage=0.1,
     max_axis_ratio=20,
 )
+_GAMMA = Response(curve="gamma", full_scale=65535)
 _ALL_BRIGHT = LiteralSettings(threshold=60, order="threshold_first", min_component_px=0)
 
 
@@ -168,7 +169,7 @@ def _settings_for(
         _LENIENT,
         _WIDE_OPEN,
         replace(_LENIENT, camera=camera),
-        replace(_LENIENT, reference=np.roll(frame, 40, 0), response=Response(curve="gamma")),
+        replace(_LENIENT, reference=np.roll(frame, 40, 0), response=_GAMMA),
         LiteralSettings(),
         _ALL_BRIGHT,
     )
@@ -223,9 +224,9 @@ def test_a_speck_below_the_pixel_grid_is_no_contour_turned_inside_out(seed: int)
 
 def test_what_is_darker_than_its_surroundings_has_no_half_level() -> None:
     """Its edge width would be negative; roots and logarithms of it are taken later."""
-    levels = Levels(100.0, (1.0, 0.0, 0.0), 0.0, 20.0, 1.5, 0.3, 1.0)
-    assert levels.before(101.0, 2.0) is None
-    brighter = levels.before(99.0, 2.0)
+    levels = Levels(100.0, (1.0, 0.0, 0.0), 0.0, 20.0, 1.5, 2.0, 0.3, 1.0)
+    assert levels.before(101.0, 2.0, 2.0) is None
+    brighter = levels.before(99.0, 2.0, 2.0)
     assert brighter is not None
     assert brighter.amplitude > 0
 

@@ -14,10 +14,11 @@ import cv2
 import numpy as np
 
 from estimator.detector.band import Band, Refined
+from estimator.detector.censored import hidden_bell
 from estimator.detector.ellipse import Ellipse, robust_step
 from estimator.detector.levels import RADII, Levels
 from estimator.detector.tuning import RAYS, Broad, Refine, Saturated
-from estimator.detector.unwrap import DESIGN, Patch, ring_variance
+from estimator.detector.unwrap import DESIGN, Patch, octaves_middle, red_share, ring_variance
 from estimator.image import NoSpot, Reason
 
 
@@ -36,8 +37,12 @@ def refine_broad(
         The refined ellipse, or why there is none.
     """
     levels = _with_sloping_top(levels, patch, ellipse, inliers)
+    half, half_variance = None, 0.0
     if levels.peak > Saturated.READABLE * patch.ceiling:
-        return NoSpot(Reason.SATURATED)
+        hidden = hidden_bell(patch, ellipse, inliers, levels)
+        if hidden is None:
+            return NoSpot(Reason.SATURATED)
+        levels, half, half_variance = hidden
     reach = min(Broad.FLANK * levels.width, Broad.WIDEST)
     band = Band.along(patch, ellipse, inliers, reach)
     if band is None:
@@ -58,17 +63,23 @@ def refine_broad(
         tolerance=Broad.FORGIVEN * levels.width,
         limit=max(levels.width, Refine.FURTHEST),
     )
-    crossing = band.half_crossing(levels.half, reach)
-    if fitted is None or crossing is None or np.abs(fitted[0]).max() > Refine.LARGEST_STEP:
+    if half is None:
+        half = band.half_crossing(levels.half, reach)
+    if fitted is None or half is None or np.abs(fitted[0]).max() > Refine.LARGEST_STEP:
         return NoSpot(Reason.NONE_FOUND)
-    # The wall under the top differs from the wall under the contour by texture of the longest
-    # waves, which the contour shows only as far as they are not the light's own slope.
-    texture = ring_variance(np.where(found, gain - 1, 0.0), slice(2, 5)) / RAYS
-    variance = levels.variance + Broad.TOP_OVER_CONTOUR * texture
-    levels = replace(levels, width=band.width(levels), variance=variance)
+    levels = replace(levels, width=band.width(levels))
+    if half_variance == 0:
+        # The wall under the top differs from the wall under the contour by texture of the longest
+        # waves, which the contour shows only as far as they are not the light's own slope.
+        light = np.where(found, gain - 1, 0.0)
+        share, steepness = red_share(light, Broad.TOP_WAVES)
+        growth = Broad.TOP_OVER_CONTOUR * octaves_middle(Broad.TOP_WAVES) ** steepness
+        texture = share * growth * ring_variance(light, Broad.TOP_WAVES) / RAYS
+        variance = levels.variance + texture + Broad.PEAK_ERROR**2
+        levels = replace(levels, variance=variance)
     shaded = np.zeros(RAYS, bool)  # a shadow's rim looks like a broad flank
     return band.refined(
-        levels, offsets, found, fitted, half=crossing, half_variance=0.0, shaded=shaded
+        levels, offsets, found, fitted, half=half, half_variance=half_variance, shaded=shaded
     )
 
 
@@ -104,9 +115,8 @@ def _with_sloping_top(
     gram = weighted.T @ basis
     gram.flat[:: len(gram) + 1] += 1e-6
     _, solution = cv2.solve(gram, weighted.T @ inner[seen].astype(float)[:, None])
-    profile = (
-        np.stack([radii**k for k in range(Broad.POWERS)], axis=1) @ solution[: Broad.POWERS, 0]
-    )
+    powers = np.vander(radii, Broad.POWERS, increasing=True)
+    profile = powers @ solution[: Broad.POWERS, 0]
     tilt = solution[Broad.POWERS :, 0]
     left = np.where(seen, inner - profile - (across @ tilt)[:, None] * radii, 0.0)
     lever = float((area * radii).sum() / RAYS)

@@ -1,4 +1,4 @@
-"""The edge of a saturated spot, from the part of its flank that is below full scale."""
+"""The half maximum of a saturated spot, from the part of its flank that is below full scale."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def hidden_edge(
     Returns:
         None if the flank below full scale does not contain half of the peak, or is no blurred step.
     """
-    x, mean, number = _pixel_profile(patch, ellipse, inliers, reach)
+    bins = max(int(2 * reach * ellipse.axes()[1] / Saturated.BIN_PX), Saturated.FEWEST_BINS)
+    x, mean, number = _pixel_profile(patch, ellipse, inliers, reach, bins)
     bright = np.flatnonzero(mean > Saturated.READABLE * patch.ceiling)
     first = int(bright[-1]) + 1 if bright.size else 0
     x, y = x[first:], (mean[first:] - levels.background) / patch.ceiling
@@ -95,8 +96,64 @@ def _flank(
     return fitted, covariance, math.sqrt(square / float(root @ root))
 
 
+def hidden_bell(
+    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
+) -> tuple[Levels, float, float] | None:
+    """As `hidden_edge`, of a bell whose top is at full scale.
+
+    The flank is fitted with background + peak * (1 + (2^(1/m) - 1) t^p)^-m, where t is the radius
+    over that of the half maximum: Gaussian for p = 2 and large m (Moffat 1969 has p = 2). Power and
+    tail are free within what bells have, so that the error of the radius contains that of the
+    shape.
+    """
+    from scipy.optimize import least_squares
+
+    x, y, number = _pixel_profile(
+        patch, ellipse, inliers, Saturated.BELL_REACH, Saturated.BELL_BINS
+    )
+    bright = np.flatnonzero(y > Saturated.READABLE * patch.ceiling)
+    first = int(bright[-1]) + 1 if bright.size else 0
+    t, y, root = (
+        1 + x[first:],
+        (y[first:] - levels.background) / patch.ceiling,
+        np.sqrt(number[first:]),
+    )
+    if t.size < Saturated.FEWEST_BINS:
+        return None
+    root /= root.mean()
+
+    def residuals(at: np.ndarray, error: float) -> np.ndarray:
+        height, radius, power, tail = at
+        lift = np.expm1(np.log(2) * tail) / tail
+        falling = np.log1p(tail * lift * (t / np.exp(radius)) ** np.exp(power)) / tail
+        prior = (power - math.log(2)) / Saturated.POWER, tail / Saturated.TAIL
+        return np.append((y - np.exp(height - falling)) * root / error, prior)
+
+    fitted, error = np.array([0.1, 0.0, math.log(2), 0.1]), Saturated.MISFIT
+    for _ in range(2):
+        found = least_squares(
+            residuals,
+            fitted,
+            bounds=([-2, -1, math.log(Saturated.CUSP), 1e-3], [2, 1, math.log(8), 1]),
+            args=(error,),
+        )
+        fitted, left = found.x, found.fun[:-2] * error
+        error = max(math.sqrt(float(left @ left) / (t.size - 4)), 1e-6)
+    covariance = np.linalg.pinv(found.jac.T @ found.jac)
+    radius, variance = math.exp(fitted[1]), float(covariance[1, 1])
+    peak = levels.background + patch.ceiling * math.exp(fitted[0])
+    height, _, power, tail = fitted.tolist()
+    # Where the bell reaches full scale, over the radius of its half maximum.
+    full = max(math.expm1(height * tail) / math.expm1(math.log(2) * tail), 0.0) ** math.exp(-power)
+    hidden = full**2
+    cusp = power < math.log(Saturated.CUSP) + 1e-3
+    if cusp or hidden > Saturated.MOST_HIDDEN or error > Saturated.BELL_MISFIT:
+        return None
+    return replace(levels, peak=peak, variance=0.0), radius - 1, radius**2 * variance
+
+
 def _pixel_profile(
-    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, reach: float
+    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, reach: float, bins: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Radius offsets of bins along the edge, their mean signal, and their number of pixels."""
     height, width = patch.signal.shape
@@ -109,7 +166,6 @@ def _pixel_profile(
     band = np.abs(offset) < reach
     ray = np.rint(np.arctan2(sin[band], cos[band]) * (RAYS / (2 * math.pi))).astype(int) % RAYS
     offset, signal = offset[band][inliers[ray]], patch.signal[band][inliers[ray]]
-    bins = max(int(2 * reach * ellipse.axes()[1] / Saturated.BIN_PX), Saturated.FEWEST_BINS)
     index = np.minimum(((offset + reach) * (bins / (2 * reach))).astype(int), bins - 1)
     number = np.bincount(index, minlength=bins)
     sums = np.bincount(index, offset, bins), np.bincount(index, signal, bins)

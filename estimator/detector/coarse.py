@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -54,12 +54,18 @@ class Candidate:
         peak: typical signal of the region.
         background: typical signal of the rest of the window.
         mask: of the region's pixels in the coarse window.
+        lobed: whether it is one of several like regions of soft light, as of a beam with lobes.
     """
 
     ellipse: Ellipse
     peak: float
     background: float
     mask: np.ndarray
+    lobed: bool = False
+
+    def is_below(self, contrast: float) -> bool:
+        """Whether it exceeds the background by less than that times the background."""
+        return self.peak - self.background < contrast * self.background
 
     def relevelled(self, coarse: Coarse) -> Candidate:
         """The same region with its mean levels in another channel."""
@@ -87,7 +93,8 @@ def bright_regions(
 
     Args:
         coarse: the window.
-        min_contrast: least (peak - background) / background.
+        min_contrast: (peak - background) / background that texture does not reach. A region of less
+            must exceed the scatter of the dark part.
         min_area: least area of a region, px^2.
         solid: whether rings and halos are left out.
     """
@@ -97,14 +104,17 @@ def bright_regions(
         below = np.cumsum(count)
         split = _otsu_level(count, below)
         dark, pixels = int(below[split]), int(below[-1])
-        background, peak = np.searchsorted(below, [dark / 2, (dark + pixels) / 2]).tolist()
-        if peak - background < max(min_contrast * background, Search.FAINTEST_STEP):
+        low, background, high = np.searchsorted(below, np.array([0.16, 0.5, 0.84]) * dark).tolist()
+        peak, top = np.searchsorted(below, dark + np.array([0.5, 0.96]) * (pixels - dark)).tolist()
+        least = min(min_contrast * background, Search.SIGNIFICANT * max(high - low, 1) / 2)
+        if peak - background < max(least, Search.FAINTEST_STEP):
             return
         if 2 * dark < pixels:
             # The dark part is a shaft in front of a bright wall: the wall is the background.
             smooth = np.maximum(smooth, np.uint8(peak))
             continue
-        mask = (smooth > (peak + background) // 2).view(np.uint8)
+        half = (peak + background) // 2
+        mask = (smooth > half).view(np.uint8)
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         # A contour runs through pixel centres; half its length is the area outside them.
         areas = [cv2.contourArea(c) + len(c) / 2 + 1 for c in contours]
@@ -115,17 +125,20 @@ def bright_regions(
             region = np.zeros_like(mask)
             cv2.drawContours(region, contours, largest, 1, cv2.FILLED)
             inside = (region & mask).view(bool)
-            bright = coarse.levels > (peak + background) // 2
+            soft = peak - background < Search.PLATEAU * (top - background)
+            lobed = soft and _are_lobes(contours, areas, cv2.subtract(smooth, half))
+            bright = coarse.levels > half
             hollow = solid and _is_hollow(region.view(bool), inside, bright)
             pieces = [
                 c
                 for c, area in zip(contours, areas, strict=True)
                 if area > Search.SMALLEST_PIECE * areas[largest]
             ]
-            together = [np.concatenate(pieces)] if len(pieces) > 1 else []
+            together = [np.concatenate(pieces)] if len(pieces) > 1 and not lobed else []
             ellipses = [_hull_ellipse(points, coarse) for points in [*together, contours[largest]]]
+            levels = peak * coarse.unit, background * coarse.unit
             yield [
-                Candidate(ellipse, peak * coarse.unit, background * coarse.unit, inside)
+                Candidate(ellipse, *levels, inside, lobed)
                 for ellipse in ellipses
                 if ellipse is not None and not hollow
             ]
@@ -133,6 +146,33 @@ def bright_regions(
         smooth = smooth.copy()
         cv2.drawContours(smooth, painted, -1, background, cv2.FILLED)
         cv2.drawContours(smooth, painted, -1, background, 3)
+
+
+def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.ndarray) -> bool:
+    """Whether the two largest pieces of light are alike and convex, and each has its own middle.
+
+    The halves of a spot that something dark severs are brightest towards each other.
+
+    Args:
+        contours: of the pieces.
+        areas: of the pieces.
+        light: (h, w) uint8, 0 outside the pieces.
+    """
+    order = sorted(range(len(areas)), key=areas.__getitem__)[-2:]
+    if len(order) < 2 or areas[order[0]] < Search.LOBE * areas[order[1]]:
+        return False
+    middles, brightest = [], []
+    for piece in order:
+        hull = cv2.contourArea(cv2.convexHull(contours[piece]))
+        if cv2.contourArea(contours[piece]) < Search.CONVEX * hull:
+            return False
+        mask = np.zeros_like(light)
+        cv2.drawContours(mask, contours, piece, 1, cv2.FILLED)
+        for found, image in ((middles, mask), (brightest, mask * light)):
+            moments = cv2.moments(image)
+            found.append(np.array([moments["m10"], moments["m01"]]) / max(moments["m00"], 1))
+    apart, closer = (math.dist(*places) for places in (middles, brightest))
+    return apart - closer < Search.TOWARDS * math.sqrt(areas[order[1]])
 
 
 def _is_hollow(outline: np.ndarray, inside: np.ndarray, bright: np.ndarray) -> bool:

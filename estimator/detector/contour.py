@@ -46,10 +46,10 @@ def patch_round(region: Region, ellipse: Ellipse, width: float = 0.0) -> Patch:
     window = Window.around(x, y, Capture.REACH * half_width, Capture.REACH * half_height, frame)
     values, full_scale = window.of(frame), region.full_scale
     light = meter.light(values, window, region.channel, full_scale)
-    ceiling = math.inf
-    if region.saturated[region.channel] > 0:
-        ceiling = meter.ceiling(window, region.channel, full_scale)
-    patch = Patch(light, window.x0, window.y0, ceiling=ceiling)
+    ceiling, clipped = math.inf, region.saturated[region.channel]
+    if clipped > 0:
+        ceiling = meter.ceiling(window, region.channel, region.clips, full_scale)
+    patch = Patch(light, window.x0, window.y0, ceiling=ceiling, clipped=clipped)
     if width > Refine.BROAD and _colours_show_texture(region):
         return without_texture(patch, meter.response.light(values, full_scale), ellipse)
     return patch

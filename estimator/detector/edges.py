@@ -21,8 +21,8 @@ from estimator.detector.levels import (
     slope_of_surroundings,
 )
 from estimator.detector.sharp import refine_sharp
-from estimator.detector.tuning import Broad, Capture, ErrorGrowth, Refine
-from estimator.detector.unwrap import DESIGN, Patch, ring_variance, ring_variances
+from estimator.detector.tuning import Broad, Capture, ErrorGrowth, Refine, Saturated
+from estimator.detector.unwrap import DESIGN, Patch, octaves_middle, red_share, ring_variance
 from estimator.image import NoSpot, Reason
 
 _NEARNESS = (1 / (Capture.NEARNESS + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
@@ -117,15 +117,19 @@ def _refined(
     patch: Patch, coarse: Coarse, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
 ) -> EdgeFit | NoSpot:
     refined = _refined_once(patch, ellipse, inliers, levels)
-    for _ in range(Refine.REPEATS - 1):
+    for left in reversed(range(Refine.REPEATS)):
         if isinstance(refined, NoSpot) or _settled(refined, inliers, levels):
+            break
+        if left == 0:  # fringes make it swing
+            unsettled = refined.size_variance + refined.move**2 / 2
+            refined = replace(refined, size_variance=unsettled)
             break
         now = _with_background_in_view(refined, coarse)
         if now is None:
             return NoSpot(Reason.NONE_FOUND)
         inliers, levels = refined.bright, now
         refined = _refined_once(patch, refined.ellipse, inliers, levels)
-    return refined if isinstance(refined, NoSpot) else _finished(refined, coarse)
+    return refined if isinstance(refined, NoSpot) else _finished(refined, patch, coarse)
 
 
 def _refined_once(
@@ -154,11 +158,8 @@ def _with_background_in_view(refined: Refined, coarse: Coarse) -> Levels | None:
     levels = refined.levels
     if levels.sees_background:
         return levels
-    background, radius = background_of(coarse, refined.ellipse, levels.width) or (
-        levels.background,
-        levels.background_radius,
-    )
-    return levels.before(background, radius)
+    found = background_of(coarse, refined.ellipse, levels.width)
+    return levels.before(*(found or (levels.background, levels.background_radius, levels.scatter)))
 
 
 def _capture(
@@ -201,7 +202,7 @@ def _crossings(profiles: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarr
     return RADII[0] - 1 + RADIUS_STEP * (nearest + share), found
 
 
-def _finished(refined: Refined, coarse: Coarse) -> EdgeFit:
+def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
     levels = refined.levels
     rows = DESIGN[refined.inliers]
     errors = np.where(refined.inliers, refined.offsets, 0.0)
@@ -215,10 +216,11 @@ def _finished(refined: Refined, coarse: Coarse) -> EdgeFit:
     variance = ring_variance(errors, harmonics) / share * freedom / (freedom - 2)
     step_covariance = variance * cv2.invert(rows.T @ rows)[1]
     texture = refined.band.texture
-    centre_variance = refined.centre_variance
+    size_variance, centre_variance = refined.size_variance, refined.centre_variance
     if broad:
-        steepness = _steepness(errors)
-        first, second = (1 + texture * (g - 1) for g in _growth(steepness, np.array([1.0, 2.0])))
+        share, steepness = red_share(errors, harmonics)
+        grown = [(octaves_middle(harmonics) / wave) ** steepness for wave in (1.0, 2.0)]
+        first, second = (1 + share * texture * (g - 1) for g in grown)
         longer = _longer_waves(size=first, centre=first, shape=second)
         centre_variance = _centre_variance_of_slope(coarse, refined.ellipse, levels)
     else:
@@ -228,8 +230,10 @@ def _finished(refined: Refined, coarse: Coarse) -> EdgeFit:
             centre=1 + ErrorGrowth.CENTRE * rise,
             shape=1 + ErrorGrowth.SHAPE * rise,
         )
+        # A clipped plateau may be a dome: its half level is higher than the rim tells.
+        size_variance += math.pi / 2 * (levels.width * Saturated.DOME) ** 2 * patch.clipped
     step_covariance = longer @ step_covariance @ longer
-    step_covariance[2:4, 2:4] += refined.size_variance
+    step_covariance[2:4, 2:4] += size_variance
     step_covariance[[0, 1], [0, 1]] += centre_variance
     scatter = math.sqrt(float(errors @ errors) / len(rows))
     clean = broad or scatter < Refine.CLEAN * levels.width
@@ -258,29 +262,6 @@ def _centre_variance_of_slope(coarse: Coarse, ellipse: Ellipse, levels: Levels) 
         return 0.0
     shift = math.pi / 2 * levels.width**2 * float(slope @ slope)
     return Broad.SLOPE_OVER_SURROUNDINGS * shift
-
-
-def _steepness(errors: np.ndarray) -> float:
-    """Power of the wavelength with which the variance of errors round the ring rises.
-
-    So few waves leave it open by half a power, as much as walls differ. So it is the mean of the
-    frame's and of the walls'.
-    """
-    long, short = ring_variances(errors, Refine.LONG_WAVES_BROAD, Refine.NEXT_WAVES_BROAD)
-    ratio = _middle(Refine.NEXT_WAVES_BROAD) / _middle(Refine.LONG_WAVES_BROAD)
-    seen = math.log(max(long, 1e-30) / max(short, 1e-30)) / math.log(ratio)
-    return (min(max(seen, 0.0), ErrorGrowth.STEEPEST) + ErrorGrowth.STEEPNESS) / 2
-
-
-def _growth(steepness: float, waves: np.ndarray) -> list[float]:
-    """Variance of long waves over that of `Refine.LONG_WAVES_BROAD`."""
-    growth: list[float] = ((_middle(Refine.LONG_WAVES_BROAD) / waves) ** steepness).tolist()
-    return growth
-
-
-def _middle(harmonics: slice) -> float:
-    """Geometric mean of the harmonics."""
-    return float(np.exp(np.log(np.arange(harmonics.start, harmonics.stop)).mean()))
 
 
 def _longer_waves(*, size: float, centre: float, shape: float) -> np.ndarray:

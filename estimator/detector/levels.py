@@ -35,6 +35,7 @@ class Levels:
         variance: of the peak, relative, due to texture.
         background: signal around the spot.
         background_radius: where it was taken, units of the radius.
+        scatter: standard deviation of the signal there; infinite if it is out of view.
         width: of the edge in units of the radius (see `Spot.edge_width_px`).
         half_radius: where the mean profile falls to the half level, units of the radius.
     """
@@ -44,6 +45,7 @@ class Levels:
     variance: float
     background: float
     background_radius: float
+    scatter: float
     width: float
     half_radius: float
 
@@ -67,7 +69,7 @@ class Levels:
         """A bell's light that may remain where the background was taken, over its amplitude."""
         return _tail(self.width, self.background_radius)
 
-    def before(self, background: float, radius: float) -> Levels | None:
+    def before(self, background: float, radius: float, scatter: float) -> Levels | None:
         """The levels with a background taken there, less half of a bell's light that may remain.
 
         None if the background is as bright as the peak, as in `levels_of`: there is no half level,
@@ -76,7 +78,7 @@ class Levels:
         if not self.peak > background:
             return None
         background = _without_tail(background, self.peak, self.width, radius)
-        return replace(self, background=background, background_radius=radius)
+        return replace(self, background=background, background_radius=radius, scatter=scatter)
 
     def in_units_of(self, radius: float) -> Levels:
         """The same levels in units of an ellipse that is so many times as large."""
@@ -117,7 +119,11 @@ def levels_of(
     width = height / (math.sqrt(2 * math.pi) * steepest) if steepest > 0 else math.inf
     if not 0 < width <= HalfLevel.WIDEST:
         return None  # in another channel, what was bright may be dark
-    background, radius = background_of(coarse, ellipse, width) or (candidate.background, 1.0)
+    background, radius, scatter = background_of(coarse, ellipse, width) or (
+        candidate.background,
+        1.0,
+        math.inf,
+    )
     dark = (candidate.peak + candidate.background) / 2
     glaring = 2 * candidate.peak
     if 2 * np.count_nonzero(profiles[:, :16] > glaring) > profiles[:, :16].size:
@@ -127,7 +133,7 @@ def levels_of(
         return None
     half_radius = _falling_through(mean, (peak + background) / 2)
     background = _without_tail(background, peak, width, radius)
-    return Levels(peak, dome, variance, background, radius, width, half_radius)
+    return Levels(peak, dome, variance, background, radius, scatter, width, half_radius)
 
 
 def _falling_through(mean: np.ndarray, level: float) -> float:
@@ -140,8 +146,10 @@ def _falling_through(mean: np.ndarray, level: float) -> float:
     return float(RADII[last] + RADIUS_STEP * share)
 
 
-def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float, float] | None:
-    """Median signal on rings outside an edge of that width, and the radius where they begin.
+def background_of(
+    coarse: Coarse, ellipse: Ellipse, width: float
+) -> tuple[float, float, float] | None:
+    """Signal on rings outside an edge of that width: its median, where they begin, its scatter.
 
     If the window does not contain the rings, nearer ones are used; None if it contains none.
     """
@@ -152,7 +160,9 @@ def background_of(coarse: Coarse, ellipse: Ellipse, width: float) -> tuple[float
         if not levels.contains(ellipse.scaled(radius + HalfLevel.RINGS[-1])):
             ring = ring[~np.isnan(ring)]
         if ring.size > RAYS // 2:
-            return float(np.partition(ring, ring.size // 2)[ring.size // 2]) * coarse.unit, radius
+            low, middle, high = np.quantile(ring, [0.16, 0.5, 0.84]).tolist()
+            scatter = max((high - low) / 2, 0.5)  # 8 bits are rounded
+            return middle * coarse.unit, radius, scatter * coarse.unit
         radius = 1 + HalfLevel.NEARER * (radius - 1)
     return None
 

@@ -142,7 +142,7 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
     path = moving.path
     # Variance of the path's length, times its square.
     doubt = path @ covariance[5:7, 5:7] @ path
-    if (path @ path) ** 2 <= Motion.SURE**2 * doubt:
+    if (path @ path) ** 2 <= Motion.SURE**2 * doubt or _rests(signal, model, fit, u, v):
         return fit
     return replace(
         fit,
@@ -183,6 +183,23 @@ def _path(patch: Patch, fit: EdgeFit) -> np.ndarray | None:
     if not (beside.size and ahead.size) or np.median(beside) > Motion.SHARP * fit.ellipse.axes()[1]:
         return None
     return min(float(np.median(ahead)), fit.ellipse.axes()[1]) * towards
+
+
+def _rests(
+    signal: np.ndarray, moving: np.ndarray, fit: EdgeFit, u: np.ndarray, v: np.ndarray
+) -> bool:
+    """Whether a spot at rest, of any profile, explains the light better than a moving one does.
+
+    Fringes make a bell's edge uneven, too.
+    """
+    inverse, (x, y) = np.linalg.inv(fit.ellipse.shape), fit.ellipse.centre
+    cos, sin = (row[0] * (u - x) + row[1] * (v - y) for row in inverse)
+    radius = np.hypot(cos, sin)
+    near = radius < RADII[-1]
+    ring = np.rint(radius[near] / RADIUS_STEP).astype(int)
+    light = signal[near]
+    profile = np.bincount(ring, light) / np.maximum(np.bincount(ring), 1)
+    return bool(np.square(light - profile[ring]).sum() < np.square(light - moving[near]).sum())
 
 
 def _passed(values: np.ndarray) -> np.ndarray:

@@ -28,16 +28,22 @@ class Region:
         settings: with which it was found.
         coarse: the window in which it was found, in the channel in which it is to be measured.
         channel: 0, 1, 2 or GREY.
-        saturated: fraction of its pixels at full scale by channel, see `channel_for`.
+        full_scale: of the frame.
+        clips: value at which each channel is clipped, see `channel_for`.
+        saturated: fraction of its pixels that are clipped by channel, see `channel_for`.
         candidates: at least one ellipse of which it may be a part.
+        faint: whether it is no brighter than a wall's texture may make it.
     """
 
     frame: np.ndarray
     settings: SubpixelSettings
     coarse: Coarse
     channel: int
+    full_scale: float
+    clips: tuple[float, ...]
     saturated: tuple[float, ...]
     candidates: list[Candidate]
+    faint: bool
 
     @property
     def area_px(self) -> float:
@@ -48,11 +54,6 @@ class Region:
     def ellipse(self) -> Ellipse:
         """The ellipse round the region, good to a few px."""
         return self.candidates[0].ellipse
-
-    @property
-    def full_scale(self) -> float:
-        """Value at which the frame's pixels saturate."""
-        return self.settings.response.full_scale_of(self.frame)
 
     def fills_its_ellipse(self) -> float:
         """Fraction of the ellipse round the region that the region takes up."""
@@ -83,12 +84,12 @@ def regions_in(
             yield NoSpot(Reason.TOO_SMALL)
         elif candidates:
             mask = candidates[0].mask.view(np.uint8)
-            channel, saturated = channel_for(values, mask, full_scale)
-            coarse = grey
+            channel, *ends = channel_for(frame, window, settings.stride, mask, full_scale)
+            coarse, faint = grey, candidates[0].is_below(settings.min_contrast)
             if channel != GREY:
                 coarse = coarse_window(values, window, channel, settings, full_scale)
                 candidates = [candidate.relevelled(coarse) for candidate in candidates]
-            yield Region(frame, settings, coarse, channel, saturated, candidates)
+            yield Region(frame, settings, coarse, channel, full_scale, *ends, candidates, faint)
 
 
 def region_at(
@@ -122,14 +123,16 @@ def region_at(
     filled = moments["m00"] * stride**2 / (math.pi * semi_major * semi_minor)
     if abs(filled - 1) > Search.LIKE_LAST:
         return None
-    best_channel, saturated = channel_for(values, mask, full_scale)
+    best_channel, *ends = channel_for(frame, window, stride, mask, full_scale)
     if best_channel != channel:
         return None
     if abs(filled - 1) < Search.UNHIDDEN:
         centroid = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
         ellipse = Ellipse((window.x0, window.y0) + stride * centroid, ellipse.shape)
     candidate = Candidate(ellipse, 0.0, 0.0, mask.view(bool))
-    return Region(frame, settings, coarse, channel, saturated, [candidate.relevelled(coarse)])
+    candidate = candidate.relevelled(coarse)
+    faint = candidate.is_below(settings.min_contrast)
+    return Region(frame, settings, coarse, channel, full_scale, *ends, [candidate], faint)
 
 
 def coarse_window(

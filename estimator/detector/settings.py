@@ -38,7 +38,8 @@ class SubpixelSettings:
         max_semi_major_px: larger spots are `too_large`.
         max_axis_ratio: largest ratio of semi-major to semi-minor axis of a spot (2: a beam at 60
             degrees).
-        min_contrast: least (peak - background) / background; must exceed that of texture alone.
+        min_contrast: (peak - background) / background that a wall's texture does not reach; spots
+            of less must exceed the scatter round them by `tuning.Verdict.FAINTEST`.
         min_coverage: fraction of the contour below which a spot is `occluded` or `clipped`.
         max_jump_px: furthest move between frames; a spot further away must be seen twice.
         max_growth: largest ratio of the semi-minor axes of two frames, either way.

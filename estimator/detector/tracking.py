@@ -13,7 +13,13 @@ from estimator.detector.literal import LiteralSettings, measure_literal
 from estimator.detector.regions import Region, region_at, regions_in
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tuning import Verdict
-from estimator.detector.verdict import Sighting, continues, is_part_of, one_of, sighting_in
+from estimator.detector.verdict import (
+    Sighting,
+    continues,
+    is_part_of,
+    one_of,
+    sighting_in,
+)
 from estimator.image import NoSpot, Reason, Spot, Window, checked_frame
 from optics import InputError
 
@@ -130,7 +136,7 @@ def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> S
         reach += settings.max_jump_px
         half = max(half, reach)
     for region in regions_in(frame, Window.around(*state.at_px, half, half, frame), settings):
-        if isinstance(region, NoSpot):
+        if isinstance(region, NoSpot) or region.faint:  # a window may show the spot alone
             continue
         if last is not None and not _in_reach(region, state.at_px, settings):
             continue
@@ -153,6 +159,8 @@ def _anywhere(frame: np.ndarray, settings: SubpixelSettings) -> Sighting | NoSpo
     for region in regions_in(frame, Window.whole(frame), settings):
         if isinstance(region, NoSpot):
             failures.append(region)
+        elif region.candidates[0].lobed and not region.faint:
+            return NoSpot(Reason.AMBIGUOUS)
         elif not any(is_part_of(region, sighting) for sighting in seen):
             sighting = sighting_in(region)
             if isinstance(sighting, NoSpot):

@@ -56,9 +56,25 @@ class Search:
     """1/255 of the window's maximum | least difference of peak and background that is not noise |
     set by hand
     """
+    SIGNIFICANT = 6.0
+    """- | step over the scatter of the darker part of a window from which it is looked at | set by
+    hand: half of the darker part is a bell's own flank where it fills the window
+    """
     DARKEST = 1e-12
     """any unit | signal that counts as none | derived: squares of the signal, and of 1e-6 of it,
     are float32 numbers, as they are of the brightest signal, 1e12
+    """
+    PLATEAU = 0.8
+    """- | median of a region over its brightest part, from which it is a plateau | set by hand
+    between bells (0.7) and discs on textured walls
+    """
+    LOBE = 0.5
+    """- | area of a beam's second lobe over the first's | set by hand: as `Verdict.RIVAL`"""
+    CONVEX = 0.85
+    """- | area of a lobe over its convex hull's | set by hand between lobes (0.95) and crescents"""
+    TOWARDS = 0.12
+    """root of the area | by which two pieces' brightest places are closer together than their
+    middles if they are halves of one bell | derived: 0.27, and 0 of lobes
     """
     SMALLEST_PIECE = 0.1
     """- | area of a part of a divided spot, over its largest part's | set by hand"""
@@ -101,7 +117,9 @@ class Channel:
     by hand for retinas, where red shows vessels least
     """
     FAINTEST = 0.1
-    """full scale | least brightness of a channel that may replace grey | set by hand"""
+    """brightest channel | least brightness of a channel that may replace grey | set by hand"""
+    MOST_PX = 40_000
+    """px | larger regions are subsampled for the search of a flat top | set by hand: 0.3 ms"""
 
 
 class Capture:
@@ -292,12 +310,18 @@ class Broad:
     """- | coefficients of the polynomial in the radius through a top | set by hand for light of
     glue lenses
     """
+    PEAK_ERROR = 0.003
+    """peak | error of the polynomial through a top without noise | fitted to bells exp(-t^p) with p
+    from 1.7 to 3, and to Moffat's: 0.1 to 0.7 %
+    """
     SLOPE_OVER_SURROUNDINGS = 1.5
     """- | variance of the wall's slope under a spot, in any direction, over the squared slope of
     its surroundings | fitted to bells on a fundus photograph
     """
-    TOP_OVER_CONTOUR = 36.0
-    """- | variance of the texture under the top over that of the contour's longest waves | fitted
+    TOP_WAVES = slice(2, 5)
+    """harmonics round the contour | longest waves that are not the light's own slope | derived"""
+    TOP_OVER_CONTOUR = 5.4
+    """- | variance of the texture under the top over that of the contour's first wave | fitted
     to bells on printed retinas, a fundus photograph and texture of spectrum 1/f
     """
 
@@ -313,8 +337,8 @@ class ErrorGrowth:
     """- | power of the wavelength with which broad flanks' errors rise, of a typical wall | fitted
     to printed retinas and to texture of spectrum 1/f, to half a power
     """
-    STEEPEST = 4.0
-    """- | largest such power that is believed of a frame | set by hand"""
+    STEEPEST = 2.8
+    """- | largest such power of a wall's texture | derived: two deviations of half a power"""
     RISE = 25.0
     """1 / radii | rise with the edge width, sharp edges | fitted to printed retinas, to a factor of
     two
@@ -342,6 +366,28 @@ class Saturated:
     MISFIT = 0.01
     """full scale | deviation of the flank from a blurred step's | set by hand between discs (0.001)
     and lamps with a halo (0.02)
+    """
+    DOME = 0.06
+    """peak | standard deviation of what a clipped plateau has above its rim | set by hand: domes of
+    20 % look like plateaus
+    """
+    BELL_REACH = 1.0
+    """radii | profile of a bell on either side of the half level | derived: from its centre to
+    where a Gaussian has 6 % of its peak left
+    """
+    BELL_BINS = 32
+    """- | bins of that profile | set by hand: texture in neighbouring bins is hardly correlated"""
+    BELL_MISFIT = 0.03
+    """full scale | deviation of the flank from a bell's | set by hand"""
+    CUSP = 1.4
+    """- | least power of a bell | set by hand: the glow round a lamp has 1"""
+    POWER = 0.2
+    """- | standard deviation of the logarithm of a bell's power about a Gaussian's | set by hand"""
+    TAIL = 0.3
+    """- | the same of the inverse of its tail's power | set by hand: light of glue lenses"""
+    MOST_HIDDEN = 1 / 3
+    """- | area at full scale over that of the half maximum, from which the peak is a guess |
+    derived: the half level of a Gaussian is at 0.63 of full scale
     """
     BIN_PX = 0.25
     """px | bins of the profile of pixels | set by hand: less than the pixel grid resolves"""
@@ -483,6 +529,10 @@ class Reflection:
 class Verdict:
     """Spot or not (`verdict`)."""
 
+    FAINTEST = 8.0
+    """standard deviations of the background | peak of the faintest spot, if texture could reach it
+    | set by hand between spots on even walls and optic discs (5)
+    """
     ROUGHEST = 0.05
     """radii | scatter of the sharp edges of an ellipse | set by hand for spotless frames"""
     COARSEST = 0.17

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from estimator.detector.ellipse import Ellipse, offset_design
-from estimator.detector.tuning import RAYS
+from estimator.detector.tuning import RAYS, ErrorGrowth, Refine
 
 _ANGLES = 2 * np.pi * np.arange(RAYS) / RAYS
 _COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
@@ -30,7 +30,8 @@ class Patch:
         x0: column of the frame under the first pixel, px.
         y0: row of the frame under the first pixel, px.
         stride: px of the frame per pixel.
-        ceiling: signal at full scale.
+        ceiling: signal at which pixels are clipped; infinite if none is.
+        clipped: fraction of the spot's pixels that are.
     """
 
     signal: np.ndarray
@@ -38,6 +39,7 @@ class Patch:
     y0: float
     stride: float = 1.0
     ceiling: float = math.inf
+    clipped: float = 0.0
 
     def unwrapped(self, ellipse: Ellipse, radii: np.ndarray, every: int = 1) -> np.ndarray:
         """Bilinear samples on the ellipse's rays, (RAYS / every, radii); NaN outside the patch.
@@ -102,6 +104,33 @@ def ring_variances(values: np.ndarray, *harmonics: slice) -> list[float]:
     """`ring_variance` of several ranges of harmonics."""
     parts = [values @ _waves(some.start, some.stop) for some in harmonics]
     return [float(part @ part) * 2 / part.size for part in parts]
+
+
+def red_share(values: np.ndarray, long: slice) -> tuple[float, float]:
+    """How far the long waves of values round the ring are a wall's texture, and its steepness.
+
+    The variance of texture rises with a power of the wavelength, of fringes and noise it does not.
+    What rises more steeply than texture is the shape of a beam that is no ellipse.
+
+    Args:
+        values: (RAYS,).
+        long: harmonics.
+
+    Returns:
+        The share of texture in the variance of the long waves; and the power, which so few waves
+        leave open by half a power, as much as walls differ: the mean of the frame's and the walls'.
+    """
+    longer, shorter = ring_variances(values, long, Refine.NEXT_WAVES_BROAD)
+    ratio = math.log(octaves_middle(Refine.NEXT_WAVES_BROAD) / octaves_middle(long))
+    seen = math.log(max(longer, 1e-30) / max(shorter, 1e-30)) / ratio
+    share = math.exp(min(0.0, ErrorGrowth.STEEPEST - seen) * ratio)
+    steepness = (min(max(seen, 0.0), ErrorGrowth.STEEPEST) + ErrorGrowth.STEEPNESS) / 2
+    return share, steepness
+
+
+def octaves_middle(harmonics: slice) -> float:
+    """Geometric mean of the harmonics."""
+    return float(np.exp(np.log(np.arange(harmonics.start, harmonics.stop)).mean()))
 
 
 @cache

@@ -45,6 +45,8 @@ class Sighting(NamedTuple):
 def sighting_in(region: Region) -> Sighting | NoSpot:
     """The spot that a region shows, or why it shows none."""
     found = _judged(region)
+    if not found and region.faint and found.reason is not Reason.TOO_FAINT:
+        return _NOTHING  # what a wall's texture looks like
     if isinstance(found, NoSpot) and found.reason is Reason.NONE_FOUND:
         return NoSpot(Reason.OCCLUDED) if region.fills_its_ellipse() < Verdict.FILLED else found
     return found
@@ -100,12 +102,19 @@ def one_of(seen: list[Sighting], failures: list[NoSpot]) -> Sighting | NoSpot:
 
 
 def is_part_of(region: Region, sighting: Sighting) -> bool:
-    """Whether a region is too small for a rival of a spot, or its halo or a severed part of it."""
+    """Whether a region is too small for a rival of a spot, or its halo or a severed part of it.
+
+    Another lobe of the same beam is a rival: it lies beside the spot and is about as bright.
+    """
     spot = sighting.spot
     x, y = region.ellipse.centre.tolist()
     distance = math.hypot(x - spot.x_px, y - spot.y_px)
-    near = distance < Verdict.NEAR_SPOT * spot.semi_major_px
-    return near or region.area_px < Verdict.RIVAL / 2 * sighting.area_px
+    if region.area_px < Verdict.RIVAL / 2 * sighting.area_px:
+        return True
+    levels = sighting.fit.levels
+    bright = region.candidates[0].peak > levels.half and region.channel == sighting.channel
+    reach = 1.0 if bright else Verdict.NEAR_SPOT
+    return distance < reach * spot.semi_major_px
 
 
 _NOTHING = NoSpot(Reason.NONE_FOUND)
@@ -113,6 +122,7 @@ _NEARNESS = (
     Reason.NONE_FOUND,
     Reason.TOO_SMALL,
     Reason.TOO_LARGE,
+    Reason.TOO_FAINT,
     Reason.CLIPPED,
     Reason.OCCLUDED,
     Reason.SATURATED,
@@ -149,8 +159,6 @@ def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
         return NoSpot(Reason.NONE_FOUND)
     if semi_major > settings.max_axis_ratio * semi_minor:
         return NoSpot(Reason.NONE_FOUND)
-    if levels.amplitude < settings.min_contrast * levels.background:
-        return NoSpot(Reason.NONE_FOUND)
     if semi_minor < settings.min_semi_minor_px:
         return NoSpot(Reason.TOO_SMALL)
     if semi_major > settings.max_semi_major_px:
@@ -169,6 +177,11 @@ def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot
             return NoSpot(Reason.NONE_FOUND)  # its edge can be undistorted, but not its inside
         semi_major, semi_minor, angle = ellipse.axes()
     covariance = covariance_of_axes(ellipse, fit.step_covariance)
+    significance = levels.amplitude / levels.scatter
+    if significance < Verdict.FAINTEST and levels.amplitude < (
+        settings.min_contrast * levels.background
+    ):
+        return NoSpot(Reason.TOO_FAINT, significance)
     vague = covariance[3, 3] > (Verdict.VAGUEST * semi_minor) ** 2
     if vague and coverage < Verdict.WHOLE and levels.width < Refine.BROAD:
         return NoSpot(Reason.OCCLUDED)

@@ -1,6 +1,7 @@
 """Frames, and the spot that is measured in them.
 
 camera   A camera's matrix and lens distortion, as OpenCV defines them
+clipping  Where an image's values end: the level at which a sensor clips them
 display  Frames and spots as they are shown to people
 frame    Frames: what is accepted as an image, and rectangles of it
 light    Converts frames into light: inverts the camera's response, and removes the wall's texture

@@ -1,4 +1,5 @@
 from .camera import Camera as Camera
+from .clipping import clip_level as clip_level
 from .display import outline_px as outline_px
 from .display import rgb_8bit as rgb_8bit
 from .frame import Window as Window

@@ -30,8 +30,10 @@ class Response:
     Attributes:
         curve: "linear", "srgb" (IEC 61966-2-1) or "gamma" (value = light ** (1 / gamma)).
         gamma: exponent of the curve "gamma".
-        full_scale: value at which a pixel saturates; by default the largest of an unsigned dtype,
-            1 for floats. A 12-bit camera in uint16 needs 4095.
+        full_scale: value of the brightest light that the camera measures, such as 4095 of 12 bits
+            in uint16; by default the largest of an unsigned dtype, 1 for floats. Frames that were
+            shifted to the upper bits, or reduced to 8 bits, end at what corresponds to it. Spots
+            may be clipped below it, see `clip_level`.
     """
 
     curve: Literal["linear", "srgb", "gamma"] = "linear"
@@ -50,8 +52,35 @@ class Response:
             raise InputError(f"Response(full_scale=...) must be positive; got {self.full_scale}.")
 
     def full_scale_of(self, frame: np.ndarray) -> float:
-        """Value at which the frame's pixels saturate."""
-        return self.full_scale or FULL_SCALE[frame.dtype.type]
+        """Value of the brightest light in a frame of this kind.
+
+        Raises:
+            InputError: the frame has brighter values, or it does not show what the curve needs.
+        """
+        container = FULL_SCALE[frame.dtype.type]
+        if frame.dtype == np.uint8:
+            return min(self.full_scale or container, container)
+        if self.full_scale is None and (self.curve == "linear" or frame.dtype.kind == "f"):
+            return container
+        most = float(frame.max())
+        if self.full_scale is not None and (most <= self.full_scale or frame.dtype.kind == "f"):
+            return self.full_scale
+        if self.full_scale is None and most >= container / 2:
+            return container
+        # The lowest bits of values that were shifted up are 0.
+        used = int(np.bitwise_or.reduce(frame, axis=None))
+        shift = (used & -used).bit_length() - 1 if used else 0
+        if shift and most >= container / 2:
+            return container + 1 - (1 << shift)
+        if self.full_scale is None:
+            raise InputError(
+                f"the curve {self.curve} needs the full scale of 16-bit frames, whose largest value"
+                f" is {most:g} here. Give full_scale (4095 for a camera of 12 bits)."
+            )
+        raise InputError(
+            f"full_scale (or camera.bit_depth) says that values end at {self.full_scale:g}, but the"
+            f" frame has {most:g}. Correct the microscope file, or give full_scale."
+        )
 
     def light(self, values: np.ndarray, full_scale: float) -> np.ndarray:
         """Invert the curve: float32 light in units in which full scale is `full_scale`."""
@@ -110,11 +139,25 @@ class LightMeter:
             return light
         return light / window.of(self._wall(self._reference, channel), stride)
 
-    def ceiling(self, window: Window, channel: int, full_scale: float) -> float:
-        """Light at full scale where the wall is brightest."""
+    def ceiling(
+        self, window: Window, channel: int, clips: tuple[float, ...], full_scale: float
+    ) -> float:
+        """Light at which pixels are clipped where the wall is brightest.
+
+        Args:
+            window: of a checked frame.
+            channel: 0, 1, 2 or GREY.
+            clips: value at which each channel is clipped.
+            full_scale: of the frame.
+        """
+        light = self.response.light(np.array(clips, np.float32), full_scale).tolist()
+        grey = (
+            sum(w * c for w, c in zip(GREY_WEIGHTS, light, strict=True)) if light[1:] else light[0]
+        )
+        brightest = grey if channel == GREY else light[channel]
         if self._reference is None:
-            return full_scale
-        return full_scale / float(window.of(self._wall(self._reference, channel)).max())
+            return float(brightest)
+        return float(brightest / window.of(self._wall(self._reference, channel)).max())
 
     def _channel(self, values: np.ndarray, channel: int, full_scale: float) -> np.ndarray:
         if values.ndim == 2:

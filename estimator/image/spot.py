@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal, NamedTuple, final
 
@@ -23,6 +23,7 @@ class Reason(Enum):
     CLIPPED = "clipped"
     TOO_SMALL = "too_small"
     TOO_LARGE = "too_large"
+    TOO_FAINT = "too_faint"
     SATURATED = "saturated"
     OCCLUDED = "occluded"
     AMBIGUOUS = "ambiguous"
@@ -42,6 +43,8 @@ _MEANINGS = {
     "scale.",
     Reason.TOO_LARGE: "The spot is larger than allowed for this image. Approach the wall, or use a "
     "coarser scale.",
+    Reason.TOO_FAINT: "The spot hardly exceeds the noise and texture round it. Expose longer, or "
+    "dim the other light.",
     Reason.SATURATED: "So much of the spot is at full scale that its outline is not in the image. "
     "Shorten the exposure.",
     Reason.OCCLUDED: "Too little of the outline is visible: an instrument, a shadow or a "
@@ -131,9 +134,16 @@ class Spot:
 @final
 @dataclass(frozen=True)
 class NoSpot:
-    """A frame without a measurable spot, with the reason; falsy."""
+    """A frame without a measurable spot, with the reason; falsy.
+
+    Attributes:
+        reason: why there is none.
+        significance: of a spot that is `TOO_FAINT`: its peak above the background over the standard
+            deviation round it; NaN for other reasons.
+    """
 
     reason: Reason
+    significance: float = field(default=math.nan, compare=False, repr=False)
 
     def __bool__(self) -> Literal[False]:
         """Always false, so that `if result:` means that there is a spot."""

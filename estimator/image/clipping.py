@@ -1,0 +1,70 @@
+"""Where an image's values end: the level at which a sensor, a converter or a program clips them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+_ODD = 0.002  # share of the bright pixels that may exceed the level: hot pixels, writing over them
+_FEWEST = 8  # pixels that have a value which is the level
+_NEXT = 3  # next values below the level, none of which may have as many pixels
+_SURE = 4.0  # standard deviations by which the level has more pixels than any of these
+_BAND = 0.08  # of the spot's upper half: bands of values that are compared
+_FLAT = 1.8  # ratio of the pixels in the band below a plateau to those in the next one; a blurred
+# step that is clipped below 0.97 of its height has less than 1.5, a whole one over 4
+_FLANK = 4.0  # ratio of the same pixels to those of a band of the flank: less than 3.7, and over 8
+_TURNS = 0.2  # share of neighbours whose second differences alternate; 0.4 with white noise
+_ROUNDED = 4.0  # product of two second differences that rounding alone can have
+_DEEP = 0.1  # share of the darker pixels amid the level's that rounding cannot explain
+
+
+def clip_level(values: np.ndarray, bright: np.ndarray) -> float:
+    """The value at which a spot's pixels are clipped; infinite if they are not.
+
+    Many clipped pixels have exactly one value, the largest but for a few hot pixels. A plateau
+    without noise has such a value, too. But light approaches a plateau slowly, so that many pixels
+    are slightly darker, whereas clipping cuts through the flank of a spot, or through noise.
+
+    Args:
+        values: (h, w) one channel of a part of a frame, or every n-th pixel of it.
+        bright: (h, w) pixels of the spot: those above about half of its height.
+    """
+    seen = np.sort(values[bright], kind="stable")
+    if seen.size < _FEWEST:
+        return math.inf
+    level = seen[-1 - int(_ODD * seen.size)]
+    first, end = np.searchsorted(seen, level), np.searchsorted(seen, level, side="right")
+    if end - first < _FEWEST:
+        return math.inf
+    height = float(level) - float(seen[0])
+    band = max(_BAND * height, 1.0 if seen.dtype.kind == "u" else 0.0)
+    upper, lower = np.searchsorted(seen, float(level) - band * np.array([1, 2]))
+    _, beside = np.unique(seen[upper:first], return_counts=True)
+    usual = int(beside[-_NEXT:].max(initial=0))
+    if end - first < 1.5 * usual + _SURE * math.sqrt(usual + 1):
+        return math.inf
+    near, next_ = int(first - upper), int(upper - lower)
+    start, stop = np.searchsorted(seen, float(seen[0]) + height * np.array([0.1, 0.6]))
+    if first - start < _FEWEST:  # without a flank the edge is a pixel wide, clipped or not
+        return math.inf
+    flank = (stop - start) * band / (0.5 * height)
+    flat = near - _FLAT * next_ > 2 * math.sqrt(near + _FLAT**2 * next_) and near > _FLANK * flank
+    return math.inf if flat and not _is_noisy(values, bright, level) else float(level)
+
+
+def _is_noisy(values: np.ndarray, bright: np.ndarray, level: float) -> bool:
+    """Whether noise changes pixels by more than rounding does: a plateau has it, too.
+
+    It is looked for round the spot, where a row's second differences alternate, and amid the pixels
+    at the level.
+    """
+    bend = np.diff(values.astype(np.float32), 2)
+    around = ~bright[:, 1:-2] & ~bright[:, 2:-1]
+    turns = (bend[:, :-1] * bend[:, 1:])[around] < (-_ROUNDED if values.dtype.kind == "u" else 0)
+    if np.count_nonzero(turns) > _TURNS * around.sum() > 0:
+        return True
+    flat = values >= level
+    darker = values[:, 1:-1][bright[:, 1:-1] & ~flat[:, 1:-1] & flat[:, :-2] & flat[:, 2:]]
+    deep = np.count_nonzero(darker < darker.max(initial=0))
+    return darker.size >= _FEWEST and bool(deep > _DEEP * darker.size)
