@@ -24,8 +24,8 @@ def exposure_advice(result: Spot | NoSpot, frame: np.ndarray, response: Response
         # How far the light exceeds full scale is not in the image, so: halve it, and look again.
         return f"{result.saturated:.0%} of the spot is saturated: halve the exposure."
     inside = _inside(result, frame)
-    if not inside.size:
-        return ""
+    if not inside.size or (frame.dtype != np.uint8 and response.full_scale is None):
+        return ""  # of 16 bits, a camera may use 10
     peak = float(np.percentile(inside, 99)) / response.full_scale_of(frame)
     if peak < _DARK:
         return (

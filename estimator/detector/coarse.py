@@ -161,7 +161,8 @@ def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.nda
     order = sorted(range(len(areas)), key=areas.__getitem__)[-2:]
     if len(order) < 2 or areas[order[0]] < Search.LOBE * areas[order[1]]:
         return False
-    middles, brightest = [], []
+    middles: list[np.ndarray] = []
+    brightest: list[np.ndarray] = []
     for piece in order:
         hull = cv2.contourArea(cv2.convexHull(contours[piece]))
         if cv2.contourArea(contours[piece]) < Search.CONVEX * hull:

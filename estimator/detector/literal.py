@@ -32,7 +32,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from estimator.image import NoSpot, Reason, Response, Spot
+from estimator.image import NoSpot, Reason, Response, Spot, clip_level
 from optics import InputError
 
 
@@ -141,6 +141,7 @@ def measure_literal(
     if minor >= settings.max_minor_axis_px:
         return NoSpot(Reason.TOO_LARGE)
     patch = grey[y0 : y0 + 2 * p, x0 : x0 + 2 * p]
+    clip = min(clip_level(patch, component > 0), 255)
     return Spot(
         x_px=x0 + u,
         y_px=y0 + v,
@@ -151,7 +152,7 @@ def measure_literal(
         edge_width_px=math.nan,
         coverage=math.nan,
         inlier_fraction=math.nan,
-        saturated=float(np.mean(patch[component > 0] == 255)),
+        saturated=float(np.mean(patch[component > 0] >= clip)),
     )
 
 

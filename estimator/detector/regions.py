@@ -84,12 +84,14 @@ def regions_in(
             yield NoSpot(Reason.TOO_SMALL)
         elif candidates:
             mask = candidates[0].mask.view(np.uint8)
-            channel, *ends = channel_for(frame, window, settings.stride, mask, full_scale)
+            channel, clips, full = channel_for(frame, window, settings.stride, mask, full_scale)
             coarse, faint = grey, candidates[0].is_below(settings.min_contrast)
             if channel != GREY:
                 coarse = coarse_window(values, window, channel, settings, full_scale)
                 candidates = [candidate.relevelled(coarse) for candidate in candidates]
-            yield Region(frame, settings, coarse, channel, full_scale, *ends, candidates, faint)
+            yield Region(
+                frame, settings, coarse, channel, full_scale, clips, full, candidates, faint
+            )
 
 
 def region_at(
@@ -123,16 +125,15 @@ def region_at(
     filled = moments["m00"] * stride**2 / (math.pi * semi_major * semi_minor)
     if abs(filled - 1) > Search.LIKE_LAST:
         return None
-    best_channel, *ends = channel_for(frame, window, stride, mask, full_scale)
+    best_channel, clips, full = channel_for(frame, window, stride, mask, full_scale)
     if best_channel != channel:
         return None
     if abs(filled - 1) < Search.UNHIDDEN:
         centroid = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
         ellipse = Ellipse((window.x0, window.y0) + stride * centroid, ellipse.shape)
-    candidate = Candidate(ellipse, 0.0, 0.0, mask.view(bool))
-    candidate = candidate.relevelled(coarse)
+    candidate = Candidate(ellipse, 0.0, 0.0, mask.view(bool)).relevelled(coarse)
     faint = candidate.is_below(settings.min_contrast)
-    return Region(frame, settings, coarse, channel, full_scale, *ends, [candidate], faint)
+    return Region(frame, settings, coarse, channel, full_scale, clips, full, [candidate], faint)
 
 
 def coarse_window(

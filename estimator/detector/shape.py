@@ -9,7 +9,16 @@ import numpy as np
 from estimator.detector.ellipse import Ellipse
 from estimator.detector.tuning import SpotProfile
 from estimator.detector.unwrap import Patch
-from estimator.image import GREY, Camera, LightMeter, Response, Spot, Window, checked_frame
+from estimator.image import (
+    GREY,
+    Camera,
+    LightMeter,
+    Response,
+    Spot,
+    Window,
+    checked_frame,
+    clip_level,
+)
 
 LEVELS = SpotProfile.LEVELS
 """Levels of the isophotes, as fractions of the peak above the background."""
@@ -65,7 +74,11 @@ def spot_shape(
     if len(cores[0]) < SpotProfile.FEWEST_RAYS:
         return None
     tops = np.percentile(cores, SpotProfile.TOP, axis=(1, 2))
-    whole = tops < full_scale
+    clips = [
+        clip_level(plane, plane > top / 2)
+        for plane, top in zip(np.moveaxis(channels, 2, 0), tops, strict=True)
+    ]
+    whole = tops < np.minimum(clips, full_scale)
     if not whole.any():
         return None
     channel = GREY if whole.all() else int(np.argmax(np.where(whole, tops, -1.0)))

@@ -20,7 +20,7 @@ from estimator.detector.verdict import (
     one_of,
     sighting_in,
 )
-from estimator.image import NoSpot, Reason, Spot, Window, checked_frame
+from estimator.image import NoSpot, Reason, Spot, Window, checked_frame, without_repeats
 from optics import InputError
 
 
@@ -75,7 +75,7 @@ def measure(
         if isinstance(result, Spot):
             state = TrackState(at_px=(result.x_px, result.y_px), spot=result)
         return result, state
-    return _measure_subpixel(frame, state, settings)
+    return _measure_subpixel(without_repeats(frame), state, settings)
 
 
 def track(

@@ -7,7 +7,7 @@ pinhole's height and the eye's radius come with the call.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -28,6 +28,7 @@ SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}
 """What changed with each version of the format that is read."""
 
+_BYTE = 8  # bits of most files; with more, they leave open where the camera's values end
 _MOST_PX = 2**20  # sides of a frame, and the place of its principal point
 _LARGEST_MM = 1e6
 _LARGEST = 1e12  # of other numbers
@@ -250,6 +251,7 @@ class _PinholeFile(Strict):
     response: Annotated[
         Response, PlainValidator(_curve, json_schema_input_type=Literal["linear", "srgb"] | float)
     ]
+    full_scale: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
     paper_exposure_s: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
     plane_normal: Annotated[np.ndarray, _numbers(3)] | None = None
     viewing_path: None = None
@@ -278,7 +280,9 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
         remedy="Restore the key. With a viewing_path, or without pinhole_height_mm (a telecentric "
         "microscope), camera_matrix is null.",
     )
-    height = file.pinhole_height_mm
+    height, full_scale = file.pinhole_height_mm, file.full_scale
+    if full_scale is None and file.camera is not None and file.camera.bit_depth > _BYTE:
+        full_scale = (1 << file.camera.bit_depth) - 1
     microscope = MicroscopeFile(
         width_px=int(file.width_px),
         height_px=int(file.height_px),
@@ -288,7 +292,7 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
         principal_point_px=_pair(file.principal_point_px),
         pinhole_height_mm=math.inf if height is None else height,
         eye_radius_mm=file.eye_radius_mm,
-        response=file.response,
+        response=replace(file.response, full_scale=full_scale),
         paper_exposure_s=file.paper_exposure_s,
         plane_normal=None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
         viewing_path=file.viewing_path,

@@ -4,6 +4,7 @@ from .display import outline_px as outline_px
 from .display import rgb_8bit as rgb_8bit
 from .frame import Window as Window
 from .frame import checked_frame as checked_frame
+from .frame import without_repeats as without_repeats
 from .light import GREY as GREY
 from .light import GREY_WEIGHTS as GREY_WEIGHTS
 from .light import LightMeter as LightMeter

@@ -12,6 +12,10 @@ from optics import InputError
 FULL_SCALE = {np.uint8: 255.0, np.uint16: 65535.0, np.float32: 1.0, np.float64: 1.0}
 """Types of a frame's values, and the value at which they saturate by default."""
 
+_ROWS = 8  # that are looked at
+_CHANGES = 64  # in them; by chance all are at even places once in 2^64 frames
+_MOST_REPEATS = 8  # of a pixel by a digital zoom
+
 
 def checked_frame(frame: np.ndarray) -> np.ndarray:
     """A frame as (H, W) or (H, W, 3) in native byte order.
@@ -44,6 +48,32 @@ def checked_frame(frame: np.ndarray) -> np.ndarray:
     if not frame.dtype.isnative:
         frame = frame.astype(frame.dtype.newbyteorder("="))
     return frame
+
+
+def without_repeats(frame: np.ndarray) -> np.ndarray:
+    """A frame whose digital zoom, which repeats every pixel, is made one that interpolates.
+
+    Args:
+        frame: checked; returned unchanged if its pixels are not repeated 2 to 8 times either way.
+    """
+    plain = frame if frame.ndim == 2 else frame[..., 0]
+    sides = [_repeats(plain), _repeats(plain.T)]
+    if max(sides) < 2:
+        return frame
+    # A box as wide as a repeated pixel makes ramps of the steps. An even one has half a pixel at
+    # either end, so that it is centred.
+    x, y = (np.full(k, 1 / k) if k % 2 else np.r_[0.5, np.ones(k - 1), 0.5] / k for k in sides)
+    return cv2.sepFilter2D(frame, -1, x, y, borderType=cv2.BORDER_REFLECT)
+
+
+def _repeats(frame: np.ndarray) -> int:
+    """How often each pixel of a row is repeated; 1 if not, or if too little is in the frame."""
+    rows = frame[:: max(len(frame) // _ROWS, 1)]
+    places = np.nonzero(rows[:, 1:] != rows[:, :-1])[1]
+    if places.size < _CHANGES:
+        return 1
+    steps = int(np.gcd.reduce(places - places[0]))
+    return steps if steps <= _MOST_REPEATS else 1
 
 
 @dataclass(frozen=True)

@@ -74,12 +74,13 @@ class Response:
             return container + 1 - (1 << shift)
         if self.full_scale is None:
             raise InputError(
-                f"the curve {self.curve} needs the full scale of 16-bit frames, whose largest value"
-                f" is {most:g} here. Give full_scale (4095 for a camera of 12 bits)."
+                f"the full scale of 16-bit images with the curve {self.curve} is not known; the "
+                f"largest value is {most:g}. Give full_scale (--full-scale 4095 for 12 bits), or "
+                "write it into the microscope file."
             )
         raise InputError(
-            f"full_scale (or camera.bit_depth) says that values end at {self.full_scale:g}, but the"
-            f" frame has {most:g}. Correct the microscope file, or give full_scale."
+            f"full_scale (or camera.bit_depth of the microscope file) is {self.full_scale:g}, but "
+            f"the image has values up to {most:g}. Correct it, or give another --full-scale."
         )
 
     def light(self, values: np.ndarray, full_scale: float) -> np.ndarray:

@@ -6,12 +6,14 @@ mean by the system's gain K, in DN per electron: sigma² = sigma_dark² + K (mu 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
+from estimator.image.clipping import clip_level
 from optics import InputError
 
 _MIDDLE = 0.5  # of the frame's width and height, which is the most even
@@ -68,7 +70,15 @@ def measured_noise(
         InputError: no dark pair, too few bright ones, or a variance that does not grow in
             proportion to the light: another response, an automatic gain, or a scene that moved.
     """
-    found = sorted((_pair(first, second) for first, second in pairs), key=lambda one: one.mean)
+    most = max(int(frame.max()) for pair in pairs for frame in pair)
+    if most > full_scale:
+        raise InputError(
+            f"the images have values up to {most}, above the full scale {full_scale} of the bit "
+            "depth. Give another --bit-depth; values that were shifted to the upper bits must be "
+            "shifted back."
+        )
+    whole = [pair for pair in pairs if not any(map(_is_clipped, pair))]
+    found = sorted((_pair(*pair) for pair in whole or pairs), key=lambda one: one.mean)
     dark = [one for one in found if one.mean < _DARK * full_scale]
     lit = [one for one in found if _DARK * full_scale <= one.mean < _BRIGHT * full_scale]
     if not dark:
@@ -110,6 +120,12 @@ def measured_noise(
         gain_sigma_dn_e=float(np.sqrt(covariance[1, 1])),
         worst=worst,
     )
+
+
+def _is_clipped(frame: np.ndarray) -> bool:
+    """Whether a channel is clipped, below the full scale or at it."""
+    planes = np.moveaxis(np.atleast_3d(_middle(frame)), 2, 0)
+    return any(math.isfinite(clip_level(plane, plane > plane.max() // 2)) for plane in planes)
 
 
 def _line(

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.image import CameraNoise, Outline
+from estimator.image import CameraNoise, Outline, clip_level
 from estimator.pixels.cells import CellLight
 from estimator.pixels.hidden import hidden_pixels
 from estimator.pixels.mix import Mix, plain_mix
 from estimator.pixels.wall_motion import STILL, WallMotion
+from optics import InputError
 
 _MIDDLE = 0.7  # half of the side of a square about the spot's middle, over its semi-minor axis
 _LEAST_PX = 2.0  # of that
@@ -25,7 +26,8 @@ class Picture:
     Attributes:
         noise: of the camera.
         channels: light, full wells.
-        full: whether a channel is at full scale.
+        ends: light at which a channel is clipped.
+        full: whether a channel is clipped.
         usable: whether a pixel shows the wall.
         saturated: whether a channel is at full scale in the spot, which has a sharp edge. The edge
             is seen nevertheless.
@@ -33,15 +35,30 @@ class Picture:
 
     noise: CameraNoise
     channels: Float[np.ndarray, "h w 3"]
+    ends: Float[np.ndarray, "3"]
     full: Bool[np.ndarray, "h w 3"]
     usable: Bool[np.ndarray, "h w"]
     saturated: Bool[np.ndarray, "3"]
 
     @classmethod
     def of(cls, image: np.ndarray, noise: CameraNoise) -> Picture:
-        """All of an image, H x W x 3."""
+        """All of an image, H x W x 3.
+
+        Raises:
+            InputError: it is brighter than the camera can be.
+        """
+        if image.max() > noise.full_scale:
+            raise InputError(
+                f"the microscope file says that the camera's values end at {noise.full_scale}, but "
+                f"the image has values up to {image.max():g}. Correct camera.bit_depth."
+            )
         usable, saturated = np.ones(image.shape[:2], bool), np.zeros(3, bool)
-        return cls(noise, noise.channels(image), image >= noise.full_scale, usable, saturated)
+        clips = [
+            min(clip_level(values, values > values.max() // 2), noise.full_scale)
+            for values in np.moveaxis(image, -1, 0)
+        ]
+        ends = noise.channels(np.array(clips, image.dtype))
+        return cls(noise, noise.channels(image), ends, image >= clips, usable, saturated)
 
     def with_sharp(self, spot: Outline) -> Picture:
         """The frame without what hides a spot with a sharp edge, which may be saturated."""
@@ -66,7 +83,7 @@ class Picture:
             self.usable if saturated else self.usable & ~full,
             lambda light: mix.variance(self.noise, light),
             motion,
-            float(np.sum(mix.weights)) if saturated else math.inf,
+            float(mix.weights @ self.ends) if saturated else math.inf,
         )
 
     def _in_middle(self, pixels: np.ndarray, spot: Outline) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, get_type_hints
 
@@ -126,6 +127,12 @@ class Options(BaseModel):
         None,
         description="The wall is a plane square to the microscope's axis, for microscope files "
         "that do not say (default: the file's, or the eyeball).",
+    )
+    full_scale: float | None = Field(
+        None,
+        gt=0,
+        description="Value of the brightest light that the camera measures, such as 4095 of 12 "
+        "bits in 16 (default: the microscope file's, the image file's, or that of the type).",
     )
     calibration: Annotated[Path | None, _Text("FILE")] = Field(
         None, description="Calibration file of `eyespot fit`; without it there are no distances."
@@ -290,13 +297,18 @@ class Options(BaseModel):
 
     def _settings(self, microscope: MicroscopeFile | None) -> LiteralSettings | SubpixelSettings:
         from estimator.detector import LiteralSettings, SubpixelSettings
+        from estimator.image import Response
 
         given: dict[str, Any] = dict(self.settings)
         if given.keys() & {"response", "camera", "reference"}:
             raise InputError("settings are numbers; response and camera are the microscope file's.")
         camera = None
+        response = Response()
         if microscope is not None:
-            camera, given["response"] = microscope.camera(), microscope.response
+            camera, response = microscope.camera(), microscope.response
+        if self.full_scale is not None:
+            response = replace(response, full_scale=self.full_scale)
+        given["response"] = response
         if self.mode == "literal" and camera is not None:
             raise InputError(
                 "the literal mode does not take the lens's distortion out, which the microscope"

@@ -6,6 +6,7 @@ Recordings (`offline`) and the rig's node (`estimator.rig`) use the same reader.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -95,7 +96,7 @@ class Reader:
         stated: Stated | None = None,
         pixel_ranger: PixelRanger | None = None,
     ) -> None:
-        self.settings = settings
+        self.settings = self._settings = settings
         self._start = start
         self._size_px = size_px
         self._ranger = ranger
@@ -139,6 +140,7 @@ class Reader:
         *,
         time_s: float = math.nan,
         exposure_s: float = math.nan,
+        full_scale: float | None = None,
         poses: PoseTrack = _NO_POSES,
         name: str = "a frame",
     ) -> Reading:
@@ -151,14 +153,16 @@ class Reader:
             image: as `measure` takes it.
             time_s: of the frame, on the poses' clock.
             exposure_s: of the frame; NaN if unknown.
+            full_scale: at which the source says that its values end; the settings' counts before.
             poses: of the robot.
             name: of the frame, for the log.
 
         Raises:
-            InputError: the image is not an image or not of the microscope's size, or the start lies
-                outside of the first image.
+            InputError: the image is not an image or not of the microscope's size, its full scale is
+                not known, or the start lies outside of the first image.
         """
         self._check(image)
+        self._settings = self._scaled(image, full_scale)
         if self._shape not in (None, image.shape):
             self.forget()
         self._shape = image.shape
@@ -180,7 +184,7 @@ class Reader:
         exposure_s: float,
         poses: PoseTrack,
     ) -> Reading:
-        result, self._state = measure(image, self._state, self.settings)
+        result, self._state = measure(image, self._state, self._settings)
         pose, age_s = poses.at(time_s) or (None, math.nan)
         own = None if math.isnan(exposure_s) else exposure_s
         if self._pixel_ranger is not None:
@@ -230,8 +234,8 @@ class Reader:
                 sweep = Sweep(tips[1:] - tips[0], axes[1:] - axes[0])
                 speed = math.hypot(*self._motion(pose, poses, 0.0).velocity_mm_s)
                 robot = RobotPose(tips[0], axes[0], _ROBOT_MM + speed * self._clock_sigma_s)
-        assert isinstance(self.settings, SubpixelSettings), "the mode pixels follows its spots"
-        outlines = outlines_of(image, result, self.settings)
+        assert isinstance(self._settings, SubpixelSettings), "the mode pixels follows its spots"
+        outlines = outlines_of(image, result, self._settings)
         found = ranger.distance(
             outlines,
             frame=image,
@@ -262,6 +266,21 @@ class Reader:
             velocity = turned(velocity, self._eye_from_robot)
         turn = math.acos(min(1.0, float(np.dot(pose.axis, before.axis)))) / span_s
         return Motion(velocity_mm_s=velocity, turn_rad_s=turn, pose_age_s=age_s)
+
+    def _scaled(
+        self, image: np.ndarray, full_scale: float | None
+    ) -> LiteralSettings | SubpixelSettings:
+        """The settings with the full scale of an image."""
+        known = self.settings.response.full_scale or full_scale
+        if known is None and image.dtype.kind == "f" and image.max() > 1:
+            raise InputError(
+                f"the image has floats up to {image.max():g}, and its full scale is not known. "
+                "Give full_scale (--full-scale 255 if the values were of 8 bits), or write it into "
+                "the microscope file."
+            )
+        if known == self._settings.response.full_scale:
+            return self._settings
+        return replace(self.settings, response=replace(self.settings.response, full_scale=known))
 
     def _check(self, image: np.ndarray) -> None:
         height, width = image.shape[:2]

@@ -1,0 +1,264 @@
+"""Spots that a camera clips, at any level: measured within their stated errors, or refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator import (
+    InputError,
+    LiteralSettings,
+    NoSpot,
+    Options,
+    Reason,
+    Spot,
+    SubpixelSettings,
+    TrackState,
+    measure,
+)
+from estimator.image import CameraNoise, Response, measured_noise
+from estimator.pixels.picture import Picture
+from tests.drawn_spots import spot_image
+
+SHAPE = (240, 320)
+LEVELS = [  # bits of the camera, where it clips, shift to the upper bits
+    *((8, level, 0) for level in (235, 250, 255)),
+    *((12, level, 0) for level in (1000, 1023, 3900, 4095)),
+    (14, 16383, 0),
+    (16, 60000, 0),
+    (12, 4095, 4),
+    (10, 1000, 6),
+]
+
+
+def drawn(
+    rng: np.random.Generator,
+    *,
+    bits: int = 12,
+    level: float = 4095,
+    shift: int = 0,
+    over: float = 1.5,
+    profile: str = "disc",
+    noise: float = 0.005,
+) -> tuple[np.ndarray, tuple[float, float]]:
+    """A frame and the true semi-axes; the peak is `over` times the level at which it is clipped."""
+    minor = rng.uniform(22, 38)
+    major = minor * rng.uniform(1, 1.4)
+    image = spot_image(
+        SHAPE,
+        160 + rng.uniform(-8, 8),
+        120 + rng.uniform(-8, 8),
+        major,
+        minor,
+        rng.uniform(-1.5, 1.5),
+        profile=profile,
+        blur=rng.uniform(0.8, 3),
+        peak=over * 0.93 * level,
+        background=0.07 * level,
+        noise=noise * level,
+        clip=level,
+        rng=rng,
+    )
+    whole = np.clip(np.rint(image), 0, level).astype(np.uint16) << shift
+    return whole.astype(np.uint8 if bits == 8 else np.uint16), (major, minor)
+
+
+def measured(frame: np.ndarray, settings: SubpixelSettings | None = None) -> Spot | NoSpot:
+    return measure(frame, TrackState(), settings or SubpixelSettings())[0]
+
+
+def assert_within(spot: Spot, truth: tuple[float, float], relative: float = 0.0) -> None:
+    """Within five standard deviations and 0.1 px of the truth, or within a part of it."""
+    for found, true, variance in zip(
+        (spot.semi_major_px, spot.semi_minor_px), truth, np.diag(spot.covariance)[2:4], strict=True
+    ):
+        assert abs(found - true) < max(5 * math.sqrt(variance) + 0.1, relative * true)
+
+
+@pytest.mark.parametrize(("bits", "level", "shift"), LEVELS)
+def test_a_disc_clipped_anywhere_is_saturated_and_measured(bits, level, shift):
+    rng = np.random.default_rng([bits, level, shift])
+    found = 0
+    for _ in range(6):
+        frame, truth = drawn(rng, bits=bits, level=level, shift=shift, over=rng.uniform(1.1, 1.6))
+        if spot := measured(frame):
+            assert_within(spot, truth)
+            # Of a region above half of its height, a rim of a few px is below the level.
+            assert 0.6 < spot.saturated <= 1
+            found += 1
+    # With so much light the flank below the level still shows how high it goes.
+    assert found >= 4
+
+
+@pytest.mark.parametrize(("bits", "level", "shift"), LEVELS)
+@pytest.mark.parametrize("noise", [0.0, 0.001, 0.01])
+def test_what_is_not_clipped_is_not_saturated(bits, level, shift, noise):
+    rng = np.random.default_rng([1, bits, level, shift])
+    for profile in ("disc", "bell"):
+        over = rng.uniform(0.5, 0.9)
+        settings = {"bits": bits, "level": level, "shift": shift, "noise": noise}
+        frame, truth = drawn(rng, over=over, profile=profile, **settings)
+        spot = measured(frame)
+        assert isinstance(spot, Spot)
+        assert spot.saturated == 0
+        assert_within(spot, truth)
+
+
+def _random_frames_are_right_or_refused(seeds: Iterable[int]) -> None:
+    for seed in seeds:
+        rng = np.random.default_rng([2, seed])
+        bits, level, shift = LEVELS[rng.integers(len(LEVELS))]
+        level = int(level * rng.choice([1.0, rng.uniform(0.7, 1)]))
+        frame, truth = drawn(
+            rng,
+            bits=bits,
+            level=level,
+            shift=shift,
+            over=rng.uniform(0.3, 2.5),
+            profile=rng.choice(["disc", "bell"]),
+            noise=rng.choice([0.001, 0.004, 0.012]),
+        )
+        if spot := measured(frame):
+            assert_within(spot, truth)
+
+
+def test_frames_of_random_depth_level_and_exposure_are_right_or_refused() -> None:
+    _random_frames_are_right_or_refused(range(150))
+
+
+@pytest.mark.slow
+def test_ten_thousand_frames_of_random_depth_level_and_exposure_are_right_or_refused() -> None:
+    _random_frames_are_right_or_refused(range(150, 10_150))
+
+
+@pytest.mark.parametrize("hidden", [0.02, 0.1, 0.2, 0.3])
+def test_a_bell_is_measured_up_to_a_third_of_its_area_clipped(hidden):
+    # Of a Gaussian's area above half of its peak, log2(peak / level) is above the level.
+    for seed in range(5):
+        frame, truth = drawn(np.random.default_rng([3, seed]), profile="bell", over=2**hidden)
+        spot = measured(frame)
+        assert isinstance(spot, Spot)
+        assert_within(spot, truth, relative=0.05)
+
+
+@pytest.mark.parametrize("hidden", [0.7, 1.5, 3.0])
+def test_a_bell_of_which_more_is_clipped_is_refused(hidden):
+    for seed in range(5):
+        frame, _ = drawn(np.random.default_rng([4, seed]), profile="bell", over=2**hidden)
+        assert measured(frame) == NoSpot(Reason.SATURATED)
+
+
+def test_hot_pixels_above_the_level_do_not_hide_it() -> None:
+    rng = np.random.default_rng(5)
+    frame, truth = drawn(rng, over=1.4)
+    rows, columns = rng.integers(100, 140, 3), rng.integers(140, 180, 3)
+    frame[rows, columns] = 65535
+    spot = measured(frame)
+    assert isinstance(spot, Spot)
+    assert spot.saturated > 0.6
+    assert_within(spot, truth)
+
+
+def _srgb(light: np.ndarray) -> np.ndarray:
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def test_a_curve_counts_from_the_cameras_full_scale(tmp_path: Path) -> None:
+    image = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4, peak=0.75, background=0.03)
+    frame = np.rint(4095 * _srgb(image)).astype(np.uint16)
+    for response in (Response(curve="srgb", full_scale=4095), Response(curve="srgb")):
+        # Without a stated full scale, values whose lowest bits are 0 show it.
+        shifted = frame << 4 if response.full_scale is None else frame
+        spot = measured(shifted, SubpixelSettings(response=response))
+        assert isinstance(spot, Spot)
+        assert_within(spot, (40, 30))
+    with pytest.raises(InputError, match=r"full scale of 16-bit images.*--full-scale 4095"):
+        measured(frame, SubpixelSettings(response=Response(curve="srgb")))
+    with pytest.raises(InputError, match=r"full_scale.* is 1023, but the image has values up to"):
+        measured(frame, SubpixelSettings(response=Response(full_scale=1023)))
+
+
+def _microscope(folder: Path, **keys: object) -> Path:
+    """A microscope file of a camera with 12 bits."""
+    content = {
+        "schema": 1,
+        "width_px": SHAPE[1],
+        "height_px": SHAPE[0],
+        "camera_matrix": [[3432.8, 0, 159.5], [0, 3432.8, 119.5], [0, 0, 1]],
+        "distortion": [0.0] * 5,
+        "scale_mm_px": 23.0 / 3432.8,
+        "principal_point_px": [159.5, 119.5],
+        "pinhole_height_mm": 11.5,
+        "eye_radius_mm": 11.5,
+        "response": "srgb",
+    }
+    path = folder / "microscope.json"
+    path.write_text(json.dumps(content | keys))
+    return path
+
+
+SHEET = {"full_well_e": 9000.0, "read_noise_e": 8.0, "black_level_dn": 8.0, "bit_depth": 12}
+
+
+@pytest.mark.parametrize("keys", [{"camera": SHEET}, {"full_scale": 4095}])
+def test_a_microscope_file_says_the_full_scale(keys, tmp_path):
+    image = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4, peak=0.75, background=0.03)
+    frame = np.rint(4095 * _srgb(image)).astype(np.uint16)
+    reader = Options.of({"microscope": _microscope(tmp_path, **keys)}).reader()
+    spot = reader.read(frame).result
+    assert isinstance(spot, Spot)
+    assert_within(spot, (40, 30))
+
+
+def test_floats_beyond_one_need_their_full_scale() -> None:
+    frame = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4).astype(np.float32)
+    with pytest.raises(InputError, match=r"floats up to 220.*--full-scale 255"):
+        Options.of({}).reader().read(frame)
+    for reading in (
+        Options.of({"full_scale": 255}).reader().read(frame),
+        Options.of({}).reader().read(frame, full_scale=255.0),  # as the source says
+    ):
+        assert isinstance(reading.result, Spot)
+        assert_within(reading.result, (40, 30))
+
+
+def test_the_literal_mode_and_the_pixels_see_the_level() -> None:
+    frame, _ = drawn(np.random.default_rng(6), bits=8, level=235, over=1.5)
+    spot, _ = measure(frame, TrackState(), LiteralSettings())
+    assert isinstance(spot, Spot)
+    assert spot.saturated > 0.6
+    noise = CameraNoise(
+        full_well_e=9e3,
+        read_noise_e=8.0,
+        dark_signal_e=0.0,
+        black=0.0,
+        full_scale=255,
+        response=Response(),
+    )
+    picture = Picture.of(np.dstack([frame] * 3), noise)
+    assert (picture.full[..., 0] == (frame == 235)).all()
+    assert picture.ends == pytest.approx([235 / 255] * 3)
+    with pytest.raises(InputError, match=r"end at 255.* up to 4000.*bit_depth"):
+        Picture.of(np.full((9, 9, 3), 4000, np.uint16), noise)
+
+
+def test_clipped_pairs_do_not_measure_a_camera() -> None:
+    """A clipped pair has no noise, and would bend the line of the others' variances."""
+    rng = np.random.default_rng(7)
+
+    def pair(light: float) -> tuple[np.ndarray, np.ndarray]:
+        frames = rng.poisson(light, (2, 80, 80, 3)) / 4 + rng.normal(8, 1, (2, 80, 80, 3))
+        first, second = np.clip(np.rint(frames), 0, 3000).astype(np.uint16)
+        return first, second
+
+    pairs = [pair(light) for light in (0, 2000, 4000, 8000, 14000)]
+    found = measured_noise(pairs, full_scale=4095)
+    # 4 electrons a DN; the standard error of the slope is a hundredth.
+    assert found.gain_dn_e == pytest.approx(0.25, rel=0.04)
+    with pytest.raises(InputError, match=r"values up to .* above the full scale 1023"):
+        measured_noise(pairs, full_scale=1023)
