@@ -13,7 +13,7 @@ from estimator.rig.generation import is_ros2
 from estimator.rig.recent_poses import POSES_KEPT, RecentPoses
 from estimator.rig.ros1 import BUFFER_BYTES, imported_rospy
 from estimator.rig.silence import PERIOD_S, Silence
-from estimator.sources import Frame, Source, frame_of_message
+from estimator.sources import Frame, Source, decoded_frame
 from optics import InputError
 
 _NAME = "eyespot_console"
@@ -47,7 +47,7 @@ def open_topic(
             silence.end()
             stamp = image.header.stamp
             time_s = stamp.to_sec() if hasattr(stamp, "to_sec") else stamp_s(image.header)
-            yield Frame(index=index, file_name="", time_s=time_s, image=frame_of_message(image))
+            yield decoded_frame(image, index=index, time_s=time_s)
 
     return Source(name=topic, read=read, live=True)
 
