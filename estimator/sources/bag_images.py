@@ -83,8 +83,8 @@ def read_frames(path: Path, *, topic: str | None = None) -> Iterator[Frame]:
                 yield frame
             if waiting:
                 raise InputError(
-                    f"{path}, {topic}: none of {number} images can be decoded. {first} Record again "
-                    "in another encoding, or name another topic."
+                    f"{path}, {topic}: none of {number} images can be decoded. {first} Record "
+                    "again in another encoding, or name another topic."
                 )
         finally:
             if broken > len(waiting):
