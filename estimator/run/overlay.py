@@ -8,7 +8,6 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -79,17 +78,9 @@ def overlay_writer(
     """
     check_overlay_path(path)
     kind = _video if path.suffix else _folder
-    last: np.ndarray | None = None
     with written_whole(path) as partial, kind(partial, rate_hz) as write:
 
         def draw(frame: Frame, record: SpotRecord) -> None:
-            nonlocal last
-            if not frame.fault:
-                last = frame.image
-            elif last is None:
-                return  # no size is known yet
-            else:
-                frame = replace(frame, image=np.zeros_like(last))
             with errors_named(partial, path):
                 write(annotated(frame, record, response=response, camera=camera))
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from estimator.files import messages_of, opened_bag, stamp_s, topic_in
 from estimator.sources.ros_images import decoded_frame
@@ -43,8 +46,8 @@ def open_bag(path: Path, *, topic: str | None = None) -> Source:
 def read_frames(path: Path, *, topic: str | None = None) -> Iterator[Frame]:
     """Read the images of a bag, one at a time, in the order of their arrival.
 
-    An image that cannot be decoded is a frame with a fault. How many there are is logged at the
-    end, and the first stamp that is earlier than the one before it.
+    An image that cannot be decoded is a black frame with a fault. How many there are is logged at
+    the end, and the first stamp that is earlier than one before it.
 
     Args:
         path: of the bag.
@@ -57,7 +60,7 @@ def read_frames(path: Path, *, topic: str | None = None) -> Iterator[Frame]:
     Raises:
         InputError: not a bag, damaged, without such a topic, or no image can be decoded.
     """
-    waiting: list[Frame] = []  # until one can be decoded
+    waiting: list[Frame] = []  # until one can be decoded, which says their size
     number, broken, first, latest_s = 0, 0, "", -math.inf
     with opened_bag(path) as reader:
         topic = topic_in(reader, path, topic, kinds=IMAGE_MESSAGES, usual=IMAGE_TOPIC)
@@ -72,20 +75,21 @@ def read_frames(path: Path, *, topic: str | None = None) -> Iterator[Frame]:
                     _log.warning(_BACKWARDS, path, topic, frame.index, frame.time_s, latest_s)
                     latest_s = math.inf  # said once
                 latest_s = max(frame.time_s, latest_s)
+                waiting.append(frame)
                 if frame.fault:
                     broken += 1
-                    first = first or f"The first, frame {frame.index}: {frame.fault}"
-                    if broken == number:
-                        waiting.append(frame)
-                        continue
-                yield from waiting
-                waiting.clear()
-                yield frame
+                    first = first or f"The first, frame {frame.index}: {frame.fault.rstrip('.')}."
+                else:
+                    seen = frame.image
+                if broken < number:
+                    for one in waiting:
+                        yield replace(one, image=np.zeros_like(seen)) if one.fault else one
+                    waiting.clear()
             if waiting:
                 raise InputError(
                     f"{path}, {topic}: none of {number} images can be decoded. {first} Record "
                     "again in another encoding, or name another topic."
                 )
         finally:
-            if broken > len(waiting):
+            if 0 < broken < number:
                 _log.warning(_UNREADABLE, path, topic, broken, number, first)

@@ -28,7 +28,7 @@ class Frame:
         image: (H, W) or RGB (H, W, 3); uint8, uint16, float32 or float64.
         exposure_s: exposure time; NaN if unknown.
         full_scale: value at which the source's samples end, where it says so; None otherwise.
-        fault: why it could not be decoded, and has no pixels; empty if it could.
+        fault: why it could not be decoded, and is black or has no pixels; empty if it could.
     """
 
     index: int

@@ -125,8 +125,7 @@ class Recording:
         Args:
             index: of the frame.
             time_s: of the frame; NaN if unknown.
-            image: as `rgb_8bit` takes it; None, or without pixels, if there is only what was
-                measured.
+            image: as `rgb_8bit` takes it; None if there is only what was measured.
         """
         import rerun
 
@@ -134,7 +133,7 @@ class Recording:
         self._stream.set_time("frame", sequence=index)
         if not math.isnan(time_s):
             self._stream.set_time("time", duration=time_s)
-        if image is None or not image.size:
+        if image is None:
             return
         picture = rerun.Image(rgb_8bit(image, self._response)).compress(jpeg_quality=_JPEG_QUALITY)
         self._stream.log("microscope", picture)
