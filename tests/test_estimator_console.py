@@ -219,7 +219,7 @@ def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path)
         session.pause(False)
         wait_until(lambda: shown(session)[0] == 2, "the last frame")
         session.stop_recording()
-        assert "uint8 or uint16" in session.recording_fault
+        assert "images of 8 or 16 bits; got float64" in session.recording_fault
     assert not list(tmp_path.iterdir())
 
 
