@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from estimator import Spot, SubpixelSettings, TrackState, measure
 from estimator.files.microscope import MicroscopeFileError, read_microscope
 from estimator.image import Camera
 
@@ -244,3 +245,23 @@ def test_references_that_multiply_are_refused_at_once(tmp_path):
     path.write_text("\n".join(lines))
     with pytest.raises(MicroscopeFileError, match="reference"):
         read_microscope(path, **EYE)
+
+
+def test_a_spot_under_a_fisheye_is_measured_as_a_pinhole_would_see_it(tmp_path):
+    v, u = np.mgrid[: SIZE[1], : SIZE[0]]
+    seen = np.stack([u.ravel(), v.ravel()], axis=1).astype(float)
+    ideal = seen.copy()
+    for _ in range(30):  # each step leaves 4 % of the error, as the lens bends by that much
+        ideal += seen - equidistant(ideal)
+    x, y, radius = 215.0, 82.0, 40.0
+    inside = np.clip(radius + 0.5 - np.hypot(*(ideal - [x, y]).T), 0, 1).reshape(v.shape)
+    image = np.rint(20 + 160 * inside).astype(np.uint8)
+    camera = camera_in(tmp_path, FILES["ros"])
+    spot, _ = measure(image, TrackState(), SubpixelSettings(camera=camera))
+    assert isinstance(spot, Spot)
+    # A drawn edge is rounded to 8 bits: 0.05 px, as for a disc without distortion. Without the
+    # camera, the radius is 1 px off, and the centre 1.5 px.
+    assert spot.ellipse[:4] == pytest.approx((x, y, radius, radius), abs=0.05)
+    blind, _ = measure(image, TrackState(), SubpixelSettings())
+    assert isinstance(blind, Spot)
+    assert np.abs(np.subtract(blind.ellipse[:4], (x, y, radius, radius))).max() > 0.5

@@ -21,8 +21,8 @@ _NAMES = {
     "image_width": ("imagewidth", "width"),
     "image_height": ("imageheight", "height"),
     "camera_matrix": ("cameramatrix", "k"),
-    "distortion_coefficients": (
-        *("distortioncoefficients", "distortioncoeffs", "distcoeffs", "distcoeff", "d"),
+    "distortion_coefficients": tuple(
+        "distortioncoefficients distortioncoeffs distcoeffs distcoeff d".split()
     ),
 }
 """Spellings of OpenCV's samples, ROS and common tutorials, in lower case and without _."""
@@ -162,9 +162,7 @@ def _first(content: dict[str, Any], name: str) -> Any:
     for spelling in _NAMES[name]:
         if content.get(spelling) is not None:
             return content[spelling]
-    raise InputError(
-        f"{name} is missing (looked for {', '.join(_NAMES[name])}). Add it to the file."
-    )
+    raise InputError(f"{name} (or {_NAMES[name][-1]}) is missing. Add it to the file.")
 
 
 def _count(value: object, name: str) -> int:

@@ -151,7 +151,7 @@ def _samples(message: Any, layout: _Layout) -> tuple[np.ndarray, int]:
     if packings[0]:
         found = [_unpacked(rows, width, bits, packing) for packing in packings]
         # Unpacked in the wrong way, neighbours have nothing in common.
-        return min(found, key=lambda one: np.abs(np.diff(one.astype(int))).sum()), bits
+        return min(found, key=lambda one: np.abs(np.diff(one[::8].astype(int))).sum()), bits
     shape = (height, width) if layout.channels == 1 else (height, width, layout.channels)
     image = rows.view(values).reshape(shape).astype(values.newbyteorder("="), copy=False)
     if values.kind != "i":
@@ -166,15 +166,14 @@ def _samples(message: Any, layout: _Layout) -> tuple[np.ndarray, int]:
 
 def _unpacked(rows: np.ndarray, width: int, bits: int, packing: str) -> np.ndarray:
     """The samples in rows of packed bytes, (H, W)."""
-    stream = np.unpackbits(rows, axis=1, bitorder="little")
-    if packing == "packed":
-        # Of two samples in three bytes, the middle byte has the low bits, from its bits 0 and 4 on.
-        low = bits - 8
-        order = [*range(8, 8 + low), *range(8), *range(12, 12 + low), *range(16, 24)]
-        stream = stream.reshape(len(rows), -1, 24)[:, :, order].reshape(len(rows), -1)
-    samples = stream[:, : width * bits].reshape(len(rows), width, bits)
-    words = np.pad(samples, ((0, 0), (0, 0), (0, 16 - bits)))
-    return np.packbits(words, axis=2, bitorder="little").view("<u2")[:, :, 0].astype(np.uint16)
+    rows, number = rows.astype(np.uint16), np.arange(width)
+    if packing == "p":  # one stream of bits, the lowest first
+        first, shift = number * bits // 8, (number * bits % 8).astype(np.uint16)
+        return (rows[:, first] | rows[:, first + 1] << 8) >> shift & (2**bits - 1)
+    # Of two samples in three bytes, the middle byte has the low bits, from its bits 0 and 4 on.
+    pair, second = number // 2 * 3, number % 2
+    low = rows[:, pair + 1] >> (4 * second).astype(np.uint16) & (2 ** (bits - 8) - 1)
+    return rows[:, pair + 2 * second] << (bits - 8) | low
 
 
 def _full_scale(image: np.ndarray, bits: int) -> float | None:
