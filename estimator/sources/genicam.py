@@ -24,8 +24,7 @@ GENICAM = "genicam:"
 _NAMES = ("serial_number", "id_", "user_defined_name")
 _PATIENCE_S = 10.0  # for a frame; longer than exposures are
 _ENCODINGS = {
-    **{f"bayer{first}": f"bayer_{all_}" for first, all_ in (("rg", "rggb"), ("gr", "grbg"))},
-    **{f"bayer{first}": f"bayer_{all_}" for first, all_ in (("gb", "gbrg"), ("bg", "bggr"))},
+    **{f"bayer{pattern[:2]}": f"bayer_{pattern}" for pattern in ("rggb", "grbg", "gbrg", "bggr")},
     **dict.fromkeys(("yuv422_8_uyvy", "ycbcr422_8_cbycry"), "uyvy"),
     **dict.fromkeys(("yuv422_8", "ycbcr422_8"), "yuyv"),
 }
@@ -116,9 +115,9 @@ def _message(image: Any) -> SimpleNamespace:
     name = image.data_format.lower()
     if image.data.itemsize == 2:
         name = re.sub("p(acked)?$", "", name)
-    begin, digits = re.fullmatch(r"(bayer..|)(.*)", name).groups()
+    bayer = name[:7]
     return SimpleNamespace(
-        encoding=_ENCODINGS.get(name) or _ENCODINGS.get(begin, begin) + digits,
+        encoding=_ENCODINGS.get(name) or _ENCODINGS.get(bayer, bayer) + name[7:],
         height=image.height,
         width=image.width,
         step=image.data.nbytes // image.height,
