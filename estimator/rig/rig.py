@@ -27,7 +27,7 @@ class Parameters(Options):
     """Parameters of the node: the options, and names of topics, where ~ is the node's own.
 
     Attributes:
-        image_topic: `sensor_msgs/Image`.
+        image_topic: `sensor_msgs/Image`, or CompressedImage if it ends in /compressed.
         pose_topic: `geometry_msgs/Transform`, mm.
         spot_topic: `geometry_msgs/PointStamped`.
         axes_topic: `geometry_msgs/Vector3Stamped`.
