@@ -67,7 +67,7 @@ KINDS = (
         "microscope",
         "Microscope (`microscope.json`)",
         "The camera over the eye. Stacks have one; `eyespot camera` adds the camera's noise. "
-        "Calibration files of OpenCV and ROS are read, too (`--microscope`).",
+        "Camera calibrations of OpenCV, ROS and Kalibr are read, too (`--microscope`).",
         models=(
             "estimator.files.microscope:_PinholeFile",
             "estimator.files.microscope:_TelecentricFile",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,6 @@ import numpy as np
 import pytest
 from rosbags import rosbag1, rosbag2
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from estimator import Reader, Spot, SubpixelSettings, track
@@ -22,13 +22,20 @@ from estimator.sources import IMAGE_TOPIC, read_frames, write_bag
 from estimator.sources.opening import open_source
 from estimator.sources.ros_images import frame_of_message
 from estimator.sources.source import Frame
+from optics import InputError
 from scenes.drawn import Drawing, Truth, frame_of
+from tests.ros_messages import (
+    EPOCH_S,
+    ROS1,
+    ROS2,
+    compressed_message,
+    header,
+    image_message,
+    message,
+    write,
+)
 
-EPOCH_S = 1.6e9
 CLOCK_S = 2.4e-7  # what float64 resolves of a time in s since 1970
-
-ROS1 = get_typestore(Stores.ROS1_NOETIC)
-ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 
 
 def frames() -> list[Frame]:
@@ -57,67 +64,10 @@ def poses() -> list[Pose]:
     ]
 
 
-def message(types: Any, kind: str, **content: Any) -> Any:
-    return types.types[kind](**content)
-
-
-def header(types: Any, time_s: float) -> Any:
-    seconds, nanoseconds = divmod(round(time_s * 1e9), 10**9)
-    stamp = message(types, "builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-    content = {"stamp": stamp, "frame_id": ""} | ({"seq": 0} if types is ROS1 else {})
-    return message(types, "std_msgs/msg/Header", **content)
-
-
-def image_message(
-    types: Any, image: np.ndarray, encoding: str, time_s: float = EPOCH_S, padding: int = 0
-) -> Any:
-    """A message whose bytes are laid out by hand, rows padded as cameras pad them."""
-    height = image.shape[0]
-    rows = np.ascontiguousarray(image).view(np.uint8).reshape(height, -1)
-    padded = np.pad(rows, ((0, 0), (0, padding)), constant_values=77)
-    return message(
-        types,
-        "sensor_msgs/msg/Image",
-        header=header(types, time_s),
-        height=height,
-        width=image.shape[1],
-        encoding=encoding,
-        is_bigendian=int(image.dtype.byteorder == ">"),
-        step=padded.shape[1],
-        data=padded.ravel(),
-    )
-
-
-def compressed_message(types: Any, image: np.ndarray, form: str = "png") -> Any:
-    written, data = cv2.imencode(f".{form}", image[:, :, ::-1])
-    assert written
-    return message(
-        types,
-        "sensor_msgs/msg/CompressedImage",
-        header=header(types, EPOCH_S),
-        format=form,
-        data=data,
-    )
-
-
 def known(poses: PoseTrack, time_s: float) -> tuple[Pose, float]:
     found = poses.at(time_s)
     assert found is not None
     return found
-
-
-def write(path: Path, types: Any, messages: list[tuple[str, float, Any]], **options: Any) -> Path:
-    """A bag of (topic, time of arrival, message), by rosbags alone."""
-    writers: dict[Any, Callable[..., Any]] = {ROS1: rosbag1.Writer, ROS2: rosbag2.Writer}
-    serialize = types.serialize_ros1 if types is ROS1 else types.serialize_cdr
-    with writers[types](path, **options) as writer:
-        connections: dict[str, Any] = {}
-        for topic, time_s, content in messages:
-            kind = content.__msgtype__
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=types)
-            writer.write(connections[topic], round(time_s * 1e9), serialize(content, kind))
-    return path
 
 
 def write_ros2(path: Path, storage: rosbag2.StoragePlugin) -> Path:
@@ -221,35 +171,12 @@ def test_a_frame_of_any_depth_goes_through_a_bag(tmp_path, dtype, channels, enco
 RGB = np.random.default_rng(1).integers(0, 255, (6, 5, 3), dtype=np.uint8)
 GREY = RGB[:, :, 0]
 DEEP = RGB.astype(np.uint16) * 257
-OPAQUE = np.full((6, 5, 1), 255, np.uint8)
-
-
-@pytest.mark.parametrize("types", [ROS1, ROS2], ids=["ros1", "ros2"])
-@pytest.mark.parametrize("padding", [0, 6])
-@pytest.mark.parametrize(
-    ("encoding", "data", "image"),
-    [
-        ("mono8", GREY, GREY),
-        ("mono16", DEEP[:, :, 0], DEEP[:, :, 0]),
-        ("mono16", DEEP[:, :, 0].astype(">u2"), DEEP[:, :, 0]),
-        ("rgb8", RGB, RGB),
-        ("bgr8", RGB[:, :, ::-1], RGB),
-        ("rgb16", DEEP, DEEP),
-        ("bgr16", DEEP[:, :, ::-1].astype(">u2"), DEEP),
-        ("rgba8", np.dstack([RGB, OPAQUE]), RGB),
-        ("bgra8", np.dstack([RGB[:, :, ::-1], OPAQUE]), RGB),
-    ],
-)
-def test_every_encoding_becomes_grey_or_rgb(types, padding, encoding, data, image):
-    found = frame_of_message(image_message(types, data, encoding, padding=padding))
-    assert found.dtype == image.dtype
-    np.testing.assert_array_equal(found, image)
 
 
 def test_bytes_as_rospy_gives_them_are_read_too():
     raw = image_message(ROS1, RGB, "rgb8")
     raw.data = raw.data.tobytes()
-    np.testing.assert_array_equal(frame_of_message(raw), RGB)
+    np.testing.assert_array_equal(frame_of_message(raw)[0], RGB)
 
 
 def test_compressed_images_are_read(tmp_path):
@@ -261,36 +188,78 @@ def test_compressed_images_are_read(tmp_path):
     assert frame.time_s == EPOCH_S
 
 
-@pytest.mark.parametrize(
-    ("broken", "words"),
-    [
-        ({"encoding": "bayer_rggb8"}, "must be one of mono8, .* got 'bayer_rggb8'"),
-        ({"height": 7}, "5x7 px .* cannot be made of 90 bytes"),
-        ({"step": 3}, "3 bytes a row"),
-        ({"width": 0, "height": 0}, "cannot be made"),
-    ],
-)
-def test_an_image_that_makes_no_sense_is_refused_with_its_frame(tmp_path, broken, words):
-    bad = image_message(ROS1, RGB, "rgb8")
-    for name, value in broken.items():
-        setattr(bad, name, value)
-    good = image_message(ROS1, RGB, "rgb8")
-    messages = [(IMAGE_TOPIC, 1.0 + k, content) for k, content in enumerate([good, good, bad])]
-    tracking = track_source(
-        open_source(write(tmp_path / "a.bag", ROS1, messages)), Reader(SubpixelSettings())
-    )
-    assert tracking.ended is Ended.BROKEN
-    assert len(tracking.records) == 2
-    with pytest.raises(ValueError, match=f"a.bag, {IMAGE_TOPIC}, frame 2: .*{words}"):
-        raise ValueError(tracking.fault)
+BROKEN: dict[str, tuple[dict[str, Any], str]] = {
+    "encoding": ({"encoding": "jpeg"}, "must be mono .* got 'jpeg'"),
+    "height": ({"height": 7}, "5x7 px .* cannot be made of 90 bytes"),
+    "step": ({"step": 3}, "3 bytes a row"),
+    "empty": ({"width": 0, "height": 0}, "cannot be made"),
+    "no data": ({"data": np.zeros(0, np.uint8)}, "cannot be made of 0 bytes"),
+    "odd": ({"encoding": "yuv422", "step": 15}, "even width"),
+    "cut png": ({"data": compressed_message(ROS1, RGB).data[:50]}, r"\('png', 50 bytes\) .*trunc"),
+    "empty png": ({"data": np.zeros(0, np.uint8), "format": "png"}, "0 bytes.*is empty"),
+    "depth": ({"format": "16UC1; compressedDepth png"}, "depths, not of light"),
+}
 
 
-def test_a_compressed_image_that_is_none_is_refused(tmp_path):
-    bad = compressed_message(ROS1, RGB)
-    bad.data = bad.data[:50]
-    path = write(tmp_path / "a.bag", ROS1, [(IMAGE_TOPIC, 1, bad)])
-    with pytest.raises(ValueError, match=r"frame 0: a compressed image \('png', 50 bytes\)"):
-        list(open_source(path))
+def bag_of_good_and(path: Path, broken: str, order: str) -> Path:
+    """Images of which those that are written "x" have a fault of `BROKEN`."""
+    changed, messages = BROKEN[broken][0], []
+    for k, letter in enumerate(order):
+        compressed = "png" in broken or "format" in changed
+        content = compressed_message(ROS1, RGB) if compressed else image_message(ROS1, RGB, "rgb8")
+        content.header = header(ROS1, EPOCH_S + k)
+        for name, value in changed.items() if letter == "x" else ():
+            setattr(content, name, value)
+        messages.append((IMAGE_TOPIC, 1.0 + k, content))
+    return write(path, ROS1, messages)
+
+
+@pytest.mark.parametrize("broken", BROKEN)
+@pytest.mark.parametrize("order", ["xoox", "ooxxo"])
+def test_an_image_that_makes_no_sense_costs_its_frame_alone(tmp_path, broken, order, caplog):
+    source = open_source(bag_of_good_and(tmp_path / "a.bag", broken, order))
+    tracking = track_source(source, Reader(SubpixelSettings()))
+    assert tracking.ended is Ended.COMPLETE
+    expected = ["unreadable" if letter == "x" else "none_found" for letter in order]
+    assert [record.reason for record in tracking.records] == expected
+    assert [record.time_s - EPOCH_S for record in tracking.records] == [*range(len(order))]
+    (said,) = caplog.messages
+    assert f"a.bag, {IMAGE_TOPIC}: 2 of {len(order)} images" in said
+    assert re.search(f"The first, frame {order.index('x')}: .*{BROKEN[broken][1]}", said)
+
+
+@pytest.mark.parametrize("broken", BROKEN)
+def test_a_bag_without_any_good_image_is_refused(tmp_path, broken):
+    source = open_source(bag_of_good_and(tmp_path / "a.bag", broken, "xxx"))
+    words = f"none of 3 images .* frame 0: .*{BROKEN[broken][1]}.*Record again .*another topic"
+    with pytest.raises(InputError, match=words):
+        track_source(source, Reader(SubpixelSettings()))
+
+
+@pytest.mark.parametrize("cut", [0, 20])
+def test_a_message_that_breaks_off_costs_its_frame_alone(tmp_path, cut, caplog):
+    path = tmp_path / "a.bag"
+    content = ROS1.serialize_ros1(image_message(ROS1, RGB, "rgb8"), "sensor_msgs/msg/Image")
+    with rosbag1.Writer(path) as writer:
+        connection = writer.add_connection(IMAGE_TOPIC, "sensor_msgs/msg/Image", typestore=ROS1)
+        for time_s, data in ((1, content), (2, content[:cut]), (3, content)):
+            writer.write(connection, round(time_s * 1e9), data)
+    found = list(open_source(path))
+    assert [bool(frame.fault) for frame in found] == [False, True, False]
+    assert found[1].time_s == 2.0  # of its arrival
+    assert "1 of 3 images could not be decoded" in caplog.text
+
+
+def test_stamps_that_go_back_are_said_once_and_keep_the_order_of_arrival(tmp_path, caplog):
+    stamps = [5.0, 6.0, 4.0, 3.0, 7.0]
+    messages = [
+        (IMAGE_TOPIC, 10.0 + k, image_message(ROS1, RGB, "rgb8", time_s))
+        for k, time_s in enumerate(stamps)
+    ]
+    frames = list(open_source(write(tmp_path / "a.bag", ROS1, messages)))
+    assert [frame.time_s for frame in frames] == stamps
+    (said,) = caplog.messages
+    assert "the stamp of frame 2, 4.000000 s, is earlier than one before it, 6.000000 s" in said
 
 
 def test_an_image_without_a_stamp_has_the_time_of_its_arrival(tmp_path):

@@ -219,8 +219,21 @@ def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path)
         session.pause(False)
         wait_until(lambda: shown(session)[0] == 2, "the last frame")
         session.stop_recording()
-        assert "uint8 or uint16" in session.recording_fault
+        assert "images of 8 or 16 bits; got float64" in session.recording_fault
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("order", "number", "fault"), [((0, 1, 2), 2, ""), ((0, 2, 1), 1, "bag, frame 1: is empty")]
+)
+def test_a_frame_that_cannot_be_decoded_is_said_and_passed_over(order, number, fault) -> None:
+    good = [Frame(index=n, file_name="", time_s=float(n), image=disc(30)) for n in range(3)]
+    frames = [good[0], Frame.unreadable(1, 1.0, "is empty"), good[2]]
+    source = Source(name="bag", read=lambda: (frames[n] for n in order), rate_hz=1e3, length=3)
+    with session_of(lambda: source) as session:
+        wait_until(lambda: session.at_end, "the end")
+        assert shown(session)[0] == number
+        assert session.fault == fault
 
 
 def test_a_camera_that_was_lost_comes_back_by_itself() -> None:

@@ -232,7 +232,7 @@ def test_nonsense_in_our_file_is_refused_with_file_and_key(written, changed, tol
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("image_width: 640\n", "", "image_width is missing"),
+        ("image_width: 640\n", "", "image_width .or width. is missing"),
         ("width: 640", "width: [640, 480]", "image_width must be one whole number"),
         ("width: 640", "width: wide", "image_width must hold numbers"),
         ("3432.8, 224.25", "3500.0, 224.25", "square pixels.*CALIB_FIX_ASPECT_RATIO"),

@@ -140,6 +140,13 @@ def test_the_pose_of_an_image_is_the_last_that_came_before_it() -> None:
     assert pose_age_s(rig.output(image, 5.0, 0).details) == pytest.approx(0.02, abs=1e-9)
 
 
+def test_a_topic_of_compressed_images_is_looked_for_as_such() -> None:
+    silence = Silence("/camera/compressed", clock=iter([0.0, 10.0]).__next__)
+    said = silence.change(lambda: ["sensor_msgs/msg/Image"])
+    assert said is not None
+    assert "a topic of this name is read as sensor_msgs/CompressedImage" in said[0]
+
+
 def test_a_recording_that_begins_anew_does_not_get_poses_of_its_first_run() -> None:
     rig, image = Rig(Parameters()), image_message(disc(150, 110, 40))
     for received_s in (5.00, 5.01, 1.00):  # the recording is played again

@@ -27,8 +27,8 @@ def console(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="Stack, folder of images, TIFF, video, ROS bag, number of a camera, or "
-            "topic:/NAME of a running ROS.",
+            help="Stack, folder of images, TIFF, video, ROS bag, number of a camera, genicam:NAME, "
+            "or topic:/NAME of a running ROS.",
         ),
     ],
     exposure: Exposure = None,

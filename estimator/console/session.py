@@ -242,8 +242,11 @@ class Session:
                 return
             if self.source.unrelated:
                 self._reader.forget()
-            self._measure(frame, number)
-            self.fault = ""
+            if frame.fault:
+                self.fault = f"{self.source.name}, frame {frame.index}: {frame.fault}"
+            else:
+                self._measure(frame, number)
+                self.fault = ""
             number += 1
             due = max(due + period_s, time.monotonic() - period_s)
             with self._wake:

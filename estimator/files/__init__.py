@@ -2,6 +2,7 @@
 
 calibration       Calibration file: JSON with a model's fitted parameters, their covariance and
                   their origin
+camera_files      Camera calibrations as OpenCV, ROS and Kalibr write them, in YAML, JSON or XML
 camera_sheet      The key `camera` of a microscope file: the camera's data sheet after EMVA 1288
 csv_files         Reads CSV files that anyone may have written, row by row
 image_files       Decodes image files that anyone may have written, with a limit of pixels
@@ -10,9 +11,9 @@ json_files        Reads JSON that anyone may have written
 kept              Arrays that take long to compute, kept in the user's cache folder
 manifest          Manifest of a folder: size and SHA-256 of every file in it, and what differs
                   from that
-microscope        Microscope files: the stack's microscope.json, or a camera calibration of OpenCV
+microscope        Microscope files: the stack's microscope.json, or a camera calibration of OpenCV,
+                  ROS or Kalibr
 model_parameters  Parameters of the models, with their units and ranges
-opencv            Camera calibrations as OpenCV and ROS write them
 pose_files        Reads the robot's poses from a CSV file or a ROS bag
 poses             Poses of the robot: where the instrument's tip was, and in which direction it
                   pointed

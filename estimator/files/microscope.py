@@ -1,6 +1,6 @@
-"""Microscope files: the stack's microscope.json, or a camera calibration of OpenCV.
+"""Microscope files: the stack's microscope.json, or a camera calibration of OpenCV, ROS or Kalibr.
 
-Both are read into one `MicroscopeFile`. OpenCV's files describe the camera but not the eye: the
+All are read into one `MicroscopeFile`. A calibration describes the camera but not the eye: the
 pinhole's height and the eye's radius come with the call.
 """
 
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, PlainValidator
 
+from estimator.files.camera_files import calibration_in, camera_of
 from estimator.files.camera_sheet import CameraSheet
 from estimator.files.json_files import object_in
-from estimator.files.opencv import opencv_camera
 from estimator.files.viewing import Length, PathSeries, Retina
 from estimator.image import Camera, CameraNoise, Response
 from optics import InputError, Strict, check_schema, in_file, read_text, validated
@@ -73,6 +73,7 @@ class MicroscopeFile:
             that of its paraxial pinhole. None for a pinhole.
         retina: shape of the eyeball; None for a sphere of `eye_radius_mm`.
         noise: of the camera; None if it was not measured.
+        distortion_model: as `Camera.model`; brown in files of ours.
     """
 
     width_px: int
@@ -89,6 +90,7 @@ class MicroscopeFile:
     viewing_path: PathSeries | None = None
     retina: Retina | None = None
     noise: CameraNoise | None = None
+    distortion_model: Literal["brown", "equidistant"] = "brown"
 
     def __post_init__(self) -> None:
         """Reject what no microscope can have."""
@@ -131,9 +133,12 @@ class MicroscopeFile:
 
     def camera(self) -> Camera | None:
         """For `SubpixelSettings(camera=...)`; None if there is no distortion."""
-        if self.camera_matrix is None or not self.distortion.any():
+        is_ideal = self.distortion_model == "brown" and not self.distortion.any()
+        if self.camera_matrix is None or is_ideal:
             return None
-        return Camera(matrix=self.camera_matrix, distortion=self.distortion)
+        return Camera(
+            matrix=self.camera_matrix, distortion=self.distortion, model=self.distortion_model
+        )
 
     def ideal_microscope(self) -> optics.Camera:
         """The camera without distortion, in whose image undistorted spots lie. Loads JAX."""
@@ -165,13 +170,13 @@ def read_microscope(
     eye_radius_mm: float | None = None,
     plane_normal: tuple[float, float, float] | None = None,
 ) -> MicroscopeFile:
-    """Read a microscope from a stack's microscope.json or from a calibration file of OpenCV.
+    """Read a microscope from a stack's microscope.json or from a camera calibration.
 
     Args:
         path: of the file.
-        pinhole_height_mm: z_F above the eyeball's centre, for OpenCV files, which lack it.
-        eye_radius_mm: r, for OpenCV files, which lack it.
-        plane_normal: of a plane wall, for files that lack it, such as those of OpenCV; None: the
+        pinhole_height_mm: z_F above the eyeball's centre, for calibrations, which lack it.
+        eye_radius_mm: r, for calibrations, which lack it.
+        plane_normal: of a plane wall, for files that lack it, such as calibrations; None: the
             file's, or the eyeball.
 
     Raises:
@@ -185,7 +190,7 @@ def read_microscope(
         text = read_text(path, most_bytes=_MOST_BYTES)
         content = _json_in(text)
         if "schema" not in content:
-            return _from_opencv(text, given, plane_normal)
+            return _from_calibration(content or calibration_in(text), given, plane_normal)
         twice = [name for name, value in given.items() if value is not None]
         if plane_normal is not None:
             # A file of a version that did not know planes has no such key.
@@ -202,7 +207,7 @@ def _json_in(text: str) -> dict[str, Any]:
     try:
         return object_in(text)
     except InputError:
-        return {}  # a YAML or XML file of OpenCV
+        return {}  # YAML or XML
 
 
 def _numbers(*shape: int) -> PlainValidator:
@@ -361,14 +366,14 @@ def _agrees_with_its_eye(microscope: MicroscopeFile) -> None:
         )
 
 
-def _from_opencv(
-    text: str,
+def _from_calibration(
+    content: dict[str, Any],
     given: dict[str, float | None],
     plane_normal: tuple[float, float, float] | None,
 ) -> MicroscopeFile:
-    seen = opencv_camera(text)
+    camera, size = camera_of(content)
     height, radius = (_given(name, value) for name, value in given.items())
-    matrix = seen.camera.matrix
+    matrix = camera.matrix
     fx, fy, skew = matrix[0, 0], matrix[1, 1], matrix[0, 1]
     if abs(fx - fy) > _SQUARE * fx or abs(skew) > _SQUARE * fx:
         raise MicroscopeFileError(
@@ -377,10 +382,11 @@ def _from_opencv(
             "cv2.CALIB_FIX_ASPECT_RATIO."
         )
     return MicroscopeFile(
-        width_px=seen.width_px,
-        height_px=seen.height_px,
+        width_px=size[0],
+        height_px=size[1],
         camera_matrix=matrix,
-        distortion=seen.camera.distortion,
+        distortion=camera.distortion,
+        distortion_model=camera.model,
         # Below the pole, the pinhole that the eye shows sees a pixel under the same angle.
         scale_mm_px=abs(height + radius) / math.sqrt(fx * fy),
         principal_point_px=_pair(matrix[:2, 2]),
@@ -393,8 +399,7 @@ def _from_opencv(
 def _given(name: str, value: float | None) -> float:
     if value is None or not math.isfinite(value):
         raise MicroscopeFileError(
-            f"a calibration file of OpenCV does not hold {name}. Give it with the file, in mm; got "
-            f"{value}."
+            f"a camera calibration does not hold {name}. Give it with the file, in mm; got {value}."
         )
     return value
 

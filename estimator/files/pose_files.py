@@ -57,6 +57,8 @@ def _from_bag(path: Path, topic: str | None) -> Iterator[Pose]:
 
 
 def _pose_of_message(message: Any, received_s: float) -> Pose:
+    if isinstance(message, InputError):
+        raise message
     if hasattr(message, "translation"):
         time_s, scale = received_s, 1.0
         position, turn = message.translation, message.rotation

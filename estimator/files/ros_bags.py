@@ -100,17 +100,23 @@ def topic_in(
 def messages_of(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[float, Any]]:
     """Time of arrival (s) and content of each message of a topic, in the order of arrival.
 
+    The content of a message that cannot be decoded is the InputError that says why.
+
     Raises:
-        InputError: a message is damaged.
+        InputError: the bag is damaged.
     """
     messages = reader.messages([c for c in reader.connections if c.topic == topic])
     for index in itertools.count():
         with _damage_reported(f"{path}, {topic}, message {index}"):
             item = next(messages, None)
-            if item is None:
-                return
-            connection, time_ns, data = item
-            message = reader.deserialize(data, connection.msgtype)
+        if item is None:
+            return
+        connection, time_ns, data = item
+        try:
+            with _damage_reported(connection.msgtype):
+                message = reader.deserialize(data, connection.msgtype)
+        except InputError as error:
+            message = error
         yield time_ns / 1e9, message
 
 

@@ -25,7 +25,8 @@ from optics import InputError, check_regular, check_schema, in_file, shortened
 
 SCHEMA_VERSION = 2
 HISTORY = {
-    1: "the format of eyespot 0.1; files written since may have the reason internal_error",
+    1: "the format of eyespot 0.1; files written since may have the reason internal_error "
+    "or unreadable",
     2: "distance_low_mm, distance_high_mm and largest_cause: the distance's 95 % interval, and "
     "what makes it wide; tip, axis, their covariance, chi_squared and wall_memory of the mode "
     "pixels",

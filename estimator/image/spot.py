@@ -27,6 +27,7 @@ class Reason(Enum):
     SATURATED = "saturated"
     OCCLUDED = "occluded"
     AMBIGUOUS = "ambiguous"
+    UNREADABLE = "unreadable"
     INTERNAL_ERROR = "internal_error"
 
     @property
@@ -50,6 +51,8 @@ _MEANINGS = {
     Reason.OCCLUDED: "Too little of the outline is visible: an instrument, a shadow or a "
     "reflection hides it.",
     Reason.AMBIGUOUS: "Two places could be the spot. Click it (console), or cover the other light.",
+    Reason.UNREADABLE: "The frame could not be decoded; the note says why. Record it again, or in "
+    "another encoding.",
     Reason.INTERNAL_ERROR: "The measurement failed. This is a bug; please report the frame.",
 }
 

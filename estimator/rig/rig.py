@@ -27,7 +27,7 @@ class Parameters(Options):
     """Parameters of the node: the options, and names of topics, where ~ is the node's own.
 
     Attributes:
-        image_topic: `sensor_msgs/Image`.
+        image_topic: `sensor_msgs/Image`, or CompressedImage if it ends in /compressed.
         pose_topic: `geometry_msgs/Transform`, mm.
         spot_topic: `geometry_msgs/PointStamped`.
         axes_topic: `geometry_msgs/Vector3Stamped`.
@@ -129,11 +129,14 @@ class Rig:
         name = f"image {number}"
         reading, fault = Reading(NoSpot(Reason.INTERNAL_ERROR), None, math.nan), ""
         try:
-            image = frame_of_message(message)
+            image, full_scale = frame_of_message(message)
             poses = self._poses.track()
             reading = self._reader.read(image, time_s=time_s, poses=poses, name=name)
             if self._show is not None:
-                self._show(Frame(index=number, file_name="", time_s=time_s, image=image), reading)
+                frame = Frame(
+                    index=number, file_name="", time_s=time_s, image=image, full_scale=full_scale
+                )
+                self._show(frame, reading)
         except InputError as error:
             fault = f"{error}"
         except Exception as error:

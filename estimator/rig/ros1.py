@@ -9,7 +9,7 @@ from typing import Any
 from estimator.rig.messages import message_types, messages_of, silence_message, topics_of
 from estimator.rig.recent_poses import POSES_KEPT
 from estimator.rig.rig import Doubt, Parameters, Rig, opened_rig
-from estimator.rig.silence import PERIOD_S, Silence
+from estimator.rig.silence import PERIOD_S, Silence, image_type
 from optics import InputError
 
 _DEBIAN_PACKAGES = "/usr/lib/python3/dist-packages"  # rospy, outside of environments
@@ -41,7 +41,7 @@ class Connection:
     def __init__(self, rig: Rig, parameters: Parameters) -> None:
         import rospy
         from geometry_msgs.msg import Transform
-        from sensor_msgs.msg import Image
+        from sensor_msgs import msg as sensor
 
         self._rig, self._last = rig, None
         self._topic = _resolved(parameters.image_topic)
@@ -53,7 +53,8 @@ class Connection:
         poses = _resolved(parameters.pose_topic)
         rospy.Subscriber(poses, Transform, self._on_pose, queue_size=POSES_KEPT)
         # At most one image waits: a node that cannot keep up skips images and measures the newest.
-        rospy.Subscriber(self._topic, Image, self._on_image, queue_size=1, buff_size=BUFFER_BYTES)
+        kind = getattr(sensor, image_type(self._topic))
+        rospy.Subscriber(self._topic, kind, self._on_image, queue_size=1, buff_size=BUFFER_BYTES)
 
     def watch(self) -> None:
         """Report images that have stopped; call this every `PERIOD_S`."""

@@ -13,7 +13,7 @@ from estimator.files import stamp_s
 from estimator.rig.messages import message_types, messages_of, silence_message, topics_of
 from estimator.rig.recent_poses import POSES_KEPT
 from estimator.rig.rig import Doubt, Parameters, Rig, opened_rig
-from estimator.rig.silence import PERIOD_S, Silence
+from estimator.rig.silence import PERIOD_S, Silence, image_type
 from optics import InputError
 
 _OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -98,7 +98,7 @@ class Connection:
         from rclpy.clock import Clock, ClockType
         from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
         from rclpy.qos_overriding_options import QoSOverridingOptions
-        from sensor_msgs.msg import Image
+        from sensor_msgs import msg as sensor
 
         self._node, self._rig, self._last = node, rig, None
         self._log = node.get_logger()
@@ -115,7 +115,7 @@ class Connection:
         newest = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         every = QoSProfile(depth=POSES_KEPT, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         for kind, topic, callback, qos in (
-            (Image, self._topic, self._on_image, newest),
+            (getattr(sensor, image_type(self._topic)), self._topic, self._on_image, newest),
             (Transform, poses, self._on_pose, every),
         ):
             overridable = QoSOverridingOptions.with_default_policies()

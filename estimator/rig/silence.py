@@ -7,7 +7,11 @@ from collections.abc import Callable, Collection
 
 PERIOD_S = 1.0  # how often a node should look
 _LIMIT_S = 2.0  # a rig's camera takes 20 images in this time
-_WANTED = "sensor_msgs/Image"
+
+
+def image_type(topic: str) -> str:
+    """Name of the messages of an image topic; image_transport's ends in /compressed."""
+    return "CompressedImage" if topic.endswith("/compressed") else "Image"
 
 
 class Silence:
@@ -38,7 +42,7 @@ class Silence:
         """
         seconds = self._clock() - self._last_s
         if seconds > _LIMIT_S:
-            said = f"no image on {self._topic}: {_cause({_short(name) for name in types()})}"
+            said = f"no image on {self._topic}: {self._cause(types())}"
             changed, self._said = said != self._said, said
             return (said, True) if changed else None
         changed, self._said = self._said != "", ""
@@ -49,23 +53,20 @@ class Silence:
         """What is wrong at this moment; empty if images arrive."""
         return self._said
 
-
-def _cause(types: Collection[str]) -> str:
-    if not types:
+    def _cause(self, types: Collection[str]) -> str:
+        found = {name.replace("/msg/", "/") for name in types}  # as ROS 1 writes them
+        wanted = f"sensor_msgs/{image_type(self._topic)}"
+        if not found:
+            return (
+                "nobody publishes it. Check the camera's node and cable, and the parameter "
+                "image_topic."
+            )
+        if wanted not in found:
+            return (
+                f"it is published as {', '.join(sorted(found))}, and a topic of this name is read "
+                f"as {wanted}. Choose one of raw images, or one that ends in /compressed."
+            )
         return (
-            "nobody publishes it. Check the camera's node and cable, and the parameter image_topic."
+            "it is published, but nothing arrives. Check the camera; in ROS 2 also the quality of"
+            " service (ros2 topic info --verbose)."
         )
-    if _WANTED not in types:
-        return (
-            f"it is published as {', '.join(sorted(types))}, and this node reads {_WANTED}. Choose"
-            " the topic of the raw image."
-        )
-    return (
-        "it is published, but nothing arrives. Check the camera; in ROS 2 also the quality of"
-        " service (ros2 topic info --verbose)."
-    )
-
-
-def _short(name: str) -> str:
-    """A type's name as ROS 1 writes it."""
-    return name.replace("/msg/", "/")

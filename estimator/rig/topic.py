@@ -12,8 +12,8 @@ from estimator.files import POSE_TOPIC, stamp_s
 from estimator.rig.generation import is_ros2
 from estimator.rig.recent_poses import POSES_KEPT, RecentPoses
 from estimator.rig.ros1 import BUFFER_BYTES, imported_rospy
-from estimator.rig.silence import PERIOD_S, Silence
-from estimator.sources import Frame, Source, frame_of_message
+from estimator.rig.silence import PERIOD_S, Silence, image_type
+from estimator.sources import Frame, Source, decoded_frame
 from optics import InputError
 
 _NAME = "eyespot_console"
@@ -27,7 +27,7 @@ def open_topic(
     Reading raises an InputError, with the cause, where images stop; read again for the next ones.
 
     Args:
-        topic: of `sensor_msgs/Image`.
+        topic: of `sensor_msgs/Image`, or CompressedImage if it ends in /compressed.
         poses: take the poses of the robot, at their time of arrival; None for no poses.
         pose_topic: of `geometry_msgs/Transform`, mm.
 
@@ -47,7 +47,7 @@ def open_topic(
             silence.end()
             stamp = image.header.stamp
             time_s = stamp.to_sec() if hasattr(stamp, "to_sec") else stamp_s(image.header)
-            yield Frame(index=index, file_name="", time_s=time_s, image=frame_of_message(image))
+            yield decoded_frame(image, index=index, time_s=time_s)
 
     return Source(name=topic, read=read, live=True)
 
@@ -87,10 +87,11 @@ def _subscribed_ros1(
 ) -> Callable[[], Collection[str]]:
     rospy = imported_rospy()
     from geometry_msgs.msg import Transform
-    from sensor_msgs.msg import Image
+    from sensor_msgs import msg as sensor
 
     rospy.init_node(_NAME, anonymous=True, disable_signals=True)
-    rospy.Subscriber(topic, Image, newest.put, queue_size=1, buff_size=BUFFER_BYTES)
+    kind = getattr(sensor, image_type(topic))
+    rospy.Subscriber(topic, kind, newest.put, queue_size=1, buff_size=BUFFER_BYTES)
     if poses is not None:
         take = _taking(poses, rospy.get_time)
         rospy.Subscriber(pose_topic, Transform, take, queue_size=POSES_KEPT)
@@ -104,7 +105,7 @@ def _subscribed_ros2(
     import rclpy
     from geometry_msgs.msg import Transform
     from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-    from sensor_msgs.msg import Image
+    from sensor_msgs import msg as sensor
 
     from estimator.rig.ros2 import check_topics
 
@@ -113,7 +114,7 @@ def _subscribed_ros2(
     rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     node = rclpy.create_node(_NAME)
     qos = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-    node.create_subscription(Image, topic, newest.put, qos)
+    node.create_subscription(getattr(sensor, image_type(topic)), topic, newest.put, qos)
     if poses is not None:
         every = QoSProfile(depth=POSES_KEPT, reliability=QoSReliabilityPolicy.BEST_EFFORT)
         take = _taking(poses, lambda: node.get_clock().now().nanoseconds / 1e9)

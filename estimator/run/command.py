@@ -44,7 +44,8 @@ def track(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="Stack, folder of images, TIFF, video, ROS bag, or number of a camera.",
+            help="Stack, folder of images, TIFF, video, ROS bag, number of a camera, or "
+            "genicam:NAME.",
         ),
     ],
     out: Annotated[

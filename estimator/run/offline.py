@@ -13,7 +13,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from estimator.files import BeamPose, PoseTrack, SpotRecord
-from estimator.image import Reason
+from estimator.image import NoSpot, Reason
 from estimator.run.interrupt import finish_first
 from estimator.run.reader import Reader, Reading
 from estimator.sources import Frame, Source
@@ -187,6 +187,9 @@ def _readings(
                 f"{where} has no time, so that no pose belongs to it. Leave the poses out, or use"
                 " a bag or a video."
             )
+        if frame.fault:
+            yield frame, Reading(NoSpot(Reason.UNREADABLE), None, math.nan)
+            continue
         try:
             reading = reader.read(
                 frame.image,

@@ -267,7 +267,7 @@ class Options(BaseModel):
 
         if self.reference is None:
             return None
-        image = next(iter(open_source(self.reference))).image
+        image = next(frame for frame in open_source(self.reference) if not frame.fault).image
         size = (microscope.width_px, microscope.height_px)
         if image.shape[1::-1] != size:
             width, height = image.shape[1::-1]

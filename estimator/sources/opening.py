@@ -11,6 +11,7 @@ import numpy as np
 from estimator.files import is_bag, read_stack
 from estimator.image import checked_frame
 from estimator.sources.bag_images import open_bag
+from estimator.sources.genicam import GENICAM, open_genicam
 from estimator.sources.images import IMAGES, TIFF, open_folder, open_image, open_tiff
 from estimator.sources.source import Frame, Source
 from estimator.sources.videos import open_camera, open_video
@@ -24,7 +25,8 @@ def open_source(
 
     Args:
         source: a stack folder, a folder of images (in natural order of their names), an image, a
-            multi-page TIFF, a video, a ROS 1 or ROS 2 bag, or the number of a camera.
+            multi-page TIFF, a video, a ROS 1 or ROS 2 bag, the number of a camera, or genicam:
+            and the number or name of a GenICam camera.
         exposure: of a stack that has several, such as "paper" or "metered".
         image_topic: of a bag, see `bag_images.read_frames`.
 
@@ -33,7 +35,9 @@ def open_source(
             exposure or topic. Reading the frames raises it for damage that is found later.
     """
     path = Path(source)
-    if not path.exists():
+    if str(source).startswith(GENICAM):
+        opened = open_genicam(str(source).removeprefix(GENICAM))
+    elif not path.exists():
         if str(source).isdecimal():
             opened = open_camera(str(source))
         else:

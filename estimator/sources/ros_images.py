@@ -1,4 +1,9 @@
-"""Images of ROS messages as frames, and back; for bags and for a live node alike."""
+"""Images of ROS messages as frames, and back; for bags and for a live node alike.
+
+The encodings are those of sensor_msgs/image_encodings.hpp, OpenCV's types in the order of channels
+of cv_bridge (BGR), and samples of 10, 12 and 14 bits in words or packed: `p` is GenICam's packing,
+`packed` that of GigE Vision.
+"""
 
 from __future__ import annotations
 
@@ -10,60 +15,103 @@ import numpy as np
 from estimator.files import decoded_image
 from estimator.image import checked_frame
 from estimator.sources.images import rgb_of_opencv
+from estimator.sources.source import Frame
 from optics import InputError, in_file, shortened
 
 
 class _Layout(NamedTuple):
     dtype: str
-    channels: int
+    channels: int = 1
     to_rgb: int | None = None
+    bits: int = 0  # of a sample; 0: all of its word
+    packing: str = ""
+    halves: int = 2  # as many halves of the image's rows make its rows of bytes
 
 
+_MOSAICS = {
+    "bayer_rggb": cv2.COLOR_BayerRGGB2RGB,
+    "bayer_bggr": cv2.COLOR_BayerBGGR2RGB,
+    "bayer_gbrg": cv2.COLOR_BayerGBRG2RGB,
+    "bayer_grbg": cv2.COLOR_BayerGRBG2RGB,
+}
+_WHOLE = {
+    "mono": _Layout("", 1),
+    "rgb": _Layout("", 3),
+    "bgr": _Layout("", 3, cv2.COLOR_BGR2RGB),
+    "rgba": _Layout("", 4, cv2.COLOR_RGBA2RGB),
+    "bgra": _Layout("", 4, cv2.COLOR_BGRA2RGB),
+    **{name: _Layout("", 1, to_rgb) for name, to_rgb in _MOSAICS.items()},
+}
+_OPENCV = {"c1": "mono", "c3": "bgr", "c4": "bgra"}
 _LAYOUTS = {
-    "mono8": _Layout("u1", 1),
-    "mono16": _Layout("u2", 1),
-    "rgb8": _Layout("u1", 3),
-    "rgb16": _Layout("u2", 3),
-    "bgr8": _Layout("u1", 3, cv2.COLOR_BGR2RGB),
-    "bgr16": _Layout("u2", 3, cv2.COLOR_BGR2RGB),
-    "rgba8": _Layout("u1", 4, cv2.COLOR_RGBA2RGB),
-    "bgra8": _Layout("u1", 4, cv2.COLOR_BGRA2RGB),
+    **{f"{name}8": layout._replace(dtype="u1") for name, layout in _WHOLE.items()},
+    **{f"{name}16": layout._replace(dtype="u2") for name, layout in _WHOLE.items()},
+    **{f"8u{name}": _WHOLE[same]._replace(dtype="u1") for name, same in _OPENCV.items()},
+    **{f"16u{name}": _WHOLE[same]._replace(dtype="u2") for name, same in _OPENCV.items()},
+    **{
+        f"{name}{bits}{packing}": _Layout("u2", 1, to_rgb, bits, packing)
+        for name, to_rgb in ({"mono": None} | _MOSAICS).items()
+        for bits, packings in ((10, ("", "p", "packed")), (12, ("", "p", "packed")), (14, ("",)))
+        for packing in packings
+    },
+    **dict.fromkeys(("uyvy", "yuv422"), _Layout("u1", 2, cv2.COLOR_YUV2RGB_UYVY)),
+    **dict.fromkeys(("yuyv", "yuv422_yuy2"), _Layout("u1", 2, cv2.COLOR_YUV2RGB_YUY2)),
+    "nv12": _Layout("u1", to_rgb=cv2.COLOR_YUV2RGB_NV12, halves=3),
+    "nv21": _Layout("u1", to_rgb=cv2.COLOR_YUV2RGB_NV21, halves=3),
+    "nv24": _Layout("u1", to_rgb=cv2.COLOR_YUV2RGB_UYVY, halves=6),
+    "16sc1": _Layout("i2", bits=15),
+    "32fc1": _Layout("f4"),
+    "64fc1": _Layout("f8"),
 }
 
 
-def frame_of_message(message: Any) -> np.ndarray:
-    """The frame in a `sensor_msgs/Image` or `sensor_msgs/CompressedImage`.
+def frame_of_message(message: Any) -> tuple[np.ndarray, float | None]:
+    """The frame in a `sensor_msgs/Image` or `sensor_msgs/CompressedImage`, and its full scale.
 
     Args:
         message: with the fields of ROS 1 or ROS 2, as rospy, rclpy and rosbags give it.
 
     Returns:
-        (H, W) or RGB (H, W, 3), uint8 or uint16.
+        (H, W) or RGB (H, W, 3), uint8, uint16, float32 or float64; and the value at which its
+        samples end, None if the encoding does not say it.
 
     Raises:
         InputError: an encoding that is not an image's, or too few data for the image.
     """
     if hasattr(message, "format"):
         return _decompressed(np.frombuffer(message.data, np.uint8), message.format)
-    layout = _LAYOUTS.get(message.encoding)
+    layout = _LAYOUTS.get(message.encoding.lower())
     if layout is None:
         raise InputError(
-            f"the image encoding must be one of {', '.join(_LAYOUTS)};"
-            f" got {shortened(message.encoding)}. Publish or convert it in one of these."
+            "the image encoding must be mono or bayer_* with 8, 10, 12, 14 or 16 bits (10 and 12 "
+            "also p or packed), rgb, bgr, rgba or bgra with 8 or 16, uyvy, yuyv, yuv422, "
+            "yuv422_yuy2, nv12, nv21, nv24, 8UC1, 8UC3, 8UC4, 16UC1, 16UC3, 16UC4, 16SC1, 32FC1 or "
+            f"64FC1; got {shortened(message.encoding)}. Record or convert it in one of these."
         )
-    height, width, step = message.height, message.width, message.step
-    values = np.dtype(layout.dtype).newbyteorder(">" if message.is_bigendian else "<")
-    row = width * layout.channels * values.itemsize
-    data = np.frombuffer(message.data, np.uint8)
-    if step < row or data.size < height * step or row * height == 0:
+    samples, bits = _samples(message, layout)
+    if layout.halves == 6:  # OpenCV lacks NV24: every pixel as two of UYVY
+        y, uv = np.split(samples, [message.height])
+        u, v = np.moveaxis(uv.reshape(*y.shape, 2), 2, 0)
+        samples = np.stack([u, y, v, y], axis=2).reshape(message.height, -1, 2)
+    try:
+        image = samples if layout.to_rgb is None else cv2.cvtColor(samples, layout.to_rgb)
+    except cv2.error as error:
         raise InputError(
-            f"an image of {width}x{height} px ({message.encoding}, {step} bytes a row) cannot be"
-            f" made of {data.size} bytes."
-        )
-    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
-    image = rows.view(values).reshape(height, width, layout.channels)
-    native = image.astype(values.newbyteorder("="), copy=False)
-    return checked_frame(native if layout.to_rgb is None else cv2.cvtColor(native, layout.to_rgb))
+            f"{message.encoding} has colours of pairs of pixels, but the image has {message.width}x"
+            f"{message.height} px. Record it with an even width and height."
+        ) from error
+    if layout.halves == 6:
+        image = np.ascontiguousarray(image[:, ::2])
+    return checked_frame(image), _full_scale(image, bits)
+
+
+def decoded_frame(message: Any, *, index: int, time_s: float) -> Frame:
+    """The frame of a message; one that cannot be decoded says why, see `frame_of_message`."""
+    try:
+        image, full_scale = frame_of_message(message)
+    except InputError as error:
+        return Frame.unreadable(index, time_s, f"{error}")
+    return Frame(index=index, file_name="", time_s=time_s, image=image, full_scale=full_scale)
 
 
 def encoding_of(image: np.ndarray) -> str:
@@ -74,11 +122,82 @@ def encoding_of(image: np.ndarray) -> str:
     """
     if image.dtype.name not in ("uint8", "uint16"):
         raise InputError(
-            f"A ROS image holds uint8 or uint16; got {image.dtype.name}. Convert it with astype."
+            f"a bag holds images of 8 or 16 bits; got {image.dtype.name}. Convert them, or record "
+            "the spots alone (.csv)."
         )
     return ("mono" if image.ndim == 2 else "rgb") + str(8 * image.dtype.itemsize)
 
 
-def _decompressed(data: np.ndarray, form: str) -> np.ndarray:
+def _samples(message: Any, layout: _Layout) -> tuple[np.ndarray, int]:
+    """The samples in native words, and how many of their bits are used; 0: all."""
+    data = np.frombuffer(message.data, np.uint8)
+    height, width, step = message.height * layout.halves // 2, message.width, message.step
+    if layout.halves > 2 and data.size == height * width:
+        step = width  # some drivers count the bytes of the other planes as well
+    values = np.dtype(layout.dtype).newbyteorder(">" if message.is_bigendian else "<")
+    row, bits, packings = width * layout.channels * values.itemsize, layout.bits, [layout.packing]
+    triples = -(-width // 2)
+    in_words = values.kind == "u" and values.itemsize == 2 and layout.channels == 1
+    if packings == [""] and in_words and bits in (0, 12) and 3 * triples <= step < row:
+        bits, packings = 12, ["packed", "p"]  # avt_vimba_camera gives them the name of words
+    if packings[0]:
+        row = 3 * triples if packings[0] == "packed" else -(-width * bits // 8)
+    if step < row or data.size < height * step or row * height == 0:
+        raise InputError(
+            f"an image of {message.width}x{message.height} px ({message.encoding}, {message.step} "
+            f"bytes a row) cannot be made of {data.size} bytes."
+        )
+    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
+    if packings[0]:
+        found = [_unpacked(rows, width, bits, packing) for packing in packings]
+        # Unpacked in the wrong way, neighbours have nothing in common.
+        return min(found, key=lambda one: np.abs(np.diff(one[::8].astype(int))).sum()), bits
+    shape = (height, width) if layout.channels == 1 else (height, width, layout.channels)
+    image = rows.view(values).reshape(shape).astype(values.newbyteorder("="), copy=False)
+    if values.kind != "i":
+        return image, bits
+    if image.min() < 0:
+        raise InputError(
+            f"an image of {message.encoding} has values below 0 (down to {image.min()}), which no "
+            "light has. Record it as 16UC1."
+        )
+    return image.astype(np.uint16), bits
+
+
+def _unpacked(rows: np.ndarray, width: int, bits: int, packing: str) -> np.ndarray:
+    """The samples in rows of packed bytes, (H, W)."""
+    rows, number = rows.astype(np.uint16), np.arange(width)
+    if packing == "p":  # one stream of bits, the lowest first
+        first, shift = number * bits // 8, (number * bits % 8).astype(np.uint16)
+        return (rows[:, first] | rows[:, first + 1] << 8) >> shift & (2**bits - 1)
+    # Of two samples in three bytes, the middle byte has the low bits, from its bits 0 and 4 on.
+    pair, second = number // 2 * 3, number % 2
+    low = rows[:, pair + 1] >> (4 * second).astype(np.uint16) & (2 ** (bits - 8) - 1)
+    return rows[:, pair + 2 * second] << (bits - 8) | low
+
+
+def _full_scale(image: np.ndarray, bits: int) -> float | None:
+    """None also if only the name has these bits, as of a JPEG, or if they are the upper ones."""
+    said = bits and image.dtype == np.uint16 and image.max() < 2**bits
+    return float(2**bits - 1) if said else None
+
+
+def _decompressed(data: np.ndarray, form: str) -> tuple[np.ndarray, float | None]:
+    """The image of a format such as "bayer_rggb8; png compressed " or "rgb8; jpeg compressed bgr8".
+
+    The last word is what was compressed; without it, a mosaic still is one.
+    """
+    if "compressedDepth" in form:
+        raise InputError(
+            f"{shortened(form)} is an image of depths, not of light. Name another topic."
+        )
+    layout = _LAYOUTS.get(form.partition(";")[0].strip().lower(), _Layout("u1"))
+    was_converted = form.rpartition("compressed")[2].strip().startswith(("mono", "rgb", "bgr"))
+    is_mosaic = layout.to_rgb in _MOSAICS.values() and not was_converted
     with in_file(f"a compressed image ({shortened(form)}, {data.size} bytes) cannot be decoded"):
-        return rgb_of_opencv(decoded_image(data.tobytes()))
+        image = decoded_image(data.tobytes())
+        if is_mosaic and image.ndim == 2 and layout.to_rgb is not None:
+            image = checked_frame(cv2.cvtColor(image, layout.to_rgb))
+        else:
+            image = rgb_of_opencv(image)
+    return image, _full_scale(image, layout.bits)

@@ -27,6 +27,8 @@ class Frame:
         time_s: when it was taken, on the source's clock; NaN if unknown.
         image: (H, W) or RGB (H, W, 3); uint8, uint16, float32 or float64.
         exposure_s: exposure time; NaN if unknown.
+        full_scale: value at which the source's samples end, where it says so; None otherwise.
+        fault: why it could not be decoded, and is black or has no pixels; empty if it could.
     """
 
     index: int
@@ -34,6 +36,14 @@ class Frame:
     time_s: float
     image: np.ndarray
     exposure_s: float = math.nan
+    full_scale: float | None = None
+    fault: str = ""
+
+    @classmethod
+    def unreadable(cls, index: int, time_s: float, fault: str) -> Frame:
+        """A frame of a recording or camera that could not be decoded; the others can."""
+        nothing = np.empty((0, 0), np.uint8)
+        return cls(index=index, file_name="", time_s=time_s, image=nothing, fault=fault)
 
 
 @dataclass(frozen=True, kw_only=True)
