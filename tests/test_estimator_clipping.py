@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 
 from estimator import (
-    InputError,
     LiteralSettings,
     NoSpot,
-    Options,
     Reason,
     Spot,
     SubpixelSettings,
@@ -23,6 +21,8 @@ from estimator import (
 )
 from estimator.image import CameraNoise, Response, measured_noise
 from estimator.pixels.picture import Picture
+from estimator.run.options import Options
+from optics import InputError
 from tests.drawn_spots import spot_image
 
 SHAPE = (240, 320)

@@ -265,6 +265,7 @@ class Session:
             frame.image,
             time_s=frame.time_s,
             exposure_s=frame.exposure_s,
+            full_scale=frame.full_scale,
             poses=poses,
             name=f"{self.source.name}, frame {frame.index}",
         )

@@ -131,7 +131,9 @@ class Rig:
         try:
             image, full_scale = frame_of_message(message)
             poses = self._poses.track()
-            reading = self._reader.read(image, time_s=time_s, poses=poses, name=name)
+            reading = self._reader.read(
+                image, time_s=time_s, full_scale=full_scale, poses=poses, name=name
+            )
             if self._show is not None:
                 frame = Frame(
                     index=number, file_name="", time_s=time_s, image=image, full_scale=full_scale

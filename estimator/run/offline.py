@@ -195,6 +195,7 @@ def _readings(
                 frame.image,
                 time_s=frame.time_s,
                 exposure_s=frame.exposure_s,
+                full_scale=frame.full_scale,
                 poses=poses or PoseTrack(()),
                 name=where,
             )
