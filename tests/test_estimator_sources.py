@@ -242,15 +242,6 @@ def test_depth_and_channels_of_an_image_are_kept(tmp_path, suffix, dtype, shape)
     np.testing.assert_array_equal(frame.image, image)
 
 
-def test_an_alpha_channel_is_dropped(tmp_path):
-    image = np.random.default_rng(0).integers(0, 255, (6, 5, 4), dtype=np.uint8)
-    cv2.imwrite(str(tmp_path / "a.png"), cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA))
-    tifffile.imwrite(tmp_path / "a.tif", image, photometric="rgb", extrasamples=["unassalpha"])
-    for name in ("a.png", "a.tif"):
-        (frame,) = open_source(tmp_path / name)
-        np.testing.assert_array_equal(frame.image, image[:, :, :3])
-
-
 def test_planes_of_a_tiff_become_channels(tmp_path):
     planes = np.random.default_rng(0).integers(0, 255, (3, 6, 5), dtype=np.uint8)
     path = tmp_path / "planes.tif"
@@ -362,6 +353,9 @@ class FakeCamera:
 
     def get(self, _: int) -> float:
         return 30.0
+
+    def set(self, _: int, value: float) -> bool:
+        return True
 
     def read(self) -> tuple[bool, np.ndarray | None]:
         image = next(self._images, None)

@@ -9,7 +9,6 @@ import numpy as np
 
 from estimator.files import decoded_image
 from estimator.image import checked_frame
-from estimator.sources.images import rgb_of_opencv
 from optics import InputError, in_file, shortened
 
 
@@ -81,4 +80,4 @@ def encoding_of(image: np.ndarray) -> str:
 
 def _decompressed(data: np.ndarray, form: str) -> np.ndarray:
     with in_file(f"a compressed image ({shortened(form)}, {data.size} bytes) cannot be decoded"):
-        return rgb_of_opencv(decoded_image(data.tobytes()))
+        return checked_frame(decoded_image(data.tobytes()).image)

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
+import numpy as np
 
-from estimator.files import check_pixels
-from estimator.sources.images import rgb_of_opencv
-from estimator.sources.source import AGAIN, Frame, Source
-from optics import InputError, in_file, shortened
+from estimator.files import check_pixels, damage_reported
+from estimator.sources.source import AGAIN, Frame, Source, note_of_turn
+from optics import InputError, shortened
 
 _MOST_DIGITS = 4  # of a camera's number; video4linux counts to 63
 _MOST_FRAMES = 2**31
@@ -26,6 +26,7 @@ def _capturing(what: str | int, refusal: str) -> Iterator[cv2.VideoCapture]:
     try:
         if not capture.isOpened():
             raise InputError(refusal)
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # frames as the sensor saw them
         yield capture
     finally:
         capture.release()
@@ -41,7 +42,8 @@ def open_video(path: Path) -> Source:
     with _capturing(str(path), refusal) as capture:
         announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         rate_hz = capture.get(cv2.CAP_PROP_FPS)
-        with in_file(path):
+        turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
+        with damage_reported(f"{path}", AGAIN):
             check_pixels(*(capture.get(side) for side in _SIDES))
     length = int(announced) if 0 < announced < _MOST_FRAMES else None
     rate = rate_hz if 0 < rate_hz < math.inf else None
@@ -54,7 +56,7 @@ def open_video(path: Path) -> Source:
                 if not seen:
                     break
                 time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-                yield Frame(index=index, file_name="", time_s=time_s, image=rgb_of_opencv(image))
+                yield Frame(index=index, file_name="", time_s=time_s, image=_rgb(image))
                 index += 1
         # Some containers state only a duration, and the frame rate may vary: a video is truncated
         # if both its frames and its time are fewer than announced.
@@ -63,7 +65,12 @@ def open_video(path: Path) -> Source:
                 f"{path} breaks off at frame {index} of the {length} that it announces. {AGAIN}"
             )
 
-    return Source(name=str(path), read=read, length=length, rate_hz=rate)
+    notes = (note_of_turn(path.name),) if turned else ()
+    return Source(name=str(path), read=read, length=length, rate_hz=rate, notes=notes)
+
+
+def _rgb(image: np.ndarray) -> np.ndarray:
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 def open_camera(digits: str) -> Source:
@@ -95,8 +102,7 @@ def open_camera(digits: str) -> Source:
                 seen, image = capture.read()
                 if not seen:
                     raise InputError(f"camera {number} stopped at frame {index}. Check its cable.")
-                image = rgb_of_opencv(image)
-                yield Frame(index=index, file_name="", time_s=time.time(), image=image)
+                yield Frame(index=index, file_name="", time_s=time.time(), image=_rgb(image))
                 index += 1
 
     rate = rate_hz if 0 < rate_hz < math.inf else None
