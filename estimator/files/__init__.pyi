@@ -42,6 +42,7 @@ from .ros_bags import stamp_s as stamp_s
 from .ros_bags import topic_in as topic_in
 from .shown_names import in_figure as in_figure
 from .shown_names import in_terminal as in_terminal
+from .shown_names import in_utf8 as in_utf8
 from .spots import BeamPose as BeamPose
 from .spots import SpotRecord as SpotRecord
 from .spots import pyarrow as pyarrow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Iterator
 from contextlib import suppress
@@ -14,6 +13,7 @@ from pathlib import Path
 from estimator.files import (
     damage_reported,
     image_of_page,
+    in_utf8,
     opened_tiff,
     pages_of_frames,
     read_image,
@@ -73,8 +73,7 @@ def _natural(name: str) -> list[int | str]:
 def _images(folder: Path, pictures: list[Path]) -> Source:
     def read() -> Iterator[Frame]:
         for index, path in enumerate(pictures):
-            # A name that is not UTF-8 cannot be written into a spots file.
-            name = os.fsencode(path.relative_to(folder)).decode("utf-8", "backslashreplace")
+            name = in_utf8(path.relative_to(folder))
             with damage_reported(f"{path} (frame {index})", AGAIN):
                 found = read_image(path)
             yield Frame(

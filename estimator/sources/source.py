@@ -87,7 +87,7 @@ class Source:
             if sizes[0] != sizes[1] and not self.unrelated:
                 names = [one.file_name or f"frame {one.index}" for one in (first, frame)]
                 raise InputError(
-                    f"{self.name}: {names[1]} has {sizes[1]}, but {names[0]} {sizes[0]}. Frames of"
-                    " a sequence have one size; give the others apart."
+                    f"{self.name}: {names[1]} has {sizes[1]}, but {names[0]} {sizes[0]}. Leave the"
+                    " others out, or measure every image by itself (--unrelated)."
                 )
             yield frame

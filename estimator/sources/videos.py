@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from estimator.files import check_pixels, damage_reported
+from estimator.files import check_pixels, damage_reported, in_utf8
 from estimator.sources.source import AGAIN, Frame, Source, note_of_turn
 from optics import InputError, shortened
 
@@ -21,15 +21,18 @@ _SIDES = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 
 
 @contextmanager
-def _capturing(what: str | int, refusal: str) -> Iterator[cv2.VideoCapture]:
-    capture = cv2.VideoCapture(what)
-    try:
+def _capturing(what: Path | int, refusal: str) -> Iterator[cv2.VideoCapture]:
+    with ExitStack() as files:
+        name = what if isinstance(what, int) else str(what)
+        if isinstance(what, Path) and in_utf8(what) != name:
+            # OpenCV would end the process at a name that is not UTF-8.
+            name = f"/proc/self/fd/{files.enter_context(what.open('rb')).fileno()}"
+        capture = cv2.VideoCapture(name)
+        files.callback(capture.release)
         if not capture.isOpened():
             raise InputError(refusal)
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # frames as the sensor saw them
         yield capture
-    finally:
-        capture.release()
 
 
 def open_video(path: Path) -> Source:
@@ -39,7 +42,7 @@ def open_video(path: Path) -> Source:
         InputError: it cannot be read.
     """
     refusal = f"{path} is not a video that OpenCV can read, or it is truncated. {AGAIN}"
-    with _capturing(str(path), refusal) as capture:
+    with _capturing(path, refusal) as capture:
         announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         rate_hz = capture.get(cv2.CAP_PROP_FPS)
         turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
@@ -50,7 +53,7 @@ def open_video(path: Path) -> Source:
 
     def read() -> Iterator[Frame]:
         index, time_s = 0, 0.0
-        with _capturing(str(path), refusal) as capture:
+        with _capturing(path, refusal) as capture:
             while True:
                 seen, image = capture.read()
                 if not seen:
