@@ -61,18 +61,19 @@ def pages_of_frames(file: TiffFile) -> tuple[list[int], bool]:
         raise InputError(f"holds {len(series)} series of images. Save one of them alone")
     numbers = []
     for one in series:
-        sizes = {
-            axis: size
+        long = [
+            (axis, size)
             for axis, size in zip(one.axes, one.shape, strict=True)
             if size > 1 and axis not in one.keyframe.axes
-        }
-        if whole and math.prod(sizes.values()) > len(one.pages):
+        ]
+        images = math.prod(size for _, size in long)
+        if whole and images > len(one.pages):
             raise InputError(
-                f"holds {math.prod(sizes.values())} images in {len(one.pages)} pages, as ImageJ"
+                f"holds {images} images in {len(one.pages)} pages, as ImageJ"
                 " writes files above 4 GB. Save it as a BigTIFF or as a folder of images"
             )
-        if len(sizes) > 1 or not set(sizes) <= set("TZIQ"):
-            named = ", ".join(f"{axis} = {size}" for axis, size in sizes.items())
+        if len(long) > 1 or any(axis not in "TZIQ" for axis, _ in long):
+            named = ", ".join(f"{axis} = {size}" for axis, size in long)
             raise InputError(
                 f"has the axes {named} beside those of an image; frames lie along one, T (time) or"
                 " Z (depth). Save one channel, depth or series alone"
@@ -101,8 +102,9 @@ def image_of_page(page: TiffPage) -> DecodedImage:
     """
     check_pixels(page.imagewidth, page.imagelength * page.imagedepth * page.samplesperpixel / 4)
     kind = getattr(page.photometric, "name", str(page.photometric))
-    # A JPEG is decoded as RGB.
-    colours = 3 if kind == "YCBCR" and page.compression == _JPEG else _COLOURS.get(kind, 0)
+    # tifffile decodes a JPEG as RGB, except its separate planes.
+    as_rgb = page.compression == _JPEG and page.planarconfig == 1 and not page.extrasamples
+    colours = 3 if kind == "YCBCR" and as_rgb else _COLOURS.get(kind, 0)
     spare = page.samplesperpixel - colours
     if (
         not colours
