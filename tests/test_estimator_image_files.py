@@ -8,6 +8,7 @@ import subprocess
 import sys
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -151,8 +152,8 @@ def with_thumbnail(path: Path, light: np.ndarray) -> None:
         file.write(light > 0.5, subfiletype=4, photometric="mask")
 
 
-RGB = {"photometric": "rgb"}
-INVERTED = {"photometric": "miniswhite"}
+RGB: dict[str, Any] = {"photometric": "rgb"}
+INVERTED: dict[str, Any] = {"photometric": "miniswhite"}
 READ: dict[str, Write] = {
     "8.tif": tiff(),
     "16.tif": tiff(16),
@@ -230,7 +231,7 @@ READ: dict[str, Write] = {
 for _bits in (10, 12, 14):
     READ[f"packed-{_bits}.tif"] = tiff(_bits, bitspersample=_bits)
     READ[f"packed-white-{_bits}.tif"] = tiff(
-        _bits, lambda v, most=2**_bits - 1: most - v, bitspersample=_bits, **INVERTED
+        _bits, partial(np.subtract, np.uint16(2**_bits - 1)), bitspersample=_bits, **INVERTED
     )
 for _name in ("lzw", "zlib", "packbits", "zstd", "lzma", "jpeg2000", "png", "webp", "jpegxl"):
     READ[f"{_name}.tif"] = tiff(8, *([grey_as_rgb] if _name == "webp" else []), compression=_name)
@@ -411,12 +412,10 @@ def test_alpha_in_between_dims_and_a_constant_one_does_nothing(tmp_path):
     values = np.array([[[200, 100, 50, 255], [200, 100, 50, 51]]], np.uint8)
     for name, alpha, seen in (("a", [255, 51], [40, 20, 10]), ("b", [51, 51], [200, 100, 50])):
         values[..., 3] = alpha
-        for suffix, options in ((".png", {}), (".tif", {"extrasamples": ["unassalpha"], **RGB})):
-            path = tmp_path / f"{name}{suffix}"
-            if options:
-                tifffile.imwrite(path, values, **options)
-            else:
-                Image.fromarray(values).save(path)
+        paths = tmp_path / f"{name}.png", tmp_path / f"{name}.tif"
+        Image.fromarray(values).save(paths[0])
+        tifffile.imwrite(paths[1], values, extrasamples=["unassalpha"], **RGB)
+        for path in paths:
             (frame,) = open_source(path)
             np.testing.assert_array_equal(frame.image[0], [[200, 100, 50], seen])
 
@@ -492,7 +491,7 @@ def test_a_tiff_damaged_in_its_first_page_is_refused(tmp_path, light, at):
     assert "frame -1" not in str(caught.value)
 
 
-def eyespot(*arguments: object, **environment: str) -> subprocess.CompletedProcess[bytes]:
+def eyespot(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[bytes]:
     program = Path(__file__).parents[1] / "eyespot.py"
     return subprocess.run(
         [sys.executable, program, *arguments],

@@ -18,6 +18,7 @@ _MOST_BYTES = 2**30  # that many pixels as RGB floats, uncompressed, and some mo
 _HEADED = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")  # Pillow's names
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _PNG = b"\x89PNG"
+_DAMAGED = "is damaged, or not an image of a kind that is read"
 _ORIENTATION = 274  # Exif's tag
 _SPACE = rb"(?:\s|#[^\n]*\n)+"
 _PNM = re.compile(rb"P([2356])" + _SPACE + rb"\d+" + _SPACE + rb"\d+" + _SPACE + rb"(\d+)\s")
@@ -50,7 +51,7 @@ def decoded_image(data: bytes) -> DecodedImage:
     except (InputError, MemoryError):
         raise
     except Exception as error:  # decoders raise errors of all kinds
-        raise InputError("is damaged, or not an image of a kind that is read") from error
+        raise InputError(_DAMAGED) from error
 
 
 def _tiff(data: bytes) -> DecodedImage:
@@ -71,9 +72,10 @@ def _image(data: bytes) -> DecodedImage:
         # OpenCV drops the transparent level of a grey image.
         image = np.asarray(imagecodecs.png_decode(data))
     else:
-        image = np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
-        if not image.ndim:
-            raise ValueError("OpenCV returns None")
+        found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        if found is None:
+            raise InputError(_DAMAGED)
+        image = np.asarray(found)
         if image.ndim == 3:
             to_rgb = cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
             image = cv2.cvtColor(image, to_rgb)

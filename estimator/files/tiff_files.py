@@ -69,8 +69,8 @@ def pages_of_frames(file: TiffFile) -> tuple[list[int], bool]:
         images = math.prod(size for _, size in long)
         if whole and images > len(one.pages):
             raise InputError(
-                f"holds {images} images in {len(one.pages)} pages, as ImageJ"
-                " writes files above 4 GB. Save it as a BigTIFF or as a folder of images"
+                f"holds {images} images in {len(one.pages)} pages, as ImageJ writes files above 4"
+                " GB, and MetaMorph its stacks. Save it as a BigTIFF or as a folder of images"
             )
         if len(long) > 1 or any(axis not in "TZIQ" for axis, _ in long):
             named = ", ".join(f"{axis} = {size}" for axis, size in long)
@@ -174,8 +174,8 @@ def _samples(image: np.ndarray, page: TiffPage) -> tuple[np.ndarray, float | Non
 
 def _coloured(image: np.ndarray, palette: np.ndarray) -> np.ndarray:
     """Indices as colours; of 8 bits where the palette's 16 have no more."""
-    if not (palette % 257).any():
-        palette = (palette // 257).astype(np.uint8)
+    if not (palette % 257).any() or not (palette % 256).any():
+        palette = (palette >> 8).astype(np.uint8)
     return np.moveaxis(palette[:, image], 0, 2)
 
 
