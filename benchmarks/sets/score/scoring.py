@@ -168,9 +168,7 @@ def _check(names: Sequence[str]) -> None:
 
 def _write(result: Score, out: Path, folder: Path) -> None:
     write_json(out / "score.json", _summary(result, folder))
-    with (out / "score.csv").open(
-        "w", newline="", encoding="utf-8", errors="backslashreplace"
-    ) as file:
+    with (out / "score.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(
             ["estimator", "against", "condition", "group", *Counts._fields, *Errors._fields]
