@@ -101,7 +101,7 @@ def image_of_page(page: TiffPage) -> DecodedImage:
         Exception: any error of a decoder, of a damaged page.
     """
     check_pixels(page.imagewidth, page.imagelength * page.imagedepth * page.samplesperpixel / 4)
-    kind = getattr(page.photometric, "name", str(page.photometric))
+    kind = getattr(page.photometric, "name", f"photometric interpretation {page.photometric}")
     # tifffile decodes a JPEG as RGB, except its separate planes.
     as_rgb = page.compression == _JPEG and page.planarconfig == 1 and not page.extrasamples
     colours = 3 if kind == "YCBCR" and as_rgb else _COLOURS.get(kind, 0)
@@ -162,8 +162,8 @@ def _samples(image: np.ndarray, page: TiffPage) -> tuple[np.ndarray, float | Non
     bits -= kind == "i"
     full_scale = 2.0**bits - 1 if bits < 8 * image.dtype.itemsize else None
     # The largest sample of the image itself, as some programs state it, is no full scale.
-    stated = page.tags.valueof("MaxSampleValue")
-    if isinstance(stated, int) and 0 < stated < 2**bits - 1 and not stated & (stated + 1):
+    stated = int(np.max(page.tags.valueof("MaxSampleValue", 0)))
+    if 0 < stated < 2**bits - 1 and not stated & (stated + 1):
         full_scale = float(stated)
     if image.dtype.itemsize > 2:
         return image.astype(np.float64), full_scale if bits < 31 else None

@@ -22,7 +22,7 @@ from estimator.sources.source import AGAIN, Frame, Source, note_of_turn
 from optics import InputError
 
 TIFF = (".tif", ".tiff", ".btf", ".tf8", ".lsm", ".stk")
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pgm", ".ppm", ".pnm", ".jp2", *TIFF)
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pgm", ".ppm", ".pbm", ".pnm", ".jp2", *TIFF)
 
 
 def open_folder(folder: Path) -> Source:

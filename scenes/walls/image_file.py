@@ -18,8 +18,8 @@ def wall_image(
 ) -> NDArray[np.float32]:
     """Reflectance on a square map about the pole, from an image of 8 or 16 bits in sRGB.
 
-    The centres of image and map coincide; the image's right is +X, its top +Y. The edge of the
-    image is repeated outside it.
+    The centres of image and map coincide; the image's right is +X, its top +Y, as its rows are
+    stored (an Exif orientation is not applied). The edge of the image is repeated outside it.
 
     Args:
         path: path of the image.
