@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import struct
-import subprocess
-import sys
 import zlib
 from collections.abc import Callable
 from functools import partial
@@ -20,7 +17,7 @@ import tifffile
 from PIL import Image
 from tifffile import TiffWriter
 
-from estimator import Response, Spot, SubpixelSettings, read_spots, track
+from estimator import Response, Spot, SubpixelSettings, track
 from estimator.sources import Frame, open_source
 from optics import InputError
 from tests.drawn_spots import spot_image
@@ -489,50 +486,6 @@ def test_a_tiff_damaged_in_its_first_page_is_refused(tmp_path, light, at):
     with pytest.raises(InputError, match=r"a\.tif") as caught:
         list(open_source(path))
     assert "frame -1" not in str(caught.value)
-
-
-def eyespot(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[bytes]:
-    program = Path(__file__).parents[1] / "eyespot.py"
-    return subprocess.run(
-        [sys.executable, program, *arguments],
-        capture_output=True,
-        check=False,
-        env=os.environ | environment,
-    )
-
-
-@pytest.mark.parametrize("kind", [".csv", ".parquet"])
-def test_names_that_are_no_utf8_are_measured_and_written_as_bytes(tmp_path, light, kind):
-    if kind == ".parquet":
-        pytest.importorskip("pyarrow")
-    folder = tmp_path / os.fsdecode(b"caf\xe9")
-    folder.mkdir()
-    (folder / os.fsdecode(b"spot\xe9.png")).write_bytes(
-        cv2.imencode(".png", samples(light, 8))[1].tobytes()
-    )
-    out = folder / f"spots{kind}"
-    ended = eyespot("track", folder, "--out", out)
-    assert ended.returncode == 0, ended.stderr
-    assert read_spots(out)[0].file_name == r"spot\xe9.png"
-    ended = eyespot("track", folder, "--out", folder / "again.csv", "--overlay", folder / "a.mp4")
-    assert b"must be UTF-8" in ended.stderr
-    assert ended.returncode == 2
-
-
-def test_a_video_whose_name_is_no_utf8_is_read(tmp_path, light):
-    rotated_mp4(tmp_path / "a.mp4", samples(light, 8))
-    strange = tmp_path / os.fsdecode(b"\xe9.mp4")
-    (tmp_path / "a.mp4").rename(strange)
-    assert len(list(open_source(strange))) == 3
-
-
-def test_a_terminal_without_greek_letters_ends_nothing(tmp_path, light):
-    cv2.imwrite(str(tmp_path / "é σ.png"), samples(light, 8))
-    out = tmp_path / "Ω.csv"
-    terminal = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
-    ended = eyespot("track", tmp_path, "--out", out, **terminal)
-    assert ended.returncode == 0, ended.stderr
-    assert read_spots(out)[0].file_name == "é σ.png"
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ _MOST_BYTES = 2**30  # that many pixels as RGB floats, uncompressed, and some mo
 _HEADED = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")  # Pillow's names
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _PNG = b"\x89PNG"
+_JP2 = (b"\0\0\0\x0cjP", b"\xff\x4f\xff\x51")
 _DAMAGED = "is damaged, or not an image of a kind that is read"
 _ORIENTATION = 274  # Exif's tag
 _SPACE = rb"(?:\s|#[^\n]*\n)+"
@@ -115,7 +116,7 @@ def _full_scale(data: bytes, image: np.ndarray) -> float | None:
         # OpenCV scales the texts P2 and P3 to 8 bits.
         most = 255 if found[1] in b"23" and room == 8 else int(found[2])
         return float(most) if most < 2**room - 1 else None
-    if found := _JPEG_2000.search(data):
+    if found := _JPEG_2000.search(data) if data.startswith(_JP2) else None:
         bits = (found[1][0] & 127) + 1
         return 2.0**bits - 1 if bits < room else None
     at = data.find(b"sBIT", 0, data.find(b"IDAT")) if data.startswith(_PNG) else -1
