@@ -11,6 +11,7 @@ import ast
 import importlib
 import importlib.metadata
 import importlib.util
+import io
 import os
 import sys
 from pathlib import Path
@@ -130,6 +131,10 @@ def version() -> None:
 
 def main() -> None:
     """Run the command line."""
+    # A terminal may have no Greek letters, and a file's name need not be UTF-8.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     # Compilation is half of a short run; the next run takes it from this cache.
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(caches / "eyespot" / "jax"))

@@ -242,37 +242,12 @@ def test_depth_and_channels_of_an_image_are_kept(tmp_path, suffix, dtype, shape)
     np.testing.assert_array_equal(frame.image, image)
 
 
-def test_an_alpha_channel_is_dropped(tmp_path):
-    image = np.random.default_rng(0).integers(0, 255, (6, 5, 4), dtype=np.uint8)
-    cv2.imwrite(str(tmp_path / "a.png"), cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA))
-    tifffile.imwrite(tmp_path / "a.tif", image, photometric="rgb", extrasamples=["unassalpha"])
-    for name in ("a.png", "a.tif"):
-        (frame,) = open_source(tmp_path / name)
-        np.testing.assert_array_equal(frame.image, image[:, :, :3])
-
-
-def test_planes_of_a_tiff_become_channels(tmp_path):
-    planes = np.random.default_rng(0).integers(0, 255, (3, 6, 5), dtype=np.uint8)
-    path = tmp_path / "planes.tif"
-    tifffile.imwrite(path, planes, photometric="rgb", planarconfig="separate")
-    (frame,) = open_source(path)
-    np.testing.assert_array_equal(frame.image, np.moveaxis(planes, 0, 2))
-
-
 def test_a_tiff_whose_images_share_one_page_is_refused_with_a_way_out(tmp_path):
     path = tmp_path / "large.tif"
     images = np.zeros((3, 6, 5), np.uint8)
     tifffile.imwrite(path, images, imagej=True, truncate=True)  # as ImageJ writes above 4 GB
     with pytest.raises(ValueError, match=r"holds 3 images in 1 pages.*BigTIFF"):
         open_source(path)
-
-
-def test_a_tiff_of_lzw_is_read_like_any_other(tmp_path, images):
-    path = tmp_path / "lzw.tif"
-    options = [cv2.IMWRITE_TIFF_COMPRESSION, 5]
-    assert cv2.imwritemulti(str(path), [opencv_order(image) for image in images], options)
-    for frame, image in zip(open_source(path), images, strict=True):
-        np.testing.assert_array_equal(frame.image, image)
 
 
 def cut(path: Path, share: float) -> Path:
@@ -362,6 +337,9 @@ class FakeCamera:
 
     def get(self, _: int) -> float:
         return 30.0
+
+    def set(self, _: int, value: float) -> bool:
+        return True
 
     def read(self) -> tuple[bool, np.ndarray | None]:
         image = next(self._images, None)

@@ -506,7 +506,8 @@ def test_a_source_that_breaks_leaves_its_frames_and_one_message(run, tmp_path, f
 
 def test_frames_of_two_sizes_do_not_fit_into_one_video(run, tmp_path, frames, images):
     cv2.imwrite(str(frames / "3.png"), np.zeros((90, 90), np.uint8))
-    outcome = run(frames, "--out", tmp_path / "spots.csv", "--overlay", tmp_path / "video.mp4")
+    video = tmp_path / "video.mp4"
+    outcome = run(frames, "--unrelated", "--out", tmp_path / "spots.csv", "--overlay", video)
     assert_bad_input(outcome, "one size", "Choose a folder")
     assert len(read_spots(tmp_path / "spots.csv")) == 3
 

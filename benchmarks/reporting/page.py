@@ -53,7 +53,7 @@ def write_page(
         summary_file=summary_file,
         **content,
     )
-    (folder / "report.html").write_text(html, encoding="utf-8")
+    (folder / "report.html").write_text(html, encoding="utf-8", errors="backslashreplace")
 
 
 def _template(name: str) -> jinja2.Template:

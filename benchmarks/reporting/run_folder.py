@@ -143,7 +143,7 @@ def published(out: Path) -> Iterator[Path]:
 def write_json(path: Path, value: Any) -> None:
     """Write JSON, with null for numbers that are not finite."""
     text = json.dumps(_finite(value), indent=1, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    path.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 def versions() -> dict[str, str]:

@@ -79,7 +79,7 @@ class Table(NamedTuple):
 
 def write_csv(path: Path, row_type: type[Any], rows: Iterable[Any]) -> None:
     """Write named tuples with a header line; NaN is an empty cell."""
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(row_type._fields)
         writer.writerows([_csv_cell(value) for value in row] for row in rows)

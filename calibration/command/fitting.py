@@ -123,7 +123,7 @@ def run(
                 _check(model, choices, sources=len(sources), others=len(others))
             result = _Result(MODELS[model].fit(recordings, choices), recordings, model)
             Console().print(result.table())
-            page.write_text(result.page(), encoding="utf-8")
+            page.write_text(result.page(), encoding="utf-8", errors="backslashreplace")
         if not all(doubt.harmless for doubt in result.doubts):
             raise InputError(refusal(result.doubts, model=model, report=report))
         write_calibration(calibration, result.calibration())

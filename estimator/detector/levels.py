@@ -35,7 +35,8 @@ class Levels:
         variance: of the peak, relative, due to texture.
         background: signal around the spot.
         background_radius: where it was taken, units of the radius.
-        scatter: standard deviation of the signal there; infinite if it is out of view.
+        scatter: standard deviation there of what noise leaves after averaging, such as texture;
+            infinite if it is out of view.
         width: of the edge in units of the radius (see `Spot.edge_width_px`).
         half_radius: where the mean profile falls to the half level, units of the radius.
     """
@@ -156,13 +157,19 @@ def background_of(
     levels = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
     radius = dark_radius(width)
     for _ in range(HalfLevel.TRIES):
-        ring = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII, every=2).ravel()
+        rings = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII, every=2)
+        ring, around = rings.ravel(), rings.mean(axis=1)
         if not levels.contains(ellipse.scaled(radius + HalfLevel.RINGS[-1])):
-            ring = ring[~np.isnan(ring)]
+            ring, around = ring[~np.isnan(ring)], around[~np.isnan(around)]
         if ring.size > RAYS // 2:
-            low, middle, high = np.quantile(ring, [0.16, 0.5, 0.84]).tolist()
-            scatter = max((high - low) / 2, 0.5)  # 8 bits are rounded
-            return middle * coarse.unit, radius, scatter * coarse.unit
+            # Means over an area like that of an edge: noise averages out, texture does not.
+            scatter = math.inf
+            if around.size > RAYS // 8:
+                beside = np.full(HalfLevel.BESIDE, 1 / HalfLevel.BESIDE)
+                low, high = np.quantile(np.convolve(around, beside, "valid"), [0.16, 0.84])
+                scatter = max(float(high - low) / 2, 0.5) * coarse.unit  # 8 bits are rounded
+            middle = float(np.partition(ring, ring.size // 2)[ring.size // 2])
+            return middle * coarse.unit, radius, scatter
         radius = 1 + HalfLevel.NEARER * (radius - 1)
     return None
 

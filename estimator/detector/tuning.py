@@ -56,7 +56,7 @@ class Search:
     """1/255 of the window's maximum | least difference of peak and background that is not noise |
     set by hand
     """
-    SIGNIFICANT = 6.0
+    SIGNIFICANT = 3.0
     """- | step over the scatter of the darker part of a window from which it is looked at | set by
     hand: half of the darker part is a bell's own flank where it fills the window
     """
@@ -425,6 +425,8 @@ class HalfLevel:
     """radii | where a bell's tail ends | set by hand for light of glue lenses"""
     TAIL_LEFT = 0.005
     """peak | what is left there | set by hand for light of glue lenses"""
+    BESIDE = 5
+    """rays of the rings | that are averaged for the scatter of the background | set by hand"""
     RINGS = (0.0, 0.1, 0.2, 0.3, 0.4)
     """radii | rings of the background, from where it begins | set by hand"""
     SURROUNDINGS = (2.6, 2.9, 3.2, 3.5, 3.8, 4.1)

@@ -14,6 +14,7 @@ import numpy as np
 from estimator.detector.contour import contour_of, patch_round
 from estimator.detector.edges import EdgeFit
 from estimator.detector.ellipse import covariance_of_axes, refitted
+from estimator.detector.levels import background_of
 from estimator.detector.motion_blur import at_mid_exposure
 from estimator.detector.reflection import spot_on
 from estimator.detector.regions import Region
@@ -46,10 +47,22 @@ def sighting_in(region: Region) -> Sighting | NoSpot:
     """The spot that a region shows, or why it shows none."""
     found = _judged(region)
     if not found and region.faint and found.reason is not Reason.TOO_FAINT:
-        return _NOTHING  # what a wall's texture looks like
+        return _faint(region)
     if isinstance(found, NoSpot) and found.reason is Reason.NONE_FOUND:
         return NoSpot(Reason.OCCLUDED) if region.fills_its_ellipse() < Verdict.FILLED else found
     return found
+
+
+def _faint(region: Region) -> NoSpot:
+    """Why a region that texture may make shows no spot: its outline is rough, or it has none."""
+    around = background_of(region.coarse, region.ellipse, Refine.BROAD)
+    if around is None or region.fills_its_ellipse() < Verdict.FILLED:
+        return _NOTHING
+    background, _, scatter = around
+    significance = (region.candidates[0].peak - background) / scatter
+    return (
+        NoSpot(Reason.TOO_FAINT, significance) if 2 * significance > Verdict.FAINTEST else _NOTHING
+    )
 
 
 def _judged(region: Region) -> Sighting | NoSpot:

@@ -5,6 +5,7 @@ calibration       Calibration file: JSON with a model's fitted parameters, their
 camera_files      Camera calibrations as OpenCV, ROS and Kalibr write them, in YAML, JSON or XML
 camera_sheet      The key `camera` of a microscope file: the camera's data sheet after EMVA 1288
 csv_files         Reads CSV files that anyone may have written, row by row
+decoded           An image as a file contains it, once it is decoded
 image_files       Decodes image files that anyone may have written, with a limit of pixels
 inside            Names of files that come from a file: they must stay within its folder
 json_files        Reads JSON that anyone may have written
@@ -27,6 +28,8 @@ stack             Stack folder: frames, masks, one line of labels per frame, the
                   checksums
 stack_writer      Writes a stack folder frame by frame, so that a stopped run can continue
 stated            Stated uncertainties: TOML file of what a lab knows of its eye, robot and clocks
+tiff_files        TIFF files in the dialects of cameras and microscopes: which pages are frames,
+                  and their images
 viewing           The keys of a microscope file that describe a viewing path and the retina
 whole_files       Files that are written whole or not at all, and damaged files that are reported
                   in one error

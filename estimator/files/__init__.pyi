@@ -4,7 +4,8 @@ from .calibration import read_calibration as read_calibration
 from .calibration import write_calibration as write_calibration
 from .csv_files import csv_rows as csv_rows
 from .csv_files import number_in as number_in
-from .image_files import check_pixels as check_pixels
+from .decoded import DecodedImage as DecodedImage
+from .decoded import check_pixels as check_pixels
 from .image_files import decoded_image as decoded_image
 from .image_files import read_image as read_image
 from .inside import FOLDER_NAME as FOLDER_NAME
@@ -41,6 +42,7 @@ from .ros_bags import stamp_s as stamp_s
 from .ros_bags import topic_in as topic_in
 from .shown_names import in_figure as in_figure
 from .shown_names import in_terminal as in_terminal
+from .shown_names import in_utf8 as in_utf8
 from .spots import BeamPose as BeamPose
 from .spots import SpotRecord as SpotRecord
 from .spots import pyarrow as pyarrow
@@ -55,6 +57,9 @@ from .stack_writer import StackWriter as StackWriter
 from .stated import USUAL_SHAKE_PX as USUAL_SHAKE_PX
 from .stated import Stated as Stated
 from .stated import read_stated as read_stated
+from .tiff_files import image_of_page as image_of_page
+from .tiff_files import opened_tiff as opened_tiff
+from .tiff_files import pages_of_frames as pages_of_frames
 from .whole_files import BeingWrittenError as BeingWrittenError
 from .whole_files import damage_reported as damage_reported
 from .whole_files import errors_named as errors_named

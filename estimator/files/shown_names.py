@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from rich.markup import escape
 
 
@@ -18,3 +20,8 @@ def in_figure(name: str) -> str:
 def in_terminal(name: str) -> str:
     """A name as Rich prints it; in square brackets it would read a style."""
     return escape(name)
+
+
+def in_utf8(name: str | os.PathLike[str]) -> str:
+    r"""A file's name for a file or a library that takes UTF-8: other bytes as \xe9."""
+    return os.fsencode(name).decode("utf-8", "backslashreplace")

@@ -213,9 +213,12 @@ def parquet_of_csv(lines: Path, path: Path) -> None:
     # Only numbers may be missing, and only as empty cells: NA may be the name of a file.
     convert = csv_reader.ConvertOptions(column_types=schema, null_values=[""])
     parse = csv_reader.ParseOptions(newlines_in_values=True)
+    # As open files: pyarrow takes no names that are not UTF-8.
     with (
-        csv_reader.open_csv(lines, convert_options=convert, parse_options=parse) as parts,
-        pa.parquet.ParquetWriter(path, schema) as file,
+        lines.open("rb") as source,
+        path.open("wb") as sink,
+        csv_reader.open_csv(source, convert_options=convert, parse_options=parse) as parts,
+        pa.parquet.ParquetWriter(sink, schema) as file,
     ):
         for part in parts:
             file.write_batch(part)

@@ -20,7 +20,6 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
-import cv2
 import numpy as np
 from pydantic import ConfigDict, Field, create_model
 from pydantic import Strict as StrictType
@@ -263,12 +262,11 @@ class Stack:
     def _read(self, name: str) -> np.ndarray:
         path = self.path_of(name)
         try:
-            image = read_image(path)
+            return read_image(path).image
         except FileNotFoundError as error:
             raise StackError(f"{path} is missing. Render the stack again.") from error
         except InputError as error:
             raise StackError(f"{path} {error}. Render the stack again.") from error
-        return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image
 
     def images(self, exposure: str) -> Iterator[np.ndarray]:
         """Images (RGB) of one kind of exposure, in order."""

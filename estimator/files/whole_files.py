@@ -238,7 +238,8 @@ def errors_named(made: Path, path: Path) -> Iterator[None]:
 def damage_reported(where: str, remedy: str) -> Iterator[None]:
     """Turn any error of a third party's decoder about a damaged file into one ValueError.
 
-    Decoders raise all kinds of errors for damage: struct.error, KeyError, zlib.error and others.
+    Decoders raise all kinds of errors for damage: struct.error, KeyError, zlib.error and others. An
+    InputError goes on with what is wrong, after the place.
 
     Args:
         where: of the damage: the file, and the frame where there is one.
@@ -248,8 +249,13 @@ def damage_reported(where: str, remedy: str) -> Iterator[None]:
         yield
     except MemoryError:
         raise
+    except InputError as error:
+        raise InputError(f"{where} {error}. {remedy}") from error
     except Exception as error:
-        said = " ".join(f"{error}".split()).rstrip(".") or type(error).__name__
+        said = (
+            " ".join((getattr(error, "strerror", None) or f"{error}").split()).rstrip(".")
+            or type(error).__name__
+        )
         raise InputError(f"{where}: cannot be read: {said}. {remedy}") from error
 
 

@@ -6,14 +6,12 @@ mean by the system's gain K, in DN per electron: sigma² = sigma_dark² + K (mu 
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
-from estimator.image.clipping import clip_level
 from optics import InputError
 
 _MIDDLE = 0.5  # of the frame's width and height, which is the most even
@@ -77,8 +75,14 @@ def measured_noise(
             "depth. Give another --bit-depth; values that were shifted to the upper bits must be "
             "shifted back."
         )
-    whole = [pair for pair in pairs if not any(map(_is_clipped, pair))]
-    found = sorted((_pair(*pair) for pair in whole or pairs), key=lambda one: one.mean)
+    found = sorted(
+        (
+            _pair(*pair)
+            for pair in pairs
+            if np.mean(pair) < _DARK * full_scale or not any(map(_is_clipped, pair))
+        ),
+        key=lambda one: one.mean,
+    )
     dark = [one for one in found if one.mean < _DARK * full_scale]
     lit = [one for one in found if _DARK * full_scale <= one.mean < _BRIGHT * full_scale]
     if not dark:
@@ -123,9 +127,12 @@ def measured_noise(
 
 
 def _is_clipped(frame: np.ndarray) -> bool:
-    """Whether a channel is clipped, below the full scale or at it."""
-    planes = np.moveaxis(np.atleast_3d(_middle(frame)), 2, 0)
-    return any(math.isfinite(clip_level(plane, plane > plane.max() // 2)) for plane in planes)
+    """Whether more pixels have the largest value of a channel than the next one: noise ends."""
+    for plane in np.moveaxis(np.atleast_3d(_middle(frame)), 2, 0):
+        _, counts = np.unique(plane, return_counts=True)
+        if counts[-1] > max(2 * counts[-2:-1].sum(), 0.01 * plane.size):
+            return True
+    return False
 
 
 def _line(

@@ -60,7 +60,7 @@ def camera(
             f"{frames}: {len(names)} images make no pairs. Give two of each brightness, named so "
             "that they follow each other."
         )
-    images = [read_image(name) for name in names]
+    images = [read_image(name).image for name in names]
     full_scale = (1 << bit_depth) - 1
     pairs = list(zip(images[::2], images[1::2], strict=True))
     with in_file(frames):

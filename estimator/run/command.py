@@ -167,7 +167,7 @@ def _tracked(
 
 def _check_results(out: Path, overlay: Path | None, rerun: str | None) -> None:
     """Find out before the run what would fail after it."""
-    from estimator.files import refuse_existing
+    from estimator.files import in_utf8, refuse_existing
     from estimator.run.overlay import check_overlay_path
     from estimator.viewer import check_recording_path
 
@@ -180,6 +180,8 @@ def _check_results(out: Path, overlay: Path | None, rerun: str | None) -> None:
     recording = None if rerun in (None, "live") else Path(rerun)
     for path in filter(None, (out, overlay, recording)):
         refuse_existing(path)
+        if path.suffix and path != out and in_utf8(path) != str(path):
+            raise InputError(f"{path}: the name of a video or recording must be UTF-8. Choose one.")
         if not path.parent.is_dir():
             raise InputError(
                 f"{path.parent} is not a folder. Make it, or write {path.name} elsewhere."

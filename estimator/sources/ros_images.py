@@ -14,7 +14,6 @@ import numpy as np
 
 from estimator.files import decoded_image
 from estimator.image import checked_frame
-from estimator.sources.images import rgb_of_opencv
 from estimator.sources.source import Frame
 from optics import InputError, in_file, shortened
 
@@ -195,9 +194,8 @@ def _decompressed(data: np.ndarray, form: str) -> tuple[np.ndarray, float | None
     was_converted = form.rpartition("compressed")[2].strip().startswith(("mono", "rgb", "bgr"))
     is_mosaic = layout.to_rgb in _MOSAICS.values() and not was_converted
     with in_file(f"a compressed image ({shortened(form)}, {data.size} bytes) cannot be decoded"):
-        image = decoded_image(data.tobytes())
+        found = decoded_image(data.tobytes())
+        image = found.image
         if is_mosaic and image.ndim == 2 and layout.to_rgb is not None:
-            image = checked_frame(cv2.cvtColor(image, layout.to_rgb))
-        else:
-            image = rgb_of_opencv(image)
-    return image, _full_scale(image, layout.bits)
+            image = cv2.cvtColor(image, layout.to_rgb)
+        return checked_frame(image), found.full_scale or _full_scale(image, layout.bits)

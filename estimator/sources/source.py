@@ -13,8 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
+from optics import InputError
+
 AGAIN = "Record, copy or convert it again."
 """What to do about a damaged recording."""
+
+
+def note_of_turn(name: object) -> str:
+    """What to say of a file that is to be shown turned or mirrored."""
+    return (
+        f"{name} asks viewers to turn or mirror its frames. They are measured as they are stored,"
+        " as the sensor saw them."
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +69,7 @@ class Source:
         microscope_file: that belongs to the source; None without one.
         unrelated: frames that are measured one by one, because a spot cannot be followed from one
             to the next.
+        notes: what a user should know of the file, though it is no error.
     """
 
     name: str
@@ -68,6 +79,22 @@ class Source:
     live: bool = False
     microscope_file: Path | None = None
     unrelated: bool = False
+    notes: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[Frame]:
-        return self.read()
+        """Read the frames.
+
+        Raises:
+            InputError: a frame is damaged, or not of the first one's size in a sequence.
+        """
+        first = None
+        for frame in self.read():
+            first = first or frame
+            sizes = [f"{one.image.shape[1]}x{one.image.shape[0]} px" for one in (first, frame)]
+            if sizes[0] != sizes[1] and not self.unrelated:
+                names = [one.file_name or f"frame {one.index}" for one in (first, frame)]
+                raise InputError(
+                    f"{self.name}: {names[1]} has {sizes[1]}, but {names[0]} {sizes[0]}. Leave the"
+                    " others out, or measure every image by itself (--unrelated)."
+                )
+            yield frame

@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimator.files import FrameLabels, MicroscopeFile, read_microscope, read_stack, written_whole
+from estimator.files import (
+    FrameLabels,
+    MicroscopeFile,
+    in_utf8,
+    read_microscope,
+    read_stack,
+    written_whole,
+)
 from estimator.image import Camera, NoSpot, Response, Spot, outline_px, rgb_8bit
 from estimator.viewer.eyeball import log_beam, log_eyeball
 from optics import InputError
@@ -67,7 +74,7 @@ def recording_of(
     import rerun
 
     stream = rerun.RecordingStream("eyespot", recording_id=None)
-    stream.send_recording_name(name)
+    stream.send_recording_name(in_utf8(name))
     if target == LIVE:
         stream.connect_grpc(_opened_viewer(), default_blueprint=_blueprint())
         yield Recording(stream, microscope)

@@ -18,8 +18,8 @@ def wall_image(
 ) -> NDArray[np.float32]:
     """Reflectance on a square map about the pole, from an image of 8 or 16 bits in sRGB.
 
-    The centres of image and map coincide; the image's right is +X, its top +Y. The edge of the
-    image is repeated outside it.
+    The centres of image and map coincide; the image's right is +X, its top +Y, as its rows are
+    stored (an Exif orientation is not applied). The edge of the image is repeated outside it.
 
     Args:
         path: path of the image.
@@ -34,9 +34,8 @@ def wall_image(
     Raises:
         SceneError: the file is missing or not an image.
     """
-    image = _image(path)
-    full_scale = 255 if image.dtype == np.uint8 else 65535
-    coded = image[..., ::-1].astype(np.float32) / full_scale
+    image, full_scale = _image(path)
+    coded = np.atleast_3d(image).astype(np.float32) / full_scale
     # IEC 61966-2-1.
     linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
     ratio = (width_mm / linear.shape[1]) / (extent_mm / pixels)
@@ -51,16 +50,17 @@ def wall_image(
     return np.asarray(white * mapped, np.float32)
 
 
-def _image(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def _image(path: Path) -> tuple[NDArray, float]:
+    """The image and its full scale."""
     try:
-        image = read_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-        if image.dtype not in (np.uint8, np.uint16):
+        image, full_scale, _ = read_image(path)
+        if image.dtype.kind != "u":
             raise InputError("is not an image of 8 or 16 bits")
     except OSError as error:
         raise _wrong(path, f"cannot be read ({error.strerror})") from error
     except InputError as error:
         raise _wrong(path, str(error).rstrip(".")) from error
-    return image
+    return image, full_scale or float(np.iinfo(image.dtype).max)
 
 
 def _wrong(path: Path, fault: str) -> SceneError:

@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import ConfigDict, Field
 
 from benchmarks.sets.score.spots_of_set import SPOTS_SUFFIXES
-from estimator.files import object_in
+from estimator.files import in_utf8, object_in
 from optics import InputError, Strict, in_file, read_text, validated
 
 _ABOUT = "entry.json"
@@ -54,7 +54,7 @@ def entry_of(spots: Path) -> Entry:
     Raises:
         InputError: entry.json is damaged.
     """
-    name = spots.stem if spots.suffix else spots.resolve().name
+    name = in_utf8(spots.stem if spots.suffix else spots.resolve().name)
     file = spots / _ABOUT
     if not file.is_file():
         return Entry(name=name, spots=spots)

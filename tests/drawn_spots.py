@@ -1,0 +1,63 @@
+"""Spots drawn by formula with numpy alone; the truth for tests of the estimator."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+_erf = np.vectorize(math.erf, otypes=[float])
+
+
+def spot_image(
+    shape: tuple[int, int],
+    x: float,
+    y: float,
+    semi_major: float,
+    semi_minor: float,
+    angle: float,
+    *,
+    profile: str = "disc",
+    blur: float = 1.5,
+    peak: float = 200.0,
+    background: float = 20.0,
+    noise: float = 0.0,
+    clip: float = math.inf,
+    rng: np.random.Generator | None = None,
+) -> np.ndarray:
+    """A grey image of one spot, before it is rounded to whole samples.
+
+    Args:
+        shape: (H, W), px.
+        x: of the centre, to the right from the centre of the first pixel, px.
+        y: of the centre, downwards, px.
+        semi_major: of the ellipse at half of the height above the background, px.
+        semi_minor: likewise, px.
+        angle: of the major axis, from x towards y, rad.
+        profile: "disc", even up to an edge, or "bell", an elliptical Gaussian.
+        blur: standard deviation of a disc's edge, px; the profile along a normal of the ellipse is
+            an error function, of which the middle lies on the ellipse.
+        peak: above the background.
+        background: level of the image without the spot.
+        noise: standard deviation, the same in all pixels.
+        clip: largest value; larger ones become this.
+        rng: of the noise.
+
+    Returns:
+        (H, W), float64.
+    """
+    down, right = np.mgrid[: shape[0], : shape[1]] - np.array([y, x])[:, None, None]
+    along = (right * math.cos(angle) + down * math.sin(angle)) / semi_major
+    across = (down * math.cos(angle) - right * math.sin(angle)) / semi_minor
+    radius = np.hypot(along, across)
+    if profile == "bell":
+        light = 0.5 ** (radius**2)
+    else:
+        slope = np.hypot(along / semi_major, across / semi_minor) / np.maximum(radius, 1e-9)
+        distance = (radius - 1) / np.maximum(slope, 1e-9)
+        light = 0.5 - 0.5 * _erf(np.clip(distance / (math.sqrt(2) * blur), -6, 6))
+    image = background + peak * light
+    if noise:
+        assert rng is not None
+        image = image + rng.normal(0, noise, shape)
+    return np.minimum(image, clip)

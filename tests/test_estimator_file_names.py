@@ -1,0 +1,76 @@
+"""Names of files that are not UTF-8, and terminals that cannot show all letters."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from estimator import read_spots
+from estimator.sources import open_source
+from tests.drawn_sets import write_set
+from tests.drawn_spots import spot_image
+
+ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
+
+
+@pytest.fixture(scope="module")
+def png() -> bytes:
+    image = np.rint(spot_image((96, 128), 62.3, 47.7, 30, 22, 0.4)).astype(np.uint8)
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
+def eyespot(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    program = Path(__file__).parents[1] / "eyespot.py"
+    return subprocess.run(
+        [sys.executable, program, *arguments],
+        capture_output=True,
+        check=False,
+        env=os.environ | environment,
+    )
+
+
+@pytest.mark.parametrize("kind", [".csv", ".parquet"])
+def test_names_that_are_no_utf8_are_measured_and_written_as_bytes(tmp_path, png, kind):
+    if kind == ".parquet":
+        pytest.importorskip("pyarrow")
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    folder.mkdir()
+    (folder / os.fsdecode(b"spot\xe9.png")).write_bytes(png)
+    out = folder / f"spots{kind}"
+    ended = eyespot("track", folder, "--out", out)
+    assert ended.returncode == 0, ended.stderr
+    assert read_spots(out)[0].file_name == r"spot\xe9.png"
+    ended = eyespot("track", folder, "--out", folder / "again.csv", "--overlay", folder / "a.mp4")
+    assert b"must be UTF-8" in ended.stderr
+    assert ended.returncode == 2
+
+
+def test_a_video_whose_name_is_no_utf8_is_read(tmp_path):
+    writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"FFV1"), 25, (64, 48))
+    for level in (10, 20):
+        writer.write(np.full((48, 64, 3), level, np.uint8))
+    writer.release()
+    strange = tmp_path / os.fsdecode(b"\xe9.avi")
+    (tmp_path / "a.avi").rename(strange)
+    assert [frame.image[0, 0, 0] for frame in open_source(strange)] == [10, 20]
+
+
+def test_a_terminal_without_greek_letters_ends_nothing(tmp_path, png):
+    (tmp_path / "é σ.png").write_bytes(png)
+    out = tmp_path / "Ω.csv"
+    ended = eyespot("track", tmp_path, "--out", out, **ASCII)
+    assert ended.returncode == 0, ended.stderr
+    assert read_spots(out)[0].file_name == "é σ.png"
+
+
+def test_a_score_is_printed_where_there_is_no_sigma(tmp_path):
+    stack = write_set(tmp_path / os.fsdecode(b"\xe9t\xe9"))
+    ended = eyespot("score", stack, "--mode", "subpixel", "--out", tmp_path / "out", **ASCII)
+    assert ended.returncode == 0, ended.stderr
+    assert b"Wrote" in ended.stdout
