@@ -39,7 +39,7 @@ def test_a_spot_that_texture_may_be_is_too_faint_and_says_how_faint() -> None:
     result = measured(image * np.exp(0.06 * clouds / clouds.std()) + rng.normal(0, 2, SHAPE))
     assert isinstance(result, NoSpot)
     assert result.reason is Reason.TOO_FAINT
-    # Texture of 6 % of 98, of which averages over a part of the contour keep most, under a step of 40.
+    # A step of 40 over texture of 6 % of 98, of which means over a part of the contour keep most.
     assert 4 < result.significance < 12
 
 

@@ -14,6 +14,8 @@ _BAND = 0.08  # of the spot's upper half: bands of values that are compared
 _FLAT = 1.8  # ratio of the pixels in the band below a plateau to those in the next one; a blurred
 # step that is clipped below 0.97 of its height has less than 1.5, a whole one over 4
 _FLANK = 4.0  # ratio of the same pixels to those of a band of the flank: less than 3.7, and over 8
+_FOOT = 0.05  # of the height: darker pixels are background
+_SHARP = 1.2  # px: a narrower edge is drawn, a pixel wide; clipped or not, its place is known
 _TURNS = 0.2  # share of neighbours whose second differences alternate; 0.4 with white noise
 _ROUNDED = 4.0  # product of two second differences that rounding alone can have
 _DEEP = 0.1  # share of the darker pixels amid the level's that rounding cannot explain
@@ -46,11 +48,12 @@ def clip_level(values: np.ndarray, bright: np.ndarray) -> float:
         return math.inf
     near, next_ = int(first - upper), int(upper - lower)
     start, stop = np.searchsorted(seen, float(seen[0]) + height * np.array([0.1, 0.6]))
-    if first - start < _FEWEST:  # without a flank the edge is a pixel wide, clipped or not
-        return math.inf
     flank = (stop - start) * band / (0.5 * height)
     flat = near - _FLAT * next_ > 2 * math.sqrt(near + _FLAT**2 * next_) and near > _FLANK * flank
-    return math.inf if flat and not _is_noisy(values, bright, level) else float(level)
+    dark = float(values.min())
+    between = np.count_nonzero((values > dark + _FOOT * (float(level) - dark)) & (values < level))
+    sharp = between < _SHARP * 2 * math.sqrt(math.pi * seen.size)
+    return math.inf if (flat or sharp) and not _is_noisy(values, bright, level) else float(level)
 
 
 def _is_noisy(values: np.ndarray, bright: np.ndarray, level: float) -> bool:

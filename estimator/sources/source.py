@@ -91,7 +91,7 @@ class Source:
         for frame in self.read():
             first = first or frame
             sizes = [f"{one.image.shape[1]}x{one.image.shape[0]} px" for one in (first, frame)]
-            if sizes[0] != sizes[1] and not self.unrelated:
+            if sizes[0] != sizes[1] and not (self.unrelated or first.fault or frame.fault):
                 names = [one.file_name or f"frame {one.index}" for one in (first, frame)]
                 raise InputError(
                     f"{self.name}: {names[1]} has {sizes[1]}, but {names[0]} {sizes[0]}. Leave the"
