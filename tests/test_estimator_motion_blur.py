@@ -29,8 +29,9 @@ def test_a_spot_that_moved_by_half_a_diameter_is_measured_in_the_middle_of_its_p
     # The requirement is an RMSE of 0.15 px, with texture; the stated error is that of an even wall.
     assert np.abs(_TRUTH.errors(spot)).max() < 3 * 0.15
     # The size along the path follows from the smeared ends alone: a path along the minor axis is
-    # the worst case.
-    assert spot.sigma_semi_minor_px < 0.2
+    # the worst case, in which the stated error is the required one. It is estimated from the some
+    # 20 blocks of 16 px that these ends cover, so its own relative error is 1 / sqrt(2 * 20).
+    assert spot.sigma_semi_minor_px < 0.15 * (1 + 3 / math.sqrt(40))
     # The edge is as wide as that of a spot at rest.
     assert spot.edge_width_px == pytest.approx(2.0, abs=0.3)
 
@@ -51,12 +52,14 @@ def test_a_still_bell_is_not_taken_for_a_moving_disc() -> None:
     assert np.abs(elongated.errors(longer)).max() < 0.01 * elongated.semi_major
 
 
-@pytest.mark.parametrize("reach", [20, 35, 50])
-@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("reach", [20, 35, 50, 70])
+@pytest.mark.parametrize("seed", [4, 5, 6])
 def test_a_moving_spot_whose_ends_are_hidden_is_a_failure(reach: int, seed: int) -> None:
-    # Two tools hide every ray along the path: the path's length, and so the size, is unknown.
+    # Two tools hide the ends of every ray along the path, which lie 33 to 93 px from the middle:
+    # the path's length, and so the size, is unknown.
     u = np.arange(SHAPE[1])[None, :] * np.ones((SHAPE[0], 1))
     seen = (np.abs(u - _TRUTH.x) < reach).astype(float)
     drawing = Drawing(truth=_TRUTH, path_px=(60.0, 0.0), seen=seen)
     result, _ = measure(frame_of(drawing, np.random.default_rng(seed)), _MIDDLE, SubpixelSettings())
-    assert result == NoSpot(Reason.OCCLUDED)
+    assert isinstance(result, NoSpot)
+    assert result.reason is Reason.OCCLUDED or reach == 70  # hardly hidden

@@ -258,9 +258,15 @@ def test_a_stack_brings_its_microscope_and_its_exposures(run, tmp_path, images, 
         for k, image in enumerate(images):
             for exposure, exposed in (("metered", image), ("paper", image // 2)):
                 writer.add(exposed, stack_labels(k, exposure), None)
-    assert_bad_input(run(folder, "--out", out), "metered and paper", "Choose")
-    assert run(folder, "--out", out, "--exposure", "paper").code == 0
     settings = SubpixelSettings(response=Response(curve="srgb"))
+    usual = run(folder, "--out", tmp_path / "usual.csv", "--json")
+    said = "Reading the exposure metered (the stack also has paper); --exposure chooses."
+    assert usual.code == 0
+    assert usual.err.count(said) == 1
+    assert_same(read_spots(tmp_path / "usual.csv"), list(track(images, settings)))
+    chosen = run(folder, "--out", out, "--exposure", "paper")
+    assert chosen.code == 0
+    assert "--exposure" not in chosen.err
     records = read_spots(out)
     assert_same(records, list(track([image // 2 for image in images], settings)))
     assert [record.time_s for record in records] == [k / 10 for k in range(8)]

@@ -1,10 +1,16 @@
 """Scenes seen through viewing lenses and the eye's own optics."""
 
 import importlib.resources
+import re
+import shlex
+import sys
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import eyespot
 import optics
 import scenes
 from scenes.rendering import Renderer
@@ -166,8 +172,8 @@ def test_colours_are_shifted_apart_as_the_indices_are():
         ({"lens": "flat"}, {}, "viewing.lens needs an eye behind it"),
         (
             {"eye": "navarro", "lens": "flat"},
-            {"phantom": {"radius_mm": 11.5}},
-            r"phantom\.radius_mm contradicts the eye 'navarro', .* 12\.0; got 11\.5\. Remove it",
+            {"phantom": {"radius_mm": 11.0}},
+            r"phantom\.radius_mm contradicts the eye 'navarro', .* 12\.0; got 11\.0\. Remove it",
         ),
         (
             {"eye": "navarro", "lens": "flat"},
@@ -184,6 +190,25 @@ def test_colours_are_shifted_apart_as_the_indices_are():
 def test_what_cannot_be_seen_is_refused_with_a_remedy(viewing, changes, said):
     with pytest.raises(ValueError, match=said):
         World(looked_at(viewing, **changes)).check()
+
+
+def test_the_command_of_the_page_renders_a_scene_file_that_was_just_made(tmp_path, monkeypatch):
+    """Such a file sets the phantom's radius to its default, which is not that of the eye."""
+    page = (Path(__file__).parents[1] / "docs/viewing.md").read_text().replace("\\\n", "")
+    found = re.search(r"^eyespot (render scene\.toml .*)$", page, re.MULTILINE)
+    assert found
+    small = {f"microscope.{key}": value for key, value in SMALL.items()} | {"motion.frames": 2}
+    quick = {"source.kind": "cone", "phantom.wall": "uniform", "phantom.indirect": "off"}
+    changes = "".join(f" --set {key}={value}" for key, value in (small | quick).items())
+    monkeypatch.chdir(tmp_path)
+    for words in ("scene init scene.toml", found[1] + changes):
+        monkeypatch.setattr(sys, "argv", ["eyespot", *shlex.split(words)])
+        with pytest.raises(SystemExit) as ended:
+            eyespot.main()
+        assert not ended.value.code
+    written = tomllib.loads(Path("out/phakic/stack.toml").read_text())
+    # The retina's radius of Escudero-Sanz and Navarro (1999).
+    assert written["scene"]["phantom"]["radius_mm"] == pytest.approx(12.0)
 
 
 _LENS = {"numerical_aperture": 0.05, "focus_mm": 1.0}

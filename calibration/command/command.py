@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from estimator.run import Exposure
+
 
 def fit(
     sources: Annotated[
@@ -36,10 +38,7 @@ def fit(
             "of one stack: image, a cone; lens, a glue lens."
         ),
     ] = "auto",
-    exposure: Annotated[
-        Literal["paper", "metered"] | None,
-        typer.Option(help="Which exposure to use if the stacks have two (default: metered)."),
-    ] = None,
+    exposure: Exposure = None,
     free: Annotated[
         str | None,
         typer.Option(

@@ -16,7 +16,7 @@ from calibration.command.fitted import Choices, Fitted, PixelResiduals
 from calibration.command.goodness import bounds_hit
 from calibration.command.lens_guess import FLATTEST, guessed_lens
 from calibration.pixels import LENS, UNITS, Footage, ImageFit, fit_footage, lens_start, read_footage
-from calibration.recordings import Recording, usual_exposure
+from calibration.recordings import Recording
 from calibration.spots import fit_plane
 from estimator import read_stack
 from estimator.files import BEAM, LENS_PARAMETERS
@@ -124,8 +124,7 @@ def _fit(
             f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
             "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
         )
-    exposure = choices.exposure or usual_exposure(recording.source)
-    footage = read_footage(read_stack(recording.source), exposure=exposure)
+    footage = read_footage(read_stack(recording.source), exposure=choices.exposure)
     frames = len(footage.readings)
     least, per_pixel = _SECONDS[source]
     minutes = (least + footage.light.size * per_pixel) / 60

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calibration.command.fitted import Fitted
-from calibration.recordings import Recording, usual_exposure
+from calibration.recordings import Recording
 from estimator import Calibration, Ranger, Spot
 from estimator.sources import open_source
 from estimator.viewer import recording_of
@@ -71,8 +71,7 @@ def _frames(
     if source.suffix.lower() in _SPOTS_FILES:
         yield from ((record.frame, record.time_s, None) for record in recording.records)
         return
-    kind = exposure or (usual_exposure(source) if recording.is_stack else None)
-    for frame in open_source(source, exposure=kind):
+    for frame in open_source(source, exposure=exposure):
         yield frame.index, frame.time_s, frame.image
 
 

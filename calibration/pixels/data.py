@@ -111,10 +111,10 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
 
     Args:
         stack: a withdrawal that begins at contact.
-        exposure: "paper" or "metered" if the stack has both.
+        exposure: see `open_source`.
 
     Raises:
-        InputError: no exposure chosen, a camera that the noise model does not support, or robot
+        InputError: a camera that the noise model does not support, or robot
             poses that are no withdrawal or do not cover all frames.
     """
     microscope = read_microscope(stack.folder / "microscope.json")

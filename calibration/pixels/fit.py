@@ -48,7 +48,7 @@ def fit_image(
         free: names from `UNITS`; by default the cone's half_angle and b, or the lens's sag and
             numerical_aperture. The pose, sensitivity and illumination are always free.
         priors: priors of free parameters.
-        exposure: which exposure to use if the stack has several.
+        exposure: see `open_source`.
         exposures: use the reported exposure times, or also fit each frame's as a multiple of it.
         lean_sigma: standard deviation of the robot's directions, rad.
         boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.

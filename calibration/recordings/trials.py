@@ -32,7 +32,6 @@ _TOUCH_SIGMA_MM = 0.02
 """Accuracy with which an operator finds the contact; the paper's own trials scatter more."""
 _LEAST_COVERAGE = 0.5
 """Least visible fraction of the contour; below it, the ellipse depends mainly on the model."""
-_METERED = "metered"
 _SPOTS_FILES = (".csv", ".parquet")
 
 
@@ -110,12 +109,6 @@ def is_stack(source: Path) -> bool:
     return (source / "stack.toml").is_file()
 
 
-def usual_exposure(folder: Path) -> str | None:
-    """The exposure to use if a stack has two: "metered", whose peaks are never saturated."""
-    kinds = {labels.exposure for labels in read_stack(folder).labels}
-    return _METERED if len(kinds) > 1 and _METERED in kinds else None
-
-
 def read_recording(
     source: Path,
     *,
@@ -130,7 +123,7 @@ def read_recording(
 
     Args:
         source: a stack, a spots file, or any other source of `open_source`, such as a bag or video.
-        exposure: "paper" or "metered" if a stack has both; by default "metered".
+        exposure: see `open_source`.
         log_book: for a source other than a stack.
         touch: distance at the first frame, mm; by default the distance at which the rim touches.
         progress: called after each measured frame.
@@ -141,7 +134,6 @@ def read_recording(
     source = Path(source)
     if is_stack(source):
         log_book = _of_stack(source)
-        exposure = exposure or usual_exposure(source)
         prints = [source / "manifest.json"]
     elif source.is_dir() and log_book is None:
         read_stack(source)  # its error says which part of the stack is missing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -74,7 +75,10 @@ def console(
         if pose_topic is not None and poses is None:
             raise InputError("pose_topic has no effect without poses. Give both, or neither.")
         opened = partial(open_source, source, exposure=exposure, image_topic=image_topic)
-        options["microscope"] = options["microscope"] or opened().microscope_file
+        first = opened()
+        for note in first.notes:
+            print(note, file=sys.stderr, flush=True)
+        options["microscope"] = options["microscope"] or first.microscope_file
         known = read_poses(poses, topic=pose_topic) if poses else None
         track = (lambda: known) if known is not None else None
     if options["eye_from_robot"] is not None and track is None:

@@ -129,9 +129,11 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         semi_major, semi_minor, _ = moving.ellipse.axes()
         sane = shrink / 4 < moving.width < semi_minor and semi_major < 2 * fit.ellipse.axes()[0]
         if not (sane and math.hypot(*moving.path) < 4 * semi_minor):
-            return fit
+            return _of_neither(fit)
         if np.abs(step[:5]).max() < Motion.SETTLED:
             break
+    else:
+        return _of_neither(fit)
     covariance = _covariance(gram, pull, columns * np.sqrt(weight)[..., None])
     # A residual that grows loses weight, so a step changes the pull by less than the weights say
     # (Huber 1981, section 6.3).
@@ -159,6 +161,14 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         scatter=0.0,
         steeper=1.0,
     )
+
+
+def _of_neither(fit: EdgeFit) -> EdgeFit:
+    """The fit, with no ray that is known to show the edge: neither rest nor motion explains it.
+
+    For example, tools hide the ends of the path: then no size is determined.
+    """
+    return replace(fit, inliers=np.zeros_like(fit.inliers))
 
 
 def _path(patch: Patch, fit: EdgeFit) -> np.ndarray | None:

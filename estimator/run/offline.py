@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import math
+import sys
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -108,7 +109,8 @@ def track_source(
 ) -> Tracking:
     """Measure a source's frames until it ends, breaks or is stopped with Ctrl-C.
 
-    What was measured so far is returned even if the source breaks off. A frame that meets a bug is
+    The source's notes go to the standard error. What was measured so far is returned even if the
+    source breaks off. A frame that meets a bug is
     a frame without a spot, see `Reader.read`.
 
     Args:
@@ -127,6 +129,8 @@ def track_source(
         OSError: its results cannot be written.
         KeyboardInterrupt: stopped before the first frame was measured.
     """
+    for note in source.notes:
+        print(note, file=sys.stderr, flush=True)
     tracking = Tracking()
     write = write or tracking.records.append
     try:

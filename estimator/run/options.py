@@ -37,7 +37,7 @@ _NEEDS = {
 
 Exposure = Annotated[
     Literal["paper", "metered"] | None,
-    typer.Option(help="Which exposure to use if the stack has two."),
+    typer.Option(help="Which exposure to use if a stack has two (default: metered)."),
 ]
 PosesFile = Annotated[
     Path | None,

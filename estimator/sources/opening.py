@@ -17,6 +17,8 @@ from estimator.sources.source import Frame, Source
 from estimator.sources.videos import open_camera, open_video
 from optics import InputError, shortened
 
+_USUAL = "metered"
+
 
 def open_source(
     source: str | Path, *, exposure: str | None = None, image_topic: str | None = None
@@ -27,7 +29,8 @@ def open_source(
         source: a stack folder, a folder of images (in natural order of their names), an image, a
             multi-page TIFF, a video, a ROS 1 or ROS 2 bag, the number of a camera, or genicam:
             and the number or name of a GenICam camera.
-        exposure: of a stack that has several, such as "paper" or "metered".
+        exposure: of a stack that has several; by default "metered", whose peaks are never
+            saturated.
         image_topic: of a bag, see `bag_images.read_frames`.
 
     Raises:
@@ -73,9 +76,8 @@ def _stack(folder: Path, exposure: str | None) -> Source:
     kinds = sorted({labels.exposure for labels in stack.labels})
     if not kinds:
         raise InputError(f"{folder} holds no frames. Render the stack again.")
-    if exposure is None and len(kinds) > 1:
-        raise InputError(f"{folder} holds the exposures {' and '.join(kinds)}. Choose one of them.")
-    chosen = stack.exposed(exposure or kinds[0])
+    kind = exposure or (_USUAL if _USUAL in kinds else kinds[0])
+    chosen, others = stack.exposed(kind), " and ".join(k for k in kinds if k != kind)
     if not chosen:
         raise InputError(f"{folder} holds no exposure {exposure}. Choose {' or '.join(kinds)}.")
 
@@ -97,4 +99,7 @@ def _stack(folder: Path, exposure: str | None) -> Source:
         length=len(chosen),
         rate_hz=1 / float(np.median(steps)) if steps.size and np.median(steps) > 0 else None,
         microscope_file=microscope if microscope.is_file() else None,
+        notes=()
+        if exposure or not others
+        else (f"Reading the exposure {kind} (the stack also has {others}); --exposure chooses.",),
     )

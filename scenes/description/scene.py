@@ -65,7 +65,10 @@ class Scene(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _eye_brings_its_retina(cls, content: Any) -> Any:
-        """Fill [phantom] with the retina of [viewing]'s eye; refuse one that contradicts it."""
+        """Fill [phantom] with the retina of [viewing]'s eye; refuse one that contradicts it.
+
+        A scene file of `scene init` holds every default, so a default is not what anyone has set.
+        """
         if not isinstance(content, Mapping):
             return content
         viewing, phantom = content.get("viewing", {}), content.get("phantom", {})
@@ -79,8 +82,8 @@ class Scene(BaseModel):
             return content
         retina = retina_of(dict(viewing))
         for key, own in retina.items():
-            said = phantom.get(key, own)
-            if not np.allclose(said, own, rtol=1e-6):
+            said, usual = phantom.get(key, own), Phantom.model_fields[key].default
+            if not any(np.allclose(said, value, rtol=1e-6) for value in (own, usual)):
                 raise InputError(
                     f"phantom.{key} contradicts the eye {viewing['eye']!r}, whose retina has "
                     f"{key} {own}; got {said}. Remove it, or choose another eye."
