@@ -138,9 +138,9 @@ def test_a_file_that_is_too_large_is_refused_unread(tmp_path):
             "rows: 1000000\n   cols: 1000000\n   dt: d\n   data: [ 1 ]",
             "1 numbers, but rows and cols",
         ),
-        ("rows: -3\n   cols: 3\n   dt: d\n   data: [ 1 ]", "must be whole numbers"),
-        ("rows: x\n   cols: 3\n   dt: d\n   data: [ 1 ]", "must be whole numbers"),
-        ("rows: 3\n   cols: 3\n   dt: d\n   data: []", "must hold numbers"),
+        ("rows: -3\n   cols: 3\n   dt: d\n   data: [ 1 ]", "rows and cols say -3 x 3"),
+        ("rows: x\n   cols: 3\n   dt: d\n   data: [ 1 ]", "must hold numbers"),
+        ("rows: 3\n   cols: 3\n   dt: d\n   data: []", "0 numbers, but rows and cols"),
     ],
 )
 def test_an_odd_matrix_of_opencv_is_refused(tmp_path: Path, matrix: str, words: str) -> None:

@@ -209,7 +209,10 @@ def _rests(
     ring = np.rint(radius[near] / RADIUS_STEP).astype(int)
     light = signal[near]
     profile = np.bincount(ring, light) / np.maximum(np.bincount(ring), 1)
-    return bool(np.square(light - profile[ring]).sum() < np.square(light - moving[near]).sum())
+    # The levels of the moving spot were fitted without long waves, so they are fitted again.
+    levels = np.column_stack([moving[near], np.ones(light.size)])
+    _, left, *_ = np.linalg.lstsq(levels, light, rcond=None)
+    return bool(np.square(light - profile[ring]).sum() < left.sum())
 
 
 def _passed(values: np.ndarray) -> np.ndarray:
