@@ -48,6 +48,7 @@ MEANINGS = {
         **{f"axis_{x}": f"{x.upper()} of the tool's axis, a unit vector." for x in "xyz"},
     },
     "microscope": {
+        "full_scale": "Value of the brightest light that the camera measures, such as 4095.",
         "retina_semi_axes_mm": "Of an ellipsoidal retina: x, y, z. Without it a sphere.",
         "retina_tilt_deg": "Angle of its z from the microscope's axis.",
         "retina_tilt_azimuth_deg": "Direction in which its z leans.",
