@@ -124,7 +124,7 @@ def test_a_tool_that_hides_a_part_of_the_spot_does_not_pull_the_pose(tmp_path):
     assert max(chi_squared for _, _, chi_squared in found) < _MOST
 
 
-def test_a_spot_too_faint_for_the_sub_pixel_mode_has_a_pose(tmp_path):
+def test_a_faint_spot_under_haze_has_a_pose(tmp_path):
     # A film of water reflects the microscope's light over all of the wall; the spot is half as
     # bright again.
     stack = cone_stack(
@@ -134,7 +134,8 @@ def test_a_spot_too_faint_for_the_sub_pixel_mode_has_a_pose(tmp_path):
         microscope={"width_px": 640, "height_px": 480, "illumination_mw_mm2": 0.92},
         motion={"start_mm": 2.8, "travel_mm": 0.3, "frames": 3, "speed_mm_s": 1.0},
     )
-    _assert_posed_where_subpixel_says(stack, tmp_path, Reason.NONE_FOUND)
+    found = list(readings_of(stack, tmp_path))
+    assert max(chi_squared for _, _, chi_squared in found) < _MOST
 
 
 def test_a_distance_at_which_the_light_is_not_known_is_none(tmp_path, monkeypatch):

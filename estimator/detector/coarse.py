@@ -125,7 +125,7 @@ def bright_regions(
             region = np.zeros_like(mask)
             cv2.drawContours(region, contours, largest, 1, cv2.FILLED)
             inside = (region & mask).view(bool)
-            soft = peak - background < Search.PLATEAU * (top - background)
+            soft = solid and peak - background < Search.PLATEAU * (top - background)
             lobed = soft and _are_lobes(contours, areas, cv2.subtract(smooth, half))
             bright = coarse.levels > half
             hollow = solid and _is_hollow(region.view(bool), inside, bright)
