@@ -22,7 +22,6 @@ irradiance_edges   Boundaries between lit and dark along a scan
 irradiance_lookup  Vector irradiance of a lens in a medium, as a table
 irradiance_turns   Turns of the edge of a cap's lit part
 lens               GlueLens, a drop of glue on a fibre's end: shape, light and presets
-lens_misaligned    A glue lens with a decentred or tilted cap
 lens_trace         Rays traced backwards from a wall point through the cap to the core's face
 mismatch           Difference of a contour's ellipse from a measured one, without a fit
 models             Models from spot size to distance: planar, small_plane, corrected, stereographic

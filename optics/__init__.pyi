@@ -51,8 +51,6 @@ from .lens import GlueLens as GlueLens
 from .lens import glue_lens as glue_lens
 from .lens import lens_names as lens_names
 from .lens import load_lens as load_lens
-from .lens_misaligned import MisalignedLens as MisalignedLens
-from .lens_misaligned import misaligned_vector_irradiance as misaligned_vector_irradiance
 from .mismatch import ellipse_mismatch as ellipse_mismatch
 from .mismatch import mismatch_covariance as mismatch_covariance
 from .models import CLOSED_FORMS as CLOSED_FORMS

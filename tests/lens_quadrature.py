@@ -1,5 +1,4 @@
-"""Irradiance of a glue lens by brute force, in NumPy: the referee of `optics.vector_irradiance`
-and, with the core off centre and its light tilted, of `optics.misaligned_vector_irradiance`.
+"""Irradiance of a glue lens by brute force, in NumPy: the referee of `optics.vector_irradiance`.
 
 Every point of an even grid on the cap is traced backwards to the core's face with Snell's law, and
 counts if the ray stays inside of the glue, starts on the core and lies within its cone. Cells that
@@ -19,19 +18,9 @@ _MARGIN = 3  # of these, added around the lit ones
 
 def irradiance(lens, medium, radius, distance, *, steps=500):
     """E on a plane perpendicular to the axis, 1/mm² per unit power, at one radius and distance."""
-    cells = partial(_cells, lens, medium, radius, distance, np.zeros(2), np.zeros(2))
+    cells = partial(_cells, lens, medium, radius, distance)
     # The other half of the cap mirrors this one.
     return 2 * _sum(cells, (0.0, 1.0, 0.0, np.pi), steps)
-
-
-def misaligned_irradiance(lens, medium, point, offset, tilt, *, steps=700):
-    """The same at a point (x, y, s), with the core's centre and its cone's axis off the cap's."""
-    x, y, distance = point
-    # The wall point is turned onto the x axis, and the light with it.
-    radius, turn = np.hypot(x, y), np.arctan2(y, x)
-    back = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    cells = partial(_cells, lens, medium, radius, distance, back @ offset, back @ tilt)
-    return _sum(cells, (0.0, 1.0, -np.pi, np.pi), steps)
 
 
 def _sum(cells, whole, steps):
@@ -48,7 +37,7 @@ def _sum(cells, whole, steps):
     return float(np.sum(light * np.clip(0.5 - excess / np.maximum(steepness, 1e-300), 0, 1)))
 
 
-def _cells(lens, medium, radius, distance, offset, tilt, box, steps):
+def _cells(lens, medium, radius, distance, box, steps):
     """Light of each cell of a grid on the cap, the ray's excess, and its change over the cell."""
     core, length, aperture, sag, index, na = (
         float(x)
@@ -81,27 +70,23 @@ def _cells(lens, medium, radius, distance, offset, tilt, box, steps):
     ratio = medium / index
     cos_in = np.sqrt(np.maximum(1 - ratio**2 * (1 - cos_out**2), 0))
     inside = ratio * way + (cos_in - ratio * cos_out) * normal
-    upright = np.sqrt(1 - tilt @ tilt)
-    along = inside[0] * tilt[0] + inside[1] * tilt[1] + inside[2] * upright
-    sine_squared = 1 - along**2
 
-    def height_squared(below, centre):
+    def height_squared(below):
         path = (below - depth) / inside[2]
-        return sum((point[i] - path * inside[i] - centre[i]) ** 2 for i in (0, 1))
+        return sum((point[i] - path * inside[i]) ** 2 for i in (0, 1))
 
     with np.errstate(invalid="ignore", divide="ignore"):
         excess = np.maximum.reduce(
             [
-                sine_squared / (na / index) ** 2 - 1,
-                height_squared(length, offset) / core**2 - 1,
-                height_squared(sag, (0, 0)) / aperture**2 - 1,
+                (1 - inside[2] ** 2) / (na / index) ** 2 - 1,
+                height_squared(length) / core**2 - 1,
+                height_squared(sag) / aperture**2 - 1,
                 -cos_out,
             ]
         )
     s = (medium * cos_out - index * cos_in) / (medium * cos_out + index * cos_in)
     p = (index * cos_out - medium * cos_in) / (index * cos_out + medium * cos_in)
-    # The core's power is that of its face's area in the direction of the light.
-    radiance = 1 / (np.pi * core**2 * np.pi * (na / index) ** 2 * upright) * ratio**2
+    radiance = 1 / (np.pi * core**2 * np.pi * (na / index) ** 2) * ratio**2
     light = radiance * (1 - (s**2 + p**2) / 2) * np.maximum(cos_out, 0) * way[2] / far**2
     steepness = np.abs(np.gradient(excess, axis=0)) + np.abs(np.gradient(excess, axis=1))
     cell = (box[1] - box[0]) * aperture / steps * (box[3] - box[2]) / steps

@@ -302,7 +302,6 @@ ELSEWHERE = {
     "components": "an unpacking",
     "dot": "three products",
     "irradiance_table": "test_optics_irradiance_table: accuracy of look-ups and derivatives",
-    "misaligned_vector_irradiance": "test_optics_lens_misaligned: derivative in the offset",
     "effective_cone": "test_optics_irradiance_table: the slope's derivative by the lens",
     "spread_nodes": "numbers of a quadrature, without arguments that could be traced",
     "lit_share": "test_optics_wall_spread: the closed form of a half plane, one batched look-up",
