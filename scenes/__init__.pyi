@@ -11,7 +11,6 @@ from .machine import load_mitsuba as load_mitsuba
 from .rendering import LinearFrame as LinearFrame
 from .rendering import Renderer as Renderer
 from .stacks import check_scene as check_scene
-from .stacks import expose_again as expose_again
 from .stacks import least_bytes as least_bytes
 from .stacks import render_image as render_image
 from .stacks import render_stack as render_stack

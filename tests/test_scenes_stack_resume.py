@@ -10,14 +10,12 @@ import signal
 import subprocess
 import sys
 import time
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-import tomli_w
 
 from estimator import Stack, StackError, StackWriter, read_stack
 from estimator.files import BeingWrittenError
@@ -26,7 +24,6 @@ from scenes import (
     Scene,
     SceneError,
     check_scene,
-    expose_again,
     least_bytes,
     render_stack,
     scene_toml,
@@ -227,45 +224,6 @@ def test_an_existing_stack_is_not_written_over(whole):
         render_stack(scene(), whole.folder)
 
 
-def test_frames_exposed_again_are_those_that_rendering_gives(tmp_path):
-    first = render_stack(scene(), tmp_path / "first")
-    changed = scene(
-        seed=3,
-        camera={"bit_depth": 12, "prnu": 0.01, "response": "srgb"},
-        exposures={"metered_peak": 0.6},
-    )
-    again = expose_again(first, changed, tmp_path / "again")
-    rendered = render_stack(changed, tmp_path / "rendered")
-    assert digests(again.folder) == digests(rendered.folder)
-    frame = "frames/000000.png"
-    assert digests(again.folder)[frame] != digests(first.folder)[frame]
-    one = expose_again(first, scene(exposures={"kinds": ["metered"]}), tmp_path / "one")
-    assert [row.exposure for row in one.labels] == ["metered"] * 10
-    one.verify()
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("scene = 1", "scene must be a finite dict"),
-        ('wall_colour = "red"', "wall_colour must be a finite list"),
-        ('wall_colour = [0.5, "red", 0.5]', "wall_colour must be three reflectances"),
-        ("wall_colour = [0.5]", "wall_colour must be three reflectances"),
-        ("kinematics.csv", r"kinematics\.csv, line 1: its columns must be"),
-    ],
-)
-def test_a_damaged_description_is_not_exposed_again(whole, tmp_path, name, words):
-    broken = shutil.copytree(whole.folder, tmp_path / "broken")
-    if name == "kinematics.csv":
-        (broken / name).write_text("time_s,x_mm\n0,1\n")
-    else:
-        description = tomllib.loads((broken / "stack.toml").read_text()) | tomllib.loads(name)
-        (broken / "stack.toml").write_text(tomli_w.dumps(description))
-    with pytest.raises(InputError, match=words):
-        expose_again(read_stack(broken), scene(), tmp_path / "again")
-    assert not (tmp_path / "again").exists()
-
-
 def test_a_linear_frame_is_the_light_behind_its_image(whole):
     settings = scene()
     for row in whole.labels[:4]:
@@ -286,21 +244,6 @@ def test_no_stack_is_smaller_than_the_space_that_is_asked_for(whole):
     size = sum(path.stat().st_size for path in whole.folder.rglob("*") if path.is_file())
     # Its radiance alone is 10 frames x 2 exposures x 96 x 72 pixels x 3 channels x 4 bytes.
     assert 20 * 96 * 72 * 3 * 4 < least_bytes(scene()) < size
-
-
-def test_only_the_camera_can_change_without_rendering(whole, tmp_path):
-    with pytest.raises(SceneError, match=r"rendered with another \[spot\]; only camera"):
-        expose_again(whole, scene(spot={"incidence_deg": 20.0}), tmp_path / "again")
-    metered = render_stack(
-        scene(exposures={"kinds": ["metered"], "keep_linear": False}),
-        tmp_path / "metered",
-    )
-    wanted = scene()
-    with pytest.raises(SceneError, match="has no frames of exposure 'paper'"):
-        expose_again(metered, wanted, tmp_path / "again")
-    kinds = scene(exposures={"kinds": ["metered"]})
-    with pytest.raises(StackError, match=r"000000\.tiff is missing.*keep_linear"):
-        expose_again(metered, kinds, tmp_path / "again")
 
 
 def test_no_exposure_outlasts_the_time_between_frames(tmp_path):

@@ -1,6 +1,5 @@
 """Labelled image stacks on disk.
 
-again                A new stack from the noise-free frames of an old one, without rendering
 bound                The Cramér-Rao bound of the ellipse in an image
 check                Checks whether a scene can be rendered
 command              The commands `eyespot render` and `eyespot scene check`

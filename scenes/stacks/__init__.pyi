@@ -1,4 +1,3 @@
-from .again import expose_again as expose_again
 from .check import check_scene as check_scene
 from .image import render_image as render_image
 from .preview import write_preview as write_preview
