@@ -4,11 +4,8 @@
 
 __main__           The command line
 cone_fit           Accuracy of the fit of the exact geometry to ellipses
-dataset_speed      Time to render a labelled set: one process, one worker, two workers
 estimator/         Accuracy and speed of the estimator
-fit_speed          Time of a thousand of the paper's fits: one batch, SciPy, NumPy
 frame_pose         Accuracy of tip and axis from all pixels of single rendered frames
-geometry_speed     Time of a million exact spots, and of single inverses
 image_fit          Accuracy of the fit to all pixels of rendered stacks
 lens_fit           Time and accuracy of the fit of a lens to pixels
 lines              Measurements as lines of a file, which a stopped run goes on from
@@ -24,10 +21,8 @@ pixel_memory       Memory and time of the mode pixels over many frames
 pixel_pose         Accuracy and stated errors of the mode pixels on rendered stacks
 pixel_set          The mode pixels on the stacks of a set with adverse conditions
 pixel_stacks       Drawn stacks for the benches of the mode pixels, and calibrations of their beams
-render_efficiency  Noise and time of a rendered spot, compared with common ways to render it
 render_speed       Time of a labelled frame, from the scene to files on disk
 set_size           How the cost of a set grows, with its stacks and with its workers
-study_speed        Time of a million geometries in the study of eccentricity
 viewing_speed      Time of lines of sight and of exact spots through a contact lens into an eye
 """
 

@@ -8,20 +8,15 @@ from typing import Annotated
 import typer
 
 MAKE_BENCH = (
-    "geometry_speed",
     "render_speed",
-    "render_efficiency",
     "estimator.accuracy",
     "estimator.stated_errors",
-    "fit_speed",
     "cone_fit",
     "image_fit",
     "frame_pose",
     "pixel_pose",
     "pixel_adverse",
-    "study_speed",
     "viewing_speed",
-    "dataset_speed",
     "load",
 )
 """What `make bench` runs. Each module has a function `run(*, full: bool)` that prints tables,

@@ -14,7 +14,6 @@ placement       Rigid transforms and the wall of a Mitsuba scene
 plugins         Mitsuba plugins: lens and cone as emitters, and a noise-free integrator
 reach           Which pixels change when the tip moves
 render          Linear frames: sharp ones, and the mean over an exposure (motion blur)
-rivals          Common ways to render the same spot, for comparison
 sensor          Mitsuba plugin: the microscope
 smooth_lens     Photons behind the lens, as a smooth function of its parameters
 unrest          Moves the view and the eyeball, and changes the source's power

@@ -1,5 +1,4 @@
 from . import build as build
-from . import rivals as rivals
 from .differentiable import PhotonImage as PhotonImage
 from .fine_light import FineWall as FineWall
 from .fine_light import Window as Window
