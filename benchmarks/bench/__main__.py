@@ -9,7 +9,8 @@ import typer
 
 MAKE_BENCH = (
     "render_speed",
-    "estimator.accuracy",
+    "estimator.speed",
+    "estimator.spotless",
     "estimator.stated_errors",
     "cone_fit",
     "image_fit",
@@ -26,7 +27,6 @@ BY_NAME_ONLY = (
     "lens_fit",
     "photon_fit",
     "estimator.tuning",
-    "estimator.edge_bound",
     "set_size",
     "pixel_branches",
     "pixel_memory",
@@ -52,9 +52,9 @@ def main(
         bool,
         typer.Option(
             "--full",
-            help="Use more or larger frames in render_speed, estimator.accuracy, image_fit, "
-            "pixel_pose, pixel_adverse, pixel_branches, pixel_memory, load, "
-            "estimator.stated_errors.",
+            help="Use more or larger frames in render_speed, estimator.speed, estimator.spotless, "
+            "estimator.stated_errors, image_fit, pixel_pose, pixel_adverse, pixel_branches, "
+            "pixel_memory, load.",
         ),
     ] = False,
     seed: Annotated[

@@ -3,35 +3,36 @@
 from __future__ import annotations
 
 import time
-from typing import NamedTuple
 
+import cv2
 import numpy as np
 
+from benchmarks.bench import show, table
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
 
-_WARM = 20
+_WARM, _FRAMES = 20, 400
 _JUMP_EVERY = 50  # frames; a jump loses the spot, which is then found again
 _JUMP_PX = 150.0
 _STEPS_PX = [(1.6 * k, 1.2 * k) for k in range(6)]  # 2 px per frame, there and back
 _THRESHOLD = 90  # of the literal mode; these frames are darker than the paper's
 
 
-class Times(NamedTuple):
-    """Seconds per frame."""
-
-    frames: str
-    subpixel: np.ndarray
-    literal: np.ndarray
-
-
-def frame_times(number: int) -> list[Times]:
-    """Times for a spot that moves slowly and sometimes jumps out of the search region.
+def run(*, full: bool) -> None:
+    """Print the table for a spot that moves slowly and sometimes jumps out of the search region.
 
     The modes alternate frame by frame, so that other processes affect both equally.
+
+    Args:
+        full: ten times as many frames.
     """
+    cv2.setNumThreads(1)
+    number = _FRAMES * (10 if full else 1)
+    made = table(
+        "spot tracked, lost by a jump every 50 frames and found again; ms per frame, one thread",
+        *("frames", "median", "99 %", "literal: median", "99 %", "literal / ours"),
+    )
     rng = np.random.default_rng(0)
-    measured = []
     for shape in (SHAPE, (1080, 1920)):
         for name, walled in (("even", False), ("retina", True)):
             wall = any_wall(rng, shape) if walled else None
@@ -44,8 +45,10 @@ def frame_times(number: int) -> list[Times]:
                 for start in (here, here.moved(_JUMP_PX, 0))
             ]
             seconds = _timed([way + way[-2:0:-1] for way in ways], number)
-            measured.append(Times(f"{shape[1]} x {shape[0]}, {name}", *seconds))
-    return measured
+            ours, literal = (1e3 * np.percentile(times, [50, 99]) for times in seconds)
+            cells = (*ours, *literal, literal[0] / ours[0])
+            made.add_row(f"{shape[1]} x {shape[0]}, {name}", *(f"{cell:.2f}" for cell in cells))
+    show(made)
 
 
 def _timed(ways: list[list[np.ndarray]], number: int) -> tuple[np.ndarray, np.ndarray]:

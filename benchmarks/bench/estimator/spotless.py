@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.bench import show
 from estimator import NoSpot, Reason, Spot, SubpixelSettings, TrackState, measure
 from scenes.drawn import (
     SHAPE,
@@ -45,6 +46,20 @@ def false_spots(number: int, seed: int) -> int:
     settings = SubpixelSettings()
     results = (measure(spotless_frame(rng), states[k % 2], settings)[0] for k in range(number))
     return sum(isinstance(result, Spot) for result in results)
+
+
+def run(*, full: bool) -> None:
+    """Print false spots, and after how many frames a lost spot is found.
+
+    Args:
+        full: ten times as many frames.
+    """
+    spotless, losses = (10_000, 200) if full else (1000, 20)
+    found, until = false_spots(spotless, seed=1), frames_until_found(losses, seed=1)
+    show(
+        f"{found} false spots in {spotless} frames without a spot. A lost spot is found again in "
+        f"its frame {np.mean(until):.2f} (mean of {losses} losses; the latest: {max(until)})."
+    )
 
 
 def frames_until_found(number: int, seed: int) -> list[int]:

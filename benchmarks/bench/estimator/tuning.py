@@ -66,9 +66,9 @@ def constants() -> list[tuple[type, str]]:
 def drawn() -> list[np.ndarray]:
     """One frame of each kind, and some frames without a spot."""
     frames = []
-    for kind in frame_kinds().values():
+    for make in frame_kinds().values():
         rng = np.random.default_rng(2020)
-        frames.append(frame_of(kind.make(rng), rng))
+        frames.append(frame_of(make(rng), rng))
     rng = np.random.default_rng(2020)
     return [*frames, *(spotless_frame(rng) for _ in range(SPOTLESS_FRAMES))]
 
