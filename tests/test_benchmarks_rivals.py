@@ -35,9 +35,8 @@ TRUTH = Truth(x=301.3, y=222.8, semi_major=66.2, semi_minor=58.4, angle=0.6)
 HALF = Drawing(truth=TRUTH).ambient + Drawing(truth=TRUTH).amplitude / 2
 AT_HALF: dict[str, dict[str, Any]] = {
     "literal": {"threshold": round(HALF)},
-    "opencv-fixed": {"level": HALF},
 }
-ALONE = ("opencv-otsu", "opencv-fixed", "opencv-relative", "skimage-ransac", "skimage-otsu")
+ALONE = ("opencv-relative", "skimage-ransac")
 
 
 @pytest.fixture(scope="module")
@@ -115,14 +114,14 @@ def test_what_the_entries_write_is_what_a_score_reads(drawn: Path, tmp_path: Pat
     run_entries(
         drawn,
         out,
-        entries=["opencv-otsu", "skimage-otsu"],
+        entries=["opencv-relative", "skimage-ransac"],
         splits=["train"],
         constants=constants_of(tmp_path),
         weights=WEIGHTS,
         workers=1,
     )
     stacks = stacks_of(drawn)
-    for name in ("opencv-otsu", "skimage-otsu"):
+    for name in ("opencv-relative", "skimage-ransac"):
         records = read_set_spots(out / name, stacks, circumstances_of(stacks))
         # Four images of stack a, and of stack b four in each of its two exposures.
         assert len(records) == 12
@@ -135,7 +134,7 @@ def test_what_the_entries_write_is_what_a_score_reads(drawn: Path, tmp_path: Pat
 
 def constants_of(folder: Path) -> Path:
     path = folder / "constants.json"
-    path.write_text(json.dumps({"entries": {"opencv-otsu": {"constants": {"level": 0}}}}))
+    path.write_text(json.dumps({"entries": {"opencv-relative": {"constants": {"level": 0.5}}}}))
     return path
 
 
@@ -150,7 +149,7 @@ def test_a_split_that_the_set_lacks_is_named(drawn: Path, tmp_path: Path) -> Non
         run_entries(
             drawn,
             tmp_path / "out",
-            entries=["opencv-otsu"],
+            entries=["opencv-relative"],
             splits=["test"],
             constants=constants_of(tmp_path),
             weights=WEIGHTS,

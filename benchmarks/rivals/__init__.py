@@ -11,7 +11,7 @@ opencv         OpenCV: threshold, contour, ellipse fit
 pupil          The detector of pupil-detectors, in its own environment
 pupil_entry    pupil-detectors as an entry
 running        Runs entries over the stacks of a set
-scikit_image   scikit-image's EllipseModel: with RANSAC, or through a contour
+scikit_image   scikit-image's EllipseModel with RANSAC
 tuning         Chooses the constants on the split train
 
 DIR of `eyespot rivals run SET --out DIR`:
@@ -19,7 +19,3 @@ DIR of `eyespot rivals run SET --out DIR`:
     DIR/ENTRY/SPLIT/STACK.csv  the spots of a stack; of several exposures: STACK.EXPOSURE.csv
         ENTRY/entry.json       name, command, versions, constants, processor time per frame
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

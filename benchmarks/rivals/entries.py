@@ -40,12 +40,6 @@ def _ransac(constants: Mapping[str, Any], weights: Path) -> Entry:
     return Ransac(constants)
 
 
-def _contour(constants: Mapping[str, Any], weights: Path) -> Entry:
-    from benchmarks.rivals.scikit_image import OtsuContour
-
-    return OtsuContour()
-
-
 def _pupil(constants: Mapping[str, Any], weights: Path) -> Entry:
     from benchmarks.rivals.pupil_entry import Pupil
 
@@ -64,14 +58,6 @@ def _learned(direct: bool, constants: Mapping[str, Any], weights: Path) -> Entry
     return LearnedEntry(weights, direct=direct)
 
 
-_FIT = {
-    "blur_px": (2.0, 0.0, 1.0, 3.0, 5.0),
-    "hull": (True, False),
-    "grow_px": (0.5, 0.0),
-    "fit": ("direct", "plain", "ams"),
-}
-_OPENCV = ("opencv-python-headless",)
-_SKIMAGE = ("scikit-image",)
 _LEARNED = ("equinox", "jax", "opencv-python-headless")
 
 KINDS: dict[str, Kind] = {
@@ -101,39 +87,28 @@ KINDS: dict[str, Kind] = {
         functools.partial(_learned, True),
         _LEARNED,
     ),
-    "opencv-otsu": Kind(
-        "OpenCV: Otsu's threshold, largest contour, ellipse fit",
-        _opencv,
-        _OPENCV,
-        {"level": (0,), **_FIT},
-    ),
-    "opencv-fixed": Kind(
-        "OpenCV: fixed threshold, largest contour, ellipse fit",
-        _opencv,
-        _OPENCV,
-        {"level": (60, 30, 40, 50, 70, 80, 100, 140, 200), **_FIT},
-    ),
     "opencv-relative": Kind(
         "OpenCV: threshold between median and maximum, largest contour, ellipse fit",
         _opencv,
-        _OPENCV,
-        {"level": (0.5, 0.3, 0.35, 0.4, 0.45, 0.55, 0.6), **_FIT},
+        ("opencv-python-headless",),
+        {
+            "level": (0.5, 0.3, 0.35, 0.4, 0.45, 0.55, 0.6),
+            "blur_px": (2.0, 0.0, 1.0, 3.0, 5.0),
+            "hull": (True, False),
+            "grow_px": (0.5, 0.0),
+            "fit": ("direct", "plain", "ams"),
+        },
     ),
     "skimage-ransac": Kind(
         "scikit-image: edges around the brightest blob, EllipseModel with RANSAC",
         _ransac,
-        _SKIMAGE,
+        ("scikit-image",),
         {
             "level": (0.5, 0.4, 0.45, 0.55, 0.0),
             "edge_px": (2.0, 1.0, 3.0, 5.0),
             "inlier_px": (2.0, 1.0, 4.0, 6.0),
             "trials": (100, 300),
         },
-    ),
-    "skimage-otsu": Kind(
-        "scikit-image: EllipseModel through the longest contour at Otsu's threshold",
-        _contour,
-        _SKIMAGE,
     ),
     "pupil-detectors": Kind(
         "the 2D detector of pupil-detectors on the frame's negative",

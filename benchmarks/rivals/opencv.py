@@ -20,8 +20,8 @@ class Constants(NamedTuple):
     """Free constants.
 
     Attributes:
-        level: grey value, 0 to 255; or the fraction between the frame's median and its brightest
-            blurred value, below 1; or 0 for Otsu's threshold (1979).
+        level: threshold, as a fraction of the way from the frame's median to its brightest blurred
+            value.
         blur_px: standard deviation of the blur before; 0 for none.
         fit: "plain" (least squares), "ams" (Taubin 1991) or "direct" (Fitzgibbon et al. 1999).
         hull: take the contour's convex hull, which bridges what an instrument hides.
@@ -44,11 +44,12 @@ class OpenCV(Entry):
 
     def read(self, frame: Frame) -> Answer:
         """The ellipse of the largest bright region."""
-        _, blur_px, fit, hull, grow = self._constants
+        level, blur_px, fit, hull, grow = self._constants
         grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
         if blur_px:
             grey = cv2.GaussianBlur(grey, (0, 0), blur_px)
-        above = self._above(grey)
+        dark, bright = float(np.median(grey)), float(grey.max())
+        above = cv2.threshold(grey, dark + level * (bright - dark), 255, cv2.THRESH_BINARY)[1]
         contours, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         if not contours:
             return NO_SPOT
@@ -61,15 +62,6 @@ class OpenCV(Entry):
         if not (math.isfinite(x + y) and 0 < width < math.inf and 0 < height < math.inf):
             return NO_SPOT
         return Answer(plain_spot(x, y, width / 2 + grow, height / 2 + grow, math.radians(degrees)))
-
-    def _above(self, grey: np.ndarray) -> np.ndarray:
-        level = self._constants.level
-        if level == 0:
-            return cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)[1]
-        if level < 1:
-            dark, bright = float(np.median(grey)), float(grey.max())
-            level = dark + level * (bright - dark)
-        return cv2.threshold(grey, level, 255, cv2.THRESH_BINARY)[1]
 
 
 def _dense(corners: np.ndarray) -> np.ndarray:

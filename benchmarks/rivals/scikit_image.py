@@ -1,4 +1,4 @@
-"""scikit-image's `EllipseModel`: with RANSAC on edges, or through a contour."""
+"""scikit-image's `EllipseModel` with RANSAC on edges."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from skimage.color import rgb2gray
 from skimage.feature import canny
-from skimage.filters import gaussian, threshold_otsu
+from skimage.filters import gaussian
 from skimage.measure import EllipseModel, find_contours, ransac
 
 from benchmarks.rivals.entry import NO_SPOT, Answer, Entry, plain_spot
@@ -81,7 +81,10 @@ class Ransac(Entry):
                 is_model_valid=lambda model, *_: _is_sane(model, side),
                 rng=np.random.default_rng(_SEED),
             )
-        return _answer(model, left, top) if model and _is_sane(model, side) else NO_SPOT
+        if not (model and _is_sane(model, side)):
+            return NO_SPOT
+        (x, y), axes = model.center, model.axis_lengths
+        return Answer(plain_spot(x + left, y + top, *axes, model.theta))
 
     def _edges(self, grey: np.ndarray) -> np.ndarray:
         """(x, y) of the edges' points in a window, px."""
@@ -95,29 +98,6 @@ class Ransac(Entry):
         return max(contours, key=len)[:, ::-1] if contours else np.empty((0, 2))
 
 
-class OtsuContour(Entry):
-    """The peer of `make bench`: the longest contour at Otsu's threshold; nothing to tune."""
-
-    def read(self, frame: Frame) -> Answer:
-        """The ellipse of the longest contour."""
-        model = contour_ellipse(frame.image)
-        return _answer(model, 0, 0) if model else NO_SPOT
-
-
-def contour_ellipse(image: np.ndarray) -> EllipseModel | None:
-    """EllipseModel through the longest contour at Otsu's threshold; None without one."""
-    grey = rgb2gray(image)
-    contours = find_contours(grey, threshold_otsu(grey))
-    if not contours:
-        return None
-    return EllipseModel.from_estimate(max(contours, key=len)[:, ::-1]) or None
-
-
 def _is_sane(model: EllipseModel, side: int) -> bool:
     """Whether the ellipse may lie in a window of this side, px."""
     return bool(2 < min(model.axis_lengths) and max(model.axis_lengths) < side)
-
-
-def _answer(model: EllipseModel, left: int, top: int) -> Answer:
-    (x, y), (first, second) = model.center, model.axis_lengths
-    return Answer(plain_spot(x + left, y + top, first, second, model.theta))
