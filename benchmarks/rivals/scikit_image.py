@@ -84,7 +84,7 @@ class Ransac(Entry):
         if not (model and _is_sane(model, side)):
             return NO_SPOT
         (x, y), axes = model.center, model.axis_lengths
-        return Answer(plain_spot(x + left, y + top, *axes, model.theta))
+        return Answer(plain_spot(x + left, y + top, axes[0], axes[1], model.theta))
 
     def _edges(self, grey: np.ndarray) -> np.ndarray:
         """(x, y) of the edges' points in a window, px."""
