@@ -5,37 +5,18 @@
     {api}`optics.vector_irradiance`              a name of the Python interface
 
 These are the roles of `docs/roles.py`. The first two lead to pages with the code itself, which are
-made here from the files. A name that is not found ends the build.
+made here. A name that is not found ends the build.
 """
 
 from __future__ import annotations
 
 import ast
 import re
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 HOME = Path(__file__).resolve().parents[1]
 _CITED = re.compile(r"\{(test|source)\}`([\w.]+)`")
-_LONGEST = 60  # lines of code that are shown; more is read in its file
-
-
-class Cited(NamedTuple):
-    """A piece of code that pages cite.
-
-    Attributes:
-        name: as it is cited.
-        file: path from the repository's root.
-        line: where it begins.
-        code: its text.
-    """
-
-    name: str
-    file: str
-    line: int
-    code: str
 
 
 def cited_names(kind: str, pages: Path = HOME / "docs") -> list[str]:
@@ -49,47 +30,32 @@ def cited_names(kind: str, pages: Path = HOME / "docs") -> list[str]:
     return sorted({name for text in texts for role, name in _CITED.findall(text) if role == kind})
 
 
-def cited_test(name: str) -> Cited:
-    """The test of a name.
+def cited_test(name: str) -> tuple[Path, str]:
+    """The file of a test, and its name there.
 
     Raises:
         LookupError: there is none.
     """
     for path in sorted((HOME / "tests").glob("test_*.py")):
-        text = path.read_text(encoding="utf-8")
-        if f"def {name}(" in text:
-            return _piece(path, name, name)
+        if f"def {name}(" in path.read_text(encoding="utf-8"):
+            return path, name
     raise LookupError(f"no test is called {name}.")
 
 
-def cited_source(name: str) -> Cited:
-    """The module, or the function or class, of a dotted name.
+def cited_source(name: str) -> tuple[Path, str]:
+    """The file of a dotted name, and the function or class there; empty for a module.
 
     Raises:
         LookupError: there is none.
     """
     path = HOME.joinpath(*name.split("."))
     if path.with_suffix(".py").is_file():
-        return _piece(path.with_suffix(".py"), name, "")
-    if path.parent.with_suffix(".py").is_file():
-        return _piece(path.parent.with_suffix(".py"), name, path.name)
+        return path.with_suffix(".py"), ""
+    file = path.parent.with_suffix(".py")
+    pattern = rf"^(def|class) {path.name}\b"
+    if file.is_file() and re.search(pattern, file.read_text(encoding="utf-8"), re.MULTILINE):
+        return file, path.name
     raise LookupError(f"no module or function is called {name}.")
-
-
-def _piece(path: Path, name: str, part: str) -> Cited:
-    text = path.read_text(encoding="utf-8")
-    file = path.relative_to(HOME).as_posix()
-    if not part:
-        return Cited(name, file, 1, (ast.get_docstring(ast.parse(text)) or "").strip())
-    for node in ast.parse(text).body:
-        kinds = (ast.FunctionDef, ast.ClassDef)
-        if isinstance(node, kinds) and node.name == part:
-            first = min([node.lineno, *(one.lineno for one in node.decorator_list)])
-            lines = text.splitlines()[first - 1 : node.end_lineno]
-            if len(lines) > _LONGEST:
-                lines = [*lines[:_LONGEST], "    ..."]
-            return Cited(name, file, first, textwrap.dedent("\n".join(lines)))
-    raise LookupError(f"{file} has no function or class {part}.")
 
 
 def test_page() -> Iterator[str]:
@@ -98,24 +64,25 @@ def test_page() -> Iterator[str]:
     yield "Each test is the one that a formula of the [theory](../../theory/index.md) names. Run"
     yield "one with `pytest -k NAME`; those marked `slow` with `pytest -m slow -k NAME`.\n"
     for name in cited_names("test"):
-        yield from _shown(cited_test(name))
+        yield _shown(name, *cited_test(name))
 
 
 def source_page() -> Iterator[str]:
     """The page of functions that other pages cite and the Python interface does not have."""
     yield "# Inner functions that the theory cites\n"
-    yield "They are not part of the Python interface and may change. Of long ones the beginning is"
-    yield "shown.\n"
+    yield "They are not part of the Python interface and may change.\n"
     for name in cited_names("source"):
-        yield from _shown(cited_source(name))
+        yield _shown(name, *cited_source(name))
 
 
-def _shown(cited: Cited) -> Iterator[str]:
-    yield f"({label_of(cited.name)})="
-    yield f"## {cited.name}\n\n`{cited.file}`, line {cited.line}\n"
+def _shown(name: str, path: Path, part: str) -> str:
+    file = path.relative_to(HOME).as_posix()
     # Of a module the docstring is shown, which is no code.
-    language = "text" if cited.name.replace(".", "/") + ".py" == cited.file else "python"
-    yield f"```{language}\n{cited.code}\n```\n"
+    code = f"```{{literalinclude}} ../../../{file}\n:pyobject: {part}\n```"
+    if not part:
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+        code = f"```text\n{text}\n```"
+    return f"({label_of(name)})=\n## {name}\n\n`{file}`\n\n{code}\n"
 
 
 def label_of(name: str) -> str:
