@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.rivals.entry import Entry
+from benchmarks.rivals.eyespot_modes import EyespotMode
+from benchmarks.rivals.learned_entry import LearnedEntry
+from benchmarks.rivals.opencv import OpenCV
+from benchmarks.rivals.pupil import why_unavailable
+from benchmarks.rivals.pupil_entry import Pupil
+from benchmarks.rivals.scikit_image import Ransac
 from optics import InputError
 
 
@@ -28,68 +33,38 @@ class Kind(NamedTuple):
     grid: Mapping[str, tuple[Any, ...]] = {}
 
 
-def _opencv(constants: Mapping[str, Any], weights: Path) -> Entry:
-    from benchmarks.rivals.opencv import OpenCV
-
-    return OpenCV(constants)
-
-
-def _ransac(constants: Mapping[str, Any], weights: Path) -> Entry:
-    from benchmarks.rivals.scikit_image import Ransac
-
-    return Ransac(constants)
-
-
-def _pupil(constants: Mapping[str, Any], weights: Path) -> Entry:
-    from benchmarks.rivals.pupil_entry import Pupil
-
-    return Pupil(constants)
-
-
-def _mode(mode: Any, constants: Mapping[str, Any], weights: Path) -> Entry:
-    from benchmarks.rivals.eyespot_modes import EyespotMode
-
-    return EyespotMode(mode, constants)
-
-
-def _learned(direct: bool, constants: Mapping[str, Any], weights: Path) -> Entry:
-    from benchmarks.rivals.learned_entry import LearnedEntry
-
-    return LearnedEntry(weights, direct=direct)
-
-
 _LEARNED = ("equinox", "jax", "opencv-python-headless")
 
 KINDS: dict[str, Kind] = {
     "subpixel": Kind(
         "eyespot's sub-pixel mode: the half-maximum contour",
-        functools.partial(_mode, "subpixel"),
+        lambda constants, _: EyespotMode("subpixel", constants),
         ("eyespot",),
     ),
     "literal": Kind(
         "eyespot's literal mode: the paper's Algorithms 1 and 2, started by a click",
-        functools.partial(_mode, "literal"),
+        lambda constants, _: EyespotMode("literal", constants),
         ("eyespot",),
         {"threshold": (60, 30, 40, 50, 80, 100, 140, 200)},
     ),
     "pixels": Kind(
         "eyespot's mode pixels: ellipse of the sub-pixel mode, distance by all pixels",
-        functools.partial(_mode, "pixels"),
+        lambda constants, _: EyespotMode("pixels", constants),
         ("eyespot",),
     ),
     "learned": Kind(
         "network from crop to ellipse; distance from the ellipse by the true beam",
-        functools.partial(_learned, False),
+        lambda _, weights: LearnedEntry(weights, direct=False),
         _LEARNED,
     ),
     "learned-direct": Kind(
         "the same network; distance straight from the crop and its place",
-        functools.partial(_learned, True),
+        lambda _, weights: LearnedEntry(weights, direct=True),
         _LEARNED,
     ),
     "opencv-relative": Kind(
         "OpenCV: threshold between median and maximum, largest contour, ellipse fit",
-        _opencv,
+        lambda constants, _: OpenCV(constants),
         ("opencv-python-headless",),
         {
             "level": (0.5, 0.3, 0.35, 0.4, 0.45, 0.55, 0.6),
@@ -101,7 +76,7 @@ KINDS: dict[str, Kind] = {
     ),
     "skimage-ransac": Kind(
         "scikit-image: edges around the brightest blob, EllipseModel with RANSAC",
-        _ransac,
+        lambda constants, _: Ransac(constants),
         ("scikit-image",),
         {
             "level": (0.5, 0.4, 0.45, 0.55, 0.0),
@@ -112,7 +87,7 @@ KINDS: dict[str, Kind] = {
     ),
     "pupil-detectors": Kind(
         "the 2D detector of pupil-detectors on the frame's negative",
-        _pupil,
+        lambda constants, _: Pupil(constants),
         (),
         {
             "smaller": (3, 1, 2, 4),
@@ -127,11 +102,7 @@ KINDS: dict[str, Kind] = {
 
 def unavailable(name: str) -> str | None:
     """Why an entry cannot run on this machine; None if it can."""
-    if name != "pupil-detectors":
-        return None
-    from benchmarks.rivals.pupil import why_unavailable
-
-    return why_unavailable()
+    return why_unavailable() if name == "pupil-detectors" else None
 
 
 def chosen(names: list[str]) -> list[str]:
