@@ -21,7 +21,6 @@ pixel_memory       Memory and time of the mode pixels over many frames
 pixel_pose         Accuracy and stated errors of the mode pixels on rendered stacks
 pixel_set          The mode pixels on the stacks of a set with adverse conditions
 pixel_stacks       Drawn stacks for the benches of the mode pixels, and calibrations of their beams
-render_speed       Time of a labelled frame, from the scene to files on disk
 set_size           How the cost of a set grows, with its stacks and with its workers
 viewing_speed      Time of lines of sight and of exact spots through a contact lens into an eye
 """

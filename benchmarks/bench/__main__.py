@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 MAKE_BENCH = (
-    "render_speed",
     "estimator.speed",
     "estimator.spotless",
     "estimator.stated_errors",
@@ -52,7 +51,7 @@ def main(
         bool,
         typer.Option(
             "--full",
-            help="Use more or larger frames in render_speed, estimator.speed, estimator.spotless, "
+            help="Use more or larger frames in estimator.speed, estimator.spotless, "
             "estimator.stated_errors, image_fit, pixel_pose, pixel_adverse, pixel_branches, "
             "pixel_memory, load.",
         ),
