@@ -3,7 +3,6 @@
 array_namespace    NumPy or JAX, chosen by a function's arguments; does not import JAX
 beam               The fibre's beam: a cone, given by tip and axis or by spot and distance
 camera             Pinhole microscope at any height: above the retina, at infinity, or behind it
-cholesky           Solver of small positive definite systems, for whole batches
 contour            The exact spot: intersection of cone and wall, projected and fitted
 contour_pose       Tip and axis of the beam from the image of the spot's edge
 distance           Distance from the exact contour: by its semi-minor axis, or by its area for

@@ -1,6 +1,5 @@
 from .beam import Beam as Beam
 from .beam import beam_at_spot as beam_at_spot
-from .beam import beam_through_trocar as beam_through_trocar
 from .beam import contact_distance as contact_distance
 from .beam import perpendicular_frame as perpendicular_frame
 from .beam import slope as slope

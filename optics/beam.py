@@ -113,30 +113,6 @@ def beam_at_spot(
     )
 
 
-def beam_through_trocar(
-    *,
-    trocar: Float[Array, "3"],
-    spot: Float[Array, "3"],
-    distance: ScalarLike,
-    half_angle: ScalarLike,
-    apex_offset: ScalarLike,
-) -> Beam:
-    """Beam whose shaft passes through a trocar (remote centre of motion) towards a wall point.
-
-    Args:
-        trocar: entry point, mm, eye frame.
-        spot: O, mm, eye frame.
-        distance: d = |SO|, mm, smaller than the distance from trocar to spot.
-        half_angle: rad.
-        apex_offset: b, mm.
-    """
-    towards = spot - trocar
-    axis = towards / jnp.linalg.norm(towards)
-    return Beam(
-        tip=spot - distance * axis, axis=axis, half_angle=half_angle, apex_offset=apex_offset
-    )
-
-
 def contact_distance(
     surface: Surface, *, incidence: ScalarLike, rim_radius: ArrayLike
 ) -> Float[Array, ""]:

@@ -117,15 +117,6 @@ def test_beam_at_spot_meets_the_wall_there_at_that_distance_and_incidence(wall):
     assert int(spot.status) == optics.HIT
 
 
-def test_beam_through_a_trocar_passes_it():
-    trocar, spot = jnp.array([-8.55, 0.0, 7.7]), jnp.array([2.0, 1.0, -11.28])
-    beam = optics.beam_through_trocar(
-        trocar=trocar, spot=spot, distance=3.0, half_angle=HALF_ANGLE, apex_offset=APEX
-    )
-    assert float(jnp.linalg.norm(jnp.cross(trocar - beam.tip, beam.axis))) < 1e-13
-    np.testing.assert_allclose(jnp.linalg.norm(spot - beam.tip), 3.0, rtol=1e-14)
-
-
 def test_rays_that_miss_or_point_away_say_so_and_stay_finite():
     sphere = optics.Sphere(R_EYE)
     origin = jnp.array([[0.0, 0.0, 30.0], [0.0, 0.0, 30.0], [0.0, 0.0, 0.0]])

@@ -116,14 +116,6 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
         [0.3, -0.2, 1.0, 0.1, 0.1, 1.0, 1.0, 1.49],
     ),
     "beam_at_spot": (lambda x: flat(beam(x)), AT_BEAM),
-    "beam_through_trocar": (
-        lambda x: flat(
-            optics.beam_through_trocar(
-                trocar=x[:3], spot=x[3:6], distance=x[6], half_angle=x[7], apex_offset=x[8]
-            )
-        ),
-        [8.0, 1.0, 7.0, 1.0, 2.0, -11.0, 3.0, 0.05, -5.0],
-    ),
     "contact_distance": of(
         lambda **k: optics.contact_distance(WALL, **k), {"incidence": 0.4, "rim_radius": 0.25}
     ),

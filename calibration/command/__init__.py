@@ -14,7 +14,6 @@ pixel_models  Models image and lens, fitted to every pixel of one stack
 recording     Records a fit for the viewer rerun: frames, spots, distances, residuals
 remedies      The criteria that a fit must meet, and what to try if it does not meet one
 report        The report: one HTML page with its pictures inside
-result_table  The fitted parameters as a table on the terminal
 """
 
 import lazy_loader

@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import json
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -21,12 +23,14 @@ from calibration.command.fitted import Choices, Fitted
 from calibration.command.goodness import Doubt, doubts, refusal, verdict
 from calibration.command.models import AUTO, MODELS, Model, chosen_model
 from calibration.command.recording import record_fit
-from calibration.command.result_table import result_table
 from calibration.pixels import NUISANCES
 from calibration.recordings import LogBook, Recording, is_stack, read_recording
+from calibration.solvers import correlations
 from calibration.spots import Prior
 from estimator.files import (
+    QUANTITIES,
     Calibration,
+    in_terminal,
     read_calibration,
     require_space,
     write_calibration,
@@ -38,6 +42,9 @@ from optics import InputError
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
 _MOST_BYTES = 2**23  # of a report with its figures
+
+_STRONG = 0.9
+"""Correlations above this are named under the table; the report lists all."""
 
 
 def run(
@@ -160,7 +167,7 @@ class _Result:
         goodness = self.fitted.chi_squared_per_degree
         title = f"{self.fitted.used} of {frames} frames, recordings: {len(self.recordings)}"
         title += "" if goodness is None else f"; χ²/n {goodness:.3g}"
-        return result_table(self.fitted, title=title)
+        return _result_table(self.fitted, title=title)
 
     def page(self) -> str:
         """The report."""
@@ -271,3 +278,34 @@ def _check_alike(recordings: Sequence[Recording]) -> None:
                 f"the planes of {planes[0].name} and {plane.name} are tilted differently. Fit each "
                 "by itself."
             )
+
+
+def _result_table(fitted: Fitted, *, title: str) -> Table:
+    """A row for each parameter: value, standard deviation, unit."""
+    sigma = np.sqrt(np.diag(fitted.covariance))
+    table = Table(title=in_terminal(title), caption=_strong_correlations(fitted))
+    for heading in ("parameter", "value", "± σ", "unit"):
+        table.add_column(heading, justify="left" if heading == "parameter" else "right")
+    for i, (name, value) in enumerate(fitted.values.items()):
+        table.add_row(in_terminal(name), f"{value:.6g}", _error(sigma[i]), QUANTITIES[name].unit)
+    for name, value, error, unit in fitted.others:
+        table.add_row(in_terminal(name), f"{value:.4g}", _error(error), unit)
+    return table
+
+
+def _strong_correlations(fitted: Fitted) -> str | None:
+    names, rho = list(fitted.values), correlations(fitted.covariance)
+    pairs = [
+        f"{names[i]} and {names[j]} {rho[i, j]:+.2f}"
+        for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
+        if abs(rho[i, j]) > _STRONG  # false for NaN, where a parameter was not fitted
+    ]
+    return f"Strong correlations: {', '.join(pairs)}." if pairs else None
+
+
+def _error(sigma: float) -> str:
+    if math.isinf(sigma):
+        return "not determined"
+    if sigma == 0:
+        return "given"
+    return "" if math.isnan(sigma) else f"{sigma:.2g}"

@@ -1,14 +1,12 @@
 """Labelled image stacks on disk.
 
 bound                The Cramér-Rao bound of the ellipse in an image
-check                Checks whether a scene can be rendered
 command              The commands `eyespot render` and `eyespot scene check`
 ellipse_information  Fisher information of an image about the ellipse of its light
 image                One image of a scene, without a stack on disk
 photography          Chooses the exposure times of a stack, and writes its images and labels
 preview              One small frame of a scene, for a quick look
-size                 Least size of a stack on disk, to see before rendering that a disk is too full
-stack                Renders a scene into a labelled stack
+stack                Checks a scene, and renders it into a labelled stack
 """
 
 import lazy_loader

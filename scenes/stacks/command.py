@@ -61,7 +61,7 @@ def render(
 def check(scene: SceneFile, changes: Changes = None) -> None:
     """Check whether a scene file can be rendered."""
     from scenes.description import load_scene
-    from scenes.stacks.check import check_scene
+    from scenes.stacks.stack import check_scene
 
     settings = load_scene(scene, changes or ())
     # Each key may be valid, but the spot may still leave the window.

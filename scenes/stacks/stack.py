@@ -19,11 +19,11 @@ from scenes.description import CameraSettings, Scene
 from scenes.rendering import LinearFrame, Renderer
 from scenes.stacks.bound import Bounds
 from scenes.stacks.photography import Photography, file_name
-from scenes.stacks.size import least_bytes
-from scenes.world import World, kinematics, spot_labels
+from scenes.world import World, frame_count, kinematics, paper_exposure, spot_labels
 
 # Frames that may wait for noise and encoding. More would only use memory.
 _QUEUE = 4
+_LINEAR_BYTES = 4  # float32, not compressed
 
 
 def render_stack(
@@ -276,3 +276,31 @@ def _plane_normal(wall: optics.Surface) -> list[float] | None:
 def _versions() -> dict[str, str]:
     packages = ("eyespot", "mitsuba", "drjit", "jax", "numpy")
     return {name: importlib.metadata.version(name) for name in packages}
+
+
+def check_scene(scene: Scene) -> None:
+    """Refuse a scene that `render_stack` would refuse, without rendering.
+
+    Raises:
+        SceneError: the tip touches the wall, the spot leaves the window, the fixed exposure
+            is longer than a frame, or a file of the scene cannot be read.
+    """
+    world = World(scene)
+    world.check()
+    paper_exposure(world)
+
+
+def least_bytes(scene: Scene) -> float:
+    r"""Least size of a scene's stack on disk: that of the noise in its images.
+
+    No lossless format makes Gaussian noise of $\sigma$ DN smaller than its entropy of
+    $\log_2(\sigma \sqrt{2 \pi e})$ bits a sample (Shannon 1948). Half of it is counted, because
+    dark and saturated pixels clip half of their noise or all of it.
+    """
+    camera, microscope = scene.camera, scene.microscope
+    size = {"height": microscope.height_px, "width": microscope.width_px}
+    sigma_dn = 0.0 if camera.jpeg_quality else camera.read_noise_e * camera.system_gain
+    bits = max(math.log2(sigma_dn * math.sqrt(2 * math.pi * math.e)), 0.0) if sigma_dn else 0.0
+    image = math.prod(camera.sensor_shape(**size)) * bits / 8 / 2
+    linear = 3 * math.prod(size.values()) * _LINEAR_BYTES if scene.exposures.keep_linear else 0
+    return frame_count(scene) * len(scene.exposures.kinds) * (image + linear)

@@ -1,7 +1,6 @@
 """Distances through cornea, crystalline lens and the lens that the surgeon looks through.
 
 batches     A compiled function of many items, in batches of equal size
-causes      Which part of the eye causes the error that a recipe leaves
 command     The command `eyespot study eye`
 errors      Errors of every recipe in many eyes behind one viewing path
 figures     The figures of the report
