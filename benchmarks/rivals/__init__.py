@@ -2,11 +2,9 @@
 
 command        The commands `eyespot rivals run`, `tune` and `train`
 constants      The free constants of the entries, chosen on train splits
-entries        All entries by name
+entries        All entries by name; eyespot's own modes and the network as entries
 entry          What an entry is: a frame goes in, an ellipse or a miss comes out
-eyespot_modes  eyespot's own modes as entries
 learned/       A small network from frame to ellipse and distance
-learned_entry  The network as an entry
 opencv         OpenCV: threshold, contour, ellipse fit
 pupil          The detector of pupil-detectors, in its own environment
 pupil_entry    pupil-detectors as an entry

@@ -1,4 +1,4 @@
-"""All entries by name, each with what it is and how it is made."""
+"""All entries by name, each with what it is and how it is made; eyespot's own and the network."""
 
 from __future__ import annotations
 
@@ -6,14 +6,78 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.rivals.entry import Entry
-from benchmarks.rivals.eyespot_modes import EyespotMode
-from benchmarks.rivals.learned_entry import LearnedEntry
+from benchmarks.rivals.entry import NO_SPOT, Answer, Entry, Recording, plain_spot
+from benchmarks.rivals.learned import LearnedEstimator
 from benchmarks.rivals.opencv import OpenCV
 from benchmarks.rivals.pupil import why_unavailable
 from benchmarks.rivals.pupil_entry import Pupil
 from benchmarks.rivals.scikit_image import Ransac
+from benchmarks.sets.read import Mode, own_reader
+from estimator import Frame, Range
 from optics import InputError
+
+
+class EyespotMode(Entry):
+    """A mode of eyespot, which follows the spot from frame to frame.
+
+    The mode pixels gets the beam. The literal mode starts at a click on the spot, as the paper's
+    operator does. No mode gets the robot's poses.
+
+    Args:
+        mode: as of `eyespot track`.
+        constants: of `LiteralSettings` or `SubpixelSettings`; those that are not given are the
+            product's.
+    """
+
+    def __init__(self, mode: Mode, constants: Mapping[str, Any]) -> None:
+        self.own_distance = mode == "pixels"
+        self._mode = mode
+        self._constants = constants
+
+    def begin(self, recording: Recording) -> None:
+        """Start a new reader."""
+        self._reader = own_reader(
+            self._mode,
+            recording.microscope,
+            click=recording.click,
+            beam=recording.beam,
+            constants=self._constants,
+        )
+
+    def read(self, frame: Frame) -> Answer:
+        """Measure the next frame."""
+        reading = self._reader.read(
+            frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, name=frame.file_name
+        )
+        return Answer(reading.result, reading.range)
+
+
+class LearnedEntry(Entry):
+    """The network, frame by frame. Its distance does not go by its ellipse.
+
+    Args:
+        weights: a file of weights.
+        direct: whether the distance is the network's own; else it follows from its ellipse.
+    """
+
+    def __init__(self, weights: Path, *, direct: bool) -> None:
+        self.own_distance = direct
+        self._estimator = LearnedEstimator.load(weights)
+
+    def begin(self, recording: Recording) -> None:
+        """Note the microscope."""
+        self._microscope = recording.microscope
+
+    def read(self, frame: Frame) -> Answer:
+        """Measure a frame."""
+        said = self._estimator.measure(frame.image, self._microscope)
+        if said is None:
+            return NO_SPOT
+        x, y, first, second, angle = said.ellipse.tolist()
+        spot = plain_spot(x, y, first, second, angle, said.covariance)
+        if not self.own_distance:
+            return Answer(spot)
+        return Answer(spot, Range(distance_mm=said.distance_mm, sigma_mm=said.sigma_distance_mm))
 
 
 class Kind(NamedTuple):
