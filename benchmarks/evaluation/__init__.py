@@ -2,7 +2,6 @@
 
 criteria       Whether fits reproduce Table I of the paper: four criteria, each a claim with its
                bounds
-eyeball        The eyeball and the microscope that several studies need
 model_error    How far each model of the spot is from the truth, on exact contours and on measured
                spots
 model_figures  Labels and colours of the models, and their errors against eccentricity

@@ -2,8 +2,6 @@ from . import model_error as model_error
 from .criteria import STRAIGHT as STRAIGHT
 from .criteria import Criterion as Criterion
 from .criteria import reproduction as reproduction
-from .eyeball import MICROSCOPE_MM as MICROSCOPE_MM
-from .eyeball import require_roomy_eyeball as require_roomy_eyeball
 from .model_error import COMPARED as COMPARED
 from .model_error import Accuracy as Accuracy
 from .model_error import Geometry as Geometry
@@ -49,8 +47,10 @@ from .tracking import WAYS as WAYS
 from .tracking import Tracked as Tracked
 from .tracking import Way as Way
 from .tracking import track_stack as track_stack
+from .trials import MICROSCOPE_MM as MICROSCOPE_MM
 from .trials import PINHOLE_HEIGHTS_MM as PINHOLE_HEIGHTS_MM
 from .trials import TILT_AZIMUTHS_DEG as TILT_AZIMUTHS_DEG
 from .trials import StaticTrial as StaticTrial
 from .trials import grid_trials as grid_trials
 from .trials import paper_trials as paper_trials
+from .trials import require_roomy_eyeball as require_roomy_eyeball

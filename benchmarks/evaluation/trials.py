@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from benchmarks.evaluation.paper import TABLE_II
-from scenes import Scene
+from scenes import Scene, SceneError
 
 # Places on the printed plane, so far apart that they share no wall texture.
 _PLANE_ECCENTRICITIES_MM = (1.5, 3.0, 4.5)
@@ -15,6 +15,11 @@ PINHOLE_HEIGHTS_MM = (11.5, 200.0)
 """On the eyeball's sphere (equation 8 of Zhou et al. 2020), and a real microscope."""
 TILT_AZIMUTHS_DEG = (0.0, 90.0, 180.0)
 """Of a tilted beam: towards growing c, across the meridian, and towards the axis."""
+
+MICROSCOPE_MM = 200.0
+"""z_F of a real microscope."""
+
+_SMALLEST_RADIUS_MM = 10.0
 
 
 TrialKind = Literal["plane", "sphere", "grid"]
@@ -106,3 +111,21 @@ def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
         for azimuth in TILT_AZIMUTHS_DEG
         for c in eccentricities
     ]
+
+
+def require_roomy_eyeball(scene: Scene, reach: str) -> None:
+    """Refuse a scene whose wall ends before a study's spots do.
+
+    Args:
+        scene: the study's.
+        reach: what reaches how far, for the message.
+
+    Raises:
+        SceneError: the wall is no eyeball, or too small.
+    """
+    if scene.phantom.kind != "eyeball" or scene.phantom.radius_mm < _SMALLEST_RADIUS_MM:
+        raise SceneError(
+            f"the study's {reach} in an eyeball of {_SMALLEST_RADIUS_MM:g} mm radius or more; got "
+            f"phantom.kind '{scene.phantom.kind}' with radius_mm = {scene.phantom.radius_mm:g}. "
+            "Set phantom.kind=eyeball and raise phantom.radius_mm."
+        )
