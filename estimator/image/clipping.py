@@ -40,6 +40,8 @@ def clip_level(values: np.ndarray, bright: np.ndarray) -> float:
     if end - first < _FEWEST:
         return math.inf
     height = float(level) - float(seen[0])
+    if not height > 0:  # nothing shows how the light rises to the level
+        return math.inf
     band = max(_BAND * height, 1.0 if seen.dtype.kind == "u" else 0.0)
     upper, lower = np.searchsorted(seen, float(level) - band * np.array([1, 2]))
     _, beside = np.unique(seen[upper:first], return_counts=True)
