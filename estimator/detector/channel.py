@@ -75,14 +75,16 @@ def _may_be_clipped(bright: np.ndarray) -> bool:
 def _part(
     frame: np.ndarray, window: Window, stride: int, mask: np.ndarray, channel: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A channel of the region's bounding box, and which pixels are the region's, both (h, w)."""
+    """A channel of the region and round it, and which pixels are the region's, both (h, w)."""
     x, y, width, height = cv2.boundingRect(mask)
+    # The foot of the flank, too.
+    left, top = max(x - width // 4, 0), max(y - height // 4, 0)
+    grown = mask[top : y + height + height // 4, left : x + width + width // 4]
     # All pixels show a flat top; every stride-th one is enough of a large region.
-    every = stride if width * height * stride**2 > Channel.MOST_PX else 1
-    x0, y0 = window.x0 + x * stride, window.y0 + y * stride
-    part = frame[y0 : y0 + height * stride : every, x0 : x0 + width * stride : every]
+    every = stride if grown.size * stride**2 > Channel.MOST_PX else 1
+    x0, y0 = window.x0 + left * stride, window.y0 + top * stride
+    rows, columns = (side * stride for side in grown.shape)
+    part = frame[y0 : y0 + rows : every, x0 : x0 + columns : every]
     part = part if part.ndim == 2 else part[:, :, channel]
-    bright = cv2.resize(
-        mask[y : y + height, x : x + width], part.shape[1::-1], interpolation=cv2.INTER_NEAREST
-    )
+    bright = cv2.resize(grown, part.shape[1::-1], interpolation=cv2.INTER_NEAREST)
     return part, bright.view(bool)
