@@ -16,9 +16,7 @@ import matplotlib
 import numpy as np
 import pytest
 from rich.console import Console
-from typer.testing import CliRunner
 
-import eyespot
 from benchmarks.sets.read.stacks import stacks_of
 from benchmarks.sets.score.conditions import Circumstances, circumstances_of
 from benchmarks.sets.score.figure import score_figure
@@ -27,6 +25,7 @@ from benchmarks.sets.score.measures import Errors
 from benchmarks.sets.score.spots_of_set import read_set_spots
 from benchmarks.sets.score.table import tables
 from estimator import FrameLabels, NoSpot, Reason, Spot, SpotRecord, write_spots
+from tests.command_line import call
 from tests.drawn_sets import MICROSCOPE, STACKS, circumstances, labels_of, write_set
 from tests.pixel_stacks import calibration_in, cone_stack
 
@@ -269,7 +268,7 @@ def per_stack(drawn: Path, folder: Path) -> Path:
                 out = folder / split / (f"{name}.{exposure}.csv" if exposure else f"{name}.csv")
                 command = ["track", str(drawn / split / name), "--out", str(out)]
                 chosen = ["--exposure", exposure] if exposure else []
-                assert CliRunner().invoke(eyespot.app, command + chosen).exit_code == 0
+                assert call(command + chosen).exit_code == 0
     return folder
 
 
@@ -278,7 +277,7 @@ def test_our_estimator_is_scored_from_its_files_as_when_it_is_run(
 ) -> None:
     tracked = per_stack(drawn, tmp_path / "tracked")
     command = ["score", str(drawn), str(tracked), "--mode", "subpixel"]
-    done = CliRunner().invoke(eyespot.app, [*command, "--out", str(tmp_path / "score")])
+    done = call([*command, "--out", str(tmp_path / "score")])
     assert done.exit_code == 0, done.output
     with (tmp_path / "score" / "score.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -314,7 +313,7 @@ def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_pa
     for given in ([], ["--calibration", str(calibration_in(tmp_path))]):
         out = tmp_path / f"score{len(given)}"
         command = ["score", str(stack), "--mode", "pixels", *given, "--out", str(out)]
-        done = CliRunner().invoke(eyespot.app, command)
+        done = call(command)
         assert done.exit_code == 0, done.output
         with (out / "score.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
@@ -356,7 +355,7 @@ def test_two_lines_for_an_image_are_refused(drawn: Path, images: Images, tmp_pat
     ],
 )
 def test_what_cannot_be_scored_is_told(drawn: Path, arguments: list[str], words: str) -> None:
-    done = CliRunner().invoke(eyespot.app, ["score", str(drawn), *arguments])
+    done = call(["score", str(drawn), *arguments])
     assert isinstance(done.exception, ValueError)
     assert words in str(done.exception)
 

@@ -12,9 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-import eyespot
 from benchmarks.sets.read.stacks import stacks_of
 from benchmarks.sets.score.conditions import circumstances_of
 from benchmarks.sets.score.entries import entries_in
@@ -24,6 +22,7 @@ from benchmarks.sets.score.plain_spots import read_any_spots
 from benchmarks.sets.score.standings import Standing, standings
 from estimator import FrameLabels
 from optics import InputError
+from tests.command_line import call
 from tests.drawn_sets import circumstances, labels_of, write_set
 
 E1 = "semi_minor_px"
@@ -191,7 +190,7 @@ def test_a_plain_csv_and_a_description_are_an_entry(drawn: Path, tmp_path: Path)
     (entries / "network" / "entry.json").write_text(json.dumps(about | {"ms_per_frame": 4.5}))
     out = tmp_path / "out"
     command = ["score", str(drawn), "--entries", str(entries), "--out", str(out)]
-    done = CliRunner().invoke(eyespot.app, command)
+    done = call(command)
     assert done.exit_code == 0, done.output
     with (out / "leaderboard.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -212,11 +211,11 @@ def test_one_split_is_scored_alone(drawn: Path, tmp_path: Path) -> None:
     plain(tmp_path / "theirs.csv", drawn, off=0.3)
     command = ["score", str(drawn), str(tmp_path / "theirs.csv"), "--split", "adverse"]
     out = tmp_path / "out"
-    done = CliRunner().invoke(eyespot.app, [*command, "--out", str(out)])
+    done = call([*command, "--out", str(out)])
     assert done.exit_code == 0, done.output
     outcomes = json.loads((out / "score.json").read_text())["outcomes"]["theirs"]
     assert sum(outcomes.values()) == 4  # images of the split adverse
-    done = CliRunner().invoke(eyespot.app, [*command[:-1], "tset"])
+    done = call([*command[:-1], "tset"])
     assert "no split tset. It has: adverse, train" in str(done.exception)
 
 
@@ -266,5 +265,5 @@ def test_two_entries_of_one_name_are_refused(drawn: Path, tmp_path: Path) -> Non
     for folder in itertools.islice(("a", "b"), 2):
         plain(tmp_path / folder / "spots.csv", drawn, off=0.1)
         (tmp_path / folder / "entry.json").write_text('{"name": "same"}')
-    done = CliRunner().invoke(eyespot.app, ["score", str(drawn), "--entries", str(tmp_path)])
+    done = call(["score", str(drawn), "--entries", str(tmp_path)])
     assert "two estimators have the name same" in str(done.exception)

@@ -9,9 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from typer.testing import CliRunner
 
-import eyespot
 from calibration.command.eye_model import fit_eye
 from calibration.command.fitted import Choices
 from calibration.spots import Prior
@@ -20,6 +18,7 @@ from estimator.distance import Ranger
 from estimator.files import Calibration, read_calibration, write_calibration
 from optics import InputError, viewing
 from tests import eye_fits
+from tests.command_line import call
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -224,14 +223,14 @@ def test_the_command_writes_a_calibration_that_track_reads(eye, tmp_path):
             str(tmp_path / "eye.json"),
         ),
     ]
-    done = CliRunner().invoke(eyespot.app, given)
+    done = call(given)
     assert done.exit_code == 0, done.output
     found = read_calibration(tmp_path / "eye.json")
     assert found.model == "area"
     # Behind the retina, as in the random eyes of `eyespot study eye`: -0.07 ± 0.01 per mm.
     assert -0.12 < found.values["inverse_working_distance"] < -0.03
     other = [{"eye": "cone", given[-1]: str(tmp_path / "other.json")}.get(w, w) for w in given]
-    refused = CliRunner().invoke(eyespot.app, other)
+    refused = call(other)
     assert "--cone works with --model eye only" in str(refused.exception)
 
 

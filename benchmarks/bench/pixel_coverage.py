@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
+import cyclopts
 import numpy as np
-import typer
+from cyclopts.types import NonNegativeInt, PositiveInt
 from rich.table import Table
 from scipy.stats import binom, chi2
 
@@ -28,13 +29,23 @@ _WRONG = 1e-4
 
 
 def main(
-    file: Annotated[Path, typer.Argument(help="Lines of frames that were measured; grows.")],
-    stacks: Annotated[int, typer.Argument(min=1, help="Stacks on each wall, of all beams.")],
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the stacks.")] = 20261124,
-    of: Annotated[int, typer.Option(min=1, help="Processes that share the stacks.")] = 1,
-    part: Annotated[int, typer.Option(min=0, help="Which of them this is, from 0.")] = 0,
+    file: Path,
+    stacks: PositiveInt,
+    /,
+    *,
+    seed: NonNegativeInt = 20261124,
+    of: PositiveInt = 1,
+    part: NonNegativeInt = 0,
 ) -> None:
-    """Render and read single frames, and print how many are within their stated errors."""
+    """Render and read single frames, and print how many are within their stated errors.
+
+    Args:
+        file: Lines of frames that were measured; grows.
+        stacks: Stacks on each wall, of all beams.
+        seed: Random seed of the stacks.
+        of: Processes that share the stacks.
+        part: Which of them this is, from 0.
+    """
     prepare()
     have = {(line["seed"], line["wall"], line["number"]) for line in lines_in(file)}
     for number in range(part, stacks, of):
@@ -100,4 +111,4 @@ def _share(inside: np.ndarray, level: float) -> str:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    cyclopts.run(main)

@@ -13,10 +13,11 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
+import cyclopts
 import numpy as np
-import typer
+from cyclopts.types import NonNegativeInt, PositiveInt
 from rich.table import Table
 from scipy.stats import chi2
 
@@ -38,13 +39,23 @@ _WIDTH = 190  # characters of the table
 
 
 def main(
-    file: Annotated[Path, typer.Argument(help="Lines of stacks that were measured; grows.")],
-    stacks: Annotated[int, typer.Argument(min=1, help="Stacks of each condition.")],
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the set.")] = 20261127,
-    of: Annotated[int, typer.Option(min=1, help="Processes that share the stacks.")] = 1,
-    part: Annotated[int, typer.Option(min=0, help="Which of them this is, from 0.")] = 0,
+    file: Path,
+    stacks: PositiveInt,
+    /,
+    *,
+    seed: NonNegativeInt = 20261127,
+    of: PositiveInt = 1,
+    part: NonNegativeInt = 0,
 ) -> None:
-    """Render and read stacks of adverse conditions, and print a table of the conditions."""
+    """Render and read stacks of adverse conditions, and print a table of the conditions.
+
+    Args:
+        file: Lines of stacks that were measured; grows.
+        stacks: Stacks of each condition.
+        seed: Random seed of the set.
+        of: Processes that share the stacks.
+        part: Which of them this is, from 0.
+    """
     prepare()
     have = {(line["seed"], line["stacks"], line["stack"]) for line in lines_in(file)}
     for number, stack in enumerate(_planned(seed, stacks)):
@@ -114,4 +125,4 @@ def _row(some: list[FrameErrors], limit: float) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    cyclopts.run(main)
