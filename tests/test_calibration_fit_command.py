@@ -174,6 +174,8 @@ def test_the_fingerprint_is_that_of_the_data(rig, tmp_path):
         (["--lens", "dome"], "--model lens fits the pixels of one stack"),
         (["--lens", "dome", "--model", "cone"], "--lens works with --model lens only"),
         (["--model", "image", "--free", "half_angle,b,sag"], "--free accepts .*blur.*got 'sag'"),
+        (["--model", "eye", "--free", "scale,b"], "half_angle and b; half_angle is missing"),
+        (["--model", "eye", "--robust"], "works with the models"),
         (["--robust"], "works with the models plane and sphere only"),
         (["--phantom", "plane", "--phantom", "plane"], "--phantom must be given once, or once per"),
         (["--medium", "honey"], "--medium must be one of air.*'honey'"),

@@ -10,8 +10,8 @@ import pytest
 
 import optics
 import scenes
-from calibration.command.goodness import MOST_MISFIT
 from calibration.command.pixel_models import _maps, _of_frames, _propagated
+from calibration.command.verdict import MOST_MISFIT
 from calibration.pixels import fit_footage, lens_start, read_footage
 from estimator import Spot
 from estimator.distance.ranger import Ranger

@@ -17,7 +17,7 @@ import jsonschema
 import pytest
 
 import eyespot
-from calibration.command.remedies import Fault
+from calibration.command.verdict import Fault
 from docs.cited import cited_names, cited_source, cited_test
 from docs.generated import write_pages
 from docs.messages import _ERRORS, PACKAGES

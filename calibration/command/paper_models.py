@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 import optics
-from calibration.command.fitted import Choices, Curve, Fitted
+from calibration.command.choices import Choices
+from calibration.command.fitted import Curve, Fitted
 from calibration.recordings import Recording
 from calibration.spots import (
-    PARAMETERS,
     Loss,
     PlaneTrial,
     PlaneTrialsFit,
@@ -30,7 +30,6 @@ _TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up 
 
 def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit the paper's line through all planes, with each trial's touch and the plane's tilt."""
-    _nothing_to_choose("plane", choices)
     for recording in recordings:
         if recording.trial.kind != "plane":
             raise InputError(
@@ -64,7 +63,6 @@ def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
 
 def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit the paper's c of one eyeball trial, given the line through the planes."""
-    _nothing_to_choose("sphere", choices)
     spheres = [r for r in recordings if r.trial.kind == "eyeball"]
     if len(spheres) != 1:
         raise InputError(
@@ -209,12 +207,3 @@ def _with_eccentricity(
     covariance[2, 2] += fit.c_error**2
     to_k = np.diag([1.0 / scale, 1.0, 1.0])
     return to_k @ covariance @ to_k
-
-
-def _nothing_to_choose(model: str, choices: Choices) -> None:
-    wrong = [*(choices.free or ()), *(name for name in choices.priors if name != "touch")]
-    if wrong:
-        raise InputError(
-            f"--model {model} has no selectable parameter {wrong[0]}; --model cone has "
-            f"{', '.join(PARAMETERS)}."
-        )

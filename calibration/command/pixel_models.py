@@ -12,8 +12,8 @@ from jaxtyping import Float
 from scipy import ndimage
 
 import optics
-from calibration.command.fitted import Choices, Fitted, PixelResiduals
-from calibration.command.goodness import bounds_hit
+from calibration.command.choices import Choices
+from calibration.command.fitted import Fitted, PixelResiduals, bounds_hit
 from calibration.command.lens_guess import FLATTEST, guessed_lens
 from calibration.pixels import LENS, UNITS, Footage, ImageFit, fit_footage, lens_start, read_footage
 from calibration.recordings import Recording
@@ -40,8 +40,6 @@ _BRIGHTNESS = ("sensitivity", "power", "reflectance")
 def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit half-angle and b of a cone to pixels; start with the paper's line through the spots."""
     (recording,) = recordings
-    for name in set(_CONE_IN_FILE) - set(choices.free or _CONE_IN_FILE):
-        raise InputError(f"--free must contain half_angle and b; {name} is missing. Add it.")
     line = fit_plane(
         semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
         distance=recording.trial.readings,
@@ -50,7 +48,7 @@ def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitt
         "half_angle": math.atan(recording.microscope.scale_mm_px / line.delta_k),
         "b": line.b,
     }
-    if "blur" in (choices.free or ()):
+    if "blur" in choices.names:
         start["blur"] = _BLUR_PX
     _, fit = _fit(recording, choices, "cone", start)
     names = [name for name in (*_CONE_IN_FILE, *_EITHER_IN_FILE) if name in fit.parameters]
@@ -115,10 +113,8 @@ def _fit(
     source: Literal["cone", "lens"],
     start: Mapping[str, float],
 ) -> tuple[Footage, ImageFit]:
-    if "spread" in (choices.free or ()):
+    if "spread" in choices.names:
         start = {**start, "spread": _SPREAD_MM}
-    if choices.loss != "squares":
-        raise InputError("--robust works with the models plane and sphere only. Leave it out.")
     if any(recording.tilt):
         raise InputError(
             f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
@@ -138,7 +134,7 @@ def _fit(
             footage,
             source=source,
             start=start,
-            free=choices.free,
+            free=choices.names or None,
             priors=choices.priors,
             progress=lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
         )

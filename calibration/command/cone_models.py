@@ -1,4 +1,7 @@
-"""Model cone of `eyespot fit`: the exact geometry fitted to the spots' ellipses."""
+"""Models cone and eye of `eyespot fit`: the exact geometry fitted to the spots' ellipses.
+
+The model eye says how an unknown eye shows the spots of a known cone.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +11,33 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import block_diag
 
-from calibration.command.fitted import Choices, Fitted
-from calibration.command.goodness import bounds_hit
+from calibration.command.choices import Choices
+from calibration.command.fitted import Fitted, bounds_hit
+from calibration.pixels import CONE
 from calibration.recordings import Recording
 from calibration.solvers import excess_variance
-from calibration.spots import ConeFit, fit_cone, fit_plane
-from estimator.files import BEAM
+from calibration.spots import (
+    OUTLINE_PER_MM,
+    RETINA,
+    SIZE_PER_MM,
+    ConeFit,
+    JointPrior,
+    Prior,
+    fit_cone,
+    fit_plane,
+)
+from estimator.files import BEAM, Calibration
 from optics import InputError
 
+EYE = ("half_angle", "b", "scale", "inverse_working_distance", "eye_radius")
+"""What is fitted: the cone, which is known, and the pinhole and the sphere that are not."""
 _MISMATCHES = ("position right", "position down", "size", "elongation right", "elongation oblique")
 """The components of `optics.ellipse_mismatch` after `_along_the_image`, in words."""
 
 
 def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit the exact geometry to planes and eyeballs together."""
-    check_spots(recordings, choices)
-    free = choices.free or ("half_angle", "b")
-    for name in {"half_angle", "b"} - set(free):
-        raise InputError(f"--free must contain half_angle and b; {name} is missing. Add it.")
+    _require_errors(recordings)
     microscope = recordings[0].microscope
     planes = [r for r in recordings if r.trial.kind == "plane"]
     line = fit_plane(
@@ -44,20 +56,17 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
         [recording.trial for recording in recordings],
         microscope.pinhole(),
         start=start,
-        free=free,
-        priors={name: prior for name, prior in choices.priors.items() if name != "touch"},
+        free=choices.names or CONE,
+        priors=_without_touch(choices),
     )
-    return fitted_cone(fit, recordings, calibration_model="exact")
+    return _fitted(fit, recordings, calibration_model="exact")
 
 
-def check_spots(recordings: Sequence[Recording], choices: Choices) -> None:
-    """Refuse what a fit of the exact geometry cannot use.
+def _without_touch(choices: Choices) -> dict[str, Prior]:
+    return {name: prior for name, prior in choices.priors.items() if name != "touch"}
 
-    Raises:
-        InputError: another loss, or spots without standard deviations.
-    """
-    if choices.loss != "squares":
-        raise InputError("--robust works with the models plane and sphere only. Leave it out.")
+
+def _require_errors(recordings: Sequence[Recording]) -> None:
     for recording in recordings:
         if not np.isfinite(recording.trial.covariances).all():
             raise InputError(
@@ -67,7 +76,7 @@ def check_spots(recordings: Sequence[Recording], choices: Choices) -> None:
             )
 
 
-def fitted_cone(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model: str) -> Fitted:
+def _fitted(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model: str) -> Fitted:
     """The result of `fit_cone` in the form that all models share."""
     kept = [i for i, name in enumerate(fit.free) if name not in ("tilt_x", "tilt_y")]
     values = {fit.free[i]: fit.values[fit.free[i]] for i in kept}
@@ -139,3 +148,67 @@ def _along_the_image(residuals: np.ndarray, angle: np.ndarray) -> np.ndarray:
     once, twice = np.exp(1j * angle), np.exp(2j * angle)
     place, shape = once * (u + 1j * v), twice * (long + 1j * oblique)
     return np.stack([place.real, place.imag, size, shape.real, shape.imag], axis=1)
+
+
+def fit_eye(recordings: Sequence[Recording], choices: Choices, cone: Calibration | None) -> Fitted:
+    """Fit pinhole and sphere that stand for an eye and its viewing lens to withdrawals in it."""
+    _require_errors(recordings)
+    if cone is None:
+        raise InputError(
+            "--model eye needs --cone FILE: a calibration of the same fibre in the same medium. "
+            "Fit one to recordings of a phantom with --model cone."
+        )
+    for recording in recordings:
+        if recording.trial.kind != "eyeball":
+            raise InputError(
+                f"{recording.name} was taken on a plane, which does not belong to the eye. Fit it "
+                "by itself with --model cone, and give the result with --cone."
+            )
+        if recording.medium != cone.medium:
+            raise InputError(
+                f"{recording.name} was taken in {recording.medium}, but --cone is valid in "
+                f"{cone.medium}. Calibrate the cone in {recording.medium}."
+            )
+    own = _cone(cone)
+    priors = {"eye_radius": RETINA} | _without_touch(choices)
+    for name in own.mean.keys() & priors.keys():
+        raise InputError(f"--prior {name} is given twice, as --cone contains it. Leave it out.")
+    microscope = recordings[0].microscope
+    eccentricities = np.array([_eccentricity(recording) for recording in recordings])
+    fit = fit_cone(
+        [recording.trial for recording in recordings],
+        microscope.pinhole(),
+        start=dict(own.mean) | {"eye_radius": priors["eye_radius"].mean},
+        free=choices.names or EYE,
+        priors=priors,
+        joint_prior=own,
+        size_sigmas=(SIZE_PER_MM * eccentricities).tolist(),
+        outline_sigmas=(OUTLINE_PER_MM * eccentricities).tolist(),
+    )
+    return _fitted(fit, recordings, calibration_model="area")
+
+
+def _eccentricity(recording: Recording) -> float:
+    """c to a few percent, which are those of the microscope file's scale."""
+    trial = recording.trial
+    offset = np.asarray(trial.ellipses.centre[0]) - trial.principal_point
+    return recording.microscope.scale_mm_px * float(np.hypot(*offset))
+
+
+def _cone(calibration: Calibration) -> JointPrior:
+    """half_angle and b of a calibration."""
+    values = calibration.values
+    if "b" not in values or not {"k", "half_angle"} & values.keys():
+        raise InputError(
+            f"--cone must be a calibration of a cone; got one of the model {calibration.model!r}. "
+            "Fit a phantom with --model cone."
+        )
+    name = "half_angle" if "half_angle" in values else "k"
+    rows = [list(values).index(row) for row in (name, "b")]
+    covariance = calibration.covariance[np.ix_(rows, rows)]
+    angle = values[name]
+    if name == "k":
+        # half_angle = atan(1/k)
+        slopes = np.diag([-1.0 / (1.0 + angle**2), 1.0])
+        covariance, angle = slopes @ covariance @ slopes, math.atan(1.0 / angle)
+    return JointPrior({"half_angle": angle, "b": values["b"]}, covariance)
