@@ -88,6 +88,7 @@ groups = {"": app} | {
         ("study", "Run a study; each writes a report, CSV files and figures."),
     )
 }
+app.register_install_completion_command(help="Complete words with Tab in bash, zsh and fish.")
 for _name, _group in groups.items():
     for _function, _about in COMMANDS[_name].items():
         _group.command(_function, help=_about, help_format="markdown")
@@ -107,19 +108,18 @@ def dataset(*words: Annotated[str, Parameter(show=False, allow_leading_hyphen=Tr
     app(["dataset", "make", *words] if words else ["dataset", "--help"])
 
 
-def loaded(command: App) -> App:
-    """A command with its docstring as the help, not with the line that the list shows."""
+def show_docstring(command: App) -> None:
+    """Make a command's docstring its help, instead of the line that the list shows."""
     function = command.default_command
     if function and function.__module__.split(".")[0] in PACKAGES:
         command.help = None
-    return command
 
 
 def run() -> None:
     """Run the command that the command line names."""
     words = sys.argv[1:]
     for command in app.parse_commands(words)[1]:
-        loaded(command)
+        show_docstring(command)
     app(words)
 
 

@@ -85,7 +85,7 @@ def _write(path: Path, text: str) -> None:
 def _commands() -> str:
     for group in eyespot.groups.values():
         for command in group.resolved_commands().values():
-            eyespot.loaded(command)
+            eyespot.show_docstring(command)
     return eyespot.app.generate_docs().replace("# eyespot", "# Commands", 1)
 
 

@@ -14,9 +14,12 @@ from cyclopts import App, Argument
 import eyespot
 
 WORDS = [
-    f"{group} {function.rpartition(':')[2].replace('_', '-')}".strip()
-    for group, functions in eyespot.COMMANDS.items()
-    for function in functions
+    "version",
+    *(
+        f"{group} {function.rpartition(':')[2].replace('_', '-')}".strip()
+        for group, functions in eyespot.COMMANDS.items()
+        for function in functions
+    ),
 ]
 """Every command, as a person writes it."""
 

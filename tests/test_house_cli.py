@@ -80,7 +80,8 @@ def test_version_is_that_of_the_distribution(run):
     assert run("version").out.strip() == importlib.metadata.version("eyespot")
 
 
-def test_the_list_of_commands_is_read_without_importing_any(run):
+def test_the_list_of_commands_is_read_without_importing_any(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
     root = run_process("--help")
     assert root.code == 0
     for group, functions in eyespot.COMMANDS.items():

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from cyclopts import Parameter
 
-from estimator.run import Exposure
+from estimator.run import Exposure, Options
 from optics import InputError, shortened
 
 if TYPE_CHECKING:
@@ -106,23 +106,9 @@ class Choices:
 
     @property
     def rotation(self) -> Quaternion:
-        """The unit quaternion of --eye-from-robot.
-
-        Raises:
-            InputError: it is none.
-        """
-        from estimator.files import unit_quaternion
-
-        if self.eye_from_robot is None:
-            return (0.0, 0.0, 0.0, 1.0)
-        try:
-            x, y, z, w = map(float, self.eye_from_robot.split(","))
-            return unit_quaternion((x, y, z, w))
-        except ValueError:
-            raise InputError(
-                "--eye-from-robot must be a unit quaternion QX,QY,QZ,QW; got "
-                f"{shortened(self.eye_from_robot)}."
-            ) from None
+        """The unit quaternion of --eye-from-robot."""
+        given = Options.of({"eye_from_robot": self.eye_from_robot})
+        return given.eye_from_robot or (0.0, 0.0, 0.0, 1.0)
 
     def log_books(self, sources: Sequence[Path]) -> dict[Path, LogBook]:
         """The log book of each source that is not a stack; a stack contains its own.

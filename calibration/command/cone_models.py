@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 
 from calibration.command.choices import Choices
 from calibration.command.fitted import Fitted, bounds_hit
+from calibration.command.paper_models import line_through
 from calibration.pixels import CONE
 from calibration.recordings import Recording
 from calibration.solvers import excess_variance
@@ -24,7 +25,6 @@ from calibration.spots import (
     JointPrior,
     Prior,
     fit_cone,
-    fit_plane,
 )
 from estimator.files import BEAM, Calibration
 from optics import InputError
@@ -35,27 +35,22 @@ _MISMATCHES = ("position right", "position down", "size", "elongation right", "e
 """The components of `optics.ellipse_mismatch` after `_along_the_image`, in words."""
 
 
+def cone_start(recordings: Sequence[Recording]) -> dict[str, float]:
+    """The paper's line through all spots, which is close enough for the exact model to converge."""
+    line = line_through(recordings)
+    half_angle = math.atan(recordings[0].microscope.scale_mm_px / line.delta_k)
+    return {"half_angle": half_angle, "b": line.b}
+
+
 def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit the exact geometry to planes and eyeballs together."""
     _require_errors(recordings)
-    microscope = recordings[0].microscope
-    planes = [r for r in recordings if r.trial.kind == "plane"]
-    line = fit_plane(
-        semi_minor_px=np.concatenate([np.asarray(r.trial.ellipses.semi_minor) for r in recordings]),
-        distance=np.concatenate([r.trial.readings for r in recordings]),
-    )
-    tilt = planes[0].tilt if planes else (0.0, 0.0)
-    start = {
-        # The paper's line through all spots is close enough for the exact model to converge.
-        "half_angle": math.atan(microscope.scale_mm_px / line.delta_k),
-        "b": line.b,
-        "tilt_x": tilt[0],
-        "tilt_y": tilt[1],
-    }
+    tilts = [recording.tilt for recording in recordings if recording.trial.kind == "plane"]
+    tilt = dict(zip(("tilt_x", "tilt_y"), tilts[0] if tilts else (0.0, 0.0), strict=True))
     fit = fit_cone(
         [recording.trial for recording in recordings],
-        microscope.pinhole(),
-        start=start,
+        recordings[0].microscope.pinhole(),
+        start=cone_start(recordings) | tilt,
         free=choices.names or CONE,
         priors=_without_touch(choices),
     )
@@ -174,7 +169,12 @@ def fit_eye(recordings: Sequence[Recording], choices: Choices, cone: Calibration
     for name in own.mean.keys() & priors.keys():
         raise InputError(f"--prior {name} is given twice, as --cone contains it. Leave it out.")
     microscope = recordings[0].microscope
-    eccentricities = np.array([_eccentricity(recording) for recording in recordings])
+    # c to a few percent, which are those of the microscope file's scale.
+    offsets = [
+        np.hypot(*np.asarray(one.trial.ellipses.centre[0]) - one.trial.principal_point)
+        for one in recordings
+    ]
+    eccentricities = microscope.scale_mm_px * np.array(offsets)
     fit = fit_cone(
         [recording.trial for recording in recordings],
         microscope.pinhole(),
@@ -186,13 +186,6 @@ def fit_eye(recordings: Sequence[Recording], choices: Choices, cone: Calibration
         outline_sigmas=(OUTLINE_PER_MM * eccentricities).tolist(),
     )
     return _fitted(fit, recordings, calibration_model="area")
-
-
-def _eccentricity(recording: Recording) -> float:
-    """c to a few percent, which are those of the microscope file's scale."""
-    trial = recording.trial
-    offset = np.asarray(trial.ellipses.centre[0]) - trial.principal_point
-    return recording.microscope.scale_mm_px * float(np.hypot(*offset))
 
 
 def _cone(calibration: Calibration) -> JointPrior:

@@ -128,7 +128,8 @@ def run(sources: Sequence[Path], out: Path, choices: Choices, rerun: str | None 
     with written_whole(out) as partial:
         with written_whole(report) as page:
             require_space(out, _MOST_BYTES)
-            model = "lens" if choices.model == "auto" and choices.lens else choices.model
+            lens = choices.model == "auto" and choices.lens
+            model: str = "lens" if lens else choices.model
             others = [source for source in sources if not is_stack(source)]
             if model != "auto":
                 _check(model, choices, sources=len(sources), others=len(others))
@@ -139,33 +140,32 @@ def run(sources: Sequence[Path], out: Path, choices: Choices, rerun: str | None 
                 _check(model, choices, sources=len(sources), others=len(others))
             fitted = MODELS[model].fit(recordings, choices)
             found = doubts(fitted)
-            calibration = _calibration(fitted, recordings)
+            checksums = json.dumps([recording.sha256 for recording in recordings])
+            packages = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
+            origin = {
+                "data_sha256": hashlib.sha256(checksums.encode()).hexdigest(),
+                "software": ", ".join(packages),
+            }
             Console().print(_table(fitted, recordings))
-            text = fit_report.render(fitted, calibration, found, model, recordings)
+            text = fit_report.render(fitted, found, model, recordings, **origin)
             page.write_text(text, encoding="utf-8", errors="backslashreplace")
         if not all(doubt.harmless for doubt in found):
             raise InputError(refusal(found, model=model, report=report))
+        names = ", ".join(recording.name for recording in recordings)
+        calibration = Calibration(
+            model=fitted.calibration_model,
+            values=fitted.values,
+            covariance=fitted.covariance,
+            medium=recordings[0].medium,
+            medium_index=optics.MEDIA[recordings[0].medium],
+            fitted_on=f"{fitted.used} {fitted.unit} of {names}",
+            sigma_inflation=fitted.inflation,
+            **origin,
+        )
         write_calibration(partial, calibration)
     if rerun is not None:
         record_fit(rerun, fitted, recordings, calibration, exposure=choices.exposure)
     print(f"{verdict(found)}. Wrote {out} and {report}.")
-
-
-def _calibration(fitted: Fitted, recordings: Sequence[Recording]) -> Calibration:
-    medium = recordings[0].medium
-    checksums = json.dumps([recording.sha256 for recording in recordings])
-    return Calibration(
-        model=fitted.calibration_model,
-        values=fitted.values,
-        covariance=fitted.covariance,
-        medium=medium,
-        medium_index=optics.MEDIA[medium],
-        fitted_on=f"{fitted.used} {fitted.unit} of "
-        + ", ".join(recording.name for recording in recordings),
-        data_sha256=hashlib.sha256(checksums.encode()).hexdigest(),
-        software=", ".join(f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES),
-        sigma_inflation=fitted.inflation,
-    )
 
 
 def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:

@@ -19,7 +19,7 @@ from calibration.command.fitted import Fitted, PixelResiduals
 from calibration.command.verdict import SIGNIFICANCE, Doubt, Fault, runs_probability
 from calibration.recordings import Recording
 from calibration.solvers import accepted_range, correlations
-from estimator.files import Calibration, in_figure
+from estimator.files import in_figure
 
 # Palette of Okabe and Ito, which colour-blind readers can distinguish.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -42,10 +42,12 @@ _STYLE: dict[Any, Any] = {
 
 def render(
     fitted: Fitted,
-    calibration: Calibration,
     doubts: Sequence[Doubt],
     model: str,
     recordings: Sequence[Recording],
+    *,
+    data_sha256: str,
+    software: str,
 ) -> str:
     """The HTML page of a fit of a model to recordings."""
     environment = jinja2.Environment(
@@ -65,7 +67,8 @@ def render(
         model=model,
         recordings=recordings,
         doubts=doubts,
-        calibration=calibration,
+        data_sha256=data_sha256,
+        software=software,
         figures=figures,
         correlations=correlations(fitted.covariance),
         runs=[

@@ -95,6 +95,8 @@ def message_of(error: BaseException) -> str | None:
         )
     if variant and isinstance(error, variant.RendererUnavailable):
         return str(error)
+    if isinstance(error, ImportError) and isinstance(error.__cause__, ImportError):
+        return message_of(error.__cause__)  # of a command's module, loaded by its name
     if isinstance(error, ModuleNotFoundError) and error.name not in _OURS:
         return f"the Python package {error.name} is not installed. Run `make setup` again."
     if isinstance(error, OSError) and error.filename:

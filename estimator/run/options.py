@@ -49,10 +49,11 @@ _QUATERNION = TypeAdapter(Quaternion)
 
 
 def _point(given: Any) -> tuple[float, float] | None:
-    if given is None or given == "auto":
+    parts = _parts(given)
+    if parts is None or parts == ["auto"]:
         return None
     try:
-        return _POINT.validate_python(_parts(given))
+        return _POINT.validate_python(parts)
     except ValidationError:
         raise InputError("must be X,Y in px, such as 320,240, or auto") from None
 
