@@ -68,10 +68,9 @@ _ROBOT = (
 
 _REMEDIES: dict[Fault, dict[str, str]] = {
     Fault.STEPS: {
-        "": f"--robust, which leaves out outliers, or {_CONE}",
-        "cone": f"{_FEWER}, or {_PRIOR} for those that are free",
+        "plane sphere": f"--robust, which leaves out outliers, or {_CONE}",
+        "cone image": f"{_FEWER}, or {_PRIOR} for those that are free",
         "eye": _PLACES,
-        "image": f"{_FEWER}, or {_PRIOR} for those that are free",
         "lens": f"a lens to start from that is nearer to yours (--lens FILE), or {_FEWER}",
     },
     Fault.FIRST_ROUND: {
@@ -83,27 +82,24 @@ _REMEDIES: dict[Fault, dict[str, str]] = {
         "there the lens's light is hardest to compute"
     },
     Fault.BOUND: {
-        "": f"{_CONE}, or recordings at other distances from the wall",
-        "cone": f"{_PRIOR} for the parameter at its bound, or a longer withdrawal",
+        "plane sphere": f"{_CONE}, or recordings at other distances from the wall",
+        "cone image": f"{_PRIOR} for the parameter at its bound, or a longer withdrawal",
         "eye": _PLACES,
-        "image": f"{_PRIOR} for the parameter at its bound, or a longer withdrawal",
         "lens": f"{_PRIOR} for the parameter at its bound, or fit without it (--free)",
     },
     Fault.UNDETERMINED: {
-        "": f"{_CONE}, and recordings at other places and distances",
-        "cone": f"{_PRIOR} for one of them, or fit without it (--free)",
+        "plane sphere": f"{_CONE}, and recordings at other places and distances",
+        "cone image lens": f"{_PRIOR} for one of them, or fit without it (--free)",
         "eye": _PLACES,
-        "image": f"{_PRIOR} for one of them, or fit without it (--free)",
-        "lens": f"{_PRIOR} for one of them, or fit without it (--free)",
     },
     Fault.LARGE_RESIDUALS: {
-        "": f"--robust, which leaves out outliers, or {_CONE}",
+        "plane sphere": f"--robust, which leaves out outliers, or {_CONE}",
         "cone": f"{_LENS}, or the microscope's scale and the eye's radius, which may be wrong, in "
         "--free",
         "eye": _ROBOT,
     },
     Fault.STRUCTURE: {
-        "": f"{_CONE}, or --robust, which leaves out outliers",
+        "plane sphere": f"{_CONE}, or --robust, which leaves out outliers",
         "cone": f"{_LENS}, or a recording of {_EVEN}",
         "eye": _ROBOT,
     },
@@ -113,14 +109,13 @@ _REMEDIES: dict[Fault, dict[str, str]] = {
         "Gaussian launch cannot be fitted",
     },
 }
-"""By fault and by model; the models of the paper have the name ""."""
-
-_PAPERS = ("plane", "sphere")
+"""By fault and by models."""
 
 
 def remedy(fault: Fault, *, model: str) -> str:
     """What to try, with options that the model has; empty if nothing is needed."""
-    return _REMEDIES.get(fault, {}).get("" if model in _PAPERS else model, "")
+    tries = _REMEDIES.get(fault, {}).items()
+    return next((text for models, text in tries if model in models.split()), "")
 
 
 class Doubt(NamedTuple):

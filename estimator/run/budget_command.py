@@ -100,15 +100,9 @@ def _table(budget: Budget, frame: int) -> Table:
     from rich.table import Table
 
     table = Table(title=f"Frame {frame}: what the distance is worth")
-    for name, side in (
-        ("cause", "left"),
-        ("type", "left"),
-        ("u, mm", "right"),
-        ("ν", "right"),
-        ("share of u²", "right"),
-        ("from", "left"),
-    ):
-        table.add_column(name, justify="left" if side == "left" else "right")
+    for name in ("cause", "type", "u, mm", "ν", "share of u²", "from"):
+        number = name in ("u, mm", "ν", "share of u²")
+        table.add_column(name, justify="right" if number else "left")
     for part in sorted(budget.parts, key=lambda part: -part.sigma_mm):
         share = (part.sigma_mm / budget.sigma_mm) ** 2 if budget.sigma_mm else math.nan
         known = not math.isnan(part.source_sigma)
