@@ -74,6 +74,8 @@ MEANINGS = {
         "reason": "Why there is none; see [reasons](messages.md).",
         "sigma_semi_minor_px": "Standard deviation of the semi-minor axis.",
         "schema_version": "Version of the format.",
+        "significance": "Of a spot that is `too_faint`: its peak above the background over the "
+        "scatter of noise and texture round it.",
         "chi_squared": "Mode pixels: per cell; 1 where beam, wall and camera explain the light.",
         **{f"tip_{x}_mm": f"Mode pixels: {x.upper()} of the tip, eye frame." for x in "xyz"},
         **{f"axis_{x}": f"Mode pixels: {x.upper()} of the beam's unit vector." for x in "xyz"},

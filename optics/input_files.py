@@ -133,7 +133,7 @@ def check_schema(found: object, history: Mapping[int, str], *, remedy: str) -> N
     known = type(found) is int and found in history
     if known:
         return
-    readable = " and ".join(map(str, history))
+    readable = f"{min(history)} to {max(history)}" if len(history) > 1 else f"{max(history)}"
     here = f"this eyespot ({importlib.metadata.version('eyespot')}) reads {readable}"
     newer = type(found) is int and found > max(history)
     way_out = "Install a newer eyespot." if newer else remedy

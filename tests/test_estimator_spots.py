@@ -109,7 +109,7 @@ def test_no_spots_make_a_readable_file(tmp_path: Path) -> None:
     [
         (lambda text: "a,b\n1,2\n", r"line 1: not a spots file: column 'frame'"),
         (
-            lambda text: text.replace(",2\n", ",99\n", 1),
+            lambda text: text.replace(",3\n", ",99\n", 1),
             r"line 2: schema is 99; .* Install a newer eyespot",
         ),
         (lambda text: text.replace("66.0", "wide", 1), r"line 2: semi_major_px .* 'wide'"),

@@ -143,7 +143,8 @@ def hidden_bell(
     radius, variance = math.exp(fitted[1]), float(covariance[1, 1])
     peak = levels.background + patch.ceiling * math.exp(fitted[0])
     height, _, power, tail = fitted.tolist()
-    # Where the bell reaches full scale, over the radius of its half maximum.
+    # Where the bell on its background reaches full scale, over the radius of its half maximum.
+    height -= math.log1p(-levels.background / patch.ceiling)
     full = max(math.expm1(height * tail) / math.expm1(math.log(2) * tail), 0.0) ** math.exp(-power)
     hidden = full**2
     cusp = power < math.log(Saturated.CUSP) + 1e-3

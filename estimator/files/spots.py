@@ -23,13 +23,14 @@ from estimator.files.whole_files import damage_reported, written_whole
 from estimator.image import PARAMETERS, NoSpot, Reason, Spot
 from optics import InputError, check_regular, check_schema, in_file, shortened
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 HISTORY = {
     1: "the format of eyespot 0.1; files written since may have the reason internal_error "
     "or unreadable",
     2: "distance_low_mm, distance_high_mm and largest_cause: the distance's 95 % interval, and "
     "what makes it wide; tip, axis, their covariance, chi_squared and wall_memory of the mode "
     "pixels",
+    3: "significance of a spot that is too_faint",
 }
 """What changed with each version of the format that is read."""
 
@@ -55,7 +56,7 @@ _INTERVAL = ("distance_low_mm", "distance_high_mm")
 _POSE = tuple(f"{part}_{x}{unit}" for part, unit in (("tip", "_mm"), ("axis", "")) for x in "xyz")
 _POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in _UPPER)
 _POSES = (*_POSE, *_POSE_COVARIANCES, "chi_squared")
-_SINCE_2 = (*_INTERVAL, "largest_cause", *_POSES, "wall_memory")
+_LATER = (*_INTERVAL, "largest_cause", *_POSES, "wall_memory", "significance")
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in _UPPER)
 COLUMNS = (
     "frame",
@@ -67,7 +68,7 @@ COLUMNS = (
     *_VALUES,
     *_DISTANCES,
     *_COVARIANCES,
-    *_SINCE_2,
+    *_LATER,
     "schema_version",
 )
 _KINDS: dict[str, type] = {
@@ -140,6 +141,11 @@ class SpotRecord:
     def reason(self) -> str:
         """The file's `reason`: one of `Reason`, empty with a spot."""
         return self.result.reason.value if isinstance(self.result, NoSpot) else ""
+
+    @property
+    def significance(self) -> float:
+        """Of a spot that is too faint, see `NoSpot`; NaN of others."""
+        return self.result.significance if isinstance(self.result, NoSpot) else math.nan
 
 
 def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
@@ -257,7 +263,7 @@ def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
 
 
 def _check_columns(names: Collection[str]) -> None:
-    missing = [name for name in COLUMNS if name not in names and name not in _SINCE_2]
+    missing = [name for name in COLUMNS if name not in names and name not in _LATER]
     if missing:
         raise InputError(
             f"not a spots file: column {missing[0]!r} is missing"
@@ -283,6 +289,7 @@ def _line(record: SpotRecord) -> list[str]:
         record.largest_cause,
         *map(_cell, _pose_cells(record.pose)),
         record.wall_memory,
+        _cell(record.significance),
         str(SCHEMA_VERSION),
     ]
 
@@ -314,7 +321,15 @@ def _record(row: dict[str, str]) -> SpotRecord:
     check_schema(found, HISTORY, remedy="Write the file again.")
     values = {
         name: number_in(row.get(name, ""), name)
-        for name in ("time_s", *_VALUES, *_DISTANCES, *_COVARIANCES, *_INTERVAL, *_POSES)
+        for name in (
+            "time_s",
+            *_VALUES,
+            *_DISTANCES,
+            *_COVARIANCES,
+            *_INTERVAL,
+            *_POSES,
+            "significance",
+        )
     }
     frame = number_in(row["frame"], "frame")
     if not (0 <= frame < _MOST_FRAMES and frame == int(frame)):
@@ -338,7 +353,7 @@ def _record(row: dict[str, str]) -> SpotRecord:
 def _result(row: dict[str, str], values: dict[str, float]) -> Spot | NoSpot:
     if row["status"] == "no_spot":
         try:
-            return NoSpot(Reason(row["reason"]))
+            return NoSpot(Reason(row["reason"]), values["significance"])
         except ValueError:
             known = ", ".join(reason.value for reason in Reason)
             raise InputError(

@@ -13,6 +13,8 @@ _SURE = 4.0  # standard deviations by which the level has more pixels than any o
 _BAND = 0.08  # of the spot's upper half: bands of values that are compared
 _FLAT = 1.8  # ratio of the pixels in the band below a plateau to those in the next one; a blurred
 # step that is clipped below 0.97 of its height has less than 1.5, a whole one over 4
+_RISES = 1.4  # the same ratio at a quarter of the band: 1.0 at a dome that is clipped
+_UNEVEN = 1.5  # ratio of a drawn edge's dark half to its bright one, above which it is clipped
 _FLANK = 4.0  # ratio of the same pixels to those of a band of the flank: less than 3.7, and over 8
 _FOOT = 0.05  # of the height: darker pixels are background
 _SHARP = 1.2  # px: a narrower edge is drawn, a pixel wide; clipped or not, its place is known
@@ -51,11 +53,21 @@ def clip_level(values: np.ndarray, bright: np.ndarray) -> float:
     near, next_ = int(first - upper), int(upper - lower)
     start, stop = np.searchsorted(seen, float(seen[0]) + height * np.array([0.1, 0.6]))
     flank = (stop - start) * band / (0.5 * height)
-    flat = near - _FLAT * next_ > 2 * math.sqrt(near + _FLAT**2 * next_) and near > _FLANK * flank
+    fine = np.searchsorted(seen, float(level) - band * np.array([0.25, 0.5]))
+    nearest, beyond = int(first - fine[0]), int(fine[0] - fine[1])
+    flat = _exceeds(near, _FLAT, next_) and near > _FLANK * flank
+    flat &= _exceeds(nearest, _RISES, beyond)
     dark = float(values.min())
-    between = np.count_nonzero((values > dark + _FOOT * (float(level) - dark)) & (values < level))
-    sharp = between < _SHARP * 2 * math.sqrt(math.pi * seen.size)
+    shares = (values[(values > dark) & (values < level)] - dark) / (float(level) - dark)
+    foot, middle, shoulder = np.histogram(shares, [_FOOT, 0.3, 0.7, 1 - _FOOT])[0]
+    sharp = foot + middle + shoulder < _SHARP * 2 * math.sqrt(math.pi * seen.size)
+    sharp &= not _exceeds(int(foot), _UNEVEN, int(shoulder))
     return math.inf if (flat or sharp) and not _is_noisy(values, bright, level) else float(level)
+
+
+def _exceeds(number: int, factor: float, other: int) -> bool:
+    """Whether a number of pixels is surely more than another one times a factor."""
+    return number - factor * other > 2 * math.sqrt(number + factor**2 * other)
 
 
 def _is_noisy(values: np.ndarray, bright: np.ndarray, level: float) -> bool:

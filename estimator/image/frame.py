@@ -68,12 +68,14 @@ def without_repeats(frame: np.ndarray) -> np.ndarray:
 
 def _repeats(frame: np.ndarray) -> int:
     """How often each pixel of a row is repeated; 1 if not, or if too little is in the frame."""
-    rows = frame[:: max(len(frame) // _ROWS, 1)]
-    places = np.nonzero(rows[:, 1:] != rows[:, :-1])[1]
-    if places.size < _CHANGES:
-        return 1
-    steps = int(np.gcd.reduce(places - places[0]))
-    return steps if steps <= _MOST_REPEATS else 1
+    # One row tells most frames.
+    for rows in frame[len(frame) // 2 :][:1], frame[:: max(len(frame) // _ROWS, 1)]:
+        changes = rows[:, 1:] != rows[:, :-1]
+        places = np.flatnonzero(changes.any(axis=0))
+        steps = int(np.gcd.reduce(places - places[:1], initial=0))
+        if steps == 1:
+            return 1
+    return steps if steps <= _MOST_REPEATS and np.count_nonzero(changes) >= _CHANGES else 1
 
 
 @dataclass(frozen=True)

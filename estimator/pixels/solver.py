@@ -46,7 +46,10 @@ _RIDGE = 1e-12  # of a state's own information, so that one without any does not
 _DONE, _SMALL, _ROUGH = 0.1, 0.3, 0.6
 """In standard deviations: a shorter step ends the iteration; a last step as short is an answer, the
 third where the spot is saturated: cells that come to full scale make the cost rough."""
-_LEAST_DAMPING = 1e-3
+_DAMPING = 1e-3
+"""Share of a state's own information that is added to it at first, and at least after a step that
+failed. It falls after each that succeeds: what frames tell only together, as their gains on a wall
+that is not known, has far less information, and a damping that stays would hold it where it is."""
 
 
 class Solver:
@@ -130,7 +133,7 @@ class Solver:
         frames = [*(state for state, _ in kept), frame]
         newest, size = len(kept), OWN * (len(kept) + 1) + len(own)
         blur = OWN * newest + BLUR
-        gone, damping, converged = np.zeros(size), _LEAST_DAMPING, False
+        gone, damping, converged = np.zeros(size), _DAMPING, False
         lines = [line for _, line in kept]
         line = self.model.linear(frame, own) if line is None else line
         lines.append(line if trust is None else line._replace(weight=line.weight * trust))
@@ -165,16 +168,16 @@ class Solver:
                 new_told = [*told[:-1], *_motions([frames[0], moved])] if kept else told
                 new_cost = self._cost(then, trial, new_told, new_own, here, factor)
             if trial is None or not new_cost <= cost + 1e-9 * abs(cost):
-                if distance < small and damping <= _LEAST_DAMPING:
+                if distance < small:
                     converged = True  # at the minimum, within what the derivatives are good for
                     break
-                damping = 10 * damping
+                damping = max(10 * damping, _DAMPING)
                 if damping > 1e6:
                     break
                 continue
             assert moved is not None
             frame, own, gone = moved, new_own, here
-            damping = max(0.1 * damping, _LEAST_DAMPING)
+            damping *= 0.1
             frames[-1], lines, told = frame, [*trial[:-1], fresh], new_told
             hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
             information = _Information(hessian)

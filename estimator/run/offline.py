@@ -45,6 +45,8 @@ class Tracking:
         frames: number of frames.
         distances: number of frames with a distance.
         no_spot: number of frames without a spot, by reason.
+        most_significant: of the spots that are too faint, see `NoSpot.significance`; None if no
+            spot is.
         doubtful: number of doubtful distances by `RangeFlag`.
         wall_memory: number of frames by `WallMemory`, in the mode pixels.
         pose_ages_s: ages of the robot's poses, where there are poses (8 bytes a frame).
@@ -56,6 +58,7 @@ class Tracking:
     frames: int = 0
     distances: int = 0
     no_spot: Counter[str] = field(default_factory=Counter)
+    most_significant: float | None = None
     doubtful: Counter[str] = field(default_factory=Counter)
     wall_memory: Counter[str] = field(default_factory=Counter)
     pose_ages_s: array[float] = field(default_factory=lambda: array("d"))
@@ -89,6 +92,8 @@ class Tracking:
         self.distances += not math.isnan(record.distance_mm)
         if not record.result:
             self.no_spot[record.reason] += 1
+            if not math.isnan(record.significance):
+                self.most_significant = max(self.most_significant or 0.0, record.significance)
         elif doubt:
             self.doubtful[doubt] += 1
         if record.wall_memory:

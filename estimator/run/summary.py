@@ -22,6 +22,7 @@ def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) ->
         "frames": tracking.frames,
         "spots": tracking.spots,
         "no_spot": dict(tracking.no_spot.most_common()),
+        "most_significant": tracking.most_significant,
         "distances": tracking.distances,
         "doubtful_distances": tracking.doubtful,
         "wall_memory": tracking.wall_memory,
@@ -56,6 +57,11 @@ def table_of(summary: dict[str, Any]) -> Table:
         notes.append("every image measured by itself; --sequence follows the spot")
     elif "ambiguous" in summary["no_spot"]:
         notes.append("after a jump a spot is ambiguous; --unrelated ignores jumps")
+    if summary["most_significant"] is not None:
+        notes.append(
+            f"faint spots are up to {summary['most_significant']:.1f} times the noise and texture "
+            "round them"
+        )
     if summary["median_pose_age_s"] is not None:
         notes.append(f"median age of the pose: {1e3 * summary['median_pose_age_s']:.1f} ms")
     table.caption = "\n".join(notes) or None
