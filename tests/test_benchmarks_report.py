@@ -29,9 +29,8 @@ from benchmarks.evaluation.tracking import (
     Way,
 )
 from benchmarks.evaluation.trials import StaticTrial, grid_trials, paper_trials
-from benchmarks.reporting.claims import Claim
+from benchmarks.reporting.report import Claim, number
 from benchmarks.reporting.study import Request, Study
-from benchmarks.reporting.typeset import number
 from benchmarks.studies.validate import analysis
 from benchmarks.studies.validate.claims import claims
 from benchmarks.studies.validate.findings import ValidateFindings

@@ -13,7 +13,7 @@ import pytest
 import optics
 import scenes
 from benchmarks.evaluation.tracking import LITERAL, SUBPIXEL
-from benchmarks.reporting.claims import Claim
+from benchmarks.reporting.report import Claim
 from benchmarks.reporting.study import Request
 from benchmarks.studies.dynamic import measure as dynamic_measure
 from benchmarks.studies.dynamic import parts as parts_of

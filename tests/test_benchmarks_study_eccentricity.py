@@ -19,10 +19,8 @@ import optics
 import scenes
 from benchmarks.evaluation import coalitions, model_error, shapley_values
 from benchmarks.evaluation.model_error import Geometry, ModelError
-from benchmarks.reporting.claims import Claim
-from benchmarks.reporting.report import Data, Picture, Report, Section
+from benchmarks.reporting.report import Claim, Column, Picture, Report, Section, Table, frame_of
 from benchmarks.reporting.study import Request, Study
-from benchmarks.reporting.tables import Column, Table
 from benchmarks.studies.eccentricity import causes, chain, limits, space
 from benchmarks.studies.eccentricity import run as eccentricity
 from benchmarks.studies.eccentricity.causes import CAUSES, WRONG_C_MM, WRONG_R_MM, Shift
@@ -378,7 +376,7 @@ def small_report(_: None) -> Report:
                 Picture("line", figure, "A line.", data="limits.csv"),
             )
         ],
-        data=[Data("limits.csv", Limit, [LIMIT])],
+        data={"limits.csv": frame_of(Limit, [LIMIT])},
         summary={"more": 5},
     )
 

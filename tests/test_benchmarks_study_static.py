@@ -12,10 +12,9 @@ import scenes
 from benchmarks.evaluation.paper import TABLE_I, PlaneRow
 from benchmarks.evaluation.trials import paper_trials
 from benchmarks.reporting.study import Request
-from benchmarks.studies.static import causes as static_causes
 from benchmarks.studies.static import run as static
-from benchmarks.studies.static.bench import EVEN
-from benchmarks.studies.static.findings import ALL, CAUSES, NONE, Scope
+from benchmarks.studies.static.run import OWN, POOLED
+from benchmarks.studies.static.trials import ALL, CAUSES, EVEN, NONE, plane
 from benchmarks.studies.table_one import causes, moments, scan
 from benchmarks.studies.table_one import run as table_one
 from benchmarks.studies.table_one.findings import Demand, LensChoice
@@ -57,18 +56,18 @@ def variants(touch: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, np.nda
 
 def test_a_missed_touch_adds_its_variance_to_the_line_of_all_trials_and_nothing_to_their_own():
     touch = np.array([[0.2, -0.1, -0.1], [0.0, 0.3, -0.3]])
-    parts = static_causes.parts(*variants(touch), texture=np.zeros(len(touch)))
-    of = {(p.scope, p.cause): p.part_mm2 for p in parts}
+    parts = static.parts(*variants(touch), texture=np.zeros(len(touch)))
+    of = parts.set_index(["scope", "cause"]).part_mm2
     # Offsets cannot be correlated with spots that are the same in all trials; rounding.
-    assert of[Scope.POOLED, "touch"] == pytest.approx(np.var(touch, axis=1).mean(), rel=1e-9)
-    assert of[Scope.OWN, "touch"] == pytest.approx(0.0, abs=1e-12)
+    assert of[POOLED, "touch"] == pytest.approx(np.var(touch, axis=1).mean(), rel=1e-9)
+    assert of[OWN, "touch"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_parts_and_what_they_do_together_lead_from_none_to_all():
     touch = 0.1 * np.random.default_rng(2).standard_normal((6, 3))
-    parts = static_causes.parts(*variants(touch), texture=np.zeros(len(touch)))
-    for scope in Scope:
-        own = {p.cause: p.part_mm2 for p in parts if p.scope == scope}
+    parts = static.parts(*variants(touch), texture=np.zeros(len(touch)))
+    for scope in (OWN, POOLED):
+        own = parts[parts.scope == scope].set_index("cause").part_mm2
         lead = own[NONE] + own["together"] + sum(own[cause] for cause in CAUSES if cause in own)
         assert lead == pytest.approx(own[ALL], rel=1e-12)
 
@@ -77,7 +76,7 @@ def test_the_parts_and_what_they_do_together_lead_from_none_to_all():
 def test_the_plane_tilts_under_an_instrument_that_keeps_its_direction(tilt):
     def axis(tilt: int) -> np.ndarray:
         place = paper_trials(source="lens", quick=True, seed=0)[1]
-        scene = static.plane(PLANE, place, texture=EVEN, tilt=tilt, frames=2)
+        scene = plane(PLANE, place, texture=EVEN, tilt=tilt, frames=2)
         world = World(scene)
         return world.motion.at(world.times)[1][0]
 

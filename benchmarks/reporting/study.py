@@ -19,8 +19,7 @@ import matplotlib
 import scenes
 from benchmarks.reporting import run_folder
 from benchmarks.reporting.figures import STYLE
-from benchmarks.reporting.page import write_page
-from benchmarks.reporting.report import Report
+from benchmarks.reporting.report import Report, write_page
 from estimator import Stack, StackWriter
 from estimator.files import require_space
 from estimator.run import progress

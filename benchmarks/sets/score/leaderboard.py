@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
@@ -16,11 +17,11 @@ from benchmarks.reporting import (
     VERMILION,
     Claim,
     Column,
-    Data,
     Picture,
     Report,
     Section,
     Table,
+    frame_of,
 )
 from benchmarks.sets.score.conditions import CONDITIONS
 from benchmarks.sets.score.entries import Entry
@@ -141,6 +142,11 @@ def leaderboard(result: Score, entries: Mapping[str, Entry], *, name: str) -> Re
     rows = [
         row for quantity, found in ranked.items() for row in _rows(quantity.name, found, entries)
     ]
+    ranking: dict[str, pd.DataFrame | None] = {}
+    if ranked:
+        quantity, found = next(iter(ranked.items()))
+        shown = _shown(quantity, found[ALL, ALL], entries)
+        ranking["standings.csv"] = frame_of(_Shown, shown)
     return Report(
         title=f"Leaderboard of {name}",
         lead=f"{len(entries)} entries, compared with the true ellipse {result.against}. {_RULE}",
@@ -159,15 +165,12 @@ def leaderboard(result: Score, entries: Mapping[str, Entry], *, name: str) -> Re
             ),
             Section("How the entries were made", _made(entries)),
         ],
-        data=[
-            *(
-                Data("standings.csv", _Shown, _shown(quantity, found[ALL, ALL], entries))
-                for quantity, found in list(ranked.items())[:1]
-            ),
-            Data("leaderboard.csv", LeaderboardRow, [r for r in rows if r.condition == ALL]),
-            Data("leaderboard_by_condition.csv", LeaderboardRow, rows),
-            "score.csv",
-        ],
+        data=ranking
+        | {
+            "leaderboard.csv": frame_of(LeaderboardRow, [r for r in rows if r.condition == ALL]),
+            "leaderboard_by_condition.csv": frame_of(LeaderboardRow, rows),
+            "score.csv": None,
+        },
     )
 
 
@@ -211,7 +214,7 @@ def _table(quantity: _Quantity, total: list[Standing], entries: Mapping[str, Ent
         "image, for an estimator that knows the wall and the shape of the light. Times are as the "
         "entries state them, or wall times of this run."
     )
-    return Table.of(_Shown, _shown(quantity, total, entries), caption, data="leaderboard.csv")
+    return Table.of_rows(_Shown, _shown(quantity, total, entries), caption, data="leaderboard.csv")
 
 
 def _shown(
@@ -256,7 +259,9 @@ def _made(entries: Mapping[str, Entry]) -> Table:
     rows = [
         _Made(entry.name, entry.command, entry.versions, entry.seed) for entry in entries.values()
     ]
-    return Table.of(_Made, rows, "As the entries state it in entry.json.", data="leaderboard.csv")
+    return Table.of_rows(
+        _Made, rows, "As the entries state it in entry.json.", data="leaderboard.csv"
+    )
 
 
 def _rows(

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from benchmarks.evaluation import ACCEPTABLE_ERROR_MM, LITERAL, SUBPIXEL, largest
-from benchmarks.reporting import Claim, Column, Data, Picture, Report, Section, Table
+from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table, frame_of
 from benchmarks.studies.dynamic import figures
 from benchmarks.studies.dynamic.findings import (
     COMPARED,
@@ -36,11 +36,11 @@ def report(findings: DynamicFindings) -> Report:
         "the beam, across the wall and as a hand moves it, against the robot's readings.",
         claims=list(_claims(findings)),
         sections=[_speeds(findings), _parts(findings), _frames(findings)],
-        data=[
-            Data("dynamic_error.csv", DynamicError, findings.rows),
-            Data("dynamic_spread.csv", DynamicSpread, findings.spreads),
-            *(f"{source}-rest-{LITERAL.slug}.csv" for source in findings.sources),
-        ],
+        data={
+            "dynamic_error.csv": frame_of(DynamicError, findings.rows),
+            "dynamic_spread.csv": frame_of(DynamicSpread, findings.spreads),
+            **{f"{source}-rest-{LITERAL.slug}.csv": None for source in findings.sources},
+        },
     )
 
 
@@ -200,7 +200,7 @@ def _parts(findings: DynamicFindings) -> Section:
             )
             for name, way in (("literal", LITERAL), ("subpixel", SUBPIXEL))
         ),
-        Table.of(
+        Table.of_rows(
             DynamicSpread,
             [row for row in latest if row.speed_mm_s in shown],
             f"RMS in mm of the error and of its parts ({', '.join(PARTS)}), with poses {late}.",

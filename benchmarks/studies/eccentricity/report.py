@@ -14,7 +14,7 @@ from benchmarks.evaluation import (
     largest,
     model_error_figure,
 )
-from benchmarks.reporting import Claim, Column, Data, Picture, Report, Section, Table
+from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table, frame_of
 from benchmarks.studies.eccentricity import figures
 from benchmarks.studies.eccentricity.causes import (
     CAUSES,
@@ -51,14 +51,14 @@ def report(findings: EccentricityFindings) -> Report:
             _causes(findings),
             _space(findings),
         ],
-        data=[
-            "model_error.csv",
-            Data("limits.csv", Limit, findings.limits),
-            Data("refit.csv", Refit, findings.refits + findings.rendered.refits),
-            Data("causes.csv", CauseShare, findings.rendered.shares),
-            Data("space.csv", BinSpread, findings.spreads),
-            Data("sensitivity.csv", Sensitivity, findings.sensitivities),
-        ],
+        data={
+            "model_error.csv": None,
+            "limits.csv": frame_of(Limit, findings.limits),
+            "refit.csv": frame_of(Refit, findings.refits + findings.rendered.refits),
+            "causes.csv": frame_of(CauseShare, findings.rendered.shares),
+            "space.csv": frame_of(BinSpread, findings.spreads),
+            "sensitivity.csv": frame_of(Sensitivity, findings.sensitivities),
+        },
     )
 
 
@@ -214,7 +214,7 @@ def _errors(findings: EccentricityFindings) -> Section:
             "not drawn.",
             data="model_error.csv",
         ),
-        Table.of(
+        Table.of_rows(
             Accuracy,
             accuracy(measured),
             "Errors on rendered spots, sub-pixel mode, all c and d together.",
@@ -267,7 +267,7 @@ def _refit(findings: EccentricityFindings) -> Section:
             "(dashed).",
             data="refit.csv",
         ),
-        Table.of(
+        Table.of_rows(
             Refit,
             chosen,
             "Largest error over d with the true c, largest residual with the fitted one, and the "

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.reporting import Claim, Data, Picture, Report, Section, Table
+from benchmarks.reporting import Claim, Picture, Report, Section, Table, frame_of
 from benchmarks.studies.eye import figures
 from benchmarks.studies.eye.findings import (
     LIMITS_MM,
@@ -46,7 +46,7 @@ def report(findings: EyeFindings) -> Report:
                     "0.5 mm. A line ends where fewer than 95 % of the eyes show a whole spot.",
                     data="eye_errors.csv",
                 ),
-                Table.of(
+                Table.of_rows(
                     Limit,
                     limits,
                     "c in mm up to which half and 95 % of the eyes stay within 0.1 and 0.5 mm: "
@@ -67,13 +67,13 @@ def report(findings: EyeFindings) -> Report:
                     "lies behind the retina.",
                     data="eyes.csv",
                 ),
-                Table.of(
+                Table.of_rows(
                     PathRow,
                     findings.path_rows(),
                     "Pinholes, and the largest c that a dilated pupil of 7 mm shows.",
                     data="eyes.csv",
                 ),
-                Table.of(
+                Table.of_rows(
                     EyeRow,
                     findings.schematic_rows(),
                     "Schematic eyes: fitted κ, field, and largest |error| at c = 3 mm by the area "
@@ -84,7 +84,7 @@ def report(findings: EyeFindings) -> Report:
             ),
             Section(
                 "Why",
-                Table.of(
+                Table.of_rows(
                     Share,
                     findings.causes,
                     f"Shapley's shares in the error of 95 % of the eyes, {findings.causes_path}, "
@@ -94,12 +94,12 @@ def report(findings: EyeFindings) -> Report:
                 ),
             ),
         ],
-        data=[
-            Data("eye_errors.csv", Summary, findings.summaries()),
-            Data("limits.csv", Limit, limits),
-            Data("eyes.csv", EyeRow, findings.eye_rows()),
-            Data("causes.csv", Share, findings.causes),
-        ],
+        data={
+            "eye_errors.csv": frame_of(Summary, findings.summaries()),
+            "limits.csv": frame_of(Limit, limits),
+            "eyes.csv": frame_of(EyeRow, findings.eye_rows()),
+            "causes.csv": frame_of(Share, findings.causes),
+        },
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 import optics
 from benchmarks.evaluation import ACCEPTABLE_ERROR_MM, largest, mean, rms
-from benchmarks.reporting import Claim, Column, Data, Picture, Report, Section, Table
+from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table, frame_of
 from benchmarks.studies.medium import figures
 from benchmarks.studies.medium.findings import (
     AIR,
@@ -63,7 +63,7 @@ def report(findings: MediumFindings) -> Report:
                     f"clinically acceptable {ACCEPTABLE_ERROR_MM:g} mm.",
                     data="medium_error.csv",
                 ),
-                Table.of(
+                Table.of_rows(
                     ErrorSummary,
                     _summaries(findings),
                     f"Errors over d = {NEAREST_MM:g} to {FARTHEST_MM:g} mm.",
@@ -80,7 +80,7 @@ def report(findings: MediumFindings) -> Report:
                     "regression makes of it (dashed).",
                     data="medium_cones.csv",
                 ),
-                Table.of(
+                Table.of_rows(
                     Regression,
                     findings.regressions,
                     f"Cones d = kR + b of the half-maximum radius over d = {NEAREST_MM:g} to "
@@ -90,10 +90,10 @@ def report(findings: MediumFindings) -> Report:
                 ),
             ),
         ],
-        data=[
-            Data("medium_error.csv", MediumError, findings.rows),
-            Data("medium_cones.csv", Regression, findings.regressions),
-        ],
+        data={
+            "medium_error.csv": frame_of(MediumError, findings.rows),
+            "medium_cones.csv": frame_of(Regression, findings.regressions),
+        },
     )
 
 

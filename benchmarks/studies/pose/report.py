@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.evaluation import rms
-from benchmarks.reporting import Claim, Data, Picture, Report, Section, Table
+from benchmarks.reporting import Claim, Picture, Report, Section, Table, frame_of
 from benchmarks.studies.pose import figures
 from benchmarks.studies.pose.findings import (
     FARTHEST_MM,
@@ -42,7 +42,7 @@ def report(findings: PoseFindings) -> Report:
         sections=[
             Section(
                 "Errors",
-                Table.of(
+                Table.of_rows(
                     Scatter,
                     findings.scatters(Prior.ROUGH),
                     "Root mean square errors, mean errors and bounds, direction prior "
@@ -63,7 +63,7 @@ def report(findings: PoseFindings) -> Report:
             ),
             Section(
                 "The mirror solution",
-                Table.of(
+                Table.of_rows(
                     Scatter,
                     findings.scatters(Prior.ROUGH, Prior.NONE),
                     "How often the mirrored solution is taken, and the tip's root mean square "
@@ -74,7 +74,7 @@ def report(findings: PoseFindings) -> Report:
             ),
             Section(
                 "Axis known",
-                Table.of(
+                Table.of_rows(
                     Scatter,
                     findings.scatters(Prior.KNOWN),
                     "Root mean square errors if the robot gives the axis. The last column is the "
@@ -91,7 +91,7 @@ def report(findings: PoseFindings) -> Report:
                 ),
             ),
         ],
-        data=[Data(_FILE, PoseError, findings.rows)],
+        data={_FILE: frame_of(PoseError, findings.rows)},
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from benchmarks.evaluation import largest
-from benchmarks.reporting import Claim, Data, Picture, Report, Section, Table
+from benchmarks.reporting import Claim, Picture, Report, Section, Table, frame_of
 from benchmarks.studies.rivals import figures
 from benchmarks.studies.rivals.findings import (
     CONTOUR_PX,
@@ -65,7 +65,7 @@ def report(findings: RivalFindings) -> Report:
                     f"lens and the eye in front of it (z_F = {PINHOLE_HEIGHT_MM:g} mm) are not.",
                     data="wrong.csv",
                 ),
-                Table.of(
+                Table.of_rows(
                     Bias,
                     [row for row in findings.wrong if row.d_mm == 2.0],
                     "Errors at d = 2 mm if one assumption is wrong; RMS over directions, where "
@@ -81,7 +81,7 @@ def report(findings: RivalFindings) -> Report:
                     "Errors of the readings; a missing mark was not read.",
                     data="readings.csv",
                 ),
-                Table.of(
+                Table.of_rows(
                     ReadSummary,
                     findings.summaries(),
                     "Readings by sensor, path and wall. The mark's error is that of the semi-minor "
@@ -98,11 +98,11 @@ def report(findings: RivalFindings) -> Report:
                 _HELP,
             ),
         ],
-        data=[
-            Data("expected.csv", Expected, findings.expected),
-            Data("wrong.csv", Bias, findings.wrong),
-            Data("readings.csv", Reading, findings.readings),
-        ],
+        data={
+            "expected.csv": frame_of(Expected, findings.expected),
+            "wrong.csv": frame_of(Bias, findings.wrong),
+            "readings.csv": frame_of(Reading, findings.readings),
+        },
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.evaluation import ALL_PLANES, LITERAL, PAPERS_PLANES, SUBPIXEL, TABLE_I, PlaneRow
-from benchmarks.reporting import Claim, Data, Picture, Report, Section, Table
+from benchmarks.reporting import Claim, Picture, Report, Section, Table, frame_of
 from benchmarks.studies.table_one import moments
 from benchmarks.studies.table_one.causes import cause_line, light_and_touch
 from benchmarks.studies.table_one.figures import figure
@@ -64,7 +64,7 @@ def report(findings: TableOneFindings) -> Report:
                     "imply.",
                     data="table_one_scan.csv",
                 ),
-                Table.of(
+                Table.of_rows(
                     LensChoice,
                     nearest,
                     "The nearest lenses of the scan, in closed form, at the scene's scale.",
@@ -73,13 +73,13 @@ def report(findings: TableOneFindings) -> Report:
             ),
             Section(
                 "Rendered",
-                Table.of(
+                Table.of_rows(
                     RenderedLine,
                     [*findings.lines, *printed],
                     "Lines through the spots of rendered trials, and the paper's.",
                     data="table_one_rendered.csv",
                 ),
-                Table.of(
+                Table.of_rows(
                     LensMark,
                     findings.marks,
                     "What distinguishes these lenses, in closed form: how the thresholded spot "
@@ -89,7 +89,7 @@ def report(findings: TableOneFindings) -> Report:
             ),
             Section(
                 "Why trials differ",
-                Table.of(
+                Table.of_rows(
                     CauseLine,
                     [*findings.causes, *apart],
                     "The best lens's line, in closed form, and how each cause alone changes it.",
@@ -97,12 +97,12 @@ def report(findings: TableOneFindings) -> Report:
                 ),
             ),
         ],
-        data=[
-            Data("table_one_scan.csv", LensChoice, findings.choices),
-            Data("table_one_rendered.csv", RenderedLine, findings.lines),
-            Data("table_one_marks.csv", LensMark, findings.marks),
-            Data("table_one_causes.csv", CauseLine, findings.causes),
-        ],
+        data={
+            "table_one_scan.csv": frame_of(LensChoice, findings.choices),
+            "table_one_rendered.csv": frame_of(RenderedLine, findings.lines),
+            "table_one_marks.csv": frame_of(LensMark, findings.marks),
+            "table_one_causes.csv": frame_of(CauseLine, findings.causes),
+        },
     )
 
 

@@ -14,7 +14,7 @@ from benchmarks.evaluation import (
     accuracy,
     model_error_figure,
 )
-from benchmarks.reporting import Column, Data, Picture, Report, Section, Table
+from benchmarks.reporting import Column, Picture, Report, Section, Table, frame_of
 from benchmarks.studies.validate import figures
 from benchmarks.studies.validate.analysis import ambiguous_range, half_maximum_curve
 from benchmarks.studies.validate.claims import claims
@@ -85,19 +85,18 @@ def report(findings: ValidateFindings) -> Report:
             _frames_used(findings),
             _trials(findings),
         ],
-        data=[
-            Data("model_error.csv", ModelError, findings.analytic + findings.rendered),
-            Data("rendered_accuracy.csv", Accuracy, rendered_accuracy),
-            Data("table_1.csv", PlaneFitRow, planes),
-            Data("table_2.csv", SphereFitRow, spheres),
-            Data("spots.csv", SpotRow, spots),
-            Data("frames.csv", FrameRow, frames),
-            Data(
-                "strip.csv",
+        data={
+            "model_error.csv": frame_of(ModelError, findings.analytic + findings.rendered),
+            "rendered_accuracy.csv": frame_of(Accuracy, rendered_accuracy),
+            "table_1.csv": frame_of(PlaneFitRow, planes),
+            "table_2.csv": frame_of(SphereFitRow, spheres),
+            "spots.csv": frame_of(SpotRow, spots),
+            "frames.csv": frame_of(FrameRow, frames),
+            "strip.csv": frame_of(
                 StripRow,
                 [strip_row(shown) for lines in strips.values() for line in lines for shown in line],
             ),
-        ],
+        },
         summary={
             "plane_fits": [row._asdict() for row in planes],
             "sphere_fits": [row._asdict() for row in spheres],
@@ -146,7 +145,7 @@ def _models(findings: ValidateFindings) -> Section:
             "Errors in mm on exact contours, the beam square to the wall.",
             data="model_error.csv",
         ),
-        Table.of(
+        Table.of_rows(
             Accuracy,
             accuracy(findings.rendered),
             "Errors on rendered spots of the ideal cone at all c and d of the grid, sub-pixel "
@@ -193,7 +192,7 @@ def _fits(
         return Section("The paper's Tables I and II", "Too few spots for any fit.")
     return Section(
         "The paper's Tables I and II",
-        Table.of(
+        Table.of_rows(
             PlaneFitRow,
             planes,
             "Table I: fits of d_r = δk e₁′ + b on the plane, with standard errors, and the paper's "
@@ -215,7 +214,7 @@ def _fits(
             "Residuals of each trial's line; rms over all trials.",
             data="spots.csv",
         ),
-        Table.of(
+        Table.of_rows(
             SphereFitRow,
             spheres,
             "Table II: fits of the small-plane model in the eyeball. δk and b come from all "
