@@ -15,10 +15,9 @@ from benchmarks.reporting.study import Request
 from benchmarks.studies.static import run as static
 from benchmarks.studies.static.run import OWN, POOLED
 from benchmarks.studies.static.trials import ALL, CAUSES, EVEN, NONE, plane
-from benchmarks.studies.table_one import causes, moments, scan
+from benchmarks.studies.table_one import moments, scan
 from benchmarks.studies.table_one import run as table_one
-from benchmarks.studies.table_one.findings import Demand, LensChoice
-from benchmarks.studies.table_one.isophotes import Family, Isophotes
+from benchmarks.studies.table_one.scan import Demand, Family, Isophotes, LensChoice
 from calibration.spots.lines import fit_lines
 from scenes.world import World
 
@@ -174,11 +173,11 @@ def test_aperture_and_threshold_trade_against_each_other_and_a_wide_aperture_doe
 
 def test_light_moves_the_contact_radius_by_far_less_than_the_papers_trials_differ(flat):
     choice = best(flat[0.10])
-    rows = {row.cause: row for row in causes.causes(flat[0.10], choice, PLANE)}
+    rows = table_one.causes(flat[0.10], choice, PLANE)
     trials = [-row.b / row.delta_k for row in list(TABLE_I.values())[:3]]
-    light = [row for name, row in rows.items() if name.endswith("light")]
+    light = rows[rows.cause.str.endswith("light")]
     assert len(light) == 2
-    assert all(abs(row.contact_radius_change_px) < np.ptp(trials) / 3 for row in light)
+    assert light.contact_radius_change_px.abs().max() < np.ptp(trials) / 3
 
 
 def test_a_scene_that_table_one_cannot_be_asked_of_is_refused(tmp_path):

@@ -22,7 +22,7 @@ from .report import Picture as Picture
 from .report import Report as Report
 from .report import Section as Section
 from .report import Table as Table
-from .report import frame_of as frame_of
+from .report import grouped as grouped
 from .report import number as number
 from .report import rows_of as rows_of
 from .report import write_page as write_page

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import string
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_type_hints
+from typing import Any, Literal, NamedTuple
 
 import jinja2
 import pandas as pd
@@ -107,7 +108,7 @@ class Column(NamedTuple):
 
     def cell(self, value: Any) -> str:
         """The value as text: texts and integers unchanged, floats rounded."""
-        if isinstance(value, str | int):
+        if isinstance(value, str | Integral):
             return str(value)
         return number(value * self.scale, self.digits, sign=self.sign)
 
@@ -134,17 +135,6 @@ class Table(NamedTuple):
         """The named columns of a frame."""
         rows = frame[list(columns)].itertuples(index=False, name=None)
         return cls(list(columns.values()), list(rows), caption, data)
-
-    @classmethod
-    def of_rows(cls, row_type: type[Any], rows: Iterable[Any], *of: str, data: str = "") -> Table:
-        """The fields of a row type that are annotated with a `Column`."""
-        shown = {
-            name: column
-            for name, hint in get_type_hints(row_type, include_extras=True).items()
-            for column in getattr(hint, "__metadata__", ())
-            if isinstance(column, Column)
-        }
-        return cls.of(frame_of(row_type, rows), shown, *of, data=data)
 
     @property
     def cells(self) -> list[list[str]]:
@@ -208,14 +198,14 @@ class Report:
     summary: Mapping[str, Any] = field(default_factory=dict)
 
 
-def frame_of(row_type: type[Any], rows: Iterable[Any]) -> pd.DataFrame:
-    """Named tuples as a frame; integers, booleans and texts stay what they are."""
-    return pd.DataFrame(list(rows), columns=list(row_type._fields), dtype=object)
-
-
 def rows_of(frame: pd.DataFrame) -> list[Any]:
     """The rows of a frame as named tuples."""
     return list(frame.itertuples(index=False))
+
+
+def grouped(frame: pd.DataFrame, *columns: str) -> list[tuple[Any, pd.DataFrame]]:
+    """Parts of a frame by the values of columns, in the order of their first rows."""
+    return list(frame.groupby(columns[0] if len(columns) == 1 else list(columns), sort=False))
 
 
 # The page.

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import optics
-from benchmarks.studies.eye.batches import in_batches
 from benchmarks.studies.eye.geometry import (
     NOMINAL_RADIUS_MM,
     SCALE_MM_PX,
@@ -20,6 +19,7 @@ from benchmarks.studies.eye.geometry import (
     Seen,
     Spots,
     cameras,
+    in_batches,
     spots_through,
 )
 from benchmarks.studies.eye.recipes import (
