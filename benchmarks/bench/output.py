@@ -16,7 +16,6 @@ def show(*parts: RenderableType, width: int | None = None) -> None:
     """Print tables and sentences, one below the other.
 
     Args:
-        parts: what to print.
         width: columns of the output (default: those of the terminal).
     """
     console = Console(width=width, highlight=False)

@@ -83,8 +83,6 @@ def frame_errors(
     """Read the frames of a stack in their order.
 
     Args:
-        stack: rendered, of one exposure.
-        calibration: of its beam.
         rng: draws the error of the axis.
         alone_every: the first of each so many frames is read as if nothing came before it; None:
             only the stack's first.

@@ -39,7 +39,6 @@ class Circumstances:
         beam: one of `BEAMS`.
         wall: one of `WALLS`.
         motion: "withdrawal" or "hand".
-        frames: number of frames.
         tables: what else the scene has, by table.
         sigmas: relative errors of the beam's own parameters, by name.
         between_mm: least and largest first distance of a withdrawal, or mean distance of a hand.

@@ -127,7 +127,6 @@ def refitted_errors(
     Args:
         geometry: k, b and r are given to the fit, as they are.
         source: "analytic" or "rendered".
-        medium: by name.
         c: the true eccentricity of all spots, mm.
         d: their distances, mm.
         semi_minor_px: e1', px.

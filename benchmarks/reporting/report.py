@@ -96,7 +96,6 @@ class Column(NamedTuple):
 
     Attributes:
         heading: with the unit.
-        digits: decimals of floats.
         scale: factor from the value to the heading's unit.
         sign: whether positive numbers have a sign.
     """
@@ -117,9 +116,7 @@ class Table(NamedTuple):
     """A table of the report.
 
     Attributes:
-        columns: how each is shown.
         rows: values, as many as there are columns.
-        caption: description.
         data: CSV file with the data.
     """
 
@@ -155,8 +152,6 @@ class Picture(NamedTuple):
     """A figure of the report; written as figures/NAME.png and .svg.
 
     Attributes:
-        name: name of its files.
-        figure: the drawing.
         caption: description; "z_F" and "d_r" get their subscripts.
         data: CSV file with the data.
         inline: format in the page; frames with a camera's noise are ten times smaller as JPEG.
@@ -181,13 +176,10 @@ class Report:
     """The report of a study.
 
     Attributes:
-        title: the question.
         lead: the method, in a sentence or two.
         claims: the answers, computed in this run.
-        sections: the evidence.
         data: CSV files to write, by name, with units in the columns' names; None is a file that the
             study has already written.
-        summary: further entries of summary.json.
     """
 
     title: str

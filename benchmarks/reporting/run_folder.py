@@ -46,7 +46,6 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
 
     Args:
         out: the folder; created if missing.
-        settings: settings of the run.
         command: command of the run, for the message.
 
     Returns:
@@ -93,8 +92,6 @@ def finished_stack(
     """The scene's stack, rendered unless an earlier run finished it.
 
     Args:
-        scene: the scene.
-        folder: of the stack.
         progress: called once for each frame.
 
     Raises:

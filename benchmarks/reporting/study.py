@@ -57,8 +57,6 @@ class Study:
     """One run of a study.
 
     Args:
-        name: name of the study.
-        request: the arguments.
         defaults: changes of the default scene, used if no scene file is given; the request's own
             changes come after them.
         check: raises if the study cannot use the scene.
@@ -66,8 +64,6 @@ class Study:
 
     Attributes:
         scene: the scene to start from.
-        seed: random seed.
-        folder: folder of the results.
         seconds: wall time of this run by step.
 
     Raises:
@@ -167,7 +163,6 @@ class Study:
 
         Args:
             report: function that makes the report; its figures use the common style.
-            findings: results of the study.
         """
         with matplotlib.rc_context(STYLE), run_folder.published(self.folder) as folder:
             self._write(report(findings), folder)

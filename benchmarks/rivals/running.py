@@ -67,8 +67,6 @@ def run_entries(
         entries: names in `KINDS`; those that cannot run here are left out with a message.
         splits: of the set; none for all.
         constants: file of the free constants.
-        weights: of the network.
-        workers: processes.
 
     Raises:
         InputError: the input is invalid, or `out` exists.
@@ -112,9 +110,6 @@ def measure_stack(
     """The answers of an entry on a stack, one sequence for each exposure.
 
     Args:
-        stack: of a set.
-        name: of the entry.
-        made: the entry.
         distances: whether ellipses are turned into distances, too.
         frames: reads the frames of a stack's folder and an exposure.
     """

@@ -45,7 +45,6 @@ def tune(folder: Path, out: Path, *, entries: Sequence[str], every: int, workers
         out: new file.
         entries: names in `KINDS`; those without free constants, or that cannot run, are skipped.
         every: one stack of so many is used.
-        workers: processes.
 
     Raises:
         InputError: the set has no split train.

@@ -52,7 +52,6 @@ class Learned(NamedTuple):
         ellipse: x, y, semi-major, semi-minor, angle.
         covariance: 5 x 5.
         distance_mm: tip to wall along the beam.
-        sigma_distance_mm: its standard deviation.
         presence: logit of a spot in the last window.
     """
 
@@ -70,7 +69,6 @@ class LearnedEstimator:
     theirs.
 
     Args:
-        network: trained.
         trust: from the split `validation`.
     """
 

@@ -35,7 +35,6 @@ def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) 
         folder: a complete set with the splits train and validation.
         out: folder for the weights, the checkpoint and the curve; made if it is missing.
         epochs: along which the learning rate falls to 0.
-        stop: the last epoch.
         seed: of the weights and of the order of the frames.
 
     Raises:

@@ -45,13 +45,7 @@ class Samples(NamedTuple):
 def samples_of(
     stacks: Sequence[SetStack], seed: int, *, progress: Callable[[], None] = lambda: None
 ) -> Samples:
-    """Cut the windows of all frames, in the order of the stacks.
-
-    Args:
-        stacks: of one split.
-        seed: of the windows' places.
-        progress: called after each stack.
-    """
+    """Cut the windows of all frames, in the order of the stacks."""
     frames = sum(len(entry.open().labels) for entry in stacks)
     shape = frames, WINDOWS + 1
     made = Samples(

@@ -77,7 +77,6 @@ def train(
         epochs: along which the learning rate falls to 0.
         stop: the last epoch; None for all.
         seed: of the first weights and the order of the frames.
-        show: called after each epoch.
     """
     with jax.enable_x64(False):
         return _train(samples, validation, out, epochs, stop or epochs, seed, show)

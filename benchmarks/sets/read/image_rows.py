@@ -19,8 +19,6 @@ class Row:
 
     Attributes:
         planned: the stack as an entry of the set.
-        stack: the stack on disk.
-        labels: labels of the image.
     """
 
     planned: SetStack

@@ -22,11 +22,8 @@ def own_reader(
     """A reader that knows nothing of the robot.
 
     Args:
-        mode: of the estimator.
-        microscope: of the stack.
         click: (x, y) of the first spot, px, where the literal mode starts, as the paper's operator
             clicks on it. The other modes find the spot themselves.
-        beam: of the mode pixels.
         constants: of `LiteralSettings` or `SubpixelSettings`; those that are not given are the
             product's.
 

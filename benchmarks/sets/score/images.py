@@ -61,7 +61,6 @@ class Condition(NamedTuple):
     """A way to group images: by a column's values, or by its bins [edge, next edge).
 
     Attributes:
-        title: in figures.
         order: order of the groups; others follow by name.
         edges: of the bins; the last one has no upper limit.
     """

@@ -61,7 +61,6 @@ def judge(
 
     Args:
         images: images of the set, see `images_of`.
-        records: records by image name.
         against: which of the two ellipses is the truth.
 
     Returns:

@@ -74,11 +74,6 @@ _MADE = {name: Column(name) for name in ("entry", "command", "versions", "seed")
 def leaderboard(result: Score, entries: Mapping[str, Entry], *, name: str) -> Report:
     """The report of a leaderboard.
 
-    Args:
-        result: scores of all entries.
-        entries: the entries by name.
-        name: name of the set.
-
     Raises:
         InputError: the entries cover no image together.
     """

@@ -115,7 +115,6 @@ def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
     Args:
         rest: of `dynamic_trials.at_rest(scene)`.
         scene: of the study, with its source.
-        way: of measuring.
         spots_file: file to write, with the spots that k and b come from.
 
     Raises:

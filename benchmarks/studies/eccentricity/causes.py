@@ -52,7 +52,6 @@ class Shift(NamedTuple):
 
     Attributes:
         edge: by the edge and its light.
-        pixels: by pixels and noise.
         spread: by a wall that spreads light.
     """
 
@@ -71,7 +70,6 @@ def spread_shift(geometry: Geometry, *, c: np.ndarray, d: np.ndarray, length: fl
     """What light spread in the wall adds to e1' of the cone's half-maximum contour, px.
 
     Args:
-        geometry: what the spots share.
         c: n eccentricities, mm.
         d: n distances, mm.
         length: L, mm.
@@ -110,8 +108,6 @@ def shares(
     `whole_mm` is the error with all causes, to which the parts of a geometry sum.
 
     Args:
-        geometry: what they share.
-        medium: by name.
         c: n eccentricities, mm.
         d: n distances, mm.
         shift: what rendering adds, n each.

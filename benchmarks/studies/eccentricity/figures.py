@@ -44,7 +44,6 @@ class EccentricityFindings:
         scene: the study's.
         withdrawals: on exact contours, by (z_F in mm, incidence in degrees).
         limits: where models reach the limits, among the withdrawals.
-        rendered: errors in rendered frames.
         geometries: number of points in the space of geometries.
         spreads: of the errors over the space.
         sensitivities: of the errors over the space.

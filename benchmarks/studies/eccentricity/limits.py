@@ -89,10 +89,8 @@ def refitted(
     part of it that the fitted c takes away, `hidden_mm`.
 
     Args:
-        geometry: of the withdrawal.
         before: its errors with the true c, of every model.
         source: "analytic" or "rendered".
-        medium: by name.
         c: mm.
         d: mm.
         semi_minor_px: e1', px.

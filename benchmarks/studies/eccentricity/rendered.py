@@ -69,7 +69,6 @@ class EccentricTrial(NamedTuple):
     """A withdrawal: one pinhole, incidence and eccentricity.
 
     Attributes:
-        name: of its stack.
         scene: with the instrument in view, or square to the wall and without it.
         noise_free: the same at twice the resolution without noise; None if not wanted.
     """
@@ -90,12 +89,10 @@ def trials(
     """Withdrawals at the scene's incidence, and square ones without the instrument.
 
     Args:
-        scene: to start from.
         pinhole_heights: z_F, mm.
         eccentricities: c of the withdrawals at the scene's incidence, mm.
         few: those of them that are rendered without noise too, and with a square beam, which the
             instrument would hide.
-        frames: of a withdrawal.
     """
     return [
         _trial(scene, z_f=height, c=c, square=square, noise_free=c in few, frames=frames)

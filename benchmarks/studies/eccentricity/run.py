@@ -116,7 +116,6 @@ def fill_space(
     Args:
         scene: gives the scale, the spot's size at contact and the medium.
         count: of geometries, rounded up to a power of two or to whole blocks of such.
-        seed: of the points.
         csv_file: file to write; it gets its name when it is complete.
         before: rows to write before those of the space.
     """

@@ -43,7 +43,6 @@ class Block(NamedTuple):
     Attributes:
         axes: by the names of `AXES`.
         pinhole: number of the pinhole in `PINHOLES`.
-        z_f_mm: its height.
         apex_offset_mm: b; the spot at contact keeps the scene's size whatever the cone's angle.
         estimates: by model, mm.
     """
@@ -64,7 +63,6 @@ def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Ite
 
     Args:
         count: of geometries, rounded up to whole blocks.
-        seed: of the scrambling.
         scale: delta, mm/px.
         contact_radius: -b/k, mm.
     """

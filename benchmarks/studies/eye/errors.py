@@ -69,7 +69,6 @@ def path_errors(
             calibrated without noise.
         spots: c x d x tilts.
         seed: of the noise of the calibrations; None for none.
-        recipes: which.
     """
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _cameras(path, eyes, pupil_radius=_OPEN_MM)

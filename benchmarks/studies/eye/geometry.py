@@ -160,7 +160,6 @@ def image(
     Args:
         camera: by which it is seen.
         wall: on which it lies.
-        spot: one.
         sees: which points of the wall are not hidden.
     """
     beam = optics.beam_at_spot(
@@ -184,7 +183,6 @@ def in_batches(function: Callable[[Any], Any], items: PyTree, *, size: int) -> P
     is too small for several cores, so each core takes a batch of its own.
 
     Args:
-        function: of a batch; compiled.
         items: arrays with a leading axis of one length.
         size: items per batch; the last batch is filled up with its last item.
     """

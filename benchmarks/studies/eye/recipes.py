@@ -167,10 +167,6 @@ def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[np.ndarray, "n"]:
     """Distances at which exact spots have the measured centres and areas, mm.
 
     Each spot is seen by its own pinhole over its own sphere; the robot knows the beams' axes.
-
-    Args:
-        seen: images of n spots.
-        pinhole: n pinholes.
     """
     return in_batches(_through_pinholes, (seen, pinhole), size=_SPOTS_AT_ONCE)
 

@@ -128,10 +128,8 @@ def _causes(
 
     Args:
         path: name of the viewing path.
-        eyes_drawn: the random eyes.
         schematic: the eye that stands for all where no calibration is made, with a leading axis.
         spots: c x d x tilts; as for the errors in all eyes, so that nothing is compiled again.
-        seed: of the noise.
     """
     players = (*PARTS, _NOISE)
     recipes = (Recipe.AREA_SCHEMATIC, Recipe.AREA)
@@ -168,11 +166,8 @@ class EyeFindings:
     Attributes:
         eccentricities: c, mm.
         names: of the eyes: Navarro's, the random ones, other schematic ones.
-        population: number of random eyes.
-        paths: errors by path.
         fields: largest c that each eye's dilated pupil shows, by path, mm.
         causes: shares of the parts of the eye in one path.
-        causes_path: which.
     """
 
     eccentricities: np.ndarray

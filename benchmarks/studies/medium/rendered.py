@@ -33,9 +33,7 @@ def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Sce
     """Withdrawals with each light: on a plane in air, in an eyeball in both media.
 
     Args:
-        scene: to start from.
         lights: lenses, and "cone".
-        frames: of a withdrawal.
     """
     return {
         f"{_slug(light)}-{medium}-{phantom}": scenes.changed(
@@ -61,8 +59,6 @@ def measure(study: Study, *, frames: int, curves: Mapping[tuple[str, str], Curve
     """Render, track, calibrate in air and use: errors in the eyeball.
 
     Args:
-        study: whose scene is rendered.
-        frames: of a withdrawal.
         curves: by light and medium: what the lens model says without another fit.
     """
     lights = list(dict.fromkeys(light for light, _ in curves))

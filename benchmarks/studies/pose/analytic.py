@@ -41,9 +41,7 @@ def places(wall: optics.Sphere, *, count: int, seed: int) -> list[Place]:
     """Poses that fill the working volume evenly (scrambled Sobol points).
 
     Args:
-        wall: the eyeball.
         count: of poses; a power of two is balanced.
-        seed: of the scrambling.
     """
     engine = qmc.Sobol(d=6, scramble=True, rng=np.random.default_rng(seed))
     low = [-HALF_WIDTH_MM, -HALF_WIDTH_MM, NEAREST_MM, INCIDENCE_DEG[0], 0.0, 0.0]

@@ -67,7 +67,6 @@ class Place(NamedTuple):
     """A pose of the working volume.
 
     Attributes:
-        pose: of the tool.
         c_mm, d_mm, incidence_deg, azimuth_deg: the same by where the axis meets the wall.
         outward: wall's normal at O.
     """
@@ -134,10 +133,7 @@ def pose_error(
 
     Args:
         place: the true pose.
-        found: the estimate.
         source: "analytic" or "rendered".
-        spots: number of spots.
-        prior: of the axis.
         pinhole_height: z_F, mm.
         noise_px: of the contour's points.
         covariance: the bound, of tip and axis or of the tip only.

@@ -82,7 +82,6 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[di
     """Render, track and solve with one spot and with three.
 
     Args:
-        study: whose scene is rendered.
         eccentricities: c of the wall points, mm.
         poses: at each of them.
     """

@@ -40,7 +40,6 @@ class Assumed(NamedTuple):
 
     Attributes:
         lamp: end of the light guide, mm.
-        axis: of the instrument.
         lower: by how much the wall's radius is taken too large, mm.
     """
 
@@ -65,13 +64,10 @@ def expected(
     second are errors of exact marks if one assumption is wrong, RMS over directions.
 
     Args:
-        path: its name.
-        seen: its cameras.
         pinholes: cameras at the same places without a path.
         eccentricities: c, mm.
         distances: d, mm.
         draws: of the noise at each place.
-        seed: of the noise.
     """
     every = [
         place(eccentricity=c, distance=d)

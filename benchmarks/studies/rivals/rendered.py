@@ -53,11 +53,8 @@ class Trial(NamedTuple):
     """Places with one path, one wall and one eccentricity.
 
     Attributes:
-        path: its name.
-        wall: its kind.
         c: mm.
         scene: that all places have in common.
-        places: one for each distance.
     """
 
     path: str

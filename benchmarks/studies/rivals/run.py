@@ -126,7 +126,6 @@ class RivalFindings:
         scene: the study's; its seed and its camera are used.
         expected: with stated noise.
         wrong: with one wrong assumption.
-        readings: of rendered images.
         photographs: of the first wall, by path and distance.
     """
 

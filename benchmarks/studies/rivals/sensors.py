@@ -73,7 +73,6 @@ class Known(NamedTuple):
     """What the sensors take as known; a wrong assumption is a wrong value here.
 
     Attributes:
-        views: the cameras.
         radius: of the wall's sphere, mm; its pole is at the cameras' pole height.
         lamp: end of the light guide, mm.
         axis: unit vector of the instrument.
@@ -108,8 +107,6 @@ def marks_of(place: Place, views: Views, *, points: int) -> Marks:
 
     Args:
         place: of instrument and light guide.
-        views: the cameras.
-        points: of the contour.
     """
     contour = optics.cone_contour(beam_of(place), WALL, points=points).point
     shadow = shadow_of(place.tip, place.lamp)
@@ -149,7 +146,6 @@ def by_shadow(tip: Numbers, shadow: Numbers, known: Known) -> Numbers:
     Args:
         tip: its image, px.
         shadow: image of its shadow, px.
-        known: what is known.
     """
     wall = optics.Sphere(known.radius)
     points, directions = known.views.centre.ray(jnp.stack([tip, shadow]))
@@ -166,7 +162,6 @@ def by_stereo(tip_pair: Numbers, wall_pair: Numbers, known: Known) -> Numbers:
     Args:
         tip_pair: the tip in the left and the right image, px.
         wall_pair: the point of the wall, px.
-        known: what is known.
     """
     tip, wall = in_space(jnp.stack([tip_pair, wall_pair], axis=1), known.views)
     return distance_along(optics.Sphere(jnp.linalg.norm(wall)), tip, known)

@@ -91,7 +91,6 @@ def plane(scene: Scene, place: StaticTrial, *, texture: int, tilt: int, frames: 
         place: the trial that gives the place on the wall.
         texture: number of the wall, EVEN for the even one.
         tilt: 1 if the plane's normal leans the way the beam travels, -1 against it, 0 for none.
-        frames: of the withdrawal.
     """
     base = scene.spot
     travels = place.scene.spot.azimuth_deg + base.incidence_azimuth_deg

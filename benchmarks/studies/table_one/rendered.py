@@ -81,8 +81,6 @@ def confirm(study: Study, choices: Sequence[LensChoice], *, frames: int) -> list
 
     Args:
         study: lens files and stacks are written into its folder.
-        choices: of the scan.
-        frames: of a trial.
     """
     wanted = {
         (choice, trial): scene

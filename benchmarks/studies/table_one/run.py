@@ -143,7 +143,6 @@ def to_render(choices: Sequence[LensChoice], *, quick: bool) -> list[LensChoice]
     """The best, and of those that fail the nearest of several kinds.
 
     Args:
-        choices: one of each lens.
         quick: the best, and the nearest with a round cap, alone.
 
     Returns:

@@ -60,7 +60,6 @@ class Isophotes:
     """Size of the spot over a fixed threshold, for one lens seen in one scene.
 
     Attributes:
-        family: the lens.
         light: the lens's.
         contact: d at reading 0, mm.
         incidence: rad.
@@ -216,7 +215,6 @@ def best_choices(isophotes: Isophotes, *, scale: float) -> list[LensChoice]:
     """The threshold and range at which a lens comes nearest to Table I, by each way of asking.
 
     Args:
-        isophotes: of the lens.
         scale: delta, mm/px.
     """
     every = readings(0.0, FARTHEST_MM)

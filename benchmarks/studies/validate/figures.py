@@ -269,7 +269,6 @@ def shown_frames(findings: ValidateFindings, group: str) -> list[list[Shown]]:
     """One line of frames for each source and exposure, at evenly spaced distances.
 
     Args:
-        findings: the run.
         group: place of the trials, "plane 1".
     """
     lines = []

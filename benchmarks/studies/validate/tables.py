@@ -52,7 +52,6 @@ class ValidateFindings:
 
     Attributes:
         stacks: folder of the rendered stacks.
-        trials: all trials in order.
         tracked: by (trial name, way of measuring).
         plane_fits: by (source, way), then by "plane 1" … and "all planes".
         sphere_fits: by (source, way), then by "sphere 1" …
