@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.rivals.constants import read_constants
 from benchmarks.rivals.entries import KINDS
 from benchmarks.rivals.entry import Entry, Recording, plain_spot
 from benchmarks.rivals.learned import WEIGHTS
 from benchmarks.rivals.pupil import why_unavailable
-from benchmarks.rivals.running import run_entries
+from benchmarks.rivals.running import read_constants, run_entries
 from benchmarks.rivals.tuning import tune
 from benchmarks.sets.read.stacks import stacks_of
 from benchmarks.sets.score.images import images_of

@@ -3,7 +3,6 @@
 command     The options of the studies' commands
 figures     Style, small multiples and files of figures
 report      Claims, sections with tables and pictures, CSV files; one HTML page of them
-run_folder  The folder of a run, which the same request resumes; files appear only when complete
 study       One run of a study: its request, scene, stacks and folder
 """
 

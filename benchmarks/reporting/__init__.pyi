@@ -26,7 +26,7 @@ from .report import grouped as grouped
 from .report import number as number
 from .report import rows_of as rows_of
 from .report import write_page as write_page
-from .run_folder import versions as versions
-from .run_folder import write_json as write_json
 from .study import Request as Request
 from .study import Study as Study
+from .study import versions as versions
+from .study import write_json as write_json

@@ -40,10 +40,9 @@ def run(
 
     `eyespot score SET --entries DIR` then ranks them.
     """
-    from benchmarks.rivals.constants import CONSTANTS
     from benchmarks.rivals.entries import chosen
     from benchmarks.rivals.learned import WEIGHTS
-    from benchmarks.rivals.running import run_entries
+    from benchmarks.rivals.running import CONSTANTS, run_entries
     from benchmarks.sets.make import cores
 
     run_entries(

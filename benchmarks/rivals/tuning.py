@@ -21,10 +21,9 @@ import numpy as np
 
 from benchmarks.evaluation import VISIBLE_ENOUGH
 from benchmarks.reporting import versions
-from benchmarks.rivals.constants import write_constants
 from benchmarks.rivals.entries import KINDS, unavailable
 from benchmarks.rivals.entry import Entry
-from benchmarks.rivals.running import measure_stack
+from benchmarks.rivals.running import measure_stack, write_constants
 from benchmarks.sets.read import SetStack, stacks_of
 from estimator import Frame, Spot, open_source
 from estimator.files import fingerprint, written_whole
