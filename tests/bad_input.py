@@ -26,10 +26,10 @@ import cv2
 import numpy as np
 import tomli_w
 
-from benchmarks.reporting import run_folder
+from benchmarks.reporting import study
 from benchmarks.sets.make.manifest import verify_set
 from benchmarks.sets.read import read_set, stacks_of
-from benchmarks.sets.read.image_rows import rows
+from benchmarks.sets.read.stacks import rows
 from benchmarks.sets.spec import load_spec, plan
 from calibration.command.choices import Choices
 from estimator import Frame, Pose
@@ -316,7 +316,7 @@ def _bag(name: str) -> Callable[[Path], None]:
 
 
 def _run(folder: Path) -> None:
-    os.close(run_folder.claim(folder / "run", _SETTINGS, command="eyespot validate"))
+    os.close(study.claim(folder / "run", _SETTINGS, command="eyespot validate"))
 
 
 def _calibration(folder: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.bench.__main__ import BY_NAME_ONLY, MAKE_BENCH, SEEDED
-from benchmarks.bench.lines import add_line, lines_in
+from benchmarks.bench.output import add_line, lines_in
 from benchmarks.bench.pixel_branches import share_a_radius
 from benchmarks.bench.pixel_frames import doubt_of_pose
 from estimator import NoSpot, Range, Reading, Reason

@@ -41,10 +41,9 @@ def run(
         weights: File of `rivals train` (default: eyespot's own).
         workers: Worker processes on this machine (default: one per core).
     """
-    from benchmarks.rivals.constants import CONSTANTS
     from benchmarks.rivals.entries import chosen
     from benchmarks.rivals.learned import WEIGHTS
-    from benchmarks.rivals.running import run_entries
+    from benchmarks.rivals.running import CONSTANTS, run_entries
     from benchmarks.sets.make import cores
 
     run_entries(
