@@ -1,132 +1,126 @@
 """The command `eyespot`: finds the command that was called.
 
-Every command is a function beside the code that it calls; `COMMANDS` says where. JAX and Mitsuba
-take seconds to load, so a command's module is imported only when that command runs. How a command
-ends is decided in `estimator.run.exit_codes`.
+Every command is a function beside the code that it calls; its signature and its docstring are what
+the command line shows. JAX and Mitsuba take seconds to load, so a command's module is imported only
+when that command runs. How a command ends is decided in `estimator.run.exit_codes`.
 """
 
 from __future__ import annotations
 
-import ast
-import importlib
 import importlib.metadata
 import importlib.util
 import io
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-import typer
+from cyclopts import App, Parameter
 
 HOME = Path(__file__).resolve().parent
 PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
 
 COMMANDS = {
-    "validate": "benchmarks.studies.validate.command:validate",
-    "render": "scenes.stacks.command:render",
-    "track": "estimator.run.command:track",
-    "console": "estimator.console.command:console",
-    "budget": "estimator.run.budget_command:budget",
-    "camera": "estimator.run.camera_command:camera",
-    "fit": "calibration.command.command:fit",
-    "export": "benchmarks.sets.formats.command:export",
-    "score": "benchmarks.sets.score.command:score",
-    "preregister": "benchmarks.predictions.command:preregister",
-    "adjudicate": "benchmarks.predictions.command:adjudicate",
-    "doctor": "scenes.machine.doctor:doctor",
-    "version": "eyespot:version",
-    "scene init": "scenes.description.command:init",
-    "scene schema": "scenes.description.command:schema",
-    "scene check": "scenes.stacks.command:check",
-    "dataset make": "benchmarks.sets.make.command:make",
-    "dataset verify": "benchmarks.sets.make.command:verify",
-    "dataset push": "benchmarks.sets.make.command:push",
-    "rivals run": "benchmarks.rivals.command:run",
-    "rivals tune": "benchmarks.rivals.command:tune",
-    "rivals train": "benchmarks.rivals.command:train",
-    "study static": "benchmarks.studies.static.command:static",
-    "study table-one": "benchmarks.studies.table_one.command:table_one",
-    "study medium": "benchmarks.studies.medium.command:medium",
-    "study pose": "benchmarks.studies.pose.command:pose",
-    "study eccentricity": "benchmarks.studies.eccentricity.command:eccentricity",
-    "study eye": "benchmarks.studies.eye.command:eye",
-    "study rivals": "benchmarks.studies.rivals.command:rivals",
-    "study dynamic": "benchmarks.studies.dynamic.command:dynamic",
+    "": {
+        "benchmarks.studies.validate.command:validate": "Repeat the paper's experiment, rendered.",
+        "scenes.stacks.command:render": "Render a scene file to an image stack with labels.",
+        "estimator.run.command:track": "Measure the spot in every frame; write a spots file.",
+        "estimator.console.command:console": "Show a source and its distances in the browser.",
+        "estimator.run.budget_command:budget": "Say how uncertain a distance is, and why.",
+        "estimator.run.camera_command:camera": "Measure a camera's noise (EMVA 1288).",
+        "calibration.command.command:fit": "Fit a beam to recordings; write a calibration file.",
+        "benchmarks.sets.formats.command:export": "Write a set or a stack in another format.",
+        "benchmarks.sets.score.command:score": "Compare spots with the labels of a set.",
+        "benchmarks.predictions.command:preregister": "Predict an experiment before it is done.",
+        "benchmarks.predictions.command:adjudicate": "Say which predictions of a plan held.",
+        "scenes.machine.doctor:doctor": "Check this machine; explain what is missing.",
+    },
+    "scene": {
+        "scenes.description.command:init": "Write a scene file with every key and its default.",
+        "scenes.description.command:schema": "Print the JSON schema of scene files, for editors.",
+        "scenes.stacks.command:check": "Check whether a scene file can be rendered.",
+    },
+    "dataset": {
+        "benchmarks.sets.make.command:make": "Render a labelled set.",
+        "benchmarks.sets.make.command:verify": "List every file that is missing or changed.",
+        "benchmarks.sets.make.command:push": "Upload a complete set to the Hugging Face Hub.",
+    },
+    "rivals": {
+        "benchmarks.rivals.command:run": "Measure the images of a set with all entries.",
+        "benchmarks.rivals.command:tune": "Choose the free constants of the entries.",
+        "benchmarks.rivals.command:train": "Train the learned estimator, and calibrate it.",
+    },
+    "study": {
+        "benchmarks.studies.static.command:static": "The paper's Tables I and II, many times.",
+        "benchmarks.studies.table_one.command:table_one": "The lenses that give Table I.",
+        "benchmarks.studies.medium.command:medium": "Calibrate in air, measure in vitreous.",
+        "benchmarks.studies.pose.command:pose": "The tool's tip and axis from spots.",
+        "benchmarks.studies.eccentricity.command:eccentricity": "Each model's error by cause.",
+        "benchmarks.studies.eye.command:eye": "Contact and wide-field lenses, and many eyes.",
+        "benchmarks.studies.rivals.command:rivals": "Spot, shadow and stereo pair.",
+        "benchmarks.studies.dynamic.command:dynamic": "The error while the tip moves.",
+    },
 }
-"""The function behind each command: its parameters are the options, its docstring is the help."""
+"""By the first word of two, if there are two: each command's function, and its line in the list."""
 
-GROUPS = {
-    "scene": "Write and check scene files.",
-    "dataset": "Labelled sets: make, verify, push. `eyespot dataset SPEC` is `dataset make SPEC`.",
-    "rivals": "Compare with other software and a learned estimator; tune and train them.",
-    "study": "Run a study; each writes a report, CSV files and figures.",
-}
-"""The first words of commands that have two."""
+# No --no-quick beside --quick; of an option that is given twice the last one counts.
+_PLAIN = Parameter(negative=(), allow_repeating=True)
 
-
-class LazyGroup(typer.core.TyperGroup):
-    """A group that lists its commands unloaded, and loads the one that is called."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read `dataset SPEC` as `dataset make SPEC`."""
-        known = (*self.commands, *ctx.help_option_names)
-        shortened = self.name == "dataset" and args and args[0] not in known
-        return super().parse_args(ctx, ["make", *args] if shortened else args)
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Import the module of the command that is called."""
-        name, command, rest = super().resolve_command(ctx, args)
-        function = COMMANDS.get(f"{self.name} {name}".strip())
-        return name, loaded(function) if function else command, rest
-
-
-def loaded(function: str) -> Any:
-    """The command of a function "module:name"."""
-    module, _, name = function.partition(":")
-    single = typer.Typer(add_completion=False)
-    single.command()(getattr(importlib.import_module(module), name))
-    return typer.main.get_command(single)
-
-
-def summary(function: str) -> str:
-    """First line of a function's docstring, read from its file: an import may take seconds."""
-    module, _, name = function.partition(":")
-    source = HOME.joinpath(*module.split(".")).with_suffix(".py").read_text(encoding="utf-8")
-    for node in ast.parse(source).body:
-        if isinstance(node, ast.FunctionDef) and node.name == name:
-            return (ast.get_docstring(node) or "").partition("\n")[0]
-    raise AttributeError(f"{module} has no function {name}")
-
-
-def command_line() -> typer.Typer:
-    """The app with every command of `COMMANDS`, none of them loaded."""
-    whole = typer.Typer(
-        cls=LazyGroup,
-        help="How far can a distance be trusted that was read off a spot of light in a microscope "
-        "image?",
-        epilog="Set EYESPOT_TRACEBACK=1 in the environment to see where an error comes from.",
-        no_args_is_help=True,
-        add_completion=False,
-        pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["-h", "--help"]},
+app = App(
+    name="eyespot",
+    help="How far can a distance be trusted that was read off a spot of light in a microscope "
+    "image?",
+    help_epilogue="Set EYESPOT_TRACEBACK=1 in the environment to see where an error comes from.",
+    help_format="plaintext",  # importing a markdown parser would double the time of --help
+    version=lambda: importlib.metadata.version("eyespot"),
+    default_parameter=_PLAIN,
+    # What these would do, `run_command` does.
+    exit_on_error=False,
+    print_error=False,
+    suppress_keyboard_interrupt=False,
+)
+groups = {"": app} | {
+    name: App(name=name, help=about, default_parameter=_PLAIN)
+    for name, about in (
+        ("scene", "Write and check scene files."),
+        ("dataset", "Labelled sets: make, verify, push. `dataset SPEC` is `dataset make SPEC`."),
+        ("rivals", "Compare with other software and a learned estimator; tune and train them."),
+        ("study", "Run a study; each writes a report, CSV files and figures."),
     )
-    groups = {"": whole}
-    for name, about in GROUPS.items():
-        groups[name] = typer.Typer(cls=LazyGroup, help=about, no_args_is_help=True)
-        whole.add_typer(groups[name], name=name)
-    for words, function in COMMANDS.items():
-        group, _, name = words.rpartition(" ")
-        groups[group].command(name, help=summary(function))(lambda: None)
-    return whole
+}
+app.register_install_completion_command(help="Complete words with Tab in bash, zsh and fish.")
+for _name, _group in groups.items():
+    for _function, _about in COMMANDS[_name].items():
+        _group.command(_function, help=_about, help_format="markdown")
+    if _name:
+        app.command(_group)
 
 
-app = command_line()
-
-
+@app.command
 def version() -> None:
     """Print the version of eyespot."""
-    typer.echo(importlib.metadata.version("eyespot"))
+    print(importlib.metadata.version("eyespot"))
+
+
+@groups["dataset"].default
+def dataset(*words: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)]) -> None:
+    """Read `dataset SPEC` as `dataset make SPEC`."""
+    app(["dataset", "make", *words] if words else ["dataset", "--help"])
+
+
+def show_docstring(command: App) -> None:
+    """Make a command's docstring its help, instead of the line that the list shows."""
+    function = command.default_command
+    if function and function.__module__.split(".")[0] in PACKAGES:
+        command.help = None
+
+
+def run() -> None:
+    """Run the command that the command line names."""
+    words = sys.argv[1:]
+    for command in app.parse_commands(words)[1]:
+        show_docstring(command)
+    app(words)
 
 
 def main() -> None:
@@ -147,7 +141,7 @@ def main() -> None:
         sys.exit(2)
     from estimator.run import run_command
 
-    run_command(app)
+    run_command(run)
 
 
 def _foreign_package() -> str | None:

@@ -11,13 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import typer
 from pydantic import BaseModel
-from typer.cli import get_docs_for_click
 
 import eyespot
 from docs.cited import source_page, test_page
-from docs.file_meanings import named
 from docs.messages import errors_page, reasons_page
 from docs.schemas import KINDS, FileKind, rows_of, schema_of
 from scenes import Scene
@@ -86,17 +83,10 @@ def _write(path: Path, text: str) -> None:
 
 
 def _commands() -> str:
-    whole = typer.Typer(add_completion=False, help=eyespot.app.info.help)
-    groups = {"": whole}
-    for name, about in eyespot.GROUPS.items():
-        groups[name] = typer.Typer(help=about)
-        whole.add_typer(groups[name], name=name)
-    for words, function in eyespot.COMMANDS.items():
-        group, _, name = words.rpartition(" ")
-        groups[group].command(name)(named(function))
-    command = typer.main.get_command(whole)
-    text = get_docs_for_click(obj=command, ctx=typer.Context(command), name="eyespot")
-    return text.replace("# `eyespot`", "# Commands", 1).replace("&#x27;", "'")
+    for group in eyespot.groups.values():
+        for command in group.resolved_commands().values():
+            eyespot.show_docstring(command)
+    return eyespot.app.generate_docs().replace("# eyespot", "# Commands", 1)
 
 
 def _scene_keys() -> Iterator[str]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from calibration.command.remedies import Fault, remedy
+from calibration.command.verdict import Fault, remedy
 from estimator import Reason
 from estimator.distance import Cause, RangeFlag, WallMemory
 from estimator.run import exit_codes

@@ -26,12 +26,12 @@ import cv2
 import numpy as np
 import tomli_w
 
-from benchmarks.reporting import run_folder
+from benchmarks.reporting import study
 from benchmarks.sets.make.manifest import verify_set
 from benchmarks.sets.read import read_set, stacks_of
-from benchmarks.sets.read.image_rows import rows
+from benchmarks.sets.read.stacks import rows
 from benchmarks.sets.spec import load_spec, plan
-from calibration.command.arguments import read_priors, read_rotation
+from calibration.command.choices import Choices
 from estimator import Frame, Pose
 from estimator.distance import Ranger
 from estimator.files import (
@@ -316,7 +316,7 @@ def _bag(name: str) -> Callable[[Path], None]:
 
 
 def _run(folder: Path) -> None:
-    os.close(run_folder.claim(folder / "run", _SETTINGS, command="eyespot validate"))
+    os.close(study.claim(folder / "run", _SETTINGS, command="eyespot validate"))
 
 
 def _calibration(folder: Path) -> None:
@@ -394,9 +394,10 @@ def given_value(name: str, rng: Rng) -> None:
         case "--set of a spec":
             load_spec("static-v1", [f"{_KEYS[rng.integers(len(_KEYS))]}={value}"])
         case "--prior":
-            read_priors([f"eye_radius={number}", f"{value}=1,1"][: rng.integers(1, 3)])
+            given = (f"eye_radius={number}", f"{value}=1,1")
+            assert Choices(prior=given[: rng.integers(1, 3)]).priors
         case "--eye-from-robot":
-            read_rotation(number)
+            assert Choices(eye_from_robot=number).rotation
         case "options":
             names = [*Options.model_fields, "more"]
             Options.of({names[rng.integers(len(names))]: _odd(rng)})

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.sets.score.conditions import Circumstances
 from estimator import FrameLabels, StackWriter
 from scenes import load_scene
 from scenes.drawn import Drawing, Truth, frame_of
@@ -32,19 +31,18 @@ MICROSCOPE = {
 }
 
 
-def circumstances(labels: FrameLabels, *, stack: str) -> Circumstances:
-    """Of an image of a cone on an even wall, in a set that lies on no disk."""
-    return Circumstances(
-        labels=labels,
-        stack=stack,
-        split="test",
-        adverse="",
-        pair="",
-        viewing="",
-        scale_mm_px=0.01,
-        source="cone",
-        wall="uniform",
-    )
+def image_row(labels: FrameLabels, *, stack: str) -> dict[str, Any]:
+    """Row of an image of a cone on an even wall, in a set that lies on no disk."""
+    return vars(labels) | {
+        "stack": stack,
+        "split": "test",
+        "adverse": "",
+        "pair": "",
+        "viewing": "",
+        "scale_mm_px": 0.01,
+        "source": "cone",
+        "wall": "uniform",
+    }
 
 
 def labels_of(index: int, **known: Any) -> FrameLabels:

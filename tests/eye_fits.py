@@ -24,8 +24,9 @@ from jaxtyping import Array
 import optics
 from benchmarks.studies.eye.geometry import cameras
 from benchmarks.studies.eye.population import drawn
-from calibration.command.eye_model import fit_eye
-from calibration.command.fitted import Choices, Fitted
+from calibration.command.choices import Choices
+from calibration.command.cone_models import fit_eye
+from calibration.command.fitted import Fitted
 from calibration.recordings import Recording
 from calibration.spots import ConeTrial, Prior
 from estimator import Spot
@@ -167,7 +168,8 @@ def fitted(
     """The calibration of an eye with a cone (half_angle, b) that was calibrated before."""
     values = {"half_angle": float(cone[0]), "b": float(cone[1])}
     known = calibration(values, np.diag(CONE_SIGMA**2), "exact")
-    return fit_eye(trials, Choices(free=None, priors=priors or {}, loss="squares", cone=known))
+    given = tuple(f"{name}={mean!r},{sigma!r}" for name, (mean, sigma) in (priors or {}).items())
+    return fit_eye(trials, Choices(prior=given), known)
 
 
 def eyes(count: int, *, seed: int, path: str):

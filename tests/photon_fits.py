@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from calibration.command.goodness import doubts, verdict
+from calibration.command.fitted import Fitted, PixelResiduals
+from calibration.command.verdict import doubts, verdict
 from calibration.pixels import ImageFit, fit_footage
 from optics import InputError
 from tests.photon_frames import footage_of, photographed, widened
@@ -129,15 +130,22 @@ def fitted(recording: Recording, seed: int) -> tuple[ImageFit, float]:
 def result(recording: Recording, seed: int) -> dict[str, Any]:
     """A line of the file: the verdict, and each parameter's error and standard error."""
     fit, seconds = fitted(recording, seed)
+    nothing = np.zeros(0)
     found = doubts(
-        converged=fit.converged,
-        failed=fit.failed,
-        bounds=(),
-        undetermined=fit.undetermined,
-        chi_squared_per_degree=fit.chi_squared_per_dof,
-        degrees_of_freedom=fit.degrees_of_freedom,
-        misfit=fit.misfit,
-        residuals={},
+        Fitted(
+            calibration_model="lens",
+            values={},
+            covariance=np.zeros((0, 0)),
+            converged=fit.converged,
+            failed=fit.failed,
+            undetermined=fit.undetermined,
+            chi_squared=fit.chi_squared,
+            degrees_of_freedom=fit.degrees_of_freedom,
+            residuals={},
+            recordings=[],
+            used=0,
+            pixels=PixelResiduals(nothing, [], nothing.astype(int), nothing, fit.misfit),
+        )
     )
     good = all(doubt.harmless for doubt in found)
     truth = {

@@ -25,9 +25,7 @@ import webdataset
 from PIL import Image
 from pycocotools.coco import COCO
 from rosbags.highlevel import AnyReader
-from typer.testing import CliRunner
 
-import eyespot
 from benchmarks.sets.formats import webdataset as webdataset_format
 from benchmarks.sets.formats.bags import START_S
 from benchmarks.sets.formats.export import Format, export
@@ -36,6 +34,7 @@ from estimator import FrameLabels, Reader, SubpixelSettings, open_source, read_p
 from estimator.files import write_manifest
 from estimator.run.offline import track_source
 from optics import InputError
+from tests.command_line import call
 from tests.drawn_sets import MICROSCOPE, SHAPE, STACKS, labels_of, write_set, write_stack
 
 NAMES = [f"{split}/{name}" for split, names in STACKS.items() for name in names]
@@ -385,7 +384,7 @@ def test_a_missing_library_names_the_extra(
 def test_the_command_exports_a_stack_by_itself(drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
     command = ["export", str(drawn / "train" / "a"), "--to", "webdataset", "--out", str(out)]
-    done = CliRunner().invoke(eyespot.app, command)
+    done = call(command)
     assert done.exit_code == 0, done.output
     assert [path.name for path in out.glob("*.tar")] == ["a-000000.tar"]
 

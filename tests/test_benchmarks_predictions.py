@@ -8,12 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-import eyespot
 from benchmarks.predictions import SURE, Judgement, Plan, predicted, read_plan, write_plan
 from optics import InputError
 from scenes import Scene, changed, render_stack, scene_toml
+from tests.command_line import call
 from tests.prediction_coverage import drawn, plan_of, planned_scene, verdict
 
 
@@ -127,8 +126,7 @@ def test_an_uncertain_key_that_is_none_is_bad_input(key, word):
 def test_the_commands_write_a_plan_and_judge_a_stack(planned, tmp_path):
     (tmp_path / "scene.toml").write_text(scene_toml(planned.scene))
     plan, stack = tmp_path / "plan.json", tmp_path / "stack"
-    made = CliRunner().invoke(
-        eyespot.app,
+    made = call(
         [
             *("preregister", str(tmp_path / "scene.toml"), "--out", str(plan)),
             *("--uncertain", "clocks.kinematics_offset_s=0.005"),
@@ -138,14 +136,14 @@ def test_the_commands_write_a_plan_and_judge_a_stack(planned, tmp_path):
     _, sha256 = read_plan(plan)
     assert sha256 in made.output
     render_stack(changed(planned.scene, {"clocks.kinematics_offset_s": 0.05}), stack)
-    done = CliRunner().invoke(eyespot.app, ["adjudicate", str(plan), str(stack), "--json"])
+    done = call(["adjudicate", str(plan), str(stack), "--json"])
     assert done.exit_code == 0, done.output
     content = json.loads(done.stdout)
     assert content["plan_sha256"] == sha256
     (clock,) = content["keys"]
     assert clock["contradicts"]
     assert clock["found"] == pytest.approx(0.05, abs=1e-3)
-    text = CliRunner().invoke(eyespot.app, ["adjudicate", str(plan), str(stack)]).output
+    text = call(["adjudicate", str(plan), str(stack)]).output
     assert "Contradicted: clocks.kinematics_offset_s" in text
     assert "robot_mm" in text
 

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from benchmarks.evaluation.criteria import Criterion
-from benchmarks.evaluation.model_error import COMPARED, ModelError, limit_eccentricity
+from benchmarks.evaluation.model_error import COMPARED, MODEL_ERROR, limit_eccentricity
 from benchmarks.evaluation.model_figures import CHOSEN_DISTANCES_MM
-from benchmarks.evaluation.paper import TABLE_II
+from benchmarks.evaluation.paper import TABLE_II, Criterion
 from benchmarks.evaluation.tracking import (
     LITERAL,
     LITERAL_METERED,
@@ -29,13 +29,11 @@ from benchmarks.evaluation.tracking import (
     Way,
 )
 from benchmarks.evaluation.trials import StaticTrial, grid_trials, paper_trials
-from benchmarks.reporting.claims import Claim
+from benchmarks.reporting.report import Claim, number
 from benchmarks.reporting.study import Request, Study
-from benchmarks.reporting.typeset import number
-from benchmarks.studies.validate import analysis
-from benchmarks.studies.validate.claims import claims
-from benchmarks.studies.validate.findings import ValidateFindings
-from benchmarks.studies.validate.report import report
+from benchmarks.studies.validate import tables
+from benchmarks.studies.validate.run import claims, report
+from benchmarks.studies.validate.tables import ValidateFindings
 from calibration import PlaneFit, SphereFit
 from estimator import FrameLabels, NoSpot, Reason, Spot, StackError, StackWriter
 from scenes.description.motion_settings import Withdrawal
@@ -65,10 +63,12 @@ def paper_like_run(
         },
         plane_fits={key: {**planes, "all planes": plane_fit(spots=39)} for key in keys},
         sphere_fits={key: dict(spheres) for key in keys},
-        analytic=[
-            *model_errors("analytic", incidence_deg=0.0),
-            *model_errors("analytic", incidence_deg=30.0),
-        ],
+        analytic=pd.concat(
+            [
+                model_errors("analytic", incidence_deg=0.0),
+                model_errors("analytic", incidence_deg=30.0),
+            ]
+        ),
         rendered=model_errors("rendered", incidence_deg=30.0),
     )
 
@@ -166,24 +166,24 @@ def small_plane_error(c: float, d: float, height: float) -> float:
     return -0.5 * (c / reach) ** 2 * (1 + d) / 7
 
 
-def model_errors(source: str, *, incidence_deg: float) -> list[ModelError]:
-    return [
-        ModelError(
-            model=model,
-            source=source,
-            refit=False,
-            medium="air",
-            c_mm=float(c),
-            d_mm=d,
-            r_mm=11.5,
-            z_f_mm=height,
-            incidence_deg=incidence_deg,
-            azimuth_deg=90.0,
-            half_angle_deg=2.86,
-            apex_offset_mm=-5.117,
-            estimate_mm=d + error,
-            error_mm=error,
-        )
+def model_errors(source: str, *, incidence_deg: float) -> pd.DataFrame:
+    return pd.DataFrame(
+        {
+            "model": model,
+            "source": source,
+            "refit": False,
+            "medium": "air",
+            "c_mm": float(c),
+            "d_mm": d,
+            "r_mm": 11.5,
+            "z_f_mm": height,
+            "incidence_deg": incidence_deg,
+            "azimuth_deg": 90.0,
+            "half_angle_deg": 2.86,
+            "apex_offset_mm": -5.117,
+            "estimate_mm": d + error,
+            "error_mm": error,
+        }
         for height in (11.5, 200.0)
         for model in COMPARED
         for c in range(8)
@@ -191,7 +191,7 @@ def model_errors(source: str, *, incidence_deg: float) -> list[ModelError]:
         for error in [
             small_plane_error(c, d, height) if model == "small_plane" else 0.001 * (1 + d)
         ]
-    ]
+    )
 
 
 def write_stacks(findings: ValidateFindings) -> None:
@@ -313,7 +313,7 @@ def test_summary_holds_the_numbers_of_the_csv_files(written: Path) -> None:
 
 
 def test_model_error_csv_has_the_columns_of_its_rows(written: Path) -> None:
-    assert tuple(read_csv(written / "model_error.csv")[0]) == ModelError._fields
+    assert list(read_csv(written / "model_error.csv")[0]) == MODEL_ERROR
 
 
 def test_frames_left_out_are_counted_once_each(written: Path) -> None:
@@ -415,7 +415,7 @@ def test_the_part_of_the_range_that_reproduces_table_one_is_found() -> None:
         return (min(travel, 4.0) + 0.07 * (-1) ** frame - B) / (K * SCALE)
 
     bent(findings, "lens", axis_px)
-    part = analysis.nearest_reproduction(findings, source="lens", way=LITERAL)
+    part = tables.nearest_reproduction(findings, source="lens", way=LITERAL)
     assert part is not None
     assert part.met == len(Criterion)
     assert part.low == 0.0
@@ -443,15 +443,16 @@ def test_half_maximum_verdict_follows_the_labels() -> None:
 def test_ambiguous_range_of_a_waist_is_where_its_mirror_is_in_reach() -> None:
     d = np.linspace(0.0, 6.0, 601)
     # (d - 2)² has its mirror at 4 - d, in reach from 0 to 4.
-    assert analysis.ambiguous_range(d, (d - 2) ** 2) == pytest.approx((0.0, 4.0), abs=0.01)
-    assert analysis.ambiguous_range(d, 0.25 + 0.05 * d) is None
+    assert tables.ambiguous_range(d, (d - 2) ** 2) == pytest.approx((0.0, 4.0), abs=0.01)
+    assert tables.ambiguous_range(d, 0.25 + 0.05 * d) is None
 
 
 def test_limit_eccentricity_is_where_the_largest_error_crosses() -> None:
-    errors = [e for e in model_errors("analytic", incidence_deg=0.0) if e.model == "small_plane"]
-    near = [e for e in errors if e.z_f_mm == 11.5]
+    errors = model_errors("analytic", incidence_deg=0.0)
+    small = errors[errors.model == "small_plane"]
+    near = small[small.z_f_mm == 11.5]
     assert limit_eccentricity(near, 0.5) == pytest.approx(5.0)
-    far = [e for e in errors if e.z_f_mm == 200.0]
+    far = small[small.z_f_mm == 200.0]
     # A chord of c² between grid points 1 mm apart is at most 0.125 mm off at c = 2.5 / (2 * 2.5).
     assert limit_eccentricity(far, 0.5) == pytest.approx(2.5, abs=0.125 / 2.5)
     assert math.isnan(limit_eccentricity(near, 2.0))
@@ -464,7 +465,7 @@ def test_small_plane_claim_holds_only_within_the_acceptable_error() -> None:
     assert found.holds is False
     assert found.numbers["reached"] == pytest.approx(5.0)
     assert "reaches the acceptable 0.5 mm at c = 5.0 mm" in found.text
-    smaller = [e._replace(error_mm=0.1 * e.error_mm) for e in findings.analytic]
+    smaller = findings.analytic.assign(error_mm=0.1 * findings.analytic.error_mm)
     # A tenth of 0.5 (7 / 2.5)² is 0.39 mm.
     for height in ("11.5", "200"):
         found = find(replace(findings, analytic=smaller), f"small_plane, z_F = {height} mm")
@@ -474,10 +475,8 @@ def test_small_plane_claim_holds_only_within_the_acceptable_error() -> None:
 
 def test_a_model_beyond_the_limit_fails_with_its_pinhole_only() -> None:
     findings = paper_like_run()
-    wrong = [
-        e._replace(error_mm=-0.7) if (e.model, e.z_f_mm) == ("stereographic", 200.0) else e
-        for e in findings.rendered
-    ]
+    wrong = findings.rendered.copy()
+    wrong.loc[(wrong.model == "stereographic") & (wrong.z_f_mm == 200.0), "error_mm"] = -0.7
     name = "stereographic on rendered spots, z_F = {} mm"
     for height in ("11.5", "200"):
         assert find(findings, name.format(height)).holds

@@ -12,15 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.rivals.constants import read_constants
 from benchmarks.rivals.entries import KINDS
 from benchmarks.rivals.entry import Entry, Recording, plain_spot
 from benchmarks.rivals.learned import WEIGHTS
 from benchmarks.rivals.pupil import why_unavailable
-from benchmarks.rivals.running import run_entries
+from benchmarks.rivals.running import read_constants, run_entries
 from benchmarks.rivals.tuning import tune
 from benchmarks.sets.read.stacks import stacks_of
-from benchmarks.sets.score.conditions import circumstances_of
+from benchmarks.sets.score.images import images_of
 from benchmarks.sets.score.spots_of_set import read_set_spots
 from estimator import Calibration, Frame, MicroscopeFile, NoSpot, Spot, read_microscope
 from optics import InputError
@@ -122,7 +121,7 @@ def test_what_the_entries_write_is_what_a_score_reads(drawn: Path, tmp_path: Pat
     )
     stacks = stacks_of(drawn)
     for name in ("opencv-relative", "skimage-ransac"):
-        records = read_set_spots(out / name, stacks, circumstances_of(stacks))
+        records = read_set_spots(out / name, stacks, images_of(stacks).index)
         # Four images of stack a, and of stack b four in each of its two exposures.
         assert len(records) == 12
         assert all(record.file_name.startswith("train/") for record in records.values())

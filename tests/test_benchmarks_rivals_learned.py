@@ -13,11 +13,18 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from benchmarks.rivals.learned.crops import CELLS, Guess, Window, blob_in, cut
+from benchmarks.rivals.learned.crops import (
+    CELLS,
+    Guess,
+    Window,
+    blob_in,
+    covariance_of,
+    cut,
+    ellipse_of,
+    targets_of,
+)
 from benchmarks.rivals.learned.estimator import WEIGHTS, LearnedEstimator
-from benchmarks.rivals.learned.samples import WINDOWS, Samples
-from benchmarks.rivals.learned.targets import covariance_of, ellipse_of, targets_of
-from benchmarks.rivals.learned.training import Epoch, read_curve, train
+from benchmarks.rivals.learned.training import WINDOWS, Epoch, Samples, read_curve, train
 from benchmarks.sets.spec import load_spec, plan
 from benchmarks.sets.spec.spec import named_specs
 from estimator import read_microscope

@@ -14,24 +14,22 @@ from xml.etree import ElementTree
 
 import matplotlib
 import numpy as np
+import pandas as pd
 import pytest
 from rich.console import Console
-from typer.testing import CliRunner
 
-import eyespot
+from benchmarks.reporting import rows_of
 from benchmarks.sets.read.stacks import stacks_of
-from benchmarks.sets.score.conditions import Circumstances, circumstances_of
-from benchmarks.sets.score.figure import score_figure
-from benchmarks.sets.score.groups import Score, score
-from benchmarks.sets.score.measures import Errors
+from benchmarks.sets.score.images import images_of, with_derived
+from benchmarks.sets.score.judging import Score, score
 from benchmarks.sets.score.spots_of_set import read_set_spots
-from benchmarks.sets.score.table import tables
-from estimator import FrameLabels, NoSpot, Reason, Spot, SpotRecord, write_spots
-from tests.drawn_sets import MICROSCOPE, STACKS, circumstances, labels_of, write_set
+from benchmarks.sets.score.views import score_figure, tables
+from estimator import NoSpot, Reason, Spot, SpotRecord, write_spots
+from tests.command_line import call
+from tests.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of, write_set
 from tests.pixel_stacks import calibration_in, cone_stack
 
 SVG = "{http://www.w3.org/2000/svg}"
-Images = Mapping[str, Circumstances]
 
 
 @pytest.fixture(scope="module")
@@ -40,21 +38,22 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def images(drawn: Path) -> Images:
-    return circumstances_of(stacks_of(drawn))
+def images(drawn: Path) -> pd.DataFrame:
+    return images_of(stacks_of(drawn))
 
 
-def in_memory(count: int, stacks: int = 1, **known: Any) -> dict[str, Circumstances]:
+def in_memory(count: int, stacks: int = 1, **known: Any) -> pd.DataFrame:
     """Images of a set that lies on no disk."""
-    return {
-        f"test/{n % stacks:04d}/frames/{n:06d}.png": circumstances(
+    rows = {
+        f"test/{n % stacks:04d}/frames/{n:06d}.png": image_row(
             replace(labels_of(0), frame=n, **known), stack=f"test/{n % stacks:04d}"
         )
         for n in range(count)
     }
+    return with_derived(pd.DataFrame.from_dict(rows, orient="index"))
 
 
-def spot_at(labels: FrameLabels, *, sigma: float = math.nan, **error: float) -> Spot:
+def spot_at(labels: Any, *, sigma: float = math.nan, **error: float) -> Spot:
     """The half-maximum ellipse of the labels, off by errors in px."""
     ellipse = {
         name: getattr(labels, f"half_max_{name}") + error.get(name, 0.0)
@@ -65,35 +64,41 @@ def spot_at(labels: FrameLabels, *, sigma: float = math.nan, **error: float) -> 
 
 
 def records_of(
-    images: Images,
-    result: Callable[[FrameLabels], Spot | NoSpot],
+    images: pd.DataFrame,
+    result: Callable[[Any], Spot | NoSpot],
     *,
     late_mm: float = math.nan,
 ) -> dict[str, SpotRecord]:
     return {
-        name: SpotRecord(
-            frame=about.labels.frame,
-            file_name=name,
-            time_s=about.labels.time_s,
+        row.image: SpotRecord(
+            frame=row.frame,
+            file_name=row.image,
+            time_s=row.time_s,
             mode="subpixel",
-            result=result(about.labels),
-            distance_mm=about.labels.d_mm + late_mm,
+            result=result(row),
+            distance_mm=row.d_mm + late_mm,
         )
-        for name, about in images.items()
+        for row in rows_of(images.reset_index(names="image"))
     }
 
 
-def scored(images: Images, records: Mapping[str, SpotRecord], **options: str) -> Score:
+def scored(images: pd.DataFrame, records: Mapping[str, SpotRecord], **options: str) -> Score:
     return score(images, {"theirs": records}, **{"against": "half_max", **options})  # type: ignore[arg-type]
 
 
-def errors_in(result: Score, quantity: str) -> Errors:
-    found = result.total("theirs").of(quantity)
-    assert found is not None
+def errors_in(result: Score, quantity: str) -> Any:
+    """Errors over all images."""
+    errors = result.errors
+    (found,) = rows_of(errors[(errors.condition == "all") & (errors.quantity == quantity)])
     return found
 
 
-def test_an_offset_is_the_bias_of_its_quantity_alone(images: Images) -> None:
+def counts_in(result: Score) -> Any:
+    """Counts of all images."""
+    return rows_of(result.counts[result.counts.condition == "all"])[0]
+
+
+def test_an_offset_is_the_bias_of_its_quantity_alone(images: pd.DataFrame) -> None:
     offsets = {"x_px": 0.5, "y_px": -0.25, "semi_major_px": 1.5, "semi_minor_px": -2.0}
     result = scored(images, records_of(images, lambda row: spot_at(row, **offsets), late_mm=0.125))
     # Sums and differences of numbers below 100 in float64.
@@ -107,13 +112,14 @@ def test_an_offset_is_the_bias_of_its_quantity_alone(images: Images) -> None:
     assert math.isnan(errors_in(result, "centre_px").bias)
 
 
-def test_perfect_spots_have_no_error_and_miss_nothing(images: Images) -> None:
-    visible = {name: about for name, about in images.items() if about.labels.visible_fraction}
+def test_perfect_spots_have_no_error_and_miss_nothing(images: pd.DataFrame) -> None:
+    visible = images[images.visible_fraction > 0]
     result = scored(images, records_of(visible, spot_at))
-    counts = result.total("theirs").counts
+    counts = counts_in(result)
     assert (counts.found, counts.missed, counts.false_spots) == (len(visible), 0, 0)
     assert counts.hidden == len(images) - len(visible) == 1
-    assert {errors.quantity: errors.max_abs for errors in result.total("theirs").errors} == {
+    of_all = result.errors[result.errors.condition == "all"]
+    assert dict(zip(of_all.quantity, of_all.max_abs, strict=True)) == {
         "x_px": 0.0,
         "y_px": 0.0,
         "centre_px": 0.0,
@@ -122,7 +128,7 @@ def test_perfect_spots_have_no_error_and_miss_nothing(images: Images) -> None:
     }
 
 
-def test_the_other_ellipse_is_another_truth(images: Images) -> None:
+def test_the_other_ellipse_is_another_truth(images: pd.DataFrame) -> None:
     # The drawn labels' cone has an edge 1 px outside the half-maximum contour.
     result = scored(images, records_of(images, spot_at), against="cone")
     assert errors_in(result, "semi_minor_px").bias == pytest.approx(-1.0, abs=1e-12)
@@ -132,23 +138,22 @@ def test_what_was_missed_or_invented_is_counted() -> None:
     seen, barely, unseen = (
         in_memory(count, visible_fraction=part) for count, part in ((10, 0.5), (7, 0.49), (5, 0.0))
     )
-    images = {
-        f"{kind} {name}": about
+    images = pd.concat(
+        group.rename(index=f"{kind} {{}}".format)
         for kind, group in (("seen", seen), ("barely", barely), ("unseen", unseen))
-        for name, about in group.items()
-    }
+    )
     labels = labels_of(0)
     inside, outside = (labels.half_max_semi_major_px + step for step in (-0.01, 0.01))
     records = records_of(images, lambda row: NoSpot(Reason.NONE_FOUND))
-    names = {kind: [n for n in images if n.startswith(kind)] for kind in ("seen", "barely")}
+    names = {kind: [n for n in images.index if n.startswith(kind)] for kind in ("seen", "barely")}
     for name, far in zip(names["seen"], (0, 0, inside, outside, outside), strict=False):
         records[name] = replace(records[name], result=spot_at(labels, x_px=far))
     for name, far in zip(names["barely"], (0, 0, 0, outside), strict=False):
         records[name] = replace(records[name], result=spot_at(labels, y_px=far))
-    hidden = next(name for name in images if name.startswith("unseen"))
+    hidden = next(name for name in images.index if name.startswith("unseen"))
     records[hidden] = replace(records[hidden], result=spot_at(labels))
 
-    counts = scored(images, records).total("theirs").counts
+    counts = counts_in(scored(images, records))
     assert (counts.images, counts.visible, counts.hidden) == (22, 10, 12)
     assert (counts.found, counts.missed) == (3, 7)  # two of the seven are elsewhere
     assert counts.false_spots == 2 + 1 + 1  # elsewhere of seen, elsewhere of barely, of nothing
@@ -157,17 +162,17 @@ def test_what_was_missed_or_invented_is_counted() -> None:
 
 
 def test_an_image_without_a_line_is_missed_unless_its_whole_kind_is_left_out(
-    images: Images,
+    images: pd.DataFrame,
 ) -> None:
     records = records_of(images, spot_at)
     told = {
         name: record
         for name, record in records.items()
-        if images[name].split == "train" and images[name].labels.exposure == "metered"
+        if images.split[name] == "train" and images.exposure[name] == "metered"
     }
     told.pop("train/a/frames/000002.png")
     result = scored(images, told)
-    counts = result.total("theirs").counts
+    counts = counts_in(result)
     assert (counts.images, counts.missed) == (8, 1)
     assert result.left_out["theirs"] == len(images) - 8
 
@@ -217,32 +222,24 @@ def test_stacks_that_differ_widen_the_interval_of_rmse() -> None:
     assert errors.rmse_high == pytest.approx(math.sqrt(0.073), rel=0.1)
 
 
-def test_images_are_scored_apart_by_condition(images: Images) -> None:
+def test_images_are_scored_apart_by_condition(images: pd.DataFrame) -> None:
     result = scored(
         images, records_of(images, lambda row: spot_at(row, semi_minor_px=0.1 * row.frame))
     )
-    rows = result.by_condition()
-    bias = {
-        key: errors.bias
-        for key, row in rows.items()
-        if (errors := row["theirs"].of("semi_minor_px")) is not None
-    }
+    rows = result.by_condition.set_index(["condition", "group"])
+    bias = rows.bias
     # d = 1, 2, 3 and 4 mm for frames 0 to 3.
     assert bias["d_mm", "1–2"] == pytest.approx(0.0, abs=1e-12)
     assert bias["d_mm", "2–4"] == pytest.approx(1.1 / 7, abs=1e-12)  # a 0.1 is hidden
     assert bias["d_mm", "4–6"] == pytest.approx(0.3, abs=1e-12)
-    assert rows["split", "adverse"]["theirs"].counts.images == 4
-    assert not any(name == "medium" for name, _ in rows)  # all in air
+    assert rows.images["split", "adverse"] == 4
+    assert "medium" not in set(result.by_condition.condition)  # all in air
 
 
 def test_names_with_markup_are_shown_as_they_are() -> None:
     name, medium, exposure = "_a$b$[b]c_", "_d$e$[i]f_", "[/b]g$h$"
-    images = in_memory(4, medium="air") | {
-        f"other/{key}": about._replace(
-            labels=replace(about.labels, medium=medium, exposure=exposure)
-        )
-        for key, about in in_memory(4).items()
-    }
+    other = in_memory(4, medium=medium, exposure=exposure).rename(index="other/{}".format)
+    images = pd.concat([in_memory(4, medium="air"), other])
     records = records_of(images, lambda row: spot_at(row, semi_minor_px=0.1))
     result = score(images, {name: records}, against="half_max")
     text_file = io.StringIO()
@@ -269,7 +266,7 @@ def per_stack(drawn: Path, folder: Path) -> Path:
                 out = folder / split / (f"{name}.{exposure}.csv" if exposure else f"{name}.csv")
                 command = ["track", str(drawn / split / name), "--out", str(out)]
                 chosen = ["--exposure", exposure] if exposure else []
-                assert CliRunner().invoke(eyespot.app, command + chosen).exit_code == 0
+                assert call(command + chosen).exit_code == 0
     return folder
 
 
@@ -278,7 +275,7 @@ def test_our_estimator_is_scored_from_its_files_as_when_it_is_run(
 ) -> None:
     tracked = per_stack(drawn, tmp_path / "tracked")
     command = ["score", str(drawn), str(tracked), "--mode", "subpixel"]
-    done = CliRunner().invoke(eyespot.app, [*command, "--out", str(tmp_path / "score")])
+    done = call([*command, "--out", str(tmp_path / "score")])
     assert done.exit_code == 0, done.output
     with (tmp_path / "score" / "score.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -301,11 +298,11 @@ def test_a_stack_by_itself_is_scored_with_the_names_that_track_writes(
     drawn: Path, tmp_path: Path
 ) -> None:
     stack = drawn / "train" / "a"
-    images = circumstances_of(stacks_of(stack))
+    images = images_of(stacks_of(stack))
     write_spots(tmp_path / "theirs.csv", records_of(images, spot_at).values())
-    records = read_set_spots(tmp_path / "theirs.csv", stacks_of(stack), images)
-    assert scored(images, records).total("theirs").counts.found == 4
-    assert min(images) == "frames/000000.png"
+    records = read_set_spots(tmp_path / "theirs.csv", stacks_of(stack), images.index)
+    assert counts_in(scored(images, records)).found == 4
+    assert min(images.index) == "frames/000000.png"
 
 
 def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_path: Path) -> None:
@@ -314,7 +311,7 @@ def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_pa
     for given in ([], ["--calibration", str(calibration_in(tmp_path))]):
         out = tmp_path / f"score{len(given)}"
         command = ["score", str(stack), "--mode", "pixels", *given, "--out", str(out)]
-        done = CliRunner().invoke(eyespot.app, command)
+        done = call(command)
         assert done.exit_code == 0, done.output
         with (out / "score.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
@@ -328,21 +325,23 @@ def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_pa
 
 
 def test_names_that_the_set_does_not_hold_are_told_in_one_message(
-    drawn: Path, images: Images, tmp_path: Path
+    drawn: Path, images: pd.DataFrame, tmp_path: Path
 ) -> None:
     records = records_of(images, spot_at)
     lost = [replace(r, file_name=f"frames/{n}.png") for n, r in enumerate(records.values())]
     write_spots(tmp_path / "lost.csv", lost)
     with pytest.raises(ValueError, match=r"lost.csv.*'frames/0.png'.*and 11 more.*such as") as told:
-        read_set_spots(tmp_path / "lost.csv", stacks_of(drawn), images)
+        read_set_spots(tmp_path / "lost.csv", stacks_of(drawn), images.index)
     assert "\n" not in str(told.value)
 
 
-def test_two_lines_for_an_image_are_refused(drawn: Path, images: Images, tmp_path: Path) -> None:
+def test_two_lines_for_an_image_are_refused(
+    drawn: Path, images: pd.DataFrame, tmp_path: Path
+) -> None:
     records = list(records_of(images, spot_at).values())
     write_spots(tmp_path / "twice.csv", [*records, records[3]])
     with pytest.raises(ValueError, match=f"{records[3].file_name} has two lines"):
-        read_set_spots(tmp_path / "twice.csv", stacks_of(drawn), images)
+        read_set_spots(tmp_path / "twice.csv", stacks_of(drawn), images.index)
 
 
 @pytest.mark.parametrize(
@@ -356,21 +355,20 @@ def test_two_lines_for_an_image_are_refused(drawn: Path, images: Images, tmp_pat
     ],
 )
 def test_what_cannot_be_scored_is_told(drawn: Path, arguments: list[str], words: str) -> None:
-    done = CliRunner().invoke(eyespot.app, ["score", str(drawn), *arguments])
+    done = call(["score", str(drawn), *arguments])
     assert isinstance(done.exception, ValueError)
     assert words in str(done.exception)
 
 
-def test_a_file_of_no_stack_is_named(drawn: Path, images: Images, tmp_path: Path) -> None:
+def test_a_file_of_no_stack_is_named(drawn: Path, images: pd.DataFrame, tmp_path: Path) -> None:
     (tmp_path / "train").mkdir()
     write_spots(tmp_path / "train" / "z.csv", [])
     with pytest.raises(ValueError, match=r"z.csv: the set has no stack train/z"):
-        read_set_spots(tmp_path, stacks_of(drawn), images)
+        read_set_spots(tmp_path, stacks_of(drawn), images.index)
 
 
 def test_blur_is_counted_at_the_pole() -> None:
     scale = MICROSCOPE["scale_mm_px"]
     assert isinstance(scale, float)
-    (image,) = in_memory(1, speed_mm_s=2.0, exposure_s=0.05).values()
-    about = image._replace(scale_mm_px=scale)
-    assert about.blur_px == pytest.approx(0.1 * 858.2 / 23.0)
+    image = in_memory(1, speed_mm_s=2.0, exposure_s=0.05).assign(scale_mm_px=scale)
+    assert with_derived(image).blur_px.item() == pytest.approx(0.1 * 858.2 / 23.0)

@@ -9,44 +9,48 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-import eyespot
+from benchmarks.reporting import rows_of
 from benchmarks.sets.read.stacks import stacks_of
-from benchmarks.sets.score.conditions import circumstances_of
 from benchmarks.sets.score.entries import entries_in
-from benchmarks.sets.score.groups import ALL
-from benchmarks.sets.score.outcomes import Judged, Outcome
+from benchmarks.sets.score.images import ALL, images_of, with_derived
+from benchmarks.sets.score.judging import Outcome
 from benchmarks.sets.score.plain_spots import read_any_spots
-from benchmarks.sets.score.standings import Standing, standings
-from estimator import FrameLabels
+from benchmarks.sets.score.standings import standings
 from optics import InputError
-from tests.drawn_sets import circumstances, labels_of, write_set
+from tests.command_line import call
+from tests.drawn_sets import image_row, labels_of, write_set
 
 E1 = "semi_minor_px"
 
 
 def judged(
     errors: Sequence[Sequence[float]], *, sigma: float = math.nan, medium: str = "air"
-) -> list[Judged]:
+) -> pd.DataFrame:
     """Results on stacks with one list of errors each; infinite where the spot was missed."""
     images = []
     for stack, own in enumerate(errors):
         for frame, error in enumerate(own):
             labels = replace(labels_of(0), frame=frame, file_name=f"{frame}.png", medium=medium)
-            about = circumstances(labels, stack=f"test/{stack:04d}")
             found = math.isfinite(error)
-            outcome = Outcome.FOUND if found else Outcome.MISSED
-            measured = {E1: error} if found else {}
-            images.append(Judged(about, None, outcome, measured, {E1: sigma} if found else {}))
-    return images
+            result = {
+                "outcome": Outcome.FOUND if found else Outcome.MISSED,
+                f"error_{E1}": error if found else math.nan,
+                f"sigma_{E1}": sigma if found else math.nan,
+            }
+            images.append(image_row(labels, stack=f"test/{stack:04d}") | result)
+    return with_derived(pd.DataFrame(images))
 
 
-def total(entries: dict[str, list[Judged]]) -> dict[str, Standing]:
-    return {standing.entry: standing for standing in standings(entries, E1)[ALL, ALL]}
+def total(entries: dict[str, pd.DataFrame]) -> dict[str, Any]:
+    """The entries' standings on all images."""
+    found = standings(entries, E1)
+    return {row.entry: row for row in rows_of(found[found.condition == ALL])}
 
 
 def test_an_entry_that_leaves_out_the_difficult_images_does_not_win() -> None:
@@ -54,18 +58,18 @@ def test_an_entry_that_leaves_out_the_difficult_images_does_not_win() -> None:
     # Half as wrong where it answers, which it does on less than half of the images.
     choosy = [[0.1, math.inf, math.inf, math.inf], [0.1, -0.1, math.inf, math.inf]] * 3
     found = total({"choosy": judged(choosy), "steady": judged(steady)})
-    assert found["steady"].rank.value == 1
-    assert found["choosy"].rank.value == 2
-    assert math.isinf(found["choosy"].median.value)
-    assert found["choosy"].missed.value == pytest.approx(15 / 24)
-    assert found["choosy"].rmse.value == pytest.approx(0.1)
+    assert found["steady"].rank == 1
+    assert found["choosy"].rank == 2
+    assert math.isinf(found["choosy"].median)
+    assert found["choosy"].missed == pytest.approx(15 / 24)
+    assert found["choosy"].rmse == pytest.approx(0.1)
 
 
 def test_an_entry_that_finds_nothing_is_the_last() -> None:
     found = total({"blind": judged([[math.inf] * 3] * 4), "bad": judged([[9.0] * 3] * 4)})
-    assert (found["bad"].rank.value, found["blind"].rank.value) == (1, 2)
-    assert found["blind"].missed.value == 1.0
-    assert standings({"blind": judged([[math.inf]])}, E1) == {}
+    assert (found["bad"].rank, found["blind"].rank) == (1, 2)
+    assert found["blind"].missed == 1.0
+    assert standings({"blind": judged([[math.inf]])}, E1).empty
 
 
 def test_an_interval_is_that_of_independent_stacks_and_not_of_images() -> None:
@@ -76,7 +80,7 @@ def test_an_interval_is_that_of_independent_stacks_and_not_of_images() -> None:
     # The mean square of 40 normal values has the standard deviation sqrt(2/40), so the RMSE has
     # 1/sqrt(80) = 0.112 and an interval of 0.44. 40 values give that within a factor of 1.5; the
     # 2000 images would give 0.06.
-    width = found.rmse.high - found.rmse.low
+    width = found.rmse_high - found.rmse_low
     assert 0.44 / 1.5 < width < 0.44 * 1.5
 
 
@@ -87,8 +91,8 @@ def test_the_interval_of_a_median_covers_the_true_median() -> None:
     inside = 0
     for _ in range(tries):
         errors = rng.laplace(0.0, 1.0, (40, 1)).tolist()
-        median = total({"one": judged(errors)})["one"].median
-        inside += median.low <= math.log(2) <= median.high
+        one = total({"one": judged(errors)})["one"]
+        inside += one.median_low <= math.log(2) <= one.median_high
     # At least 99 % of binomial counts with p = 0.95 and n = 60 are from 52 to 60.
     assert inside >= 52
 
@@ -100,32 +104,30 @@ def test_entries_of_equal_quality_share_the_interval_of_their_ranks() -> None:
         for name, scale in (("a", 0.1), ("b", 0.1), ("far", 1.0))
     }
     found = total(entries)
-    assert {found["a"].rank.value, found["b"].rank.value} == {1, 2}
+    assert {found["a"].rank, found["b"].rank} == {1, 2}
     for name in ("a", "b"):
-        assert (found[name].rank.low, found[name].rank.high) == (1, 2)
-    assert found["far"].rank == (3, 3, 3)
+        assert (found[name].rank_low, found[name].rank_high) == (1, 2)
+    far = found["far"]
+    assert (far.rank, far.rank_low, far.rank_high) == (3, 3, 3)
 
 
 def test_coverage_is_that_of_the_errors() -> None:
     rng = np.random.default_rng(4)
     errors = rng.normal(0.0, 0.1, (100, 10)).tolist()
     honest = total({"one": judged(errors, sigma=0.1)})["one"]
-    assert honest.within_1.low < 0.6827 < honest.within_1.high
-    assert honest.within_196.low < 0.95 < honest.within_196.high
+    assert honest.within_1_low < 0.6827 < honest.within_1_high
+    assert honest.within_196_low < 0.95 < honest.within_196_high
     proud = total({"one": judged(errors, sigma=0.05)})["one"]
-    assert proud.within_1.high < 0.6827
+    assert proud.within_1_high < 0.6827
 
 
 def test_only_images_that_all_entries_cover_are_compared() -> None:
     everywhere, half = judged([[0.5] * 4, [0.1] * 4] * 2), judged([[0.5] * 4, [0.2] * 4] * 2)
-    easy = [image for image in half if image.circumstances.stack.endswith(("1", "3"))]
+    easy = half[half["stack"].str.endswith(("1", "3"))]
     found = total({"everywhere": everywhere, "easy": easy})
     assert found["everywhere"].visible == found["easy"].visible == 8
-    assert found["everywhere"].median.value == pytest.approx(0.1)
-    other = [
-        image._replace(circumstances=image.circumstances._replace(stack="elsewhere"))
-        for image in easy
-    ]
+    assert found["everywhere"].median == pytest.approx(0.1)
+    other = easy.assign(stack="elsewhere")
     with pytest.raises(InputError, match="no image together"):
         standings({"everywhere": everywhere, "other": other}, E1)
 
@@ -136,24 +138,16 @@ def test_an_efficient_estimator_is_at_the_bound_and_a_miss_is_beyond_it() -> Non
     bounds = rng.uniform(0.01, 0.1, (50, 20))
     errors = rng.normal(0.0, bounds)
 
-    def images(errors: np.ndarray) -> list[Judged]:
-        found = judged(errors.tolist())
-        return [
-            image._replace(
-                circumstances=image.circumstances._replace(
-                    labels=replace(image.circumstances.labels, bound_semi_minor_px=bound)
-                )
-            )
-            for image, bound in zip(found, bounds.ravel(), strict=True)
-        ]
+    def images(errors: np.ndarray) -> pd.DataFrame:
+        return judged(errors.tolist()).assign(bound_semi_minor_px=bounds.ravel())
 
     found = total({"efficient": images(errors), "double": images(2 * errors)})
     # The median of 1000 values |e|/sigma scatters by 1/(2 sqrt(1000) 2 phi(0.67)) = 2.5 %, divided
     # by 0.67: 3.7 %; 3 of these.
-    assert found["efficient"].over_bound.value == pytest.approx(1.0, abs=0.11)
-    assert found["double"].over_bound.value == pytest.approx(2.0, abs=0.22)
+    assert found["efficient"].over_bound == pytest.approx(1.0, abs=0.11)
+    assert found["double"].over_bound == pytest.approx(2.0, abs=0.22)
     errors[rng.random(errors.shape) < 0.6] = math.inf
-    assert math.isinf(total({"choosy": images(errors)})["choosy"].over_bound.value)
+    assert math.isinf(total({"choosy": images(errors)})["choosy"].over_bound)
 
 
 @pytest.fixture(scope="module")
@@ -171,8 +165,8 @@ def plain(path: Path, drawn: Path, *, off: float, columns: str = "ellipse") -> P
         else:
             names = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "sigma_semi_minor_px")
             writer.writerow(["file_name", *names])
-        for name, about in circumstances_of(stacks_of(drawn)).items():
-            row: FrameLabels = about.labels
+        for row in rows_of(images_of(stacks_of(drawn)).reset_index(names="image")):
+            name = row.image
             place = (row.half_max_x_px, row.half_max_y_px)
             axes = (row.half_max_semi_major_px + off, row.half_max_semi_minor_px + off)
             if columns == "distance":
@@ -191,7 +185,7 @@ def test_a_plain_csv_and_a_description_are_an_entry(drawn: Path, tmp_path: Path)
     (entries / "network" / "entry.json").write_text(json.dumps(about | {"ms_per_frame": 4.5}))
     out = tmp_path / "out"
     command = ["score", str(drawn), "--entries", str(entries), "--out", str(out)]
-    done = CliRunner().invoke(eyespot.app, command)
+    done = call(command)
     assert done.exit_code == 0, done.output
     with (out / "leaderboard.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -212,11 +206,11 @@ def test_one_split_is_scored_alone(drawn: Path, tmp_path: Path) -> None:
     plain(tmp_path / "theirs.csv", drawn, off=0.3)
     command = ["score", str(drawn), str(tmp_path / "theirs.csv"), "--split", "adverse"]
     out = tmp_path / "out"
-    done = CliRunner().invoke(eyespot.app, [*command, "--out", str(out)])
+    done = call([*command, "--out", str(out)])
     assert done.exit_code == 0, done.output
     outcomes = json.loads((out / "score.json").read_text())["outcomes"]["theirs"]
     assert sum(outcomes.values()) == 4  # images of the split adverse
-    done = CliRunner().invoke(eyespot.app, [*command[:-1], "tset"])
+    done = call([*command[:-1], "tset"])
     assert "no split tset. It has: adverse, train" in str(done.exception)
 
 
@@ -266,5 +260,5 @@ def test_two_entries_of_one_name_are_refused(drawn: Path, tmp_path: Path) -> Non
     for folder in itertools.islice(("a", "b"), 2):
         plain(tmp_path / folder / "spots.csv", drawn, off=0.1)
         (tmp_path / folder / "entry.json").write_text('{"name": "same"}')
-    done = CliRunner().invoke(eyespot.app, ["score", str(drawn), "--entries", str(tmp_path)])
+    done = call(["score", str(drawn), "--entries", str(tmp_path)])
     assert "two estimators have the name same" in str(done.exception)

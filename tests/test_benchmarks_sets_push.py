@@ -7,14 +7,13 @@ from pathlib import Path
 
 import huggingface_hub.constants
 import pytest
-from typer.testing import CliRunner
 
-import eyespot
 from benchmarks.sets.make.manifest import verify_set
 from benchmarks.sets.make.push import push_set
 from benchmarks.sets.read import SetError
 from benchmarks.sets.score import sample_folder
 from optics import InputError
+from tests.command_line import call
 from tests.hub_stand_in import StandIn, stand_in
 
 TOKEN = "stand-in"
@@ -34,7 +33,7 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[StandIn]:
 
 def test_the_set_arrives_whole(hub: StandIn, tmp_path: Path) -> None:
     command = ["dataset", "push", str(sample_folder()), "a-lab/sample", "--endpoint", hub.address]
-    done = CliRunner().invoke(eyespot.app, command)
+    done = call(command)
     assert done.exit_code == 0, done.output
     assert f"Wrote {hub.address}/datasets/a-lab/sample/commit/" in done.output
     for name, content in hub.files["a-lab/sample"].items():

@@ -7,13 +7,12 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-import eyespot
 from benchmarks.sets.make.manifest import verify_set
 from benchmarks.sets.read import read_set, rows
 from benchmarks.sets.score.sample import NAME, sample_folder
 from benchmarks.sets.spec import load_spec, plan
+from tests.command_line import call
 
 
 def test_the_sample_is_small_and_unchanged() -> None:
@@ -36,7 +35,7 @@ def test_every_visible_image_of_the_sample_has_a_bound() -> None:
 
 
 def test_a_newcomer_scores_our_estimator_with_one_option(tmp_path: Path) -> None:
-    done = CliRunner().invoke(eyespot.app, ["score", "--sample", "--out", str(tmp_path / "out")])
+    done = call(["score", "--sample", "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     with (tmp_path / "out" / "leaderboard.csv").open(newline="") as file:
         first = next(csv.DictReader(file))
@@ -56,7 +55,7 @@ def test_a_newcomer_scores_a_file_of_his_own(tmp_path: Path) -> None:
             axes = (labels.half_max_semi_major_px + 0.5, labels.half_max_semi_minor_px + 0.5)
             writer.writerow([name, *place, *axes])
     command = ["score", str(tmp_path / "mine.csv"), "--sample", "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(eyespot.app, command)
+    done = call(command)
     assert done.exit_code == 0, done.output
     with (tmp_path / "out" / "leaderboard.csv").open(newline="") as file:
         first = next(csv.DictReader(file))
@@ -65,5 +64,5 @@ def test_a_newcomer_scores_a_file_of_his_own(tmp_path: Path) -> None:
 
 
 def test_a_set_or_the_sample_must_be_named() -> None:
-    done = CliRunner().invoke(eyespot.app, ["score"])
-    assert "DIR is missing" in str(done.exception)
+    done = call(["score"])
+    assert "FOLDER is missing" in str(done.exception)

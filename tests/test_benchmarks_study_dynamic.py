@@ -8,27 +8,19 @@ import math
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import optics
 import scenes
 from benchmarks.evaluation.tracking import LITERAL, SUBPIXEL
-from benchmarks.reporting.claims import Claim
+from benchmarks.reporting.report import Claim, rows_of
 from benchmarks.reporting.study import Request
-from benchmarks.studies.dynamic import measure as dynamic_measure
-from benchmarks.studies.dynamic import parts as parts_of
-from benchmarks.studies.dynamic import report as dynamic_report
+from benchmarks.studies.dynamic import measure
 from benchmarks.studies.dynamic import run as dynamic
 from benchmarks.studies.dynamic import trials as trials_of
-from benchmarks.studies.dynamic.findings import (
-    COMPARED,
-    LATENCIES_S,
-    MOTIONS,
-    PARTS,
-    DynamicError,
-    DynamicFindings,
-    speed_at,
-)
+from benchmarks.studies.dynamic.measure import COMPARED, LATENCIES_S, MOTIONS, PARTS, speed_at
+from benchmarks.studies.dynamic.run import DynamicFindings
 from estimator import MicroscopeFile, Pose, PoseTrack
 from scenes import SceneError
 from scenes.world import World
@@ -48,11 +40,11 @@ def withdrawing(speed: float, *, d: float = 2.0, hz: float = 200.0) -> PoseTrack
     )
 
 
-def row(**changes: Any) -> DynamicError:
-    numbers: dict[str, Any] = dict.fromkeys(DynamicError._fields, 0.0)
-    named = {"source": "cone", "motion": "withdrawal", "way": SUBPIXEL.name}
+def row(**changes: Any) -> dict[str, Any]:
+    sizes = dict.fromkeys([f"{name}_mm" for name in ("error", *PARTS)], 0.0)
+    named = {"source": "cone", "motion": "withdrawal", "way": SUBPIXEL.name, "latency_s": 0.0}
     counts = {"run": 1, "frame": 1, "doubt": "", "rest_doubt": ""}
-    return DynamicError(**{**numbers, **named, **counts, **changes})
+    return sizes | named | counts | {"speed_mm_s": 0.0, "exposure_s": 0.0} | changes
 
 
 # Parts.
@@ -62,10 +54,10 @@ def row(**changes: Any) -> DynamicError:
 @pytest.mark.parametrize("latency", [0.05, 0.1])
 def test_a_late_pose_costs_a_withdrawing_tip_minus_speed_times_delay(speed, latency):
     poses, time = withdrawing(speed), 0.3025  # between two poses
-    stamped = parts_of.reading(poses, time, SPHERE)
-    late = parts_of.reading(poses, time + latency, SPHERE)
+    stamped = measure.reading(poses, time, SPHERE)
+    late = measure.reading(poses, time + latency, SPHERE)
     d = 2.0 + speed * time
-    found = parts_of.parts(estimate=d, frozen=d, d=d, stamped=stamped, late=late)
+    found = measure.parts(estimate=d, frozen=d, d=d, stamped=stamped, late=late)
     # Rounding of numbers near 10 mm.
     assert found.latency == pytest.approx(-speed * latency, abs=1e-12)
     # The latest pose of a 200 Hz track is 2.5 ms old there.
@@ -76,13 +68,13 @@ def test_a_late_pose_costs_a_withdrawing_tip_minus_speed_times_delay(speed, late
 
 def test_a_tip_at_rest_has_no_error_of_time():
     poses = withdrawing(0.0)
-    readings = [parts_of.reading(poses, 0.3025 + latency, SPHERE) for latency in LATENCIES_S]
+    readings = [measure.reading(poses, 0.3025 + latency, SPHERE) for latency in LATENCIES_S]
     assert readings == pytest.approx([2.0] * len(LATENCIES_S), abs=1e-12)
 
 
 def test_the_parts_sum_to_the_error():
     for estimate, frozen, d, stamped, late in np.random.default_rng(1).uniform(1, 6, (50, 5)):
-        found = parts_of.parts(estimate=estimate, frozen=frozen, d=d, stamped=stamped, late=late)
+        found = measure.parts(estimate=estimate, frozen=frozen, d=d, stamped=stamped, late=late)
         total = found.rest + found.blur + found.stamps + found.latency
         assert found.error == pytest.approx(total, abs=1e-12)
         assert found.error == estimate - late
@@ -92,8 +84,8 @@ def test_the_robot_reads_the_distance_along_its_beam():
     # A tip at the centre is r from the wall whichever way it points; before its first pose it
     # says nothing.
     pose = Pose.along((0.6, 0.0, -0.8), time_s=0.0, position_mm=(0.0, 0.0, 0.0))
-    assert parts_of.reading(PoseTrack([pose]), 0.0, SPHERE) == pytest.approx(R)
-    assert math.isnan(parts_of.reading(PoseTrack([pose]), -1.0, SPHERE))
+    assert measure.reading(PoseTrack([pose]), 0.0, SPHERE) == pytest.approx(R)
+    assert math.isnan(measure.reading(PoseTrack([pose]), -1.0, SPHERE))
 
 
 # Sizes.
@@ -105,7 +97,7 @@ def test_frames_without_an_estimate_are_counted_and_add_no_error():
         row(speed_mm_s=1.6, error_mm=-0.4, rest_mm=math.nan, rest_doubt="ambiguous"),
         row(speed_mm_s=1.5, error_mm=math.nan, doubt="occluded"),
     ]
-    (found,) = parts_of.spreads(rows, SPEEDS)
+    (found,) = rows_of(measure.spreads(pd.DataFrame(rows), SPEEDS))
     assert (found.speed_mm_s, found.spots, found.left_out) == (1.5, 2, 1)
     assert found.rms_error_mm == pytest.approx(math.sqrt((0.09 + 0.16) / 2))
     assert found.mean_error_mm == pytest.approx(-0.05)
@@ -115,12 +107,12 @@ def test_frames_without_an_estimate_are_counted_and_add_no_error():
 
 def test_an_error_that_grows_with_speed_reaches_a_limit_where_the_line_does():
     rows = [row(speed_mm_s=v, error_mm=0.05 + 0.1 * v, rest_mm=0.05) for v in SPEEDS]
-    spreads = parts_of.spreads(rows, SPEEDS)
+    spreads = measure.spreads(pd.DataFrame(rows), SPEEDS)
     assert speed_at(spreads, 0.5) == pytest.approx(4.5)
     assert speed_at(spreads, 0.075) == pytest.approx(0.25)
     assert speed_at(spreads, 0.04) == 0.0
     assert math.isnan(speed_at(spreads, 0.6))
-    assert math.isnan(speed_at([], 0.5))
+    assert math.isnan(speed_at(spreads[:0], 0.5))
 
 
 # Scenes.
@@ -176,7 +168,7 @@ def test_the_calibration_at_rest_finds_the_papers_k_and_b():
     d = optics.small_plane_distance(
         semi_minor_px=seen, scale=0.0067, k=20.0, b=-5.117, eccentricity=c, eye_radius=R
     )
-    found = dynamic_measure.small_plane_line(
+    found = measure.small_plane_line(
         semi_minor_px=seen, phi=np.arcsin(c / R), distance=np.asarray(d), microscope=microscope
     )
     # Rounding of numbers near 5 mm, times the leverage of b.
@@ -186,7 +178,7 @@ def test_the_calibration_at_rest_finds_the_papers_k_and_b():
 # The report.
 
 
-def drawn(*, blur: float, late: float) -> list[DynamicError]:
+def drawn(*, blur: float, late: float) -> pd.DataFrame:
     """Rows of tips with a blur and an offset in time in proportion to their speed."""
     found = []
     for motion_kind in MOTIONS:
@@ -210,19 +202,19 @@ def drawn(*, blur: float, late: float) -> list[DynamicError]:
                             **{f"{name}_mm": value for name, value in of.items()},
                         )
                     )
-    return found
+    return pd.DataFrame(found)
 
 
-def claimed(rows: list[DynamicError]) -> dict[str, Claim]:
+def claimed(rows: pd.DataFrame) -> dict[str, Claim]:
     findings = DynamicFindings(
         scene=SCENE,
         exposure_ms=20.0,
         sources=("cone",),
         speeds=SPEEDS,
-        rows=rows,
-        spreads=parts_of.spreads(rows, SPEEDS),
+        errors=rows,
+        spreads=measure.spreads(rows, SPEEDS),
     )
-    return {claim.name: claim for claim in dynamic_report.report(findings).claims}
+    return {claim.name: claim for claim in dynamic.report(findings).claims}
 
 
 def test_the_report_says_whether_a_tenth_of_a_millimetre_is_kept_and_what_is_larger():
@@ -245,7 +237,7 @@ def test_the_report_says_whether_a_tenth_of_a_millimetre_is_kept_and_what_is_lar
 
 
 def test_lost_frames_are_counted_by_reason():
-    rows = [r._replace(doubt="ambiguous", error_mm=math.nan) for r in drawn(blur=0.0, late=0.0)]
+    rows = drawn(blur=0.0, late=0.0).assign(doubt="ambiguous", error_mm=math.nan)
     found = claimed(rows)["cone, requirement"]
     assert found.holds is False
     assert "9 of 9 frames gave no estimate" in found.text

@@ -12,29 +12,22 @@ import shlex
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
 import optics
 import scenes
 from benchmarks.evaluation import coalitions, model_error, shapley_values
-from benchmarks.evaluation.model_error import Geometry, ModelError
-from benchmarks.reporting.claims import Claim
-from benchmarks.reporting.report import Data, Picture, Report, Section
+from benchmarks.evaluation.model_error import MODEL_ERROR, Geometry
+from benchmarks.reporting.report import Claim, Column, Picture, Report, Section, Table, rows_of
 from benchmarks.reporting.study import Request, Study
-from benchmarks.reporting.tables import Column, Table
 from benchmarks.studies.eccentricity import causes, chain, limits, space
 from benchmarks.studies.eccentricity import run as eccentricity
 from benchmarks.studies.eccentricity.causes import CAUSES, WRONG_C_MM, WRONG_R_MM, Shift
 from benchmarks.studies.eccentricity.chain import Eye, Links
-from benchmarks.studies.eccentricity.findings import (
-    AXES,
-    DISTANCES_MM,
-    LIMITS_MM,
-    CauseShare,
-    Limit,
-    Withdrawals,
-)
+from benchmarks.studies.eccentricity.limits import DISTANCES_MM, LIMITS_MM, Withdrawals
+from benchmarks.studies.eccentricity.space import AXES
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -245,19 +238,16 @@ def withdrawals() -> dict[float, Withdrawals]:
     [(11.5, [-0.098, -0.124, -0.157, -0.190]), (100.0, [-0.325, -0.412, -0.528, -0.643])],
 )
 def test_the_known_rows_of_the_papers_model_are_reproduced(withdrawals, z_f, known):
-    rows = [
-        e
-        for e in withdrawals[z_f].errors
-        if e.c_mm == 3.0 and e.d_mm in (0.5, 2.0, 4.0, 6.0) and not e.refit
-    ]
-    small = [e.error_mm for e in rows if e.model == "small_plane"]
+    errors = withdrawals[z_f].errors
+    rows = errors[(errors.c_mm == 3.0) & errors.d_mm.isin((0.5, 2.0, 4.0, 6.0)) & ~errors.refit]
+    small = rows.error_mm[rows.model == "small_plane"].tolist()
     # Of an independent computation, three decimals.
     assert small == pytest.approx(known, abs=5.1e-4)
-    assert max(abs(e.error_mm) for e in rows if e.model == "exact") < 1e-9
+    assert rows.error_mm[rows.model == "exact"].abs().max() < 1e-9
 
 
 def test_fitting_c_hides_the_error_where_the_right_factor_is_below_one(withdrawals):
-    row = next(r for r in withdrawals[11.5].refits if r.c_mm == 4.0)
+    row = withdrawals[11.5].refits.set_index("c_mm").loc[4.0]
     # The right factor is (1 + cos phi)/2, which a cos of another phi can be.
     cos_phi = math.sqrt(1 - (4.0 / R) ** 2)
     expected = R * math.sqrt(1 - ((1 + cos_phi) / 2) ** 2)
@@ -269,33 +259,32 @@ def test_fitting_c_hides_the_error_where_the_right_factor_is_below_one(withdrawa
 
 
 def test_fitting_c_cannot_hide_it_where_the_right_factor_is_above_one(withdrawals):
-    row = next(r for r in withdrawals[200.0].refits if r.c_mm == 4.0)
+    row = withdrawals[200.0].refits.set_index("c_mm").loc[4.0]
     assert row.at_bound
     assert row.fitted_c_mm < 0.01 * R
     assert row.largest_residual_mm > 0.5
 
 
 def test_rows_with_c_fitted_are_marked_and_keep_the_true_c(withdrawals):
-    rows = [e for e in withdrawals[11.5].errors if e.refit]
-    assert {e.model for e in rows} == {"small_plane"}
+    errors = withdrawals[11.5].errors
+    rows = errors[errors.refit]
+    assert set(rows.model) == {"small_plane"}
     assert len(rows) == 9 * len(DISTANCES_MM)
-    assert all(e.error_mm == e.estimate_mm - e.d_mm for e in rows)
-    assert {e.c_mm for e in rows} == set(range(9))
+    assert (rows.error_mm == rows.estimate_mm - rows.d_mm).all()
+    assert set(rows.c_mm) == set(range(9))
 
 
 def test_a_microscope_leaves_the_limits_sooner_than_a_pinhole_on_the_sphere(withdrawals):
-    found: dict[tuple[float, str, float], Limit] = {
-        (row.z_f_mm, row.model, row.limit_mm): row
-        for w in withdrawals.values()
-        for row in limits.limits([e for e in w.errors if not e.refit])
-    }
+    every = pd.concat([w.errors for w in withdrawals.values()])
+    rows = limits.limits(every[~every.refit])
+    found = rows.set_index(["z_f_mm", "model", "limit_mm"]).c_mm
     for limit in LIMITS_MM:
         near, far = found[11.5, "small_plane", limit], found[200.0, "small_plane", limit]
-        assert far.c_mm < near.c_mm
+        assert far < near
         # A row just below and one just above, linear between them.
-        assert 0 < far.c_mm < 8
+        assert 0 < far < 8
     for model in ("corrected", "exact"):
-        assert math.isnan(found[200.0, model, 0.5].c_mm)
+        assert math.isnan(found[200.0, model, 0.5])
 
 
 # The space.
@@ -327,15 +316,15 @@ def test_model_error_csv_has_the_columns_that_people_exchange(tmp_path):
         c=np.full(GRID, 3.0),
         d=np.full(GRID, 2.0),
         semi_minor_px=np.full(GRID, 55.0),
-    )[0]
-    filled = eccentricity.fill_space(scene, count=512, seed=5, csv_file=file, before=[row])
+    )[:1]
+    filled = eccentricity.fill_space(scene, count=512, seed=5, csv_file=file, before=row)
     with file.open() as lines:
         rows = list(csv.DictReader(lines))
-    assert tuple(rows[0]) == ModelError._fields
+    assert list(rows[0]) == MODEL_ERROR
     assert len(rows) == 1 + 5 * filled.count
     assert rows[0]["z_f_mm"] == "inf"
     assert rows[0]["incidence_deg"] == "30"
-    assert float(rows[0]["error_mm"]) == pytest.approx(row.error_mm, abs=1e-6)
+    assert float(rows[0]["error_mm"]) == pytest.approx(row.error_mm[0], abs=1e-6)
     for written in rows[1:]:
         error = float(written["estimate_mm"]) - float(written["d_mm"])
         # d has six figures, the others six decimals.
@@ -347,7 +336,8 @@ def test_an_axis_that_alone_decides_explains_all_and_one_without_effect_nothing(
     made = {model: block.axes["d_mm"] + block.axes["c_mm"] for model in optics.MODELS}
     filled = space.Space()
     filled.add(block._replace(estimates=made))
-    found = {(s.pinhole, s.axis): s.first_order for s in filled.sensitivities()}
+    rows = filled.sensitivities()
+    found = rows.groupby(["pinhole", "axis"]).first_order.last()
     # 32 bins of 4 points each: 1/32^2 of the variance is lost within bins, and the means of what
     # has no effect scatter by 1/4 of it.
     assert found["centre", "c_mm"] == pytest.approx(1.0, abs=0.01)
@@ -357,7 +347,7 @@ def test_an_axis_that_alone_decides_explains_all_and_one_without_effect_nothing(
 # The frame of all studies.
 
 
-LIMIT = Limit("exact", False, 1.0, 0.0, 0.1, math.nan)
+LIMIT = pd.DataFrame({"model": ["exact"], "c_mm": [math.nan]})
 
 
 def small_report(_: None) -> Report:
@@ -368,7 +358,7 @@ def small_report(_: None) -> Report:
         lead="A test.",
         claims=[
             Claim(name="topic", sentence="{value:.2f} of {high:g} < 2.", value=0.7, high=1.0),
-            Claim(name="other", sentence="As {row.model}.", numbers={"row": LIMIT}),
+            Claim(name="other", sentence="As {row.model}.", numbers={"row": rows_of(LIMIT)[0]}),
         ],
         sections=[
             Section(
@@ -378,7 +368,7 @@ def small_report(_: None) -> Report:
                 Picture("line", figure, "A line.", data="limits.csv"),
             )
         ],
-        data=[Data("limits.csv", Limit, [LIMIT])],
+        data={"limits.csv": LIMIT},
         summary={"more": 5},
     )
 
@@ -417,7 +407,7 @@ def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
     first, second = summary["found"]
     assert (first["text"], first["holds"]) == ("0.70 of 1 < 2.", True)
     assert (second["text"], second["holds"]) == ("As exact.", None)
-    assert second["numbers"]["row"] == LIMIT._asdict() | {"c_mm": None}
+    assert second["numbers"]["row"] == {"model": "exact", "c_mm": None}
 
 
 def test_a_folder_takes_the_same_request_again_and_refuses_another(tmp_path):
@@ -458,17 +448,15 @@ def test_a_quick_run_finds_what_is_known_and_resumes(tmp_path, monkeypatch):
     request = Request(out=tmp_path / "run", quick=True, options={"geometries": 512})
     findings = eccentricity.run(request)
     measured = findings.rendered.with_true_c
-    worst = {m: max(abs(e.error_mm) for e in measured if e.model == m) for m in optics.MODELS}
+    worst = measured.error_mm.abs().groupby(measured.model).max()
     # Spots good to 0.1 px are distances good to k delta 0.1 px = 0.013 mm.
     assert worst["exact"] < 0.015
     assert worst["small_plane"] > 1.5
     assert findings.rendered.left_out == 0
-    groups: dict[tuple[str, float, float, float], list[CauseShare]] = {}
-    for part in findings.rendered.shares:
-        groups.setdefault((part.model, part.z_f_mm, part.c_mm, part.d_mm), []).append(part)
-    for parts in groups.values():
-        assert [part.cause for part in parts] == list(CAUSES)
-        assert sum(p.part_mm for p in parts) == pytest.approx(parts[0].whole_mm, abs=1e-9)
+    by_spot = findings.rendered.shares.groupby(["model", "z_f_mm", "c_mm", "d_mm"])
+    for _, parts in by_spot:
+        assert parts.cause.tolist() == list(CAUSES)
+        assert parts.part_mm.sum() == pytest.approx(parts.whole_mm.iloc[0], abs=1e-9)
     for name in ("report.html", "model_error.csv", "limits.csv", "refit.csv", "causes.csv"):
         assert (tmp_path / "run" / name).stat().st_size > 0
 
@@ -476,7 +464,8 @@ def test_a_quick_run_finds_what_is_known_and_resumes(tmp_path, monkeypatch):
         raise AssertionError("a finished stack was rendered again")
 
     monkeypatch.setattr(scenes, "render_stack", never)
-    assert eccentricity.run(request).rendered.errors == findings.rendered.errors
+    again = eccentricity.run(request).rendered.errors
+    pd.testing.assert_frame_equal(again, findings.rendered.errors)
 
 
 def test_links_and_their_names_belong_together():

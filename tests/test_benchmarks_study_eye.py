@@ -9,8 +9,6 @@ import pytest
 
 from benchmarks.reporting import Request
 from benchmarks.studies.eye import population, recipes
-from benchmarks.studies.eye.batches import in_batches
-from benchmarks.studies.eye.findings import crossing
 from benchmarks.studies.eye.geometry import (
     NOMINAL_RADIUS_MM,
     SCALE_MM_PX,
@@ -19,8 +17,10 @@ from benchmarks.studies.eye.geometry import (
     cameras,
     grid,
     image,
+    in_batches,
     spots_through,
 )
+from benchmarks.studies.eye.run import crossing
 from calibration.spots import RETINA
 from optics.viewing import load_eye
 

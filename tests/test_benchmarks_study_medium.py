@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import scenes
-from benchmarks.reporting.study import Request
+from benchmarks.reporting import Request, rows_of
 from benchmarks.studies.medium import light as medium_light
 from benchmarks.studies.medium import rendered as medium_rendered
 from benchmarks.studies.medium import run as medium
-from benchmarks.studies.medium.findings import AIR, VITREOUS, Curve, Method, Regression
+from benchmarks.studies.medium.light import AIR, VITREOUS, Curve, Method, Regression
 from scenes.world import Cone
 
 DISTANCE = np.linspace(0.05, 8.0, 1600)
@@ -20,23 +20,23 @@ ASKED = np.linspace(0.5, 6.0, 12)
 def straight(k: float, b: float, name: str) -> Curve:
     """A light that is a cone in its medium."""
     regression = Regression("a", name, k, b, 1.0, math.nan, math.nan)
-    return Curve("a", name, DISTANCE, (DISTANCE - b) / k, regression)
+    return Curve(DISTANCE, (DISTANCE - b) / k, regression)
 
 
 def test_no_medium_changes_what_an_ideal_cone_says():
     cone = Cone(math.atan(1 / 20), -5.117)
     air, vitreous = (medium_light.cone_curve(cone, name) for name in (AIR, VITREOUS))
     rows = medium_light.analytic_errors(air, vitreous, distances=ASKED)
-    assert {row.method for row in rows} == set(Method)
+    assert set(rows.method) == set(Method)
     # Rounding of numbers near 10, times k.
-    assert max(abs(row.error_mm) for row in rows) < 1e-12
-    assert not any(row.ambiguous for row in rows)
+    assert rows.error_mm.abs().max() < 1e-12
+    assert not rows.ambiguous.any()
 
 
 def test_airs_cone_is_off_by_the_ratio_of_the_slopes():
     air, vitreous = straight(12.0, -3.0, AIR), straight(16.0, -4.0, VITREOUS)
     rows = medium_light.analytic_errors(air, vitreous, distances=ASKED)
-    for row in rows:
+    for row in rows_of(rows):
         # R = (d + 4)/16, read as 12 R - 3 = 3/4 d: a quarter of the distance is lost.
         expected = -0.25 * row.d_mm if row.method == Method.AIR_CONE else 0.0
         assert row.error_mm == pytest.approx(expected, abs=1e-12)
@@ -46,15 +46,15 @@ def test_a_radius_on_both_sides_of_a_waist_is_ambiguous_and_gives_the_farther_an
     air = straight(20.0, -5.0, AIR)
     waist = 2.0
     radius = np.hypot(0.2, 0.1 * (DISTANCE - waist))
-    vitreous = air._replace(medium=VITREOUS, radius=radius)
+    vitreous = Curve(DISTANCE, radius, air.cone._replace(medium=VITREOUS))
     rows = medium_light.analytic_errors(air, vitreous, distances=np.array([1.0, 3.0, 5.0]))
-    by_lens = {row.d_mm: row for row in rows if row.method == Method.LENS}
+    by_lens = rows[rows.method == Method.LENS].set_index("d_mm")
     # The same on both sides, 2 (waist - d) apart; 5 mm's other side lies behind the tip. Linear
     # between samples 5 um apart: 1e-6 of the radius, a few um of distance.
-    assert by_lens[1.0].error_mm == pytest.approx(2.0, abs=1e-4)
-    assert by_lens[3.0].error_mm == pytest.approx(-2.0, abs=1e-4)
-    assert by_lens[5.0].error_mm == pytest.approx(0.0, abs=1e-4)
-    assert [by_lens[d].ambiguous for d in (1.0, 3.0, 5.0)] == [True, True, False]
+    assert by_lens.error_mm[1.0] == pytest.approx(2.0, abs=1e-4)
+    assert by_lens.error_mm[3.0] == pytest.approx(-2.0, abs=1e-4)
+    assert by_lens.error_mm[5.0] == pytest.approx(0.0, abs=1e-4)
+    assert by_lens.ambiguous[[1.0, 3.0, 5.0]].tolist() == [True, True, False]
 
 
 def test_trials_differ_in_light_medium_and_wall_alone():
@@ -93,12 +93,12 @@ def test_a_flat_end_in_vitreous_is_the_same_lens_seen_from_farther_off():
 
 @pytest.mark.slow
 def test_a_quick_run_finds_airs_cone_wrong_and_the_lens_model_right(tmp_path):
-    findings = medium.run(Request(out=tmp_path / "run", quick=True))
-    rendered = [row for row in findings.rows if row.source == "rendered"]
+    errors = medium.run(Request(out=tmp_path / "run", quick=True))
+    rendered = errors[(errors.source == "rendered") & (errors.medium == VITREOUS)]
 
     def worst(light: str, method: Method) -> float:
-        rows = [r for r in rendered if (r.light, r.medium, r.method) == (light, VITREOUS, method)]
-        return max(abs(row.error_mm) for row in rows if not row.ambiguous)
+        rows = rendered[(rendered.light == light) & (rendered.method == method)]
+        return rows.error_mm[~rows.ambiguous].abs().max()
 
     assert worst("paper-candidate", Method.AIR_CONE) > 1.0
     assert worst("paper-candidate", Method.LENS) < 0.1

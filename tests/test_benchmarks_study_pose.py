@@ -6,18 +6,19 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 
 import optics
 import scenes
-from benchmarks.evaluation.summaries import rms
+from benchmarks.evaluation.statistics import rms
 from benchmarks.reporting.study import Request
 from benchmarks.studies.pose import analytic as pose_analytic
 from benchmarks.studies.pose import errors as pose_errors
 from benchmarks.studies.pose import rendered as pose_rendered
 from benchmarks.studies.pose import run as pose
-from benchmarks.studies.pose.errors import one_spot, three_spots
-from benchmarks.studies.pose.findings import PoseError, Prior, scatter
+from benchmarks.studies.pose.errors import Prior, one_spot, three_spots
+from benchmarks.studies.pose.run import scatter, some
 from calibration.spots.tool_pose import (
     Tool,
     ToolPose,
@@ -112,24 +113,24 @@ def test_spots_of_a_tool_lie_evenly_round_its_axis_at_square_incidence():
 
 
 @pytest.fixture(scope="module")
-def rows() -> list[PoseError]:
+def rows() -> pd.DataFrame:
     every = pose_analytic.places(WALL, count=32, seed=0)
-    return pose_analytic.errors(ONE, every, WALL, VIEW, seed=0)
+    return pd.DataFrame(pose_analytic.errors(ONE, every, WALL, VIEW, seed=0))
 
 
 def test_one_spots_errors_are_those_of_the_bound(rows):
     for prior in (Prior.ROUGH, Prior.KNOWN):
-        right = [r for r in rows if r.prior == prior and not r.mirrored]
-        ratios = [(row.tip_error_mm / row.tip_bound_mm) ** 2 for row in right]
+        right = rows[(rows.prior == prior) & ~rows.mirrored]
+        ratios = (right.tip_error_mm / right.tip_bound_mm) ** 2
         # A square of one to three normal numbers: the mean of 30 has a standard deviation of 0.26
         # at most; three of those.
         assert np.mean(ratios) == pytest.approx(1.0, abs=0.78)
 
 
 def test_a_mirrored_solution_has_another_tip_but_the_same_distance(rows):
-    mirrored = [row for row in rows if row.prior == Prior.NONE and row.mirrored]
-    assert mirrored
-    for row in mirrored:
+    mirrored = rows[(rows.prior == Prior.NONE) & rows.mirrored]
+    assert len(mirrored)
+    for row in mirrored.itertuples():
         # Leaning the other way moves the tip by 2 d sin(incidence), give or take the sphere.
         apart = 2 * row.d_mm * math.sin(math.radians(row.incidence_deg))
         assert row.tip_error_mm == pytest.approx(apart, rel=0.15)
@@ -200,13 +201,12 @@ def test_a_scene_whose_spots_have_no_such_pose_is_refused(tmp_path, changes, mes
 
 @pytest.mark.slow
 def test_a_quick_run_is_within_what_was_asked(tmp_path):
-    findings = pose.run(Request(out=tmp_path / "run", quick=True))
-    rendered = [row for row in findings.rows if row.source == "rendered"]
-    assert {row.spots for row in rendered} == {1, 3}
-    found = scatter([r for r in rendered if r.prior == Prior.ROUGH and r.spots == 1])
+    errors = pose.run(Request(out=tmp_path / "run", quick=True))
+    assert set(errors.spots[errors.source == "rendered"]) == {1, 3}
+    found = scatter(some(errors, "rendered", 1, Prior.ROUGH))
     assert found.tip_mm < 0.010
     assert found.axis_deg < 0.1
-    known = [row.distance_error_mm for row in rendered if row.prior == Prior.KNOWN]
-    assert rms(known) < 0.005
+    known = errors[(errors.source == "rendered") & (errors.prior == Prior.KNOWN)]
+    assert rms(known.distance_error_mm) < 0.005
     for name in ("report.html", "pose_error.csv", "figures/incidence.png"):
         assert (tmp_path / "run" / name).stat().st_size > 0

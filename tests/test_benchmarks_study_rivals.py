@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 import optics
 from benchmarks.reporting import Request
 from benchmarks.studies.rivals import marks, sensors
-from benchmarks.studies.rivals.findings import Outcome, Sensor, Wrong
+from benchmarks.studies.rivals.sensors import Outcome, Sensor, Wrong, outcomes_at
 from benchmarks.studies.rivals.setup import (
     CONVERGENCE_DEG,
     PINHOLE_HEIGHT_MM,
@@ -20,7 +20,6 @@ from benchmarks.studies.rivals.setup import (
     place,
     views,
 )
-from benchmarks.studies.rivals.visible import outcomes_at
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -142,7 +141,8 @@ def test_a_quick_study_finds_the_spot_best_and_stereo_last(tmp_path):
     assert spot < 0.01 < shadow < 0.1 < stereo < 0.5
     # The shadow's geometry lies inside the eye, that of the pair outside of it.
     path = "flat contact lens"
-    wrong = {s: np.abs(findings.bias(s, path, Wrong.PATH)).max() for s in Sensor}
+    wrong = {s: findings.bias(s, path, Wrong.PATH).abs().max() for s in Sensor}
     assert wrong[Sensor.SHADOW] < wrong[Sensor.SPOT] < wrong[Sensor.STEREO]
-    read = [row for row in findings.readings if row.sensor == Sensor.SPOT]
-    assert all(row.outcome == Outcome.READ and abs(row.error_mm) < 0.02 for row in read)
+    read = findings.readings[findings.readings.sensor == Sensor.SPOT]
+    assert (read.outcome == Outcome.READ).all()
+    assert read.error_mm.abs().max() < 0.02

@@ -12,14 +12,12 @@ import scenes
 from benchmarks.evaluation.paper import TABLE_I, PlaneRow
 from benchmarks.evaluation.trials import paper_trials
 from benchmarks.reporting.study import Request
-from benchmarks.studies.static import causes as static_causes
 from benchmarks.studies.static import run as static
-from benchmarks.studies.static.bench import EVEN
-from benchmarks.studies.static.findings import ALL, CAUSES, NONE, Scope
-from benchmarks.studies.table_one import causes, moments, scan
+from benchmarks.studies.static.run import OWN, POOLED
+from benchmarks.studies.static.trials import ALL, CAUSES, EVEN, NONE, plane
+from benchmarks.studies.table_one import moments, scan
 from benchmarks.studies.table_one import run as table_one
-from benchmarks.studies.table_one.findings import Demand, LensChoice
-from benchmarks.studies.table_one.isophotes import Family, Isophotes
+from benchmarks.studies.table_one.scan import Demand, Family, Isophotes, LensChoice
 from calibration.spots.lines import fit_lines
 from scenes.world import World
 
@@ -57,18 +55,18 @@ def variants(touch: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, np.nda
 
 def test_a_missed_touch_adds_its_variance_to_the_line_of_all_trials_and_nothing_to_their_own():
     touch = np.array([[0.2, -0.1, -0.1], [0.0, 0.3, -0.3]])
-    parts = static_causes.parts(*variants(touch), texture=np.zeros(len(touch)))
-    of = {(p.scope, p.cause): p.part_mm2 for p in parts}
+    parts = static.parts(*variants(touch), texture=np.zeros(len(touch)))
+    of = parts.set_index(["scope", "cause"]).part_mm2
     # Offsets cannot be correlated with spots that are the same in all trials; rounding.
-    assert of[Scope.POOLED, "touch"] == pytest.approx(np.var(touch, axis=1).mean(), rel=1e-9)
-    assert of[Scope.OWN, "touch"] == pytest.approx(0.0, abs=1e-12)
+    assert of[POOLED, "touch"] == pytest.approx(np.var(touch, axis=1).mean(), rel=1e-9)
+    assert of[OWN, "touch"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_parts_and_what_they_do_together_lead_from_none_to_all():
     touch = 0.1 * np.random.default_rng(2).standard_normal((6, 3))
-    parts = static_causes.parts(*variants(touch), texture=np.zeros(len(touch)))
-    for scope in Scope:
-        own = {p.cause: p.part_mm2 for p in parts if p.scope == scope}
+    parts = static.parts(*variants(touch), texture=np.zeros(len(touch)))
+    for scope in (OWN, POOLED):
+        own = parts[parts.scope == scope].set_index("cause").part_mm2
         lead = own[NONE] + own["together"] + sum(own[cause] for cause in CAUSES if cause in own)
         assert lead == pytest.approx(own[ALL], rel=1e-12)
 
@@ -77,7 +75,7 @@ def test_the_parts_and_what_they_do_together_lead_from_none_to_all():
 def test_the_plane_tilts_under_an_instrument_that_keeps_its_direction(tilt):
     def axis(tilt: int) -> np.ndarray:
         place = paper_trials(source="lens", quick=True, seed=0)[1]
-        scene = static.plane(PLANE, place, texture=EVEN, tilt=tilt, frames=2)
+        scene = plane(PLANE, place, texture=EVEN, tilt=tilt, frames=2)
         world = World(scene)
         return world.motion.at(world.times)[1][0]
 
@@ -175,11 +173,11 @@ def test_aperture_and_threshold_trade_against_each_other_and_a_wide_aperture_doe
 
 def test_light_moves_the_contact_radius_by_far_less_than_the_papers_trials_differ(flat):
     choice = best(flat[0.10])
-    rows = {row.cause: row for row in causes.causes(flat[0.10], choice, PLANE)}
+    rows = table_one.causes(flat[0.10], choice, PLANE)
     trials = [-row.b / row.delta_k for row in list(TABLE_I.values())[:3]]
-    light = [row for name, row in rows.items() if name.endswith("light")]
+    light = rows[rows.cause.str.endswith("light")]
     assert len(light) == 2
-    assert all(abs(row.contact_radius_change_px) < np.ptp(trials) / 3 for row in light)
+    assert light.contact_radius_change_px.abs().max() < np.ptp(trials) / 3
 
 
 def test_a_scene_that_table_one_cannot_be_asked_of_is_refused(tmp_path):

@@ -9,17 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from typer.testing import CliRunner
 
-import eyespot
-from calibration.command.eye_model import fit_eye
-from calibration.command.fitted import Choices
-from calibration.spots import Prior
+from calibration.command.choices import Choices
+from calibration.command.cone_models import fit_eye
 from estimator import Spot, SpotRecord, write_spots
 from estimator.distance import Ranger
 from estimator.files import Calibration, read_calibration, write_calibration
 from optics import InputError, viewing
 from tests import eye_fits
+from tests.command_line import call
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -113,7 +111,7 @@ def test_a_cone_may_be_given_by_its_slope(eye):
         np.diag([eye_fits.CONE_SIGMA[1] ** 2, k_sigma**2]),
         "planar",
     )
-    by_slope = fit_eye(trials, Choices(free=None, priors={}, loss="squares", cone=cone))
+    by_slope = fit_eye(trials, Choices(), cone)
     for name, value in by_angle.values.items():
         assert by_slope.values[name] == pytest.approx(value, rel=1e-6), name
     np.testing.assert_allclose(by_slope.covariance, by_angle.covariance, rtol=1e-4)
@@ -125,7 +123,7 @@ def test_what_does_not_fit_the_eye_is_refused():
     trial = eye_fits.recording(spots, down, np.random.default_rng(0), 0.0)
     on_plane = trial._replace(trial=replace(trial.trial, kind="plane"))
     cone = eye_fits.calibration({"half_angle": 0.05, "b": -5.0}, np.zeros((2, 2)), "exact")
-    given = Choices(free=None, priors={}, loss="squares", cone=cone)
+    given = Choices()
     lens = {
         "core_radius": 0.2,
         "glue_length": 0.1,
@@ -135,17 +133,15 @@ def test_what_does_not_fit_the_eye_is_refused():
         "numerical_aperture": 0.2,
     }
     of_lens = eye_fits.calibration(lens, np.zeros((6, 6)), "lens")
-    for recording, choices, said in (
-        (trial, given._replace(cone=None), "needs --cone FILE"),
-        (on_plane, given, "was taken on a plane"),
-        (trial._replace(medium="air"), given, "--cone is valid in vitreous"),
-        (trial, given._replace(cone=of_lens), "must be a calibration of a cone"),
-        (trial, given._replace(free=("scale", "b")), "half_angle is missing"),
-        (trial, given._replace(priors={"b": Prior(-5.0, 1.0)}), "--cone contains it"),
-        (trial, given._replace(loss="huber"), "--robust"),
+    for recording, choices, known, said in (
+        (trial, given, None, "needs --cone FILE"),
+        (on_plane, given, cone, "was taken on a plane"),
+        (trial._replace(medium="air"), given, cone, "--cone is valid in vitreous"),
+        (trial, given, of_lens, "must be a calibration of a cone"),
+        (trial, Choices(prior=("b=-5,1",)), cone, "--cone contains it"),
     ):
         with pytest.raises(InputError, match=said):
-            fit_eye([recording], choices)
+            fit_eye([recording], choices, known)
 
 
 def written(folder, name, trial):
@@ -224,14 +220,14 @@ def test_the_command_writes_a_calibration_that_track_reads(eye, tmp_path):
             str(tmp_path / "eye.json"),
         ),
     ]
-    done = CliRunner().invoke(eyespot.app, given)
+    done = call(given)
     assert done.exit_code == 0, done.output
     found = read_calibration(tmp_path / "eye.json")
     assert found.model == "area"
     # Behind the retina, as in the random eyes of `eyespot study eye`: -0.07 ± 0.01 per mm.
     assert -0.12 < found.values["inverse_working_distance"] < -0.03
     other = [{"eye": "cone", given[-1]: str(tmp_path / "other.json")}.get(w, w) for w in given]
-    refused = CliRunner().invoke(eyespot.app, other)
+    refused = call(other)
     assert "--cone works with --model eye only" in str(refused.exception)
 
 

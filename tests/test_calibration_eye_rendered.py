@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-import eyespot
 import scenes
 from estimator import Spot, Stack, SubpixelSettings, TrackState, measure
 from estimator.distance import Ranger
 from estimator.files import read_calibration, read_microscope, write_calibration
 from scenes.world import true_calibration
+from tests.command_line import call
 
 pytestmark = pytest.mark.slow
 
@@ -47,8 +46,7 @@ def test_models_hold_their_limits_behind_a_flat_contact_lens(tmp_path):
     withdrawals = [rendered(tmp_path, c, *trocar) for c in (1.0, 3.0, 5.0)]
     truth = true_calibration(scene_at(1.0))
     write_calibration(tmp_path / "cone.json", truth)
-    fitted = CliRunner().invoke(
-        eyespot.app,
+    fitted = call(
         [
             *("fit", *(str(stack.folder) for stack in withdrawals)),
             *("--model", "eye", "--cone", str(tmp_path / "cone.json")),

@@ -12,9 +12,7 @@ import matplotlib
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
-import eyespot
 import optics
 import scenes
 from calibration import Prior, fit_cone
@@ -22,6 +20,7 @@ from calibration.recordings.trials import LogBook, read_recording
 from estimator import Spot, SpotRecord, open_source, read_poses, write_spots
 from estimator.files.calibration import read_calibration
 from estimator.sources import write_bag
+from tests.command_line import call
 
 SVG = "{http://www.w3.org/2000/svg}"
 K, B, SCALE = 20.0, -5.117, 0.0067
@@ -90,7 +89,7 @@ def rig(tmp_path):
 def fit(tmp_path, *arguments, book=True, out="c.json"):
     log_book = ["--microscope", str(tmp_path / "microscope.json"), "--phantom", "plane"]
     rest = [*log_book, "--medium", "air"] if book else []
-    return CliRunner().invoke(eyespot.app, ["fit", *rest, *arguments, "--out", str(tmp_path / out)])
+    return call(["fit", *rest, *arguments, "--out", str(tmp_path / out)])
 
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
@@ -175,6 +174,8 @@ def test_the_fingerprint_is_that_of_the_data(rig, tmp_path):
         (["--lens", "dome"], "--model lens fits the pixels of one stack"),
         (["--lens", "dome", "--model", "cone"], "--lens works with --model lens only"),
         (["--model", "image", "--free", "half_angle,b,sag"], "--free accepts .*blur.*got 'sag'"),
+        (["--model", "eye", "--free", "scale,b"], "half_angle and b; half_angle is missing"),
+        (["--model", "eye", "--robust"], "works with the models"),
         (["--robust"], "works with the models plane and sphere only"),
         (["--phantom", "plane", "--phantom", "plane"], "--phantom must be given once, or once per"),
         (["--medium", "honey"], "--medium must be one of air.*'honey'"),
@@ -324,7 +325,7 @@ def stacks(stack):
 @pytest.mark.slow
 def test_the_cone_that_was_rendered_is_found(stacks, tmp_path):
     out = tmp_path / "cone.json"
-    result = CliRunner().invoke(eyespot.app, ["fit", *stacks, "--out", str(out)])
+    result = call(["fit", *stacks, "--out", str(out)])
     assert result.exit_code == 0, result.output
     found = read_calibration(out)
     # Asked of rendered cones with camera noise: half-angle within 0.3 %, b within 0.02 mm.
@@ -352,7 +353,7 @@ def test_a_perpendicular_withdrawal_from_contact_is_a_good_fit(stack, tmp_path):
     # tip, whose rim is at the wall.
     out = tmp_path / "square.json"
     square = stack("square", kind="eyeball", c=2.0, incidence=0.0)
-    result = CliRunner().invoke(eyespot.app, ["fit", square, "--out", str(out)])
+    result = call(["fit", square, "--out", str(out)])
     assert result.exit_code == 0, result.output
     assert "A good fit" in result.output
     found = read_calibration(out)
@@ -363,9 +364,7 @@ def test_a_perpendicular_withdrawal_from_contact_is_a_good_fit(stack, tmp_path):
 @pytest.mark.slow
 def test_the_planar_fit_knows_of_the_rim(stacks, tmp_path):
     out = tmp_path / "plane.json"
-    result = CliRunner().invoke(
-        eyespot.app, ["fit", *stacks[:2], "--model", "plane", "--out", str(out)]
-    )
+    result = call(["fit", *stacks[:2], "--model", "plane", "--out", str(out)])
     assert result.exit_code == 0, result.output
     found = read_calibration(out)
     for name, true in (("k", K), ("b", B)):
@@ -409,9 +408,7 @@ def test_stacks_that_a_fit_cannot_use_say_why(stack, tmp_path):
         (scanned, "cone", "does not begin where the tip touches"),
         (late, "cone", "does not begin where the tip touches.*--prior touch"),
     ):
-        result = CliRunner().invoke(
-            eyespot.app, ["fit", source, "--model", model, "--out", str(tmp_path / "c.json")]
-        )
+        result = call(["fit", source, "--model", model, "--out", str(tmp_path / "c.json")])
         assert re.search(told, str(result.exception)), result.output
     with pytest.raises(ValueError, match="is no withdrawal"):
         read_recording(scanned, touch=Prior(3.0, 0.1))

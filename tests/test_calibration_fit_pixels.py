@@ -7,25 +7,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-import eyespot
 import optics
 import scenes
-from calibration.command.goodness import MOST_MISFIT
 from calibration.command.pixel_models import _maps, _of_frames, _propagated
+from calibration.command.verdict import MOST_MISFIT
 from calibration.pixels import fit_footage, lens_start, read_footage
 from estimator import Spot
 from estimator.distance.ranger import Ranger
 from estimator.files.calibration import read_calibration
 from estimator.files.microscope import read_microscope
+from tests.command_line import call
 
 ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
 
 
 def run(*arguments):
-    return CliRunner().invoke(eyespot.app, list(map(str, arguments)))
+    return call(list(map(str, arguments)))
 
 
 def test_two_stacks_are_not_fitted_as_one(tmp_path):

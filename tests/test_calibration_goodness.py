@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.command.goodness import (
-    bounds_hit,
+from calibration.command.fitted import Fitted, PixelResiduals, bounds_hit
+from calibration.command.fitting import MODELS
+from calibration.command.verdict import (
+    Fault,
     doubts,
     refusal,
+    remedy,
     runs_probability,
     verdict,
 )
-from calibration.command.models import MODELS
-from calibration.command.remedies import Fault, remedy
 from calibration.pixels import Criterion, Failure, Misfit
 
 
@@ -53,7 +54,21 @@ def good(**changes):
         "misfit": None,
         "residuals": {"size": noise},
     }
-    return doubts(**known | changes)
+    known |= changes
+    per_degree, misfit = known.pop("chi_squared_per_degree"), known.pop("misfit")
+    nothing = np.zeros(0)
+    return doubts(
+        Fitted(
+            calibration_model="exact",
+            values={},
+            covariance=np.zeros((0, 0)),
+            recordings=[],
+            used=40,
+            chi_squared=None if per_degree is None else per_degree * known["degrees_of_freedom"],
+            pixels=misfit and PixelResiduals(nothing, [], nothing.astype(int), nothing, misfit),
+            **known,
+        )
+    )
 
 
 @pytest.mark.parametrize(

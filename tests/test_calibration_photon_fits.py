@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import ndimage
-from typer.testing import CliRunner
 
 import calibration
-import eyespot
 import optics
 from estimator.files import read_calibration
+from tests.command_line import call
 from tests.lens_quadrature import irradiance
 from tests.photon_fits import (
     PARAMETERS,
@@ -88,7 +87,7 @@ def test_a_lens_is_found_in_a_stack_of_files_that_photons_made(tmp_path):
     first = frames.where.touch + recording.first
     arguments: list[Any] = ["fit", stack, "--model", "lens", "--lens", start, "--out", out]
     arguments += ["--prior", f"touch={first},0.02"]
-    ran = CliRunner().invoke(eyespot.app, list(map(str, arguments)))
+    ran = call(list(map(str, arguments)))
     assert ran.exit_code == 0, ran.output
     assert "A good fit" in ran.output
     found = read_calibration(out)

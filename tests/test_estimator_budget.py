@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 from uncertainties import correlated_values, ufloat, umath
 
-import eyespot
 import optics
 from benchmarks.evaluation import Geometry, estimates, semi_minor
 from estimator import read_spots, read_stack
@@ -22,6 +20,7 @@ from optics import InputError
 from scenes import load_scene, render_stack
 from scenes.world import true_calibration
 from tests import budget_coverage
+from tests.command_line import call
 from tests.test_estimator_ranger import R_EYE, SCALE, B, K, calibration, covariance_of, spot
 from tests.test_estimator_ranger import microscope as microscope_at
 
@@ -319,7 +318,7 @@ def stack(tmp_path_factory) -> Path:
 
 
 def run(*arguments: object) -> str:
-    done = CliRunner().invoke(eyespot.app, [str(argument) for argument in arguments])
+    done = call([str(argument) for argument in arguments])
     assert done.exit_code == 0, done.output
     return done.output
 

@@ -5,14 +5,13 @@ import json
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from estimator.files import read_microscope
 from estimator.image import measured_noise
-from eyespot import app
 from optics import InputError
 from scenes.camera import Camera
 from scenes.description import Scene
+from tests.command_line import call
 
 _SHEET = {"full_well_e": 8000.0, "read_noise_e": 12.0, "black_level_dn": 6.0, "prnu": 0.01}
 _LEVELS = (0.0, 0.12, 0.25, 0.4, 0.6, 0.8)
@@ -81,7 +80,7 @@ def test_the_command_writes_the_noise_into_a_microscope_file(tmp_path):
     )
     out = tmp_path / "with_camera.json"
     options = [str(folder), "--microscope", str(microscope), "--out", str(out)]
-    result = CliRunner().invoke(app, ["camera", *options])
+    result = call(["camera", *options])
     assert result.exit_code == 0, result.output
     noise = read_microscope(out).noise
     assert noise is not None

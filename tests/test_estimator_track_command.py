@@ -484,6 +484,12 @@ def test_bad_input_is_one_message_and_leaves_nothing_behind(
     assert sorted(tmp_path.iterdir()) == before
 
 
+def test_a_start_may_be_told_to_be_searched_for_and_may_be_negative(run, tmp_path, frames):
+    assert run(frames, "--out", tmp_path / "a.csv", "--start", "auto").code == 0
+    outcome = run(frames, "--out", tmp_path / "b.csv", "--start", "-5,3")
+    assert_bad_input(outcome, "(-5, 3) px", "200x160 px")
+
+
 def test_a_microscope_of_another_frame_size_is_refused(run, tmp_path, frames, microscope):
     microscope.write_text(microscope.read_text().replace("200", "640", 1))
     outcome = run(frames, "--out", tmp_path / "spots.csv", "--microscope", microscope)

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
-import eyespot
 from estimator import Spot
 from estimator.files import read_spots, read_stack
 from estimator.rig.rig import Parameters, opened_rig
 from estimator.viewer import check_recording_path, record_stack
 from scenes import load_scene, render_stack
+from tests.command_line import call
 from tests.drawn_sets import labels_of, write_stack
 
 
@@ -48,7 +47,7 @@ def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(
     recording, spots = tmp_path / "a.rrd", tmp_path / "spots.csv"
     pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
     command = ["track", str(stack), "--out", str(spots), "--rerun", str(recording)]
-    done = CliRunner().invoke(eyespot.app, command)
+    done = call(command)
     assert done.exit_code == 0, done.output
     columns, records = columns_of(recording), read_spots(spots)
     for record, labels in zip(records, read_stack(stack).labels, strict=True):
@@ -81,7 +80,7 @@ def test_a_fit_is_recorded_with_the_robots_distances_and_its_residuals(tmp_path:
     stack, recording = tmp_path / "stack", tmp_path / "fit.rrd"
     render_stack(scene, stack)
     command = ["fit", str(stack), "--model", "cone", "--out", str(tmp_path / "cone.json")]
-    done = CliRunner().invoke(eyespot.app, [*command, "--rerun", str(recording)])
+    done = call([*command, "--rerun", str(recording)])
     assert done.exit_code == 0, done.output
     columns = columns_of(recording)
     measured = columns["/distance/measured:Scalars:scalars"]

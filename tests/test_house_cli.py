@@ -18,6 +18,7 @@ from optics import InputError
 from scenes.machine import doctor
 from scenes.machine.llvm import ENVIRONMENT_VARIABLE
 from scenes.machine.variant import RendererUnavailable
+from tests.command_line import WORDS, command_of, options_of
 
 # The installed command; `python -m eyespot` would search the current folder for packages first.
 EYESPOT = Path(sys.executable).with_name("eyespot")
@@ -79,25 +80,30 @@ def test_version_is_that_of_the_distribution(run):
     assert run("version").out.strip() == importlib.metadata.version("eyespot")
 
 
-def test_the_list_of_commands_is_read_without_importing_any(run):
+def test_the_list_of_commands_is_read_without_importing_any(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
     root = run_process("--help")
     assert root.code == 0
-    for group in ("", *eyespot.GROUPS):
+    for group, functions in eyespot.COMMANDS.items():
         listed = run(*filter(None, [group, "--help"])).out
-        for words, function in eyespot.COMMANDS.items():
-            if words.rpartition(" ")[0] == group:
-                assert words.rpartition(" ")[2] in listed
-                assert eyespot.summary(function)
+        for function, about in functions.items():
+            assert function.rpartition(":")[2].replace("_", "-") in listed
+            assert about in listed
 
 
-@pytest.mark.parametrize("words", eyespot.COMMANDS)
+@pytest.mark.parametrize("words", WORDS)
 def test_every_option_of_every_command_is_explained_in_a_sentence(words):
-    command = eyespot.loaded(eyespot.COMMANDS[words])
-    for option in command.params:
-        if option.name != "help":
-            assert option.help, f"{words} {option.name}"
-            assert option.help[0].isupper() or option.help.startswith("microscope.json")
-            assert option.help.endswith("."), f"{words} {option.name}: {option.help}"
+    for option in options_of(words):
+        told = option.parameter.help or ""
+        assert told[:1].isupper() or told.startswith("microscope.json"), f"{words} {option.name}"
+        assert told.endswith("."), f"{words} {option.name}: {told}"
+
+
+@pytest.mark.parametrize("words", WORDS)
+def test_the_help_of_a_command_is_its_docstring(run, words):
+    listed = run(*words.split(), "--help").out
+    first_line, *_ = (command_of(words).default_command.__doc__ or "-").splitlines()
+    assert first_line in " ".join(listed.split())
 
 
 def test_an_unknown_option_is_bad_input(run):

@@ -218,7 +218,7 @@ def test_a_command_loads_only_what_it_uses(words, allowed, tmp_path):
 def test_no_help_loads_a_heavy_library():
     code = (
         "import sys, eyespot\n"
-        "for function in eyespot.COMMANDS.values(): eyespot.loaded(function)\n"
+        "for group in eyespot.groups.values(): group.resolved_commands()\n"
         "print(*sys.modules)"
     )
     child = subprocess.run(

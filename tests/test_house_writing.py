@@ -17,6 +17,7 @@ import pytest
 from benchmarks.reporting import Request, Study
 from benchmarks.sets.formats.export import export
 from benchmarks.sets.score.scoring import run as score
+from calibration.command.choices import Choices
 from calibration.command.fitting import run as fit
 from estimator import StackError, StackWriter, read_stack
 from estimator.files import BeingWrittenError, written_whole
@@ -95,7 +96,7 @@ WRITERS: dict[str, Callable[[Path, Path], object]] = {
     "preview": lambda stack, out: write_preview(load_scene(None), out),
     "export": lambda stack, out: export(stack, to="coco", out=out),
     "score": lambda stack, out: score(stack, [], mode="literal", out=out),
-    "fit": lambda stack, out: fit([stack], model="cone", out=out),
+    "fit": lambda stack, out: fit([stack], out, Choices(model="cone")),
     "study": lambda stack, out: write_study(out),
 }
 
@@ -164,7 +165,7 @@ def test_no_command_writes_over_what_is_there(kind: str, writer: str, tmp_path: 
 def test_a_fit_refuses_before_it_starts_if_its_report_exists(tmp_path: Path) -> None:
     (tmp_path / "c.html").write_text("mine")
     with pytest.raises(InputError, match=r"c\.html already exists"):
-        fit([tmp_path / "no such recording"], model="plane", out=tmp_path / "c.json")
+        fit([tmp_path / "no such recording"], tmp_path / "c.json", Choices(model="plane"))
     assert (tmp_path / "c.html").read_text() == "mine"
 
 

@@ -8,19 +8,17 @@ estimator/         Accuracy and speed of the estimator
 frame_pose         Accuracy of tip and axis from all pixels of single rendered frames
 image_fit          Accuracy of the fit to all pixels of rendered stacks
 lens_fit           Time and accuracy of the fit of a lens to pixels
-lines              Measurements as lines of a file, which a stopped run goes on from
 load               Long measurements: `eyespot track` of many frames, and a `Reader` that keeps a
                    camera's pace
-output             Tables and sentences on the terminal, processor times, and memory
+output             Tables on the terminal, processor times, memory, and lines of a file
 photon_fit         Accuracy of a lens fitted through its own glass, with Mitsuba behind JAX
 pixel_adverse      The mode pixels where beams, walls and cameras are not as it believes
 pixel_branches     Whether the mode pixels takes the wrong one of two distances behind a lens
 pixel_coverage     Whether the stated errors of the mode pixels hold, on many single frames
-pixel_frames       Frames of a rendered stack, read in the mode pixels and in the other modes
+pixel_frames       Drawn stacks, and their frames read in the mode pixels and in the other modes
 pixel_memory       Memory and time of the mode pixels over many frames
 pixel_pose         Accuracy and stated errors of the mode pixels on rendered stacks
 pixel_set          The mode pixels on the stacks of a set with adverse conditions
-pixel_stacks       Drawn stacks for the benches of the mode pixels, and calibrations of their beams
 set_size           How the cost of a set grows, with its stacks and with its workers
 viewing_speed      Time of lines of sight and of exact spots through a contact lens into an eye
 """

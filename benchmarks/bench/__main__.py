@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import Annotated
 
-import typer
+import cyclopts
+from cyclopts import Parameter
+from cyclopts.types import NonNegativeInt
 
 MAKE_BENCH = (
     "estimator.speed",
@@ -39,33 +42,22 @@ _SEED = 2026
 
 
 def main(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[NAME ...]",
-            help=f"Benches to run: {', '.join(MAKE_BENCH)} (default: all of these), "
-            f"{' or '.join(BY_NAME_ONLY)}.",
-        ),
-    ] = None,
-    full: Annotated[
-        bool,
-        typer.Option(
-            "--full",
-            help="Use more or larger frames in estimator.speed, estimator.spotless, "
-            "estimator.stated_errors, image_fit, pixel_pose, pixel_adverse, pixel_branches, "
-            "pixel_memory, load.",
-        ),
-    ] = False,
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, help="Random seed of estimator.stated_errors (default: 2026)."),
-    ] = None,
+    *names: Annotated[str, Parameter(choices=(*MAKE_BENCH, *BY_NAME_ONLY))],
+    full: bool = False,
+    seed: NonNegativeInt | None = None,
 ) -> None:
-    """Measure speed and accuracy, each compared with alternatives, and print tables."""
-    if unknown := set(names or ()) - {*MAKE_BENCH, *BY_NAME_ONLY}:
-        raise typer.BadParameter(f"no such bench: {', '.join(sorted(unknown))}. See --help.")
+    """Measure speed and accuracy, each compared with alternatives, and print tables.
+
+    Args:
+        names: Benches to run (default: those of `make bench`, which are the first ones).
+        full: Use more or larger frames in estimator.speed, estimator.spotless,
+            estimator.stated_errors, image_fit, pixel_pose, pixel_adverse, pixel_branches,
+            pixel_memory, load.
+        seed: Random seed of estimator.stated_errors (default: 2026).
+    """
     if seed is not None and not {*(names or MAKE_BENCH)} & {*SEEDED}:
-        raise typer.BadParameter(f"--seed belongs to {', '.join(SEEDED)}.")
+        print(f"--seed belongs to {', '.join(SEEDED)}.", file=sys.stderr)
+        sys.exit(2)
     for name in names or MAKE_BENCH:
         print(f"\n== {name}", flush=True)
         module = importlib.import_module(f"benchmarks.bench.{name}")
@@ -76,4 +68,4 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    cyclopts.run(main)

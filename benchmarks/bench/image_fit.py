@@ -27,7 +27,6 @@ _SMALL = {"frames": 10}, {"width_px": 128, "height_px": 128, "scale_mm_px": 0.02
 _FULL: tuple[dict[str, Any], dict[str, Any]] = ({"frames": 40}, {"samples": 256})
 _LENS = {"width_px": 192, "height_px": 144, "samples": 16}
 _SCALES = {"air": 0.03, "vitreous": 0.02}
-_LIMIT_S = 60  # cone in 40 frames of 640 x 480 px, on two cores, after compilation
 _TRUE = {"sensitivity": 200.0, "illumination": 0.05}
 
 
@@ -104,11 +103,6 @@ def _report(
         f"{'after' if source == 'cone' else 'with'} compilation, "
         f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
     )
-    if source == "cone" and frames == _FULL[0]["frames"]:
-        show(
-            f"Limit: {_LIMIT_S} s after compilation; {wall:.1f} s at this load, {cpu / 2:.1f} s of "
-            "CPU for each of two cores."
-        )
     show("")
 
 

@@ -1,11 +1,18 @@
-"""Tables and sentences on the terminal, processor times, and memory."""
+"""Tables and sentences on the terminal, processor times, memory, and measurements as lines.
+
+A stopped run goes on from the lines of its file: what the file has is not measured again. Several
+processes may add lines to one file.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console, RenderableType
@@ -16,7 +23,6 @@ def show(*parts: RenderableType, width: int | None = None) -> None:
     """Print tables and sentences, one below the other.
 
     Args:
-        parts: what to print.
         width: columns of the output (default: those of the terminal).
     """
     console = Console(width=width, highlight=False)
@@ -29,6 +35,16 @@ def table(title: str, *headings: str, caption: str | None = None) -> Table:
     made = Table(title=title, caption=caption)
     for number, heading in enumerate(headings):
         made.add_column(heading, justify="right" if number else "left")
+    return made
+
+
+def rows_table(
+    title: str, rows: Sequence[Mapping[str, object]], *, caption: str | None = None
+) -> Table:
+    """A table of rows whose keys are its headings."""
+    made = table(title, *rows[0], caption=caption)
+    for row in rows:
+        made.add_row(*map(str, row.values()))
     return made
 
 
@@ -47,3 +63,21 @@ def memory_mb(process: int | None = None) -> float:
     """Resident memory of a process (default: this one), MB."""
     pages = int(Path(f"/proc/{process or 'self'}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def lines_in(file: Path) -> list[dict[str, Any]]:
+    """The whole lines of a file; none if it does not exist."""
+    found = []
+    for line in file.read_text().splitlines() if file.exists() else ():
+        try:
+            found.append(json.loads(line))
+        except json.JSONDecodeError:  # a kill cut it off, or it is empty
+            continue
+    return found
+
+
+def add_line(file: Path, line: dict[str, Any]) -> None:
+    """Add a line, alone among the processes that share the file."""
+    with file.open("a") as out:
+        fcntl.flock(out, fcntl.LOCK_EX)
+        out.write(f"\n{json.dumps(line)}\n")  # what a kill cut off ends first

@@ -1,6 +1,6 @@
 """The mode pixels where the world is not as it believes: beams, walls, cameras, other tools.
 
-Each row is a few stacks on printed paper and on a drawn retina (`pixel_stacks`). A pose that is
+Each row is a few stacks on printed paper and on a drawn retina (`pixel_frames`). A pose that is
 far off and not doubtful is a silent error; frames that the sub-pixel mode measures should be
 measured here too.
 """
@@ -15,10 +15,8 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from benchmarks.bench.output import show, table
-from benchmarks.bench.pixel_frames import FrameErrors
-from benchmarks.bench.pixel_stacks import Circumstances, drawn_errors, prepare
-from benchmarks.evaluation import rms
+from benchmarks.bench.output import rows_table, show
+from benchmarks.bench.pixel_frames import Circumstances, Row, as_table, drawn_errors, prepare, sizes
 
 _FRAMES = 8
 _BEAMS, _WALLS = ("cone", "dome, vitreous"), ("printed paper", "retina")
@@ -60,7 +58,7 @@ _ROWS = {
 def run(*, full: bool) -> None:
     """Render, read, and print the errors (`full` draws three times as many stacks)."""
     prepare()
-    frames: dict[str, list[FrameErrors]] = {}
+    frames: dict[str, list[Row]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, row in _ROWS.items():
             rng, own = np.random.default_rng(7), frames.setdefault(name, [])  # the same draws
@@ -80,28 +78,25 @@ def _of_wall(tables: dict[str, dict[str, Any]], wall: str) -> dict[str, dict[str
     return {name: own | more.get(name, {}) for name, own in tables.items()}
 
 
-def _table(frames: dict[str, list[FrameErrors]]) -> Table:
-    made = table(
+def _table(frames: dict[str, list[Row]]) -> Table:
+    rows = []
+    for name, own in frames.items():
+        some = as_table(own)
+        moved, dropped = ((some.memory == memory).sum() for memory in ("moved", "dropped"))
+        rows.append(
+            {
+                "circumstance": name,
+                "frames": len(some),
+                "sub-pixel": some.found.sum(),
+                "pixels": some.posed.sum(),
+                "doubtful": (some.doubt != "").sum(),
+                "wall moved / dropped": f"{moved} / {dropped}",
+                **sizes(some),
+                "silently wrong": (some.chi_squared[some.posed] > _SILENT).sum(),
+            }
+        )
+    return rows_table(
         f"mode pixels, {len(_BEAMS)} beams on {len(_WALLS)} walls",
-        *("circumstance", "frames", "sub-pixel", "pixels", "doubtful", "wall moved / dropped"),
-        *("d RMS, µm", "median", "stated", "tip, µm", "axis, °", "chi²_5 / 5", "silently wrong"),
+        rows,
         caption=f"silently wrong: chi squared of the pose above {_SILENT:g}; median, of |error|",
     )
-    for name, some in frames.items():
-        posed = [one for one in some if one.posed]
-        made.add_row(
-            name,
-            f"{len(some)}",
-            f"{sum(one.found for one in some)}",
-            f"{len(posed)}",
-            f"{sum(bool(one.doubt) for one in some)}",
-            " / ".join(f"{sum(one.memory == m for one in some)}" for m in ("moved", "dropped")),
-            f"{1e3 * rms([one.distance_mm for one in posed]):.1f}",
-            f"{1e3 * np.median(np.abs([one.distance_mm for one in posed])):.1f}",
-            f"{1e3 * rms([one.sigma_mm for one in posed]):.1f}",
-            f"{1e3 * rms([one.tip_mm for one in posed]):.1f}",
-            f"{rms([one.axis_deg for one in posed]):.2f}",
-            f"{np.mean([one.chi_squared for one in posed]) / 5:.2f}",
-            f"{sum(one.chi_squared > _SILENT for one in posed)}",
-        )
-    return made

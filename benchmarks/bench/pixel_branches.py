@@ -1,7 +1,7 @@
 """Whether the mode pixels takes the wrong distance where the spot's radius belongs to two.
 
 Behind a lens the half-maximum radius falls and then grows with the distance. Withdrawals and hands
-over 0.3 to 6 mm on an even wall (`pixel_stacks`); each fifth frame is read as a first one, because
+over 0.3 to 6 mm on an even wall (`pixel_frames`); each fifth frame is read as a first one, because
 later ones follow a distance that is known.
 """
 
@@ -9,22 +9,27 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from rich.table import Table
 from scipy.stats import chi2
 
-from benchmarks.bench.output import show, table
-from benchmarks.bench.pixel_frames import FrameErrors, frame_errors, half_maximum_px
-from benchmarks.bench.pixel_stacks import (
+from benchmarks.bench.output import rows_table, show
+from benchmarks.bench.pixel_frames import (
     MM_PER_FRAME,
     Circumstances,
+    Row,
+    as_table,
     drawn_calibration,
     drawn_stack,
+    frame_errors,
+    half_maximum_px,
     prepare,
+    sizes,
 )
 from benchmarks.evaluation import largest, rms
+from benchmarks.reporting import grouped, rows_of
 from estimator.files import Stack
 from scenes import Scene
 from scenes.world import World
@@ -45,18 +50,11 @@ _COMPARED_MM = np.arange(0.25, 9.0, 0.125)  # distances that the mode looks at
 _WIDTH = 200  # characters of the table
 
 
-class _Frame(NamedTuple):
-    """A frame's errors, and whether its true radius belongs to another distance, too."""
-
-    errors: FrameErrors
-    twofold: bool
-
-
 def run(*, full: bool) -> None:
     """Render, read, and print the errors (`full`: 2,000 frames instead of 200)."""
     prepare()
     rng = np.random.default_rng(20261125)
-    frames: dict[str, list[_Frame]] = {beam: [] for beam in _BEAMS}
+    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         for number in range(_STACKS_FULL if full else _STACKS):
             beam = _BEAMS[number % 2]
@@ -64,8 +62,10 @@ def run(*, full: bool) -> None:
             what = Circumstances(beam, "uniform", motion, _FRAMES, between_mm=_BETWEEN_MM[motion])
             stack = drawn_stack(what, rng, Path(folder) / f"{number}")
             calibration = drawn_calibration(what, rng)
-            errors = list(frame_errors(stack, calibration, rng, alone_every=_ALONE_EVERY))
-            frames[beam] += map(_Frame, errors, _twofold(stack))
+            errors = frame_errors(stack, calibration, rng, alone_every=_ALONE_EVERY)
+            for twofold, row in zip(_twofold(stack), errors, strict=True):
+                rows.append(row | {"beam": beam, "twofold": twofold})
+    frames = as_table(rows).assign(alone=lambda table: table.frame % _ALONE_EVERY == 0)
     show(_table(frames), _unsure(frames), width=_WIDTH)
 
 
@@ -86,59 +86,50 @@ def share_a_radius(distances: np.ndarray, grid: np.ndarray, radii: np.ndarray) -
     return np.asarray(crossings > 1)
 
 
-def _table(frames: dict[str, list[_Frame]]) -> Table:
-    number = sum(map(len, frames.values()))
-    limit = chi2.isf(_WRONG / number, 5)
-    made = table(
-        f"even wall, {_NEAREST_MM:g} to {_FARTHEST_MM:g} mm, {number:,} frames",
-        *("beam", "", "frames", "twofold", "with a pose", "doubtful", "no pose", "wrong"),
-        *("wrong branch", "d, µm", "stated", "tip, µm", "axis, °", "chi²_5 / 5"),
-        *("e₁′, px", "sub-pixel", "literal"),
+def _table(frames: pd.DataFrame) -> Table:
+    limit = chi2.isf(_WRONG / len(frames), 5)
+    rows = []
+    for beam, own in grouped(frames, "beam"):
+        for name, some in (("read as first", own[own.alone]), ("later", own[~own.alone])):
+            posed = some[some.posed]
+            wrong = posed[posed.chi_squared > limit]
+            unknown = some.distance_mm.isna().sum()
+            squares = posed.chi_squared / 5
+            rows.append(
+                {
+                    "beam": beam,
+                    "": name,
+                    "frames": len(some),
+                    "twofold": some.twofold.sum(),
+                    "with a pose": len(posed),
+                    "doubtful": len(some) - len(posed) - unknown,
+                    "no pose": unknown,
+                    "wrong": len(wrong),
+                    "wrong branch": (wrong.distance_mm.abs() > _WRONG_MM).sum(),
+                    "d, µm": _rms_and_largest(1e3 * posed.distance_mm, 1),
+                    "stated": sizes(some)["stated"],
+                    "tip, µm": _rms_and_largest(1e3 * posed.tip_mm, 1),
+                    "axis, °": _rms_and_largest(posed.axis_deg, 3),
+                    "chi²_5 / 5": f"{squares.mean():.2f} ({squares.max():.1f})",
+                    "e₁′, px": _rms_and_largest(posed.half_maximum_px, 2),
+                    "sub-pixel": _rms_and_largest(posed.subpixel_px, 2),
+                    "literal": _rms_and_largest(posed.literal_px, 2),
+                }
+            )
+    return rows_table(
+        f"even wall, {_NEAREST_MM:g} to {_FARTHEST_MM:g} mm, {len(frames):,} frames",
+        rows,
         caption="twofold: the radius belongs to two distances; wrong: chi squared above "
         f"{limit:.0f} (p = {_WRONG:g} over the number of frames); wrong branch: and the distance "
         f"by more than {_WRONG_MM:g} mm; RMS errors, in brackets the largest ones",
     )
-    for beam, own in frames.items():
-        alone = [one for one in own if one.errors.frame % _ALONE_EVERY == 0]
-        later = [one for one in own if one.errors.frame % _ALONE_EVERY]
-        for name, some in (("read as first", alone), ("later", later)):
-            posed = [one.errors for one in some if one.errors.posed]
-            wrong = [one for one in posed if one.chi_squared > limit]
-            other = [one for one in wrong if abs(one.distance_mm) > _WRONG_MM]
-            unknown = sum(np.isnan(one.errors.distance_mm) for one in some)
-            squares = [one.chi_squared / 5 for one in posed]
-            made.add_row(
-                beam,
-                name,
-                f"{len(some)}",
-                f"{sum(one.twofold for one in some)}",
-                f"{len(posed)}",
-                f"{len(some) - len(posed) - unknown}",
-                f"{unknown}",
-                f"{len(wrong)}",
-                f"{len(other)}",
-                _rms_and_largest([1e3 * one.distance_mm for one in posed], 1),
-                f"{1e3 * rms(one.sigma_mm for one in posed):.1f}",
-                _rms_and_largest([1e3 * one.tip_mm for one in posed], 1),
-                _rms_and_largest([one.axis_deg for one in posed], 3),
-                f"{np.mean(squares):.2f} ({largest(squares):.1f})",
-                _rms_and_largest([one.half_maximum_px for one in posed], 2),
-                _rms_and_largest([one.subpixel_px for one in posed], 2),
-                _rms_and_largest([one.literal_px for one in posed], 2),
-            )
-    return made
 
 
-def _rms_and_largest(errors: list[float], digits: int) -> str:
+def _rms_and_largest(errors: pd.Series, digits: int) -> str:
     return f"{rms(errors):.{digits}f} ({largest(errors):.{digits}f})"
 
 
-def _unsure(frames: dict[str, list[_Frame]]) -> str:
+def _unsure(frames: pd.DataFrame) -> str:
     """The frames without a sure pose."""
-    unsure = [
-        f"{beam}, {one.errors.d_mm:.2f} mm: {one.errors.doubt}"
-        for beam, own in frames.items()
-        for one in own
-        if not one.errors.posed
-    ]
+    unsure = [f"{r.beam}, {r.d_mm:.2f} mm: {r.doubt}" for r in rows_of(frames[~frames.posed])]
     return "Frames without a sure pose: " + ("; ".join(unsure) or "none") + "."

@@ -10,16 +10,26 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
+import cyclopts
 import numpy as np
-import typer
+import pandas as pd
+from cyclopts.types import NonNegativeInt, PositiveInt
 from rich.table import Table
 from scipy.stats import binom, chi2
 
-from benchmarks.bench.lines import add_line, lines_in
-from benchmarks.bench.output import show, table
-from benchmarks.bench.pixel_stacks import BEAMS, WALLS, Circumstances, drawn_errors, prepare
+from benchmarks.bench.output import add_line, lines_in, rows_table, show
+from benchmarks.bench.pixel_frames import (
+    BEAMS,
+    WALLS,
+    Circumstances,
+    as_table,
+    drawn_errors,
+    prepare,
+    sizes,
+)
+from benchmarks.reporting import grouped
 
 _WIDTH = 190  # characters of the table
 _LEVELS = 0.6827, 0.95
@@ -28,13 +38,23 @@ _WRONG = 1e-4
 
 
 def main(
-    file: Annotated[Path, typer.Argument(help="Lines of frames that were measured; grows.")],
-    stacks: Annotated[int, typer.Argument(min=1, help="Stacks on each wall, of all beams.")],
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the stacks.")] = 20261124,
-    of: Annotated[int, typer.Option(min=1, help="Processes that share the stacks.")] = 1,
-    part: Annotated[int, typer.Option(min=0, help="Which of them this is, from 0.")] = 0,
+    file: Path,
+    stacks: PositiveInt,
+    /,
+    *,
+    seed: NonNegativeInt = 20261124,
+    of: PositiveInt = 1,
+    part: NonNegativeInt = 0,
 ) -> None:
-    """Render and read single frames, and print how many are within their stated errors."""
+    """Render and read single frames, and print how many are within their stated errors.
+
+    Args:
+        file: Lines of frames that were measured; grows.
+        stacks: Stacks on each wall, of all beams.
+        seed: Random seed of the stacks.
+        of: Processes that share the stacks.
+        part: Which of them this is, from 0.
+    """
     prepare()
     have = {(line["seed"], line["wall"], line["number"]) for line in lines_in(file)}
     for number in range(part, stacks, of):
@@ -51,53 +71,51 @@ def _measured(seed: int, wall: str, number: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         what = Circumstances(beam, wall, motion, 1)
         first = next(drawn_errors(what, rng, Path(folder) / "stack"))
-    return {"seed": seed, "wall": wall, "number": number, "beam": beam} | first._asdict()
+    return {"seed": seed, "wall": wall, "number": number, "beam": beam} | first
 
 
 def _table(lines: list[dict[str, Any]]) -> Table:
-    made = table(
+    rows = []
+    for wall, some in grouped(as_table(lines), "wall"):
+        posed = some[some.posed]
+        limit = chi2.isf(_WRONG / max(len(posed), 1), 5)
+        squares = {
+            "d": ((posed.distance_mm / posed.sigma_mm) ** 2, 1),
+            "tip": (posed.tip_chi_squared, 3),
+            "axis": (posed.axis_chi_squared, 2),
+            "pose": (posed.chi_squared, 5),
+        }
+        rows.append(
+            {
+                "wall": wall,
+                "stacks": len(some),
+                "with a pose": len(posed),
+                "d RMS, µm": sizes(some)["d RMS, µm"],
+                "median": sizes(some)["median"],
+                **{
+                    f"{name} in {100 * level:.0f}": _share(of < chi2.ppf(level, numbers), level)
+                    for name, (of, numbers) in squares.items()
+                    for level in _LEVELS
+                },
+                "largest chi²_5": f"{posed.chi_squared.max():.1f}",
+                "wrong": (posed.chi_squared > limit).sum(),
+            }
+        )
+    return rows_table(
         "first frames, one a stack: within the stated errors",
-        *("wall", "stacks", "with a pose", "d RMS, µm", "median"),
-        *(f"{what} in {share}" for what in ("d", "tip", "axis", "pose") for share in ("68", "95")),
-        *("largest chi²_5", "wrong"),
+        rows,
         caption="percent of the errors within the stated 68 % and 95 % regions; in brackets, 99 % "
         "limits of an honest estimator; wrong: chi squared beyond p = "
         f"{_WRONG:g} over the number of frames",
     )
-    for wall in WALLS:
-        some = [line for line in lines if line["wall"] == wall]
-        posed = [
-            one for one in some if one["distance_mm"] == one["distance_mm"] and not one["doubt"]
-        ]
-        if not posed:
-            continue
-        d, sigma = (np.array([one[key] for one in posed]) for key in ("distance_mm", "sigma_mm"))
-        pose, tip, axis = (
-            np.array([one[key] for one in posed])
-            for key in ("chi_squared", "tip_chi_squared", "axis_chi_squared")
-        )
-        limit = chi2.isf(_WRONG / len(posed), 5)
-        made.add_row(
-            wall,
-            f"{len(some)}",
-            f"{len(posed)}",
-            f"{1e3 * np.sqrt(np.mean(d**2)):.1f}",
-            f"{1e3 * np.median(np.abs(d)):.1f}",
-            *(
-                _share(squares < chi2.ppf(level, numbers), level)
-                for squares, numbers in (((d / sigma) ** 2, 1), (tip, 3), (axis, 2), (pose, 5))
-                for level in _LEVELS
-            ),
-            f"{pose.max():.1f}",
-            f"{np.count_nonzero(pose > limit)}",
-        )
-    return made
 
 
-def _share(inside: np.ndarray, level: float) -> str:
+def _share(inside: pd.Series, level: float) -> str:
+    if not len(inside):
+        return ""
     low, high = 100 * binom.ppf([0.005, 0.995], len(inside), level) / len(inside)
     return f"{100 * inside.mean():.0f} [{low:.0f}-{high:.0f}]"
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    cyclopts.run(main)

@@ -1,6 +1,6 @@
 """Memory and time of a `Reader` in the mode pixels over many frames.
 
-Frames of one hand's motion (`pixel_stacks`) are read forwards and backwards again and again, so
+Frames of one hand's motion (`pixel_frames`) are read forwards and backwards again and again, so
 that the motion has no jumps. Memory does not depend on other processes. Times do, so they are given
 with the load of the machine.
 """
@@ -17,8 +17,14 @@ import numpy as np
 
 from benchmarks.bench.load import Memory
 from benchmarks.bench.output import memory_mb, show, table
-from benchmarks.bench.pixel_frames import robot_reader, told_poses
-from benchmarks.bench.pixel_stacks import Circumstances, drawn_calibration, drawn_stack, prepare
+from benchmarks.bench.pixel_frames import (
+    Circumstances,
+    drawn_calibration,
+    drawn_stack,
+    prepare,
+    robot_reader,
+    told_poses,
+)
 from estimator.sources import open_source
 
 _DISTINCT = 60

@@ -1,6 +1,6 @@
 """Accuracy of the mode pixels on rendered stacks, with its stated errors and the other modes.
 
-Frames from the fifth on use what the earlier ones showed of the wall (`pixel_stacks`).
+Frames from the fifth on use what the earlier ones showed of the wall (`pixel_frames`).
 """
 
 from __future__ import annotations
@@ -11,9 +11,17 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmarks.bench.output import show, table
-from benchmarks.bench.pixel_frames import FrameErrors
-from benchmarks.bench.pixel_stacks import BEAMS, WALLS, Circumstances, drawn_errors, prepare
+from benchmarks.bench.output import rows_table, show
+from benchmarks.bench.pixel_frames import (
+    BEAMS,
+    WALLS,
+    Circumstances,
+    Row,
+    as_table,
+    drawn_errors,
+    prepare,
+    sizes,
+)
 from benchmarks.evaluation import rms
 from benchmarks.studies.pose import PRIOR_DEG
 
@@ -27,7 +35,7 @@ def run(*, full: bool) -> None:
     """Render, read, and print the errors (`full` draws more stacks)."""
     prepare()
     rng = np.random.default_rng(20261123)
-    frames: dict[tuple[str, str], list[FrameErrors]] = {}
+    frames: dict[tuple[str, str], list[Row]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for number in range(_STACKS_FULL if full else _STACKS):
             motion = "hand" if number % 2 else "withdrawal"
@@ -41,39 +49,33 @@ def run(*, full: bool) -> None:
     show(_errors(frames), width=_WIDTH)
 
 
-def _errors(frames: dict[tuple[str, str], list[FrameErrors]]) -> Table:
-    made = table(
+def _errors(frames: dict[tuple[str, str], list[Row]]) -> Table:
+    rows = []
+    for (beam, wall), own in frames.items():
+        every = as_table(own)
+        groups = {"first": every[every.frame == 0], "5th on": every[every.frame >= _LATER]}
+        for name, some in groups.items():
+            posed = some[some.posed]
+            rows.append(
+                {
+                    "beam": beam,
+                    "wall": wall,
+                    "frames": name,
+                    "with a pose": f"{len(posed)} of {len(some)}",
+                    "doubtful": (some.doubt != "").sum(),
+                    **sizes(some),
+                    "bound, µm": f"{1e3 * rms(posed.bound_mm):.1f}",
+                    "stated, °": f"{rms(posed.sigma_axis_deg):.3f}",
+                    "e₁′, px": f"{rms(posed.half_maximum_px):.2f}",
+                    "sub-pixel": f"{rms(posed.subpixel_px):.2f}",
+                    "literal": f"{rms(posed.literal_px):.2f}",
+                    "ms, median": f"{1e3 * some.seconds.median():.0f}",
+                }
+            )
+    return rows_table(
         f"mode pixels on single frames and from the fifth on; axis told to {PRIOR_DEG:g}°",
-        *("beam", "wall", "frames", "with a pose", "doubtful", "d RMS, µm", "stated", "bound"),
-        *("tip, µm", "axis, °", "stated", "chi²_5 / 5", "e₁′, px", "sub-pixel", "literal"),
-        "ms, median",
+        rows,
         caption="bound: of Cramér and Rao, for the distance from the spot's ellipse on a wall that "
         "is known; e₁′: semi-minor axis of the half-maximum ellipse; nan: no spot, as by the "
         "literal mode, whose threshold is for the paper's exposure",
     )
-    for (beam, wall), own in frames.items():
-        groups = {
-            "first": [one for one in own if one.frame == 0],
-            "5th on": [one for one in own if one.frame >= _LATER],
-        }
-        for name, some in groups.items():
-            posed = [one for one in some if one.posed]
-            made.add_row(
-                beam,
-                wall,
-                name,
-                f"{len(posed)} of {len(some)}",
-                f"{sum(bool(one.doubt) for one in some)}",
-                f"{1e3 * rms([one.distance_mm for one in posed]):.1f}",
-                f"{1e3 * rms([one.sigma_mm for one in posed]):.1f}",
-                f"{1e3 * rms([one.bound_mm for one in posed]):.1f}",
-                f"{1e3 * rms([one.tip_mm for one in posed]):.1f}",
-                f"{rms([one.axis_deg for one in posed]):.3f}",
-                f"{rms([one.sigma_axis_deg for one in posed]):.3f}",
-                f"{np.mean([one.chi_squared for one in posed]) / 5:.2f}",
-                f"{rms([one.half_maximum_px for one in posed]):.2f}",
-                f"{rms([one.subpixel_px for one in posed]):.2f}",
-                f"{rms([one.literal_px for one in posed]):.2f}",
-                f"{1e3 * np.median([one.seconds for one in some]):.0f}",
-            )
-    return made

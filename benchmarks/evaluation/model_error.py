@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+import pandas as pd
 
 import optics
-from benchmarks.evaluation.summaries import largest, mean
+from benchmarks.evaluation.statistics import largest
 from benchmarks.reporting import Column
 from calibration import SphereFit, fit_eccentricity
 from estimator import FrameLabels
@@ -34,38 +35,25 @@ class Geometry(NamedTuple):
     incidence_azimuth: float
 
 
-class ModelError(NamedTuple):
-    """Row of model_error.csv; error = estimate - truth.
+MODEL_ERROR = (
+    "model source refit medium c_mm d_mm r_mm z_f_mm incidence_deg azimuth_deg half_angle_deg "
+    "apex_offset_mm estimate_mm error_mm"
+).split()
+"""Columns of model_error.csv; error = estimate - truth.
 
-    `azimuth_deg` is the incidence's, counted from the meridian of O; `refit`: c was fitted to the
-    spots, as the paper does, and `c_mm` is the true one.
-    """
+`azimuth_deg` is the incidence's, counted from the meridian of O; `refit`: c was fitted to the
+spots, as the paper does, and `c_mm` is the true one.
+"""
 
-    model: str
-    source: str
-    refit: bool
-    medium: str
-    c_mm: float
-    d_mm: float
-    r_mm: float
-    z_f_mm: float
-    incidence_deg: float
-    azimuth_deg: float
-    half_angle_deg: float
-    apex_offset_mm: float
-    estimate_mm: float
-    error_mm: float
-
-
-class Accuracy(NamedTuple):
-    """Row of rendered_accuracy.csv: a model's errors over all measured spots of one geometry."""
-
-    model: Annotated[str, Column("model")]
-    z_f_mm: Annotated[float, Column("z_F, mm", 1)]
-    azimuth_deg: Annotated[float, Column("azimuth, °", 0)]
-    spots: Annotated[int, Column("spots")]
-    mean_error_mm: Annotated[float, Column("mean error, mm", 4, sign=True)]
-    max_abs_error_mm: Annotated[float, Column("largest |error|, mm", 4)]
+ACCURACY = {
+    "model": Column("model"),
+    "z_f_mm": Column("z_F, mm", 1),
+    "azimuth_deg": Column("azimuth, °", 0),
+    "spots": Column("spots"),
+    "mean_error_mm": Column("mean error, mm", 4, sign=True),
+    "max_abs_error_mm": Column("largest |error|, mm", 4),
+}
+"""Columns of `accuracy`."""
 
 
 def geometry_of(scene: Scene) -> Geometry:
@@ -84,7 +72,7 @@ def geometry_of(scene: Scene) -> Geometry:
 
 def analytic_errors(
     geometry: Geometry, *, eccentricities: np.ndarray, distances: np.ndarray
-) -> list[ModelError]:
+) -> pd.DataFrame:
     """Errors of the models on the exact contour, at each c and d (mm)."""
     c, d = (a.ravel() for a in np.meshgrid(eccentricities, distances, indexing="ij"))
     seen = semi_minor(geometry, c=c, d=d)
@@ -97,7 +85,7 @@ def measured_errors(
     labels: Sequence[FrameLabels],
     semi_minor_px: np.ndarray,
     models: Sequence[str] = COMPARED,
-) -> list[ModelError]:
+) -> pd.DataFrame:
     """Errors of the models on measured spots whose truth is known."""
     return model_errors(
         geometry,
@@ -119,7 +107,7 @@ def model_errors(
     d: np.ndarray,
     semi_minor_px: np.ndarray,
     models: Sequence[str] = COMPARED,
-) -> list[ModelError]:
+) -> pd.DataFrame:
     """Errors of the models on spots of known size, at c and d (mm), which they are given."""
     found = estimates(geometry, c=c, semi_minor_px=semi_minor_px)
     return _rows(geometry, source, medium, c=c, d=d, found={m: found[m] for m in models})
@@ -133,13 +121,12 @@ def refitted_errors(
     c: float,
     d: np.ndarray,
     semi_minor_px: np.ndarray,
-) -> tuple[SphereFit, list[ModelError]]:
+) -> tuple[SphereFit, pd.DataFrame]:
     """Errors of `small_plane` with c fitted to the spots themselves, as the paper's Table II does.
 
     Args:
         geometry: k, b and r are given to the fit, as they are.
         source: "analytic" or "rendered".
-        medium: by name.
         c: the true eccentricity of all spots, mm.
         d: their distances, mm.
         semi_minor_px: e1', px.
@@ -182,39 +169,33 @@ def estimates(
     return {model: np.asarray(distance) for model, distance in values.items()}
 
 
-def accuracy(errors: Sequence[ModelError]) -> list[Accuracy]:
-    """Each model's errors by pinhole height and azimuth of the incidence."""
-    by_geometry: dict[tuple[str, float, float], list[float]] = {}
-    for e in errors:
-        by_geometry.setdefault((e.model, e.z_f_mm, e.azimuth_deg), []).append(e.error_mm)
-    return [
-        Accuracy(*key, len(values), mean(values), largest(values))
-        for key, values in by_geometry.items()
-    ]
+def accuracy(errors: pd.DataFrame) -> pd.DataFrame:
+    """Each model's errors over all spots by pinhole height and azimuth of the incidence."""
+    by_geometry = errors.groupby(["model", "z_f_mm", "azimuth_deg"], sort=False).error_mm
+    found = by_geometry.agg(spots="size", mean_error_mm="mean", max_abs_error_mm=largest)
+    return found.reset_index()
 
 
-def largest_errors(errors: Iterable[ModelError]) -> tuple[list[float], list[float]]:
-    """Eccentricities in order, and the largest absolute error over all distances at each; mm."""
-    worst: dict[float, float] = {}
-    for e in errors:
-        c = round(e.c_mm, 6)
-        worst[c] = max(worst.get(c, 0.0), abs(e.error_mm))
-    return sorted(worst), [worst[c] for c in sorted(worst)]
+def largest_errors(errors: pd.DataFrame) -> pd.Series:
+    """The largest absolute error over all distances, by eccentricity; mm."""
+    return errors.error_mm.abs().groupby(errors.c_mm.round(6)).max()
 
 
-def limit_eccentricity(errors: Iterable[ModelError], limit: float) -> float:
+def limit_eccentricity(errors: pd.DataFrame, limit: float) -> float:
     """Smallest c at which the largest error over all distances reaches the limit, mm.
 
     Linear between the eccentricities computed; NaN if the limit is never reached.
     """
-    before: tuple[float, float] | None = None
-    for c, size in zip(*largest_errors(errors), strict=True):
-        if size >= limit:
-            if before is None:
-                return c
-            return before[0] + (c - before[0]) * (limit - before[1]) / (size - before[1])
-        before = c, size
-    return math.nan
+    worst = largest_errors(errors)
+    c, size = worst.index.to_numpy(float), worst.to_numpy(float)
+    reached = np.flatnonzero(size >= limit)
+    if not reached.size:
+        return math.nan
+    n = reached[0]
+    if n == 0:
+        return float(c[0])
+    share = (limit - size[n - 1]) / (size[n] - size[n - 1])
+    return float(c[n - 1] + (c[n] - c[n - 1]) * share)
 
 
 def _rows(
@@ -226,27 +207,29 @@ def _rows(
     d: np.ndarray,
     found: Mapping[str, np.ndarray],
     refit: bool = False,
-) -> list[ModelError]:
-    return [
-        ModelError(
-            model=model,
-            source=source,
-            refit=refit,
-            medium=medium,
-            **place(geometry, c=c[i], d=d[i]),
-            estimate_mm=float(estimate),
-            error_mm=float(estimate - d[i]),
+) -> pd.DataFrame:
+    tables = [
+        pd.DataFrame(
+            {
+                "model": model,
+                "source": source,
+                "refit": refit,
+                "medium": medium,
+                **place(geometry, c=c, d=d),
+                "estimate_mm": estimate,
+                "error_mm": estimate - d,
+            }
         )
-        for model, values in found.items()
-        for i, estimate in enumerate(values)
+        for model, estimate in found.items()
     ]
+    return pd.concat(tables, ignore_index=True)
 
 
-def place(geometry: Geometry, *, c: float, d: float) -> dict[str, Any]:
-    """The columns of a CSV file for the place of a spot and its geometry."""
+def place(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> dict[str, Any]:
+    """The columns of a CSV file for the places of spots and their geometry."""
     return {
-        "c_mm": float(c),
-        "d_mm": float(d),
+        "c_mm": c,
+        "d_mm": d,
         "r_mm": geometry.eye_radius,
         "z_f_mm": geometry.pinhole_height,
         "incidence_deg": degrees(geometry.incidence),

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.evaluation.model_error import COMPARED, ModelError
+from benchmarks.evaluation.model_error import COMPARED
 from benchmarks.evaluation.paper import ACCEPTABLE_ERROR_MM
 from benchmarks.reporting import (
     BLACK,
@@ -42,38 +43,34 @@ def pinhole_title(z_f_mm: float) -> str:
 
 
 def model_error_figure(
-    analytic: Sequence[ModelError],
-    rendered: Sequence[ModelError],
+    analytic: pd.DataFrame,
+    rendered: pd.DataFrame,
     *,
     models: Sequence[str] = COMPARED,
 ) -> Figure:
     """Signed error against c: a row for each pinhole and azimuth, a column for each model."""
-    *square, tilted = sorted({e.incidence_deg for e in analytic})
+    tilted = analytic.incidence_deg.max()
+    leaning = analytic[analytic.incidence_deg == tilted]
+    square = analytic[analytic.incidence_deg != tilted]
 
     def draw(axes: Axes, view: tuple[float, float], model: str) -> None:
         height, azimuth = view
         limit_lines(axes, ACCEPTABLE_ERROR_MM)
         for d, colour in _SHADES.items():
             for errors, style in (
-                ([e for e in analytic if e.incidence_deg in square], {"ls": ":"}),
-                (leaning(analytic, azimuth), {"label": f"exact contour, $d$ = {d:g} mm"}),
-                (leaning(rendered, azimuth), {"ls": "", "marker": "o", "ms": 3.5}),
+                (square, {"ls": ":"}),
+                (leaning, {"label": f"exact contour, $d$ = {d:g} mm"}),
+                (rendered, {"ls": "", "marker": "o", "ms": 3.5}),
             ):
-                shown = [
-                    e
-                    for e in errors
-                    if (e.model, e.z_f_mm) == (model, height) and abs(e.d_mm - d) < 1e-6
-                ]
-                x, y = [e.c_mm for e in shown], [e.error_mm for e in shown]
-                axes.plot(x, y, color=colour, **style)
+                here = (errors.model == model) & (errors.z_f_mm == height)
+                if errors is not square:
+                    here &= (errors.incidence_deg == tilted) & (errors.azimuth_deg == azimuth)
+                shown = errors[here & ((errors.d_mm - d).abs() < 1e-6)]
+                axes.plot(shown.c_mm, shown.error_mm, color=colour, **style)
 
-    def leaning(errors: Sequence[ModelError], azimuth: float) -> list[ModelError]:
-        return [e for e in errors if (e.incidence_deg, e.azimuth_deg) == (tilted, azimuth)]
-
-    views = [(e.z_f_mm, e.azimuth_deg) for e in analytic if e.incidence_deg == tilted]
     return small_multiples(
         draw,
-        rows=list(dict.fromkeys(views)),
+        rows=list(dict.fromkeys(zip(leaning.z_f_mm, leaning.azimuth_deg, strict=True))),
         columns=models,
         title=lambda view, model: f"{model}\n{pinhole_title(view[0])}, azimuth {view[1]:g}°",
         x=ECCENTRICITY,

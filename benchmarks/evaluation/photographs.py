@@ -20,7 +20,6 @@ class Shot(NamedTuple):
 
     Attributes:
         seed: of the camera's noise; None is a camera without noise.
-        light: factor on the exposure.
         threshold: of the literal mode, grey level.
     """
 
@@ -34,7 +33,6 @@ class Photographer:
     """Takes a rendered withdrawal's photographs and measures their spots.
 
     Attributes:
-        scene: of the withdrawal.
         stack: rendered with `exposures.keep_linear`.
     """
 
@@ -51,7 +49,6 @@ class Photographer:
         """e1' of every frame, px, for each shot; NaN where no spot counts.
 
         Args:
-            way: of exposing and measuring.
             shots: any number; frames are read once for all.
         """
         light = [self.stack.linear(row) for row in self.stack.exposed(way.exposure)]

@@ -65,7 +65,6 @@ class Tracked:
     """What one way of measuring made of one trial.
 
     Attributes:
-        labels: truth of each frame.
         results: a spot or a typed failure, one a frame.
     """
 

@@ -33,7 +33,6 @@ class StaticTrial:
         name: of the trial and of its stack's folder.
         kind: the wall, or the grid of the model errors.
         group: the row of the paper's tables that it is compared with, or the grid's name.
-        scene: the scene.
     """
 
     name: str

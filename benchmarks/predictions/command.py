@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from cyclopts import Parameter
 
 from optics import InputError
 from scenes.description import Changes, SceneFile
@@ -22,32 +22,26 @@ _POOR = 10.0
 
 def preregister(
     scene: SceneFile,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="Plan to write (JSON); must not exist.")
-    ],
-    uncertain: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=SIGMA",
-            help="Standard uncertainty of a number in the scene, for example "
-            "phantom.radius_mm=0.2. Repeatable.",
-        ),
-    ] = None,
-    changes: Changes = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Calibration file with which distances will be read."),
-    ] = None,
-    model: Annotated[
-        str | None, typer.Option(help="Distance model (default: the calibration file's).")
-    ] = None,
-    exposure: Annotated[
-        str | None, typer.Option(help="Kind of the images (default: the scene's first).")
-    ] = None,
+    /,
+    *,
+    out: Path,
+    uncertain: Annotated[tuple[str, ...], Parameter(metavar="KEY=SIGMA", show_default=False)] = (),
+    changes: Changes = (),
+    calibration: Path | None = None,
+    model: str | None = None,
+    exposure: str | None = None,
 ) -> None:
     """Write down what an experiment will measure, with intervals, before it is done.
 
     The SHA-256 that is printed proves later that the plan was not changed: publish it.
+
+    Args:
+        out: Plan to write (JSON); must not exist.
+        uncertain: Standard uncertainty of a number in the scene, for example phantom.radius_mm=0.2.
+            Repeatable.
+        calibration: Calibration file with which distances will be read.
+        model: Distance model (default: the calibration file's).
+        exposure: Kind of the images (default: the scene's first).
     """
     from benchmarks.predictions.plan import write_plan
     from benchmarks.predictions.predicting import predicted
@@ -59,52 +53,44 @@ def preregister(
     refuse_existing(out)
     if model is not None and calibration is None:
         raise InputError("model has no effect without calibration. Give both, or neither.")
-    settings = load_scene(scene, changes or ())
+    settings = load_scene(scene, changes)
     with progress("Rehearsing", total=frame_count(settings)) as advance:
         plan = predicted(
             settings,
-            dict(_sigma(text) for text in uncertain or ()),
+            dict(_sigma(text) for text in uncertain),
             calibration=calibration,
             model=model,
             exposure=exposure,
             progress=advance,
         )
     sha256 = write_plan(out, plan)
-    typer.echo(f"Wrote {out}: {len(plan.times_s)} frames.\nSHA-256 {sha256}")
+    print(f"Wrote {out}: {len(plan.times_s)} frames.\nSHA-256 {sha256}")
 
 
 def adjudicate(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="File of `eyespot preregister`.")],
-    source: Annotated[
-        str,
-        typer.Argument(metavar="SOURCE", help="Stack, folder of images, TIFF, video, or ROS bag."),
-    ],
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Robot poses (CSV or ROS bag), on the clock of SOURCE (default: the stack's).",
-        ),
-    ] = None,
+    plan: Path,
+    source: str,
+    /,
+    *,
+    poses: Path | None = None,
     eye_from_robot: Annotated[
-        str,
-        typer.Option(
-            metavar="QX,QY,QZ,QW",
-            help="Rotation from the poses' frame to the eye's, for the models exact and area.",
-        ),
+        str, Parameter(metavar="QX,QY,QZ,QW", allow_leading_hyphen=True)
     ] = "0,0,0,1",
-    microscope: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Microscope file of SOURCE (default: the stack's)."),
-    ] = None,
-    start_s: Annotated[
-        float, typer.Option("--start", help="Time in SOURCE at which the planned motion begins.")
-    ] = 0.0,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the result as one JSON object, and nothing else.")
-    ] = False,
+    microscope: Path | None = None,
+    start_s: Annotated[float, Parameter("--start")] = 0.0,
+    as_json: Annotated[bool, Parameter("--json")] = False,
 ) -> None:
-    """Say which predictions of a plan held, and what explains those that did not."""
+    """Say which predictions of a plan held, and what explains those that did not.
+
+    Args:
+        plan: File of `eyespot preregister`.
+        source: Stack, folder of images, TIFF, video, or ROS bag.
+        poses: Robot poses (CSV or ROS bag), on the clock of SOURCE (default: the stack's).
+        eye_from_robot: Rotation from the poses' frame to the eye's, for the models exact and area.
+        microscope: Microscope file of SOURCE (default: the stack's).
+        start_s: Time in SOURCE at which the planned motion begins.
+        as_json: Print the result as one JSON object, and nothing else.
+    """
     from rich.console import Console
 
     from benchmarks.predictions.judging import judged

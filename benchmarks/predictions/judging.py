@@ -41,11 +41,8 @@ class Cause(NamedTuple):
     """What the recording says about an uncertain key of the scene.
 
     Attributes:
-        key: of the scene.
         stated: its value in the plan.
-        stated_sigma: its standard uncertainty there.
         found: the value with which the recording agrees best.
-        found_sigma: its standard error.
         pull: found minus stated, over the standard deviation of that difference.
     """
 
@@ -66,7 +63,6 @@ class Judgement(NamedTuple):
     """Which predictions held.
 
     Attributes:
-        tallies: by quantity.
         causes: of every uncertain key, the farthest first.
         misfit: of what remains with the best values of all keys, over the noise, RMS.
         no_spot: frames without a spot, by reason.
@@ -92,7 +88,6 @@ def judged(plan: Plan, seen: Observed) -> Judgement:
     """Compare a recording with a plan.
 
     Args:
-        plan: the predictions.
         seen: the recording, on the plan's clock.
 
     Raises:

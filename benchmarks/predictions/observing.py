@@ -117,10 +117,8 @@ def measured_as_planned(
     """Measure a recording of a planned experiment, with the plan's calibration, on its clock.
 
     Args:
-        plan: of the experiment.
         source: as of `eyespot track`.
         poses: of the robot; None takes a stack's.
-        eye_from_robot: QX,QY,QZ,QW as text.
         microscope: as of `observed`.
         start_s: time in the source at which the planned motion begins.
 

@@ -39,7 +39,6 @@ def predicted(
     frames there is a spot at all, are those of a rehearsal: the scene is rendered and measured.
 
     Args:
-        scene: the experiment.
         uncertain: keys of the scene and their standard uncertainties, {"phantom.radius_mm": 0.2}.
         calibration: file, for the distances; None for none.
         model: of the distances; by default the calibration's.

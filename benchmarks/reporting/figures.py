@@ -59,7 +59,6 @@ def small_multiples(
     """A grid of panels, one for each pair of a row and a column.
 
     Args:
-        draw: draws a panel.
         rows: keys of the rows; [""] for a single row.
         columns: keys of the columns; [""] for a single column.
         title: title of a panel; by default the row and the column.

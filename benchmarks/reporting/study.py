@@ -3,27 +3,40 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.metadata
+import json
+import math
 import os
+import platform
 import shlex
+import shutil
 import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import matplotlib
 
 import scenes
-from benchmarks.reporting import run_folder
 from benchmarks.reporting.figures import STYLE
-from benchmarks.reporting.page import write_page
-from benchmarks.reporting.report import Report
-from estimator import Stack, StackWriter
-from estimator.files import require_space
+from benchmarks.reporting.report import Report, write_page
+from estimator import Stack, StackWriter, read_stack
+from estimator.files import (
+    errors_named,
+    lock,
+    object_in,
+    refuse_foreign,
+    require_space,
+    sweep,
+    written_whole,
+)
 from estimator.run import progress
+from optics import InputError, in_file, read_text, shortened
 from scenes import Scene
 
 _RUN_SCHEMA = 1
@@ -58,8 +71,6 @@ class Study:
     """One run of a study.
 
     Args:
-        name: name of the study.
-        request: the arguments.
         defaults: changes of the default scene, used if no scene file is given; the request's own
             changes come after them.
         check: raises if the study cannot use the scene.
@@ -67,8 +78,6 @@ class Study:
 
     Attributes:
         scene: the scene to start from.
-        seed: random seed.
-        folder: folder of the results.
         seconds: wall time of this run by step.
 
     Raises:
@@ -102,7 +111,7 @@ class Study:
             "quick": request.quick,
             **request.options,
         }
-        claimed = run_folder.claim(self.folder, settings, command=shlex.join(self._words))
+        claimed = claim(self.folder, settings, command=shlex.join(self._words))
         weakref.finalize(self, os.close, claimed)
 
     @property
@@ -147,7 +156,7 @@ class Study:
             try:
                 found = {}
                 for name, scene in trials.items():
-                    stack = run_folder.finished_stack(
+                    stack = finished_stack(
                         scene, folder / name, progress=partial(advance, note=name)
                     )
                     found[name] = beside.submit(measure, name, stack)
@@ -168,16 +177,15 @@ class Study:
 
         Args:
             report: function that makes the report; its figures use the common style.
-            findings: results of the study.
         """
-        with matplotlib.rc_context(STYLE), run_folder.published(self.folder) as folder:
+        with matplotlib.rc_context(STYLE), published(self.folder) as folder:
             self._write(report(findings), folder)
         print(f"Wrote {self.folder / 'report.html'}.")
 
     def _write(self, report: Report, folder: Path) -> None:
         scene_toml = scenes.scene_toml(self.scene)
         (folder / "scene.toml").write_text(scene_toml, encoding="utf-8")
-        used = run_folder.versions()
+        used = versions()
         summary = {
             "schema_version": _SUMMARY_SCHEMA,
             "study": self.name,
@@ -187,7 +195,7 @@ class Study:
             "versions": used,
             "seconds": self.seconds,
         }
-        run_folder.write_json(folder / "summary.json", summary)
+        write_json(folder / "summary.json", summary)
         write_page(
             folder,
             report,
@@ -197,3 +205,144 @@ class Study:
             study=self,
             scene_toml=scene_toml,
         )
+
+
+_PACKAGES = (
+    "eyespot",
+    "mitsuba",
+    "drjit",
+    "jax",
+    "equinox",
+    "optimistix",
+    "numpy",
+    "opencv-python-headless",
+    "scikit-image",
+    "matplotlib",
+)
+_MOST_KEYS = 2  # that a message names
+
+
+def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
+    """Use an empty folder, or one of an earlier run with the same settings, and write run.json.
+
+    Args:
+        out: the folder; created if missing.
+        command: command of the run, for the message.
+
+    Returns:
+        A file descriptor; until `os.close`, or the end of this process, no other run may use the
+        folder.
+
+    Raises:
+        BeingWrittenError: another process uses the folder.
+        InputError: the folder has a run with other settings, or other files.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    handle = lock(out.resolve(), of=out)
+    try:
+        _claim(out, settings, command=command)
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
+
+
+def _claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
+    file = out / "run.json"
+    if file.exists():
+        with in_file(file):
+            found = object_in(read_text(file))
+        if found != settings:
+            raise InputError(
+                f"{out} has a run with other settings: {_difference(found, settings)}. "
+                "Choose another --out, or remove the folder."
+            )
+    sweep(out)
+    if not file.exists():
+        if any(out.iterdir()):
+            raise InputError(
+                f"{out} has files that are not from `{command}`. Choose another --out."
+            )
+        with written_whole(file) as partial:
+            partial.write_text(json.dumps(settings) + "\n")
+
+
+def finished_stack(
+    scene: Scene, folder: Path, *, progress: Callable[[], None] = lambda: None
+) -> Stack:
+    """The scene's stack, rendered unless an earlier run finished it.
+
+    Args:
+        progress: called once for each frame.
+
+    Raises:
+        InputError: the folder has a stack of another scene.
+    """
+    if not folder.is_dir():
+        return scenes.render_stack(scene, folder, progress=progress)
+    stack = read_stack(folder)
+    if stack.description["scene"] != scene.model_dump(mode="json", by_alias=True):
+        raise InputError(
+            f"{folder} was rendered from another scene than this version would render. Remove it, "
+            "or choose another --out."
+        )
+    for _ in range(scenes.frame_count(scene)):
+        progress()
+    return stack
+
+
+@contextmanager
+def published(out: Path) -> Iterator[Path]:
+    """A folder whose files move into `out` if the block ends without an error.
+
+    Args:
+        out: a folder that this run has claimed; the files of its earlier report are replaced.
+
+    Raises:
+        InputError: a link, or no file, has the name of a file of the report.
+    """
+    folder = out / ".report.unfinished"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    try:
+        with errors_named(folder, out):
+            yield folder
+            for path in sorted(folder.rglob("*")):
+                target = out / path.relative_to(folder)
+                if path.is_dir() and not target.is_symlink():
+                    target.mkdir(exist_ok=True)
+                else:
+                    refuse_foreign(target)
+                    os.replace(path, target)
+    finally:
+        shutil.rmtree(folder)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON, with null for numbers that are not finite."""
+    text = json.dumps(_finite(value), indent=1, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on."""
+    found = {"python": platform.python_version()}
+    return found | {name: importlib.metadata.version(name) for name in _PACKAGES}
+
+
+def _difference(found: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
+    """The first keys in which two requests differ, each with both values."""
+    keys = [key for key in {**found, **asked} if found.get(key) != asked.get(key)]
+    said = [
+        f"{shortened(key)}: {shortened(found.get(key))} instead of {shortened(asked.get(key))}"
+        for key in keys[:_MOST_KEYS]
+    ]
+    return ", ".join(said) + ("" if len(keys) <= _MOST_KEYS else f", and {len(keys)} in all")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,52 +5,52 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
+from cyclopts.types import NonNegativeInt, PositiveInt
 
-Folder = Annotated[Path, typer.Argument(metavar="SET", help="Labelled set.")]
 Names = Annotated[
-    list[str] | None,
-    typer.Option("--entry", help="Name of an entry; may be repeated (default: all entries)."),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(help="Worker processes on this machine (default: one per core).", min=1),
+    tuple[str, ...],
+    Parameter(
+        "--entry",
+        help="Name of an entry; may be repeated (default: all entries).",
+        show_default=False,
+    ),
 ]
 
 
 def run(
-    folder: Folder,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the entries; it is new.")],
-    names: Names = None,
-    splits: Annotated[
-        list[str] | None,
-        typer.Option("--split", help="Split to measure; may be repeated (default: all splits)."),
-    ] = None,
-    constants: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File of `rivals tune` (default: eyespot's own)."),
-    ] = None,
-    weights: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File of `rivals train` (default: eyespot's own)."),
-    ] = None,
-    workers: Workers = None,
+    folder: Path,
+    /,
+    *,
+    out: Path,
+    names: Names = (),
+    splits: Annotated[tuple[str, ...], Parameter("--split", show_default=False)] = (),
+    constants: Path | None = None,
+    weights: Path | None = None,
+    workers: PositiveInt | None = None,
 ) -> None:
     """Measure the images of a set with all entries: other software, a network, our modes.
 
-    `eyespot score SET --entries DIR` then ranks them.
+    `eyespot score SET --entries OUT` then ranks them.
+
+    Args:
+        folder: Labelled set.
+        out: Folder of the entries; it is new.
+        splits: Split to measure; may be repeated (default: all splits).
+        constants: File of `rivals tune` (default: eyespot's own).
+        weights: File of `rivals train` (default: eyespot's own).
+        workers: Worker processes on this machine (default: one per core).
     """
-    from benchmarks.rivals.constants import CONSTANTS
     from benchmarks.rivals.entries import chosen
     from benchmarks.rivals.learned import WEIGHTS
-    from benchmarks.rivals.running import run_entries
+    from benchmarks.rivals.running import CONSTANTS, run_entries
     from benchmarks.sets.make import cores
 
     run_entries(
         folder,
         out,
-        entries=chosen(names or []),
-        splits=splits or [],
+        entries=chosen([*names]),
+        splits=splits,
         constants=constants or CONSTANTS,
         weights=weights or WEIGHTS,
         workers=workers or cores(),
@@ -58,40 +58,48 @@ def run(
 
 
 def tune(
-    folder: Folder,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="New JSON file.")],
-    names: Names = None,
-    every: Annotated[int, typer.Option(help="Use one stack of so many.", min=1)] = 1,
-    workers: Workers = None,
+    folder: Path,
+    /,
+    *,
+    out: Path,
+    names: Names = (),
+    every: PositiveInt = 1,
+    workers: PositiveInt | None = None,
 ) -> None:
-    """Choose the free constants of the entries on the split train of a set."""
+    """Choose the free constants of the entries on the split train of a set.
+
+    Args:
+        folder: Labelled set.
+        out: New JSON file.
+        every: Use one stack of so many.
+        workers: Worker processes on this machine (default: one per core).
+    """
     from benchmarks.rivals.entries import chosen
     from benchmarks.rivals.tuning import tune as choose
     from benchmarks.sets.make import cores
 
-    choose(folder, out, entries=chosen(names or []), every=every, workers=workers or cores())
+    choose(folder, out, entries=chosen([*names]), every=every, workers=workers or cores())
 
 
 def train(
-    folder: Folder,
-    out: Annotated[
-        Path,
-        typer.Option(
-            metavar="DIR", help="Folder of the weights; a training that it holds is continued."
-        ),
-    ],
-    epochs: Annotated[
-        int, typer.Option(help="Number of epochs, along which the learning rate falls to 0.", min=1)
-    ] = 40,
-    stop: Annotated[
-        int | None,
-        typer.Option(help="Stop after so many epochs (default: all).", min=1),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 0,
+    folder: Path,
+    /,
+    *,
+    out: Path,
+    epochs: PositiveInt = 40,
+    stop: PositiveInt | None = None,
+    seed: NonNegativeInt = 0,
 ) -> None:
     """Train the learned estimator on the split train, and calibrate it on validation.
 
     If a run was stopped, the same command continues it after its last epoch.
+
+    Args:
+        folder: Labelled set.
+        out: Folder of the weights; a training that it holds is continued.
+        epochs: Number of epochs, along which the learning rate falls to 0.
+        stop: Stop after so many epochs (default: all).
+        seed: Random seed.
     """
     from benchmarks.rivals.learned import make_weights
 

@@ -15,7 +15,6 @@ class Recording(NamedTuple):
     """What is known about the frames of one stack before the first is seen.
 
     Attributes:
-        microscope: its file.
         beam: calibration of the light source: the true one, as a good fit would give it.
         click: (x, y) of the spot in the first frame, px, on which an operator would click.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import math
 import multiprocessing
 import os
@@ -16,7 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.reporting import versions, write_json
-from benchmarks.rivals.constants import Constants, read_constants
 from benchmarks.rivals.entries import KINDS, unavailable
 from benchmarks.rivals.entry import Answer, Entry, Recording
 from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of, true_beam
@@ -32,7 +32,7 @@ from estimator import (
 )
 from estimator.files import require_space, written_whole
 from estimator.run import progress
-from optics import InputError
+from optics import InputError, in_file, read_text
 
 _LEAST_BYTES = 2**20  # of the spots files
 _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")} | {
@@ -67,8 +67,6 @@ def run_entries(
         entries: names in `KINDS`; those that cannot run here are left out with a message.
         splits: of the set; none for all.
         constants: file of the free constants.
-        weights: of the network.
-        workers: processes.
 
     Raises:
         InputError: the input is invalid, or `out` exists.
@@ -112,9 +110,6 @@ def measure_stack(
     """The answers of an entry on a stack, one sequence for each exposure.
 
     Args:
-        stack: of a set.
-        name: of the entry.
-        made: the entry.
         distances: whether ellipses are turned into distances, too.
         frames: reads the frames of a stack's folder and an exposure.
     """
@@ -206,3 +201,31 @@ def _about(name: str, known: Constants, seconds: list[float]) -> dict[str, Any]:
         "constants": known.get(name, {}),
         "ms_per_frame": round(1e3 * statistics.median(seconds), 3),
     }
+
+
+CONSTANTS = Path(__file__).with_name("constants.json")
+"""The file that comes with eyespot."""
+
+SCHEMA = 1
+
+Constants = dict[str, dict[str, Any]]
+"""Constants by name, by entry."""
+
+
+def read_constants(path: Path = CONSTANTS) -> Constants:
+    """The constants of a file that `eyespot rivals tune` wrote.
+
+    Raises:
+        InputError: no such file.
+    """
+    with in_file(path):
+        try:
+            entries = json.loads(read_text(path))["entries"]
+            return {name: dict(found["constants"]) for name, found in entries.items()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(f"not a file of `eyespot rivals tune` ({error}).") from error
+
+
+def write_constants(path: Path, entries: dict[str, Any], origin: dict[str, Any]) -> None:
+    """Write constants with their origin: the command, the set, the frames, the versions."""
+    write_json(path, {"schema": SCHEMA, **origin, "entries": entries})

@@ -21,10 +21,9 @@ import numpy as np
 
 from benchmarks.evaluation import VISIBLE_ENOUGH
 from benchmarks.reporting import versions
-from benchmarks.rivals.constants import write_constants
 from benchmarks.rivals.entries import KINDS, unavailable
 from benchmarks.rivals.entry import Entry
-from benchmarks.rivals.running import measure_stack
+from benchmarks.rivals.running import measure_stack, write_constants
 from benchmarks.sets.read import SetStack, stacks_of
 from estimator import Frame, Spot, open_source
 from estimator.files import fingerprint, written_whole
@@ -45,7 +44,6 @@ def tune(folder: Path, out: Path, *, entries: Sequence[str], every: int, workers
         out: new file.
         entries: names in `KINDS`; those without free constants, or that cannot run, are skipped.
         every: one stack of so many is used.
-        workers: processes.
 
     Raises:
         InputError: the set has no split train.

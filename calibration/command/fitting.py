@@ -6,11 +6,11 @@ import hashlib
 import importlib.metadata
 import json
 import math
+import operator
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -18,17 +18,18 @@ from rich.table import Table
 
 import optics
 from calibration.command import report as fit_report
-from calibration.command.arguments import log_books, read_priors, read_rotation
-from calibration.command.fitted import Choices, Fitted
-from calibration.command.goodness import Doubt, doubts, refusal, verdict
-from calibration.command.models import AUTO, MODELS, Model, chosen_model
+from calibration.command.choices import Choices
+from calibration.command.cone_models import EYE, fit_cone_to_spots, fit_eye
+from calibration.command.fitted import Fitted
+from calibration.command.paper_models import fit_planes, fit_sphere
+from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_lens
 from calibration.command.recording import record_fit
-from calibration.pixels import NUISANCES
-from calibration.recordings import LogBook, Recording, is_stack, read_recording
+from calibration.command.verdict import doubts, refusal, verdict
+from calibration.pixels import CONE, FREE, NUISANCES, known_names
+from calibration.recordings import Recording, is_stack, read_recording
 from calibration.solvers import correlations
-from calibration.spots import Prior
+from calibration.spots import PARAMETERS
 from estimator.files import (
-    QUANTITIES,
     Calibration,
     in_terminal,
     read_calibration,
@@ -42,50 +43,75 @@ from optics import InputError
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
 _MOST_BYTES = 2**23  # of a report with its figures
-
 _STRONG = 0.9
 """Correlations above this are named under the table; the report lists all."""
 
+SOFT_EDGE = 0.1
+"""Edge width over semi-minor axis above which a spot's edge is soft.
 
-def run(
-    sources: Sequence[Path],
-    *,
-    model: str,
-    out: Path,
-    exposure: str | None = None,
-    free: Sequence[str] | None = None,
-    priors: Sequence[str] = (),
-    robust: bool = False,
-    lens: str | None = None,
-    cone: Path | None = None,
-    microscope: Path | None = None,
-    poses: Sequence[Path] = (),
-    phantoms: Sequence[str] = (),
-    medium: str | None = None,
-    fibre_diameter_mm: float = 0.5,
-    eye_from_robot: str | None = None,
-    rerun: str | None = None,
-) -> None:
+A cone's edge is as wide as the camera's blur: 1 px for radii of 40 to 90 px in the renders. A blur
+of 4 px would be a camera far out of focus. With a lens the edge is as wide as the core's image: for
+caps of sag 0 to 0.12 mm and numerical apertures of 0.05 to 0.3, the upper quartile over distances
+of 0.5 to 6 mm is 0.25 to 0.8.
+"""
+
+
+def _cone(choices: Choices) -> Calibration | None:
+    return read_calibration(choices.cone) if choices.cone else None
+
+
+class Model(NamedTuple):
+    """A model and its selectable parameters."""
+
+    fit: Callable[[Sequence[Recording], Choices], Fitted]
+    parameters: tuple[str, ...] = ()
+    """Names that --free accepts."""
+    free: tuple[str, ...] = ()
+    """Default of --free."""
+    of_pixels: bool = False
+    """Whether it is fitted to all pixels of one stack instead of to spots."""
+
+
+MODELS = {
+    "plane": Model(fit_planes),
+    "sphere": Model(fit_sphere),
+    "cone": Model(fit_cone_to_spots, PARAMETERS, CONE),
+    "eye": Model(lambda trials, given: fit_eye(trials, given, _cone(given)), EYE, EYE),
+    "image": Model(fit_image_of_cone, known_names("cone"), FREE["cone"], of_pixels=True),
+    "lens": Model(fit_image_of_lens, known_names("lens"), FREE["lens"], of_pixels=True),
+}
+"""Models by their names on the command line."""
+
+
+def chosen_model(recordings: Sequence[Recording]) -> tuple[str, str]:
+    """A lens if the spots' edges are soft, a cone if they are sharp; and the reason.
+
+    Uses measured spots only. Uses the upper quartile of the edge widths, because a lens also makes
+    a sharp edge at the distance where it images its core.
+
+    Raises:
+        InputError: the spots need a lens, but there are several recordings or no stack.
+    """
+    widths = np.concatenate([recording.relative_edge_width for recording in recordings])
+    if np.isnan(widths).any():
+        return ("cone", "the spots' edges were not measured")
+    width = float(np.quantile(widths, 0.75))
+    seen = (
+        f"the spots' edges are {{}}: {width:.2f} of the radius wide (a cone's: at most {SOFT_EDGE})"
+    )
+    if width <= SOFT_EDGE:
+        return ("cone", seen.format("sharp"))
+    if len(recordings) > 1 or not recordings[0].is_stack:
+        raise InputError(
+            f"{seen.format('soft')}, so the light comes from a lens.\n"
+            "A lens is fitted to the pixels of one stack: give one stack. To fit a cone instead, "
+            "add --model cone."
+        )
+    return ("lens", seen.format("soft"))
+
+
+def run(sources: Sequence[Path], out: Path, choices: Choices, rerun: str | None = None) -> None:
     """Fit a model to withdrawals and write a report, and a calibration file if the fit is good.
-
-    Args:
-        sources: stacks, spots files or bags, taken with one microscope in one medium.
-        model: a name of `MODELS`, or `AUTO`.
-        out: calibration file to write; must not exist. The report is written beside it, as .html.
-        exposure: which exposure to use if a stack has two; by default "metered", whose peaks are
-            never saturated.
-        free: parameters to fit; None for the model's default.
-        priors: "name=mean,sigma" for free parameters, or for `touch`, each trial's first distance.
-        robust: find outliers and fit without them (models plane and sphere).
-        lens: preset or file from which the model lens starts, see `optics.load_lens`.
-        cone: calibration file of the cone, for the model eye.
-        microscope: microscope file for sources other than stacks, see `read_microscope`.
-        poses: pose files for sources other than stacks, in order; a bag may contain its own.
-        phantoms: "plane" or "eyeball", one for each source other than a stack, or one for all.
-        medium: name in `optics.MEDIA`, for sources other than stacks.
-        fibre_diameter_mm: diameter of the tip's face, for sources other than stacks.
-        eye_from_robot: "QX,QY,QZ,QW", rotation from the poses' frame to the eye frame.
-        rerun: a recording of the fit, a file NAME.rrd or "live"; None for none.
 
     Raises:
         InputError: wrong input, an existing file or report, or a fit that is not good. In the last
@@ -93,135 +119,82 @@ def run(
             deviations raises nothing.
         OSError: a file cannot be written.
     """
-    sources = [Path(source) for source in sources]
-    report = _report_beside(out)
-    if rerun is not None:
-        check_recording_path(rerun)
-    # Entered before the fit, so that a name that is taken or a full disk does not cost its result.
-    with written_whole(out) as calibration:
-        with written_whole(report) as page:
-            require_space(out, _MOST_BYTES)
-            given = read_priors(priors)
-            choices = Choices(
-                free=None if free is None else tuple(free),
-                priors=given,
-                loss="huber" if robust else "squares",
-                exposure=exposure,
-                lens=lens or "",
-                cone=None if cone is None else read_calibration(cone),
-            )
-            if model == AUTO and lens:
-                model = "lens"
-            others = [source for source in sources if not is_stack(source)]
-            if model != AUTO:
-                _check(model, choices, sources=len(sources), others=len(others))
-            rotation = read_rotation(eye_from_robot)
-            books = log_books(
-                others, microscope, poses, phantoms, medium, fibre_diameter_mm, rotation
-            )
-            recordings = [
-                _read(source, books.get(source), exposure=exposure, touch=given.get("touch"))
-                for source in sources
-            ]
-            _check_alike(recordings)
-            if model == AUTO:
-                model, reason = chosen_model(recordings)
-                print(f"Model {model}: {reason}.", file=sys.stderr, flush=True)
-                _check(model, choices, sources=len(sources), others=len(others))
-            result = _Result(MODELS[model].fit(recordings, choices), recordings, model)
-            Console().print(result.table())
-            page.write_text(result.page(), encoding="utf-8", errors="backslashreplace")
-        if not all(doubt.harmless for doubt in result.doubts):
-            raise InputError(refusal(result.doubts, model=model, report=report))
-        write_calibration(calibration, result.calibration())
-    if rerun is not None:
-        record_fit(rerun, result.fitted, recordings, result.calibration(), exposure=exposure)
-    print(f"{verdict(result.doubts)}. Wrote {out} and {report}.")
-
-
-@dataclass(frozen=True)
-class _Result:
-    """A fit, and what it was made from."""
-
-    fitted: Fitted
-    recordings: Sequence[Recording]
-    model: str
-
-    @cached_property
-    def doubts(self) -> Sequence[Doubt]:
-        """Why the fit is not good."""
-        return doubts(
-            converged=self.fitted.converged,
-            failed=self.fitted.failed,
-            bounds=self.fitted.bounds,
-            undetermined=self.fitted.undetermined,
-            chi_squared_per_degree=self.fitted.chi_squared_per_degree,
-            degrees_of_freedom=self.fitted.degrees_of_freedom,
-            misfit=None if self.fitted.pixels is None else self.fitted.pixels.misfit,
-            residuals=self.fitted.residuals,
-        )
-
-    def table(self) -> Table:
-        """What the terminal shows."""
-        frames = sum(recording.frames for recording in self.recordings)
-        goodness = self.fitted.chi_squared_per_degree
-        title = f"{self.fitted.used} of {frames} frames, recordings: {len(self.recordings)}"
-        title += "" if goodness is None else f"; χ²/n {goodness:.3g}"
-        return _result_table(self.fitted, title=title)
-
-    def page(self) -> str:
-        """The report."""
-        return fit_report.render(
-            self.fitted,
-            model=self.model,
-            recordings=self.recordings,
-            doubts=self.doubts,
-            software=_software(),
-            fingerprint=self._fingerprint,
-        )
-
-    def calibration(self) -> Calibration:
-        """Content of the calibration file."""
-        fitted, medium = self.fitted, self.recordings[0].medium
-        names = ", ".join(recording.name for recording in self.recordings)
-        return Calibration(
-            model=fitted.calibration_model,
-            values=fitted.values,
-            covariance=fitted.covariance,
-            medium=medium,
-            medium_index=optics.MEDIA[medium],
-            fitted_on=f"{fitted.used} {fitted.unit} of {names}",
-            data_sha256=self._fingerprint,
-            software=_software(),
-            sigma_inflation=fitted.inflation,
-        )
-
-    @property
-    def _fingerprint(self) -> str:
-        checksums = json.dumps([recording.sha256 for recording in self.recordings])
-        return hashlib.sha256(checksums.encode()).hexdigest()
-
-
-def _software() -> str:
-    return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES)
-
-
-def _report_beside(out: Path) -> Path:
-    """The report's file."""
     report = out.with_suffix(".html")
     if report == out:
         raise InputError(f"{out}: the report uses the ending .html. End the calibration in .json.")
-    return report
+    if rerun is not None:
+        check_recording_path(rerun)
+    # Entered before the fit, so that a name that is taken or a full disk does not cost its result.
+    with written_whole(out) as partial:
+        with written_whole(report) as page:
+            require_space(out, _MOST_BYTES)
+            lens = choices.model == "auto" and choices.lens
+            model: str = "lens" if lens else choices.model
+            others = [source for source in sources if not is_stack(source)]
+            if model != "auto":
+                _check(model, choices, sources=len(sources), others=len(others))
+            recordings = _recordings(sources, others, choices)
+            if model == "auto":
+                model, reason = chosen_model(recordings)
+                print(f"Model {model}: {reason}.", file=sys.stderr, flush=True)
+                _check(model, choices, sources=len(sources), others=len(others))
+            fitted = MODELS[model].fit(recordings, choices)
+            found = doubts(fitted)
+            checksums = json.dumps([recording.sha256 for recording in recordings])
+            packages = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
+            origin = {
+                "data_sha256": hashlib.sha256(checksums.encode()).hexdigest(),
+                "software": ", ".join(packages),
+            }
+            Console().print(_table(fitted, recordings))
+            text = fit_report.render(fitted, found, model, recordings, **origin)
+            page.write_text(text, encoding="utf-8", errors="backslashreplace")
+        if not all(doubt.harmless for doubt in found):
+            raise InputError(refusal(found, model=model, report=report))
+        names = ", ".join(recording.name for recording in recordings)
+        calibration = Calibration(
+            model=fitted.calibration_model,
+            values=fitted.values,
+            covariance=fitted.covariance,
+            medium=recordings[0].medium,
+            medium_index=optics.MEDIA[recordings[0].medium],
+            fitted_on=f"{fitted.used} {fitted.unit} of {names}",
+            sigma_inflation=fitted.inflation,
+            **origin,
+        )
+        write_calibration(partial, calibration)
+    if rerun is not None:
+        record_fit(rerun, fitted, recordings, calibration, exposure=choices.exposure)
+    print(f"{verdict(found)}. Wrote {out} and {report}.")
 
 
 def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:
     """Reject choices that do not fit the model, before any spot is measured."""
     chosen = MODELS[model]
-    _check_names(chosen, choices)
+    for name in choices.names:
+        if not chosen.parameters:
+            raise InputError(
+                f"--model {model} has no selectable parameter {name}; --model cone has "
+                f"{', '.join(PARAMETERS)}."
+            )
+        if name not in chosen.parameters:
+            raise InputError(
+                f"--free accepts {', '.join(chosen.parameters)}; got {name!r}. Each trial's touch, "
+                "spot position and axis direction are always free."
+            )
+    always = NUISANCES if chosen.of_pixels else ("touch",)
+    for name in choices.priors:
+        if name not in (*always, *(choices.names or chosen.free)):
+            raise InputError(f"--prior {name} does nothing while {name} is not in --free. Add it.")
+    for name in {"half_angle", "b"} & {*chosen.free} - {*(choices.names or chosen.free)}:
+        raise InputError(f"--free must contain half_angle and b; {name} is missing. Add it.")
+    if choices.robust and chosen.parameters:
+        raise InputError("--robust works with the models plane and sphere only. Leave it out.")
     if choices.lens and model != "lens":
         raise InputError("--lens works with --model lens only. Leave it out.")
     if choices.cone is not None and model != "eye":
         raise InputError("--cone works with --model eye only. Leave it out.")
+    _cone(choices)  # a wrong file is refused before any spot is measured
     if chosen.of_pixels and (others or sources != 1):
         raise InputError(
             f"--model {model} fits the pixels of one stack; got {sources} sources, of which "
@@ -230,77 +203,67 @@ def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:
         )
 
 
-def _read(
-    source: Path, book: LogBook | None, *, exposure: str | None, touch: Prior | None
-) -> Recording:
-    with progress(f"Measuring {source.name}", total=None) as advance:
-        return read_recording(
-            source, exposure=exposure, log_book=book, touch=touch, progress=advance
-        )
-
-
-def _check_names(model: Model, choices: Choices) -> None:
-    for name in choices.free or ():
-        if name not in model.parameters:
-            raise InputError(
-                f"--free accepts {', '.join(model.parameters)}; got {name!r}. Each trial's touch, "
-                "spot position and axis direction are always free."
+def _recordings(
+    sources: Sequence[Path], others: Sequence[Path], choices: Choices
+) -> list[Recording]:
+    """Measure the spots, and refuse recordings that cannot be fitted together."""
+    books, touch = choices.log_books(others), choices.priors.get("touch")
+    recordings = []
+    for source in sources:
+        with progress(f"Measuring {source.name}", total=None) as advance:
+            recordings.append(
+                read_recording(
+                    source,
+                    exposure=choices.exposure,
+                    log_book=books.get(source),
+                    touch=touch,
+                    progress=advance,
+                )
             )
-    always = NUISANCES if model.of_pixels else ("touch",)
-    for name in choices.priors:
-        if name not in always and name not in (choices.free or model.free):
-            raise InputError(f"--prior {name} does nothing while {name} is not in --free. Add it.")
-
-
-def _check_alike(recordings: Sequence[Recording]) -> None:
-    media = {r.medium for r in recordings}
+    media = {recording.medium for recording in recordings}
     if len(media) > 1:
         raise InputError(
             f"these recordings were taken in {' and '.join(sorted(media))}. A calibration is valid "
             "in one medium. Fit the recordings of each medium by themselves."
         )
-    first = recordings[0].microscope
-    for recording in recordings[1:]:
-        other = recording.microscope
-        if (other.scale_mm_px, other.pinhole_height_mm, other.eye_radius_mm) != (
-            first.scale_mm_px,
-            first.pinhole_height_mm,
-            first.eye_radius_mm,
-        ):
+    first = recordings[0]
+    eye = operator.attrgetter("scale_mm_px", "pinhole_height_mm", "eye_radius_mm")
+    for recording in recordings:
+        if eye(recording.microscope) != eye(first.microscope):
             raise InputError(
-                f"{recording.name} and {recordings[0].name} were taken with different microscopes "
-                "or eyes. Fit each by itself."
+                f"{recording.name} and {first.name} were taken with different microscopes or "
+                "eyes. Fit each by itself."
             )
-    planes = [r for r in recordings if r.trial.kind == "plane"]
-    for plane in planes[1:]:
+    planes = [recording for recording in recordings if recording.trial.kind == "plane"]
+    for plane in planes:
         if plane.tilt != planes[0].tilt:
             raise InputError(
                 f"the planes of {planes[0].name} and {plane.name} are tilted differently. Fit each "
                 "by itself."
             )
+    return recordings
 
 
-def _result_table(fitted: Fitted, *, title: str) -> Table:
-    """A row for each parameter: value, standard deviation, unit."""
-    sigma = np.sqrt(np.diag(fitted.covariance))
-    table = Table(title=in_terminal(title), caption=_strong_correlations(fitted))
-    for heading in ("parameter", "value", "± σ", "unit"):
-        table.add_column(heading, justify="left" if heading == "parameter" else "right")
-    for i, (name, value) in enumerate(fitted.values.items()):
-        table.add_row(in_terminal(name), f"{value:.6g}", _error(sigma[i]), QUANTITIES[name].unit)
-    for name, value, error, unit in fitted.others:
-        table.add_row(in_terminal(name), f"{value:.4g}", _error(error), unit)
-    return table
-
-
-def _strong_correlations(fitted: Fitted) -> str | None:
+def _table(fitted: Fitted, recordings: Sequence[Recording]) -> Table:
+    """What the terminal shows: value, standard deviation and unit of each parameter."""
+    frames = sum(recording.frames for recording in recordings)
+    goodness = fitted.chi_squared_per_degree
+    title = f"{fitted.used} of {frames} frames, recordings: {len(recordings)}"
+    title += "" if goodness is None else f"; χ²/n {goodness:.3g}"
     names, rho = list(fitted.values), correlations(fitted.covariance)
     pairs = [
         f"{names[i]} and {names[j]} {rho[i, j]:+.2f}"
         for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
         if abs(rho[i, j]) > _STRONG  # false for NaN, where a parameter was not fitted
     ]
-    return f"Strong correlations: {', '.join(pairs)}." if pairs else None
+    strong = f"Strong correlations: {', '.join(pairs)}." if pairs else None
+    table = Table(title=in_terminal(title), caption=strong)
+    for heading in ("parameter", "value", "± σ", "unit"):
+        table.add_column(heading, justify="left" if heading == "parameter" else "right")
+    for name, value, error, unit in fitted.rows:
+        digits = 6 if name in fitted.values else 4
+        table.add_row(in_terminal(name), f"{value:.{digits}g}", _error(error), unit)
+    return table
 
 
 def _error(sigma: float) -> str:

@@ -7,17 +7,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 import optics
-from calibration.command.fitted import Choices, Curve, Fitted
+from calibration.command.choices import Choices
+from calibration.command.fitted import Curve, Fitted
 from calibration.recordings import Recording
 from calibration.spots import (
-    PARAMETERS,
     Loss,
+    PlaneFit,
     PlaneTrial,
     PlaneTrialsFit,
-    SphereFit,
     fit_eccentricity,
     fit_plane,
     fit_plane_trials,
@@ -28,9 +27,17 @@ from optics import InputError
 _TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
 
 
+def line_through(recordings: Sequence[Recording], loss: Loss = "squares") -> PlaneFit:
+    """The paper's line through the spots of all recordings."""
+    return fit_plane(
+        semi_minor_px=np.concatenate([np.asarray(r.trial.ellipses.semi_minor) for r in recordings]),
+        distance=np.concatenate([r.trial.readings for r in recordings]),
+        loss=loss,
+    )
+
+
 def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit the paper's line through all planes, with each trial's touch and the plane's tilt."""
-    _nothing_to_choose("plane", choices)
     for recording in recordings:
         if recording.trial.kind != "plane":
             raise InputError(
@@ -42,6 +49,11 @@ def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     to_k = np.diag([1.0 / scale, 1.0])
     names = [recording.name for recording in planes]
     touches = zip(names, pooled.touch, pooled.touch_error, strict=True)
+    lines = {}
+    for recording in planes:
+        line = line_through([recording], choices.loss)
+        axis = np.sort(np.asarray(recording.trial.ellipses.semi_minor))
+        lines[recording.name] = Curve(axis, line.delta_k * axis + line.b, line.band(axis))
     return Fitted(
         calibration_model="planar",
         values={"k": pooled.delta_k / scale, "b": pooled.b},
@@ -58,13 +70,12 @@ def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
             ("noise of a distance", pooled.noise, math.nan, "mm"),
         ],
         notes=[f"All planes: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.", *notes],
-        lines={recording.name: _plane_line(recording, choices.loss) for recording in planes},
+        lines=lines,
     )
 
 
 def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit the paper's c of one eyeball trial, given the line through the planes."""
-    _nothing_to_choose("sphere", choices)
     spheres = [r for r in recordings if r.trial.kind == "eyeball"]
     if len(spheres) != 1:
         raise InputError(
@@ -103,12 +114,17 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
         f"All planes: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.",
         *notes,
     ]
+    # c depends on the line with which it was fitted.
+    follows = np.vstack([np.eye(2), fit.sensitivity])
+    covariance = follows @ pooled.covariance @ follows.T
+    covariance[2, 2] += fit.c_error**2
+    to_k = np.diag([1.0 / scale, 1.0, 1.0])
     order = np.argsort(axis)
     band = fit.band(axis[order], delta_k=pooled.delta_k, scale=scale, eye_radius=radius)
     return Fitted(
         calibration_model="small_plane",
         values={"k": pooled.delta_k / scale, "b": pooled.b, "eccentricity": fit.c},
-        covariance=_with_eccentricity(pooled, fit, scale),
+        covariance=to_k @ covariance @ to_k,
         converged=pooled.converged and fit.converged,
         bounds=("eccentricity = 0, where the fit is best",) if fit.at_bound else (),
         residuals={"the distance": errors / np.sqrt(np.sum(errors**2) / (errors.size - 1))},
@@ -133,23 +149,38 @@ def _pooled_planes(
             "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
         )
     notes, trials, kept = [], [], []
+    wall = phantom_wall("plane", eye_radius=planes[0].microscope.eye_radius_mm)
     for recording in planes:
-        fit = fit_plane(
-            semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
-            distance=recording.trial.readings,
-            loss=loss,
-        )
+        fit = line_through([recording], loss)
         notes.append(
             f"{recording.name} by itself: δk {fit.delta_k:.6f} ± {fit.delta_k_error:.6f} mm/px, b "
             f"{fit.b:.4f} ± {fit.b_error:.4f} mm, R² {fit.r_squared:.5f}, RMSE {fit.rmse:.4f} mm."
         )
         notes += _outlier_note(recording, fit.outliers)
-        kept.append(_without(recording, fit.outliers))
-        trials.append(_plane_trial(kept[-1]))
-    microscope = planes[0].microscope
+        inliers = np.setdiff1d(np.arange(recording.trial.readings.size), fit.outliers)
+        trial = replace(
+            recording.trial,
+            ellipses=optics.Ellipse(*(leaf[inliers] for leaf in recording.trial.ellipses)),
+            covariances=recording.trial.covariances[inliers],
+            readings=recording.trial.readings[inliers],
+        )
+        kept.append(recording._replace(trial=trial))
+        centre = np.asarray(trial.ellipses.centre).mean(axis=0)
+        ray = recording.microscope.ideal_microscope().ray(centre)
+        angle = np.asarray(trial.ellipses.angle)
+        trials.append(
+            PlaneTrial(
+                semi_minor_px=np.asarray(trial.ellipses.semi_minor),
+                readings=trial.readings,
+                # Perpendicular to (cos, sin) in the image, whose v points towards -Y.
+                minor_axes=np.stack([np.sin(angle), np.cos(angle)], axis=-1),
+                place=np.asarray(wall.intersect(*ray).point[:2]),
+                touch=trial.touch,
+            )
+        )
     pooled = fit_plane_trials(
         trials,
-        inverse_working_distance=microscope.inverse_working_distance,
+        inverse_working_distance=planes[0].microscope.inverse_working_distance,
         tilt_sigma=_TILT_SIGMA,
     )
     return kept, pooled, notes
@@ -160,61 +191,3 @@ def _outlier_note(recording: Recording, outliers: tuple[int, ...]) -> list[str]:
         return []
     readings = ", ".join(f"{recording.trial.readings[i]:.2f}" for i in outliers)
     return [f"{recording.name}: {len(outliers)} outliers, at readings of {readings} mm."]
-
-
-def _without(recording: Recording, outliers: tuple[int, ...]) -> Recording:
-    kept = np.setdiff1d(np.arange(recording.trial.readings.size), outliers)
-    trial = recording.trial
-    return recording._replace(
-        trial=replace(
-            trial,
-            ellipses=optics.Ellipse(*(leaf[kept] for leaf in trial.ellipses)),
-            covariances=trial.covariances[kept],
-            readings=trial.readings[kept],
-        )
-    )
-
-
-def _plane_trial(recording: Recording) -> PlaneTrial:
-    trial, microscope = recording.trial, recording.microscope.ideal_microscope()
-    centre = np.asarray(trial.ellipses.centre).mean(axis=0)
-    wall = phantom_wall("plane", eye_radius=recording.microscope.eye_radius_mm)
-    angle = np.asarray(trial.ellipses.angle)
-    return PlaneTrial(
-        semi_minor_px=np.asarray(trial.ellipses.semi_minor),
-        readings=trial.readings,
-        # Perpendicular to (cos, sin) in the image, whose v points towards -Y.
-        minor_axes=np.stack([np.sin(angle), np.cos(angle)], axis=-1),
-        place=np.asarray(wall.intersect(*microscope.ray(centre)).point[:2]),
-        touch=trial.touch,
-    )
-
-
-def _plane_line(recording: Recording, loss: Loss) -> Curve:
-    axis = np.sort(np.asarray(recording.trial.ellipses.semi_minor))
-    fit = fit_plane(
-        semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
-        distance=recording.trial.readings,
-        loss=loss,
-    )
-    return Curve(axis, fit.delta_k * axis + fit.b, fit.band(axis))
-
-
-def _with_eccentricity(
-    pooled: PlaneTrialsFit, fit: SphereFit, scale: float
-) -> Float[np.ndarray, "3 3"]:
-    """Covariance of k, b and c; c depends on the line with which it was fitted."""
-    follows = np.vstack([np.eye(2), fit.sensitivity])
-    covariance = follows @ pooled.covariance @ follows.T
-    covariance[2, 2] += fit.c_error**2
-    to_k = np.diag([1.0 / scale, 1.0, 1.0])
-    return to_k @ covariance @ to_k
-
-
-def _nothing_to_choose(model: str, choices: Choices) -> None:
-    wrong = [*(choices.free or ()), *(name for name in choices.priors if name != "touch")]
-    if wrong:
-        raise InputError(
-            f"--model {model} has no selectable parameter {wrong[0]}; --model cone has "
-            f"{', '.join(PARAMETERS)}."
-        )

@@ -7,17 +7,19 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, ArrayLike, Float
 from scipy import ndimage
 
 import optics
-from calibration.command.fitted import Choices, Fitted, PixelResiduals
-from calibration.command.goodness import bounds_hit
+from calibration.command.choices import Choices
+from calibration.command.cone_models import cone_start
+from calibration.command.fitted import Fitted, PixelResiduals, bounds_hit
 from calibration.command.lens_guess import FLATTEST, guessed_lens
-from calibration.pixels import LENS, UNITS, Footage, ImageFit, fit_footage, lens_start, read_footage
+from calibration.pixels import LENS, UNITS, ImageFit, fit_footage, lens_start, read_footage
 from calibration.recordings import Recording
-from calibration.spots import fit_plane
 from estimator import read_stack
 from estimator.files import BEAM, LENS_PARAMETERS
 from estimator.run import progress
@@ -27,6 +29,7 @@ _BLUR_PX = 1.0  # start value: a camera in focus
 _SPREAD_MM = 0.03  # start value: about that of paper
 _CONE_IN_FILE = ("half_angle", "b")
 _EITHER_IN_FILE = ("scale", "eye_radius")
+_BEAM = ("boresight", "boresight_sideways")
 _SECONDS = {"cone": (10.0, 3e-6), "lens": (60.0, 5e-7)}
 """Time of a fit on two cores, and its increase per pixel and frame, to a factor of two."""
 _STATED = 1.05
@@ -40,96 +43,53 @@ _BRIGHTNESS = ("sensitivity", "power", "reflectance")
 def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit half-angle and b of a cone to pixels; start with the paper's line through the spots."""
     (recording,) = recordings
-    for name in set(_CONE_IN_FILE) - set(choices.free or _CONE_IN_FILE):
-        raise InputError(f"--free must contain half_angle and b; {name} is missing. Add it.")
-    line = fit_plane(
-        semi_minor_px=np.asarray(recording.trial.ellipses.semi_minor),
-        distance=recording.trial.readings,
-    )
-    start = {
-        "half_angle": math.atan(recording.microscope.scale_mm_px / line.delta_k),
-        "b": line.b,
-    }
-    if "blur" in (choices.free or ()):
+    start = cone_start(recordings)
+    if "blur" in choices.names:
         start["blur"] = _BLUR_PX
-    _, fit = _fit(recording, choices, "cone", start)
-    names = [name for name in (*_CONE_IN_FILE, *_EITHER_IN_FILE) if name in fit.parameters]
-    return _fitted(
-        recording,
-        fit,
-        model="exact",
-        values={name: fit.values[name] for name in names},
-        slopes={name: {name: 1.0} for name in names},
-        in_file=names,
-    )
+    return _fitted(recording, choices, "cone", start)
 
 
 def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitted:
-    """Fit shape, aperture and brightness of a glue lens to pixels."""
+    """Fit shape, aperture and brightness of a glue lens to pixels.
+
+    Starts from the lens that was chosen, or else from one guessed from the spots.
+    """
     (recording,) = recordings
-    footage, fit = _fit(recording, choices, "lens", _lens_start(recording, choices))
-    every = fit.values
-    own = [name for name in _EITHER_IN_FILE if name in fit.parameters]
-    values = {
-        **{name: every[name] for name in LENS_PARAMETERS if name in LENS},
-        "glue_length": every["rim_height"] + every["sag"],
-        **{name: every[name] for name in own},
-        # As a part of full scale, of which the black level takes a share.
-        "brightness": (1 - footage.noise.black)
-        * math.prod(every[name] for name in _BRIGHTNESS)
-        / math.pi,
-    }
-    slopes = {name: {name: 1.0} for name in values}
-    slopes["glue_length"] = {"rim_height": 1.0, "sag": 1.0}
-    slopes["brightness"] = {name: values["brightness"] / every[name] for name in _BRIGHTNESS}
-    return _fitted(
-        recording,
-        fit,
-        model="lens",
-        values=values,
-        slopes=slopes,
-        in_file=[*LENS, *_EITHER_IN_FILE],
-    )
-
-
-def _lens_start(recording: Recording, choices: Choices) -> dict[str, float]:
-    """The chosen lens, or else one guessed from the spots."""
     if choices.lens:
-        given = lens_start(optics.load_lens(choices.lens))
+        start = lens_start(optics.load_lens(choices.lens))
         # A flat end is at the bound of the fit, so start next to it.
-        given["sag"] = max(given["sag"], FLATTEST * given["core_radius"])
-        return given
-    found = lens_start(guessed_lens(recording))
-    print(
-        f"Starting from a lens with sag {found['sag']:.3g} mm and numerical aperture "
-        f"{found['numerical_aperture']:.3g}, guessed from the spots.",
-        file=sys.stderr,
-        flush=True,
-    )
-    return found
+        start["sag"] = max(start["sag"], FLATTEST * start["core_radius"])
+    else:
+        start = lens_start(guessed_lens(recording))
+        print(
+            f"Starting from a lens with sag {start['sag']:.3g} mm and numerical aperture "
+            f"{start['numerical_aperture']:.3g}, guessed from the spots.",
+            file=sys.stderr,
+            flush=True,
+        )
+    return _fitted(recording, choices, "lens", start)
 
 
-def _fit(
+def _fitted(
     recording: Recording,
     choices: Choices,
     source: Literal["cone", "lens"],
-    start: Mapping[str, float],
-) -> tuple[Footage, ImageFit]:
-    if "spread" in (choices.free or ()):
-        start = {**start, "spread": _SPREAD_MM}
-    if choices.loss != "squares":
-        raise InputError("--robust works with the models plane and sphere only. Leave it out.")
+    start: dict[str, float],
+) -> Fitted:
+    """Fit, and bring the result into the form that all models share."""
+    if "spread" in choices.names:
+        start["spread"] = _SPREAD_MM
     if any(recording.tilt):
         raise InputError(
             f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
             "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
         )
     footage = read_footage(read_stack(recording.source), exposure=choices.exposure)
-    frames = len(footage.readings)
     least, per_pixel = _SECONDS[source]
     minutes = (least + footage.light.size * per_pixel) / 60
+    rounded = f"about {minutes:.0f}" if minutes >= 1 else "less than 1"
     print(
-        f"Fitting a {source} to {frames} frames: {_rounded(minutes)} min on two cores.",
+        f"Fitting a {source} to {len(footage.readings)} frames: {rounded} min on two cores.",
         file=sys.stderr,
         flush=True,
     )
@@ -138,39 +98,40 @@ def _fit(
             footage,
             source=source,
             start=start,
-            free=choices.free,
+            free=choices.names or None,
             priors=choices.priors,
             progress=lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
         )
-    return footage, fit
 
+    def in_file(fitted: Mapping[str, ArrayLike]) -> dict[str, Array]:
+        """The calibration's parameters; with the beam's direction, if it is determined."""
+        every = {**fit.values, **fitted}
+        names = [name for name in _EITHER_IN_FILE if name in fitted]
+        if source == "cone":
+            found = {name: every[name] for name in (*_CONE_IN_FILE, *names)}
+        else:
+            found = {
+                **{name: every[name] for name in LENS_PARAMETERS if name in LENS},
+                "glue_length": every["rim_height"] + every["sag"],
+                **{name: every[name] for name in names},
+                # As a part of full scale, of which the black level takes a share.
+                "brightness": (1 - footage.noise.black)
+                * math.prod(every[name] for name in _BRIGHTNESS)
+                / math.pi,
+            }
+        if all(math.isfinite(fit.parameters[name][1]) for name in _BEAM):
+            beam = recording.beam_slopes @ jnp.array([every[name] for name in _BEAM])
+            found |= dict(zip(BEAM, beam, strict=True))
+        return {name: jnp.asarray(value, float) for name, value in found.items()}
 
-def _fitted(
-    recording: Recording,
-    fit: ImageFit,
-    *,
-    model: str,
-    values: dict[str, float],
-    slopes: Mapping[str, Mapping[str, float]],
-    in_file: Sequence[str],
-) -> Fitted:
-    """The result in the form that all models share.
-
-    Args:
-        recording: the fitted recording.
-        fit: its result.
-        model: model's name in the calibration file.
-        values: parameters of the file.
-        slopes: derivatives of these with respect to the fit's parameters.
-        in_file: the fit's parameters that the file's values contain.
-    """
-    names = list(fit.parameters)
-    values, slopes = _with_beam(recording, fit, values, slopes)
-    follows = np.array([[slopes[name].get(own, 0.0) for own in names] for name in values])
+    fitted = {name: value for name, (value, _) in fit.parameters.items()}
+    values = {name: float(value) for name, value in in_file(fitted).items()}
+    slopes = jax.jacfwd(in_file)(fitted)
+    follows = np.array([[slopes[name][own] for own in fitted] for name in values])
     numbers, of_frames = _of_frames(fit)
     maps, groups = _maps(fit)
     return Fitted(
-        calibration_model=model,
+        calibration_model="exact" if source == "cone" else "lens",
         values=values,
         covariance=_propagated(follows, fit.covariance),
         converged=fit.converged,
@@ -185,34 +146,11 @@ def _fitted(
         others=[
             (name, value, error, UNITS[name])
             for name, (value, error) in fit.parameters.items()
-            if name not in in_file
+            if name not in (*_CONE_IN_FILE, *LENS, *_EITHER_IN_FILE)
         ],
         notes=_notes(fit),
         pixels=PixelResiduals(maps, groups, numbers, of_frames, fit.misfit),
     )
-
-
-def _rounded(minutes: float) -> str:
-    return f"about {minutes:.0f}" if minutes >= 1 else "less than 1"
-
-
-def _with_beam(
-    recording: Recording,
-    fit: ImageFit,
-    values: dict[str, float],
-    slopes: Mapping[str, Mapping[str, float]],
-) -> tuple[dict[str, float], dict[str, Mapping[str, float]]]:
-    """Values and slopes with the beam's direction in the tool's frame, if it is determined."""
-    angles = ("boresight", "boresight_sideways")
-    if not all(math.isfinite(fit.parameters[name][1]) for name in angles):
-        return values, dict(slopes)
-    turn = recording.beam_slopes
-    beam = turn @ [fit.values[name] for name in angles]
-    own = {
-        name: dict(zip(angles, row, strict=True))
-        for name, row in zip(BEAM, turn.tolist(), strict=True)
-    }
-    return values | dict(zip(BEAM, beam.tolist(), strict=True)), {**slopes, **own}
 
 
 def _notes(fit: ImageFit) -> list[str]:

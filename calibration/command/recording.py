@@ -24,19 +24,7 @@ def record_fit(
     *,
     exposure: str | None,
 ) -> None:
-    """Record the frames of a fit, one recording after the other on the timeline `frame`.
-
-    Args:
-        target: as of `recording_of`.
-        fitted: the result.
-        recordings: that were fitted.
-        calibration: the result as a calibration.
-        exposure: kind of the images of stacks, as it was fitted.
-
-    Raises:
-        InputError: as `recording_of`, or a source cannot be read again.
-        OSError: it cannot be written.
-    """
+    """Record the frames of a fit, one recording after the other on the timeline `frame`."""
     name = ", ".join(recording.name for recording in recordings)
     touches = {row[0].removeprefix("touch of "): row[1] for row in fitted.others}
     residuals = _residuals(fitted, recordings)

@@ -16,11 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calibration.command.fitted import Fitted, PixelResiduals
-from calibration.command.goodness import SIGNIFICANCE, Doubt, runs_probability
-from calibration.command.remedies import Fault
+from calibration.command.verdict import SIGNIFICANCE, Doubt, Fault, runs_probability
 from calibration.recordings import Recording
 from calibration.solvers import accepted_range, correlations
-from estimator.files import QUANTITIES, in_figure
+from estimator.files import in_figure
 
 # Palette of Okabe and Ito, which colour-blind readers can distinguish.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -43,23 +42,14 @@ _STYLE: dict[Any, Any] = {
 
 def render(
     fitted: Fitted,
-    *,
+    doubts: Sequence[Doubt],
     model: str,
     recordings: Sequence[Recording],
-    doubts: Sequence[Doubt],
+    *,
+    data_sha256: str,
     software: str,
-    fingerprint: str,
 ) -> str:
-    """The HTML page.
-
-    Args:
-        fitted: the fit.
-        model: its name on the command line.
-        recordings: all recordings given to the fit.
-        doubts: why the fit is not good; empty for a good fit.
-        software: names and versions.
-        fingerprint: checksum of the data.
-    """
+    """The HTML page of a fit of a model to recordings."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("calibration.command"),
         autoescape=True,
@@ -67,7 +57,6 @@ def render(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    sigma = np.sqrt(np.diag(fitted.covariance))
     with matplotlib.rc_context(_STYLE):
         residuals = _residuals(fitted) if fitted.pixels is None else _pixels(fitted.pixels)
         figures = {"residuals": _svg(residuals)}
@@ -78,13 +67,9 @@ def render(
         model=model,
         recordings=recordings,
         doubts=doubts,
+        data_sha256=data_sha256,
         software=software,
-        fingerprint=fingerprint,
         figures=figures,
-        rows=[
-            (name, value, error, QUANTITIES[name].unit)
-            for (name, value), error in zip(fitted.values.items(), sigma, strict=True)
-        ],
         correlations=correlations(fitted.covariance),
         runs=[
             (name, runs_probability(values), float(np.mean(values**2)))

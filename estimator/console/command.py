@@ -7,12 +7,12 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
-import typer
+from cyclopts.types import Port
 
 from estimator.files import POSE_TOPIC
-from estimator.run import Exposure, ImageTopic, Options, PosesFile, with_options
+from estimator.run import Options, Recorded
 from optics import InputError
 
 if TYPE_CHECKING:
@@ -22,42 +22,27 @@ if TYPE_CHECKING:
 _TOPIC = "topic:"
 
 
-@with_options
 def console(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="Stack, folder of images, TIFF, video, ROS bag, number of a camera, genicam:NAME, "
-            "or topic:/NAME of a running ROS.",
-        ),
-    ],
-    exposure: Exposure = None,
-    image_topic: ImageTopic = None,
-    poses: PosesFile = None,
-    pose_topic: Annotated[
-        str | None,
-        typer.Option(
-            help="Pose topic of a running ROS or of a bag that has several, if not the rig's."
-        ),
-    ] = None,
-    folder: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where the page records spots and frames.")
-    ] = Path(),
-    host: Annotated[
-        str,
-        typer.Option(help="Address to listen on; other machines can reach 0.0.0.0, with a token."),
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen on.")] = 8080,
-    **options: Any,
+    source: str,
+    /,
+    *,
+    folder: Path = Path(),
+    host: str = "127.0.0.1",
+    port: Port = 8080,
+    options: Options = Options(),
+    recorded: Recorded = Recorded(),
 ) -> None:
     """Show a source, what is measured in it, and its distance on a page in the browser.
 
     Ctrl-C ends it.
-    """
-    from estimator.files import read_poses
-    from estimator.sources import open_source
 
+    Args:
+        source: Stack, folder of images, TIFF, video, ROS bag, number of a camera, genicam:NAME, or
+            topic:/NAME of a running ROS.
+        folder: Where the page records spots and frames.
+        host: Address to listen on; other machines can reach 0.0.0.0, with a token.
+        port: Port to listen on.
+    """
     try:
         from estimator.console.page import serve
     except ModuleNotFoundError as error:
@@ -70,36 +55,27 @@ def console(
         raise InputError(f"{folder} is not a folder. Make it, or choose another one.")
     track: Callable[[], PoseTrack] | None
     if source.startswith(_TOPIC):
-        opened, track = _topic(source.removeprefix(_TOPIC), poses, pose_topic)
+        opened, track = _topic(source.removeprefix(_TOPIC), recorded)
     else:
-        if pose_topic is not None and poses is None:
-            raise InputError("pose_topic has no effect without poses. Give both, or neither.")
-        opened = partial(open_source, source, exposure=exposure, image_topic=image_topic)
+        opened, known = partial(recorded.source, source), recorded.pose_track(options)
         first = opened()
         for note in first.notes:
             print(note, file=sys.stderr, flush=True)
-        options["microscope"] = options["microscope"] or first.microscope_file
-        known = read_poses(poses, topic=pose_topic) if poses else None
+        options = options.of_source(first)
         track = (lambda: known) if known is not None else None
-    if options["eye_from_robot"] is not None and track is None:
-        raise InputError("eye_from_robot has no effect without poses. Give both, or neither.")
     token = None if is_loopback(host) else secrets.token_urlsafe(9)
     print(f"The console is at http://{host}:{port}. Ctrl-C ends it.", flush=True)
     if token is not None:
         print(f"Other machines need this token: {token}", flush=True)
-    serve(
-        opened, Options.of(options), folder=folder, host=host, port=port, token=token, poses=track
-    )
+    serve(opened, options, folder=folder, host=host, port=port, token=token, poses=track)
 
 
-def _topic(
-    topic: str, poses: Path | None, pose_topic: str | None
-) -> tuple[Callable[[], Source], Callable[[], PoseTrack]]:
+def _topic(topic: str, recorded: Recorded) -> tuple[Callable[[], Source], Callable[[], PoseTrack]]:
     """The source of a topic, and the poses that arrive."""
     from estimator.rig import RecentPoses, open_topic
 
-    if poses is not None:
+    if recorded.poses is not None:
         raise InputError("poses are of a recording. Those of a running ROS have a --pose-topic.")
     recent = RecentPoses()
-    live = open_topic(topic, poses=recent, pose_topic=pose_topic or POSE_TOPIC)
+    live = open_topic(topic, poses=recent, pose_topic=recorded.pose_topic or POSE_TOPIC)
     return lambda: live, recent.track

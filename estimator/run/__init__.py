@@ -10,8 +10,7 @@ internal_errors  Bugs that are met in single frames: logged and counted, so that
 interrupt        Ctrl-C ends a command within two seconds, unless it is writing what it has
 offline          Reads a source from its first frame to its last: the spots, and how many of each
                  kind
-options          The options of a measurement, defined once for `eyespot track` and for the rig's
-                 node
+options          The options of a measurement, defined once for the commands and the rig's node
 overlay          Draws the measured spots over the frames: a video, or a folder of PNGs
 progress_bar     Progress of a long command: a bar on a terminal, else a plain line now and then
 reader           From a frame to a reading: the spot, its distance, the age of the robot's pose

@@ -9,10 +9,9 @@ from .offline import record_of as record_of
 from .offline import track_source as track_source
 from .offline import track_whole_source as track_whole_source
 from .options import Exposure as Exposure
-from .options import ImageTopic as ImageTopic
 from .options import Options as Options
-from .options import PosesFile as PosesFile
-from .options import with_options as with_options
+from .options import Recorded as Recorded
+from .options import Rerun as Rerun
 from .progress_bar import Advance as Advance
 from .progress_bar import progress as progress
 from .reader import Reader as Reader

@@ -6,16 +6,9 @@ import json
 import math
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from cyclopts import Parameter
 
-from estimator.run.options import (
-    Exposure,
-    ImageTopic,
-    Options,
-    PosesFile,
-    PoseTopic,
-    with_options,
-)
+from estimator.run.options import Options, Recorded
 from estimator.run.progress_bar import progress
 from optics import InputError
 
@@ -27,54 +20,43 @@ if TYPE_CHECKING:
 _ENDLESS = 1e5  # degrees of freedom that no table tells from infinity
 
 
-@with_options
 def budget(
-    source: Annotated[
-        str,
-        typer.Argument(metavar="SOURCE", help="Stack, folder of images, TIFF, video, or ROS bag."),
-    ],
-    frame: Annotated[
-        int | None,
-        typer.Option(help="Number of the frame (default: the one with the widest interval)."),
-    ] = None,
-    exposure: Exposure = None,
-    poses: PosesFile = None,
-    image_topic: ImageTopic = None,
-    pose_topic: PoseTopic = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the budget as one JSON object, and nothing else.")
-    ] = False,
-    **options: Any,
+    source: str,
+    /,
+    *,
+    frame: int | None = None,
+    options: Options = Options(),
+    recorded: Recorded = Recorded(),
+    as_json: Annotated[bool, Parameter("--json")] = False,
 ) -> None:
     """Say how uncertain a distance is, why, and what would halve the largest part.
 
     The terms are those of the GUM (JCGM 100:2008). `--stated` names a file with what the lab knows
     of its eye, robot and clocks.
+
+    Args:
+        source: Stack, folder of images, TIFF, video, or ROS bag.
+        frame: Number of the frame (default: the one with the widest interval).
+        as_json: Print the budget as one JSON object, and nothing else.
     """
     from rich.console import Console
 
-    from estimator.files import read_poses
-    from estimator.sources import open_source
+    from estimator.run.offline import track_source
 
-    if options["calibration"] is None:
+    if options.calibration is None:
         raise InputError(
             "a budget is of a distance, which needs a calibration. Give --calibration."
         )
-    if options["eye_from_robot"] is not None and poses is None:
-        raise InputError("eye_from_robot has no effect without poses. Give both, or neither.")
-    frames = open_source(source, exposure=exposure, image_topic=image_topic)
-    options["microscope"] = options["microscope"] or frames.microscope_file
-    track = read_poses(poses, topic=pose_topic) if poses else None
+    poses = recorded.pose_track(options)
+    frames = recorded.source(source)
     with Console(stderr=True).status("Preparing"):
-        reader = Options.of(options).reader()
+        reader = options.of_source(frames).reader()
     found: dict[int, Budget] = {}
-    from estimator.run.offline import track_source
-
     with progress("Measuring", total=frames.length) as advance:
         tracking = track_source(
             frames,
             reader,
-            poses=track,
+            poses=poses,
             show=lambda one, reading: (
                 found.update({one.index: reading.budget}) if reading.budget else None
             ),
@@ -118,15 +100,9 @@ def _table(budget: Budget, frame: int) -> Table:
     from rich.table import Table
 
     table = Table(title=f"Frame {frame}: what the distance is worth")
-    for name, side in (
-        ("cause", "left"),
-        ("type", "left"),
-        ("u, mm", "right"),
-        ("ν", "right"),
-        ("share of u²", "right"),
-        ("from", "left"),
-    ):
-        table.add_column(name, justify="left" if side == "left" else "right")
+    for name in ("cause", "type", "u, mm", "ν", "share of u²", "from"):
+        number = name in ("u, mm", "ν", "share of u²")
+        table.add_column(name, justify="right" if number else "left")
     for part in sorted(budget.parts, key=lambda part: -part.sigma_mm):
         share = (part.sigma_mm / budget.sigma_mm) ** 2 if budget.sigma_mm else math.nan
         known = not math.isnan(part.source_sigma)

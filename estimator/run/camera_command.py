@@ -6,35 +6,33 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from optics import InputError
 
 
 def camera(
-    frames: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FOLDER",
-            help="Images in pairs, in the order of their names: two of each brightness, and two in "
-            "the dark.",
-        ),
-    ],
-    microscope: Annotated[
-        Path, typer.Option(metavar="FILE", help="microscope.json that gets the camera's noise.")
-    ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The new microscope.json.")],
-    bit_depth: Annotated[
-        int, typer.Option(min=8, max=16, help="Bits that the camera uses per channel.")
-    ] = 8,
-    bayer: Annotated[
-        bool, typer.Option("--bayer", help="Colours are interpolated behind a Bayer filter.")
-    ] = False,
+    folder: Path,
+    /,
+    *,
+    microscope: Path,
+    out: Path,
+    bit_depth: Annotated[int, Parameter(validator=Number(gte=8, lte=16))] = 8,
+    bayer: bool = False,
 ) -> None:
     """Measure a camera's noise from pairs of images of an even wall (EMVA 1288).
 
     Fixed focus, fixed gain, no gamma: a sheet of white paper out of focus, at five or more levels
     of light. The mode pixels needs the result.
+
+    Args:
+        folder: Images in pairs, in the order of their names: two of each brightness, and two in the
+            dark.
+        microscope: microscope.json that gets the camera's noise.
+        out: The new microscope.json.
+        bit_depth: Bits that the camera uses per channel, 8 to 16.
+        bayer: Colours are interpolated behind a Bayer filter.
     """
     from estimator.files import (
         object_in,
@@ -54,16 +52,16 @@ def camera(
         )
     with in_file(microscope):
         content = object_in(read_text(microscope))
-    names = sorted(path for path in frames.iterdir() if path.suffix.lower() in _IMAGES)
+    names = sorted(path for path in folder.iterdir() if path.suffix.lower() in _IMAGES)
     if len(names) < 2 or len(names) % 2:
         raise InputError(
-            f"{frames}: {len(names)} images make no pairs. Give two of each brightness, named so "
+            f"{folder}: {len(names)} images make no pairs. Give two of each brightness, named so "
             "that they follow each other."
         )
     images = [read_image(name).image for name in names]
     full_scale = (1 << bit_depth) - 1
     pairs = list(zip(images[::2], images[1::2], strict=True))
-    with in_file(frames):
+    with in_file(folder):
         found = measured_noise(pairs, full_scale=full_scale)
     content["camera"] = {
         "full_well_e": found.full_well_e,

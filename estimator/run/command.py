@@ -12,18 +12,11 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
-import typer
+from cyclopts import Parameter
 
-from estimator.run.options import (
-    Exposure,
-    ImageTopic,
-    Options,
-    PosesFile,
-    PoseTopic,
-    with_options,
-)
+from estimator.run.options import Options, Recorded, Rerun
 from estimator.run.progress_bar import progress
 from optics import InputError
 
@@ -38,88 +31,53 @@ _LEAST_LINE_BYTES = 60
 """Of a spots file's line for a frame without a spot; one with a spot is seven times as long."""
 
 
-@with_options
 def track(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="Stack, folder of images, TIFF, video, ROS bag, number of a camera, or "
-            "genicam:NAME.",
-        ),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="FILE", help="Spots file to write, .csv or .parquet; must not exist."
-        ),
-    ],
-    exposure: Exposure = None,
-    unrelated: Annotated[
-        bool | None,
-        typer.Option(
-            "--unrelated/--sequence",
-            help="Measure every image by itself, or follow the spot from image to image (default: "
-            "follow it, except in a folder whose images are not numbered one by one).",
-        ),
-    ] = None,
-    poses: PosesFile = None,
-    image_topic: ImageTopic = None,
-    pose_topic: PoseTopic = None,
-    overlay: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="VIDEO|DIR",
-            help="Draw the spots into a video (.mp4, .avi) or a folder; must not exist.",
-        ),
-    ] = None,
-    rerun: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE|live",
-            help="Record frames, spots, beams and distances for the viewer rerun (.rrd), or show "
-            "them in it at once.",
-        ),
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the summary as one JSON object, and nothing else.")
-    ] = False,
-    **options: Any,
+    source: str,
+    /,
+    *,
+    out: Path,
+    unrelated: Annotated[bool | None, Parameter(negative="--sequence")] = None,
+    options: Options = Options(),
+    recorded: Recorded = Recorded(),
+    overlay: Annotated[Path | None, Parameter(metavar="VIDEO|DIR", group="Output")] = None,
+    rerun: Rerun = None,
+    as_json: Annotated[bool, Parameter("--json", group="Output")] = False,
 ) -> None:
     """Measure the spot in every frame and write a spots file.
 
     Ctrl-C ends the run and keeps the frames measured so far. Use it to stop a camera. A killed run
     leaves them in NAME.partial.csv.
+
+    Args:
+        source: Stack, folder of images, TIFF, video, ROS bag, number of a camera, or genicam:NAME.
+        out: Spots file to write, .csv or .parquet; must not exist.
+        unrelated: Measure every image by itself, or follow the spot from image to image (default:
+            follow it, except in a folder whose images are not numbered one by one).
+        overlay: Draw the spots into a video (.mp4, .avi) or a folder; must not exist.
+        rerun: Record frames, spots, beams and distances for the viewer rerun (.rrd), or show them
+            in it at once.
+        as_json: Print the summary as one JSON object, and nothing else.
     """
     from rich.console import Console
 
-    from estimator.files import read_poses, require_space, spots_stream
+    from estimator.files import require_space, spots_stream
     from estimator.run.summary import summary_of, table_of
-    from estimator.sources import open_source
 
     _check_results(out, overlay, rerun)
-    if poses is None:
-        for name, value in (
-            ("pose_topic", pose_topic),
-            ("eye_from_robot", options["eye_from_robot"]),
-        ):
-            if value is not None:
-                raise InputError(f"{name} has no effect without poses. Give both, or neither.")
-    frames = open_source(source, exposure=exposure, image_topic=image_topic)
+    poses = recorded.pose_track(options)
+    frames = recorded.source(source)
     if unrelated is not None:
         frames = replace(frames, unrelated=unrelated)
-    options["microscope"] = options["microscope"] or frames.microscope_file
-    chosen = Options.of(options)
-    track_of_poses = read_poses(poses, topic=pose_topic) if poses else None
+    options = options.of_source(frames)
     require_space(out, _LEAST_LINE_BYTES * (frames.length or 0))
     with spots_stream(out) as write:
         # Compiling the model `exact`, or tracing the lens of the model `lens`, takes time.
         with Console(stderr=True).status("Preparing"):
-            reader = chosen.reader()
+            reader = options.reader()
         began = time.perf_counter()
-        with _shown(rerun, frames, chosen) as show:
-            tracking, drawn = _tracked(frames, reader, track_of_poses, overlay, show, write)
-    summary = summary_of(tracking, frames, chosen.mode, time.perf_counter() - began) | {
+        with _shown(rerun, frames, options) as show:
+            tracking, drawn = _tracked(frames, reader, poses, overlay, show, write)
+    summary = summary_of(tracking, frames, options.mode, time.perf_counter() - began) | {
         "out": str(out),
         "overlay": str(drawn) if drawn else None,
     }

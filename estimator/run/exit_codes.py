@@ -14,6 +14,8 @@ import os
 import sys
 from collections.abc import Callable
 
+from cyclopts import CycloptsError
+
 from estimator.run import internal_errors
 from estimator.run.interrupt import STOPPED, ctrl_c_was_pressed, end_now, ending_on_ctrl_c
 from optics import InputError
@@ -77,17 +79,24 @@ def _reported_bugs() -> bool:
     return number > 0
 
 
-def message_of(error: Exception) -> str | None:
+def message_of(error: BaseException) -> str | None:
     """The message of an expected error; None for a bug."""
     # A class whose module was never loaded cannot have been raised.
     pydantic, variant = map(sys.modules.get, ("pydantic", "scenes.machine.variant"))
+    if isinstance(error, CycloptsError):
+        # `__context__` is what a settings model says of a value.
+        of_model = message_of(error.__context__) if error.__context__ else None
+        return of_model or str(error)
     if pydantic and isinstance(error, pydantic.ValidationError):
         return "\n".join(
-            f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}; got {problem['input']!r}"
+            f"{'.'.join(map(str, problem['loc']))}: {rule}; got {problem['input']!r}"
             for problem in error.errors()
+            if (rule := problem["msg"].removeprefix("Value error, "))
         )
     if variant and isinstance(error, variant.RendererUnavailable):
         return str(error)
+    if isinstance(error, ImportError) and isinstance(error.__cause__, ImportError):
+        return message_of(error.__cause__)  # of a command's module, loaded by its name
     if isinstance(error, ModuleNotFoundError) and error.name not in _OURS:
         return f"the Python package {error.name} is not installed. Run `make setup` again."
     if isinstance(error, OSError) and error.filename:

@@ -1,15 +1,14 @@
-"""The options of a measurement, defined once for `eyespot track` and for the rig's node."""
+"""The options of a measurement, defined once for the commands and for the rig's node."""
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-import typer
+from cyclopts import Parameter
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -25,8 +24,9 @@ from optics import InputError, shortened
 
 if TYPE_CHECKING:
     from estimator.detector import LiteralSettings, SubpixelSettings
-    from estimator.files import MicroscopeFile
+    from estimator.files import MicroscopeFile, PoseTrack
     from estimator.run.reader import Reader
+    from estimator.sources import Source
 
 _NEEDS = {
     **dict.fromkeys(("pinhole_height_mm", "eye_radius_mm", "wall", "calibration"), "microscope"),
@@ -37,31 +37,23 @@ _NEEDS = {
 
 Exposure = Annotated[
     Literal["paper", "metered"] | None,
-    typer.Option(help="Which exposure to use if a stack has two (default: metered)."),
+    Parameter(help="Which exposure to use if a stack has two (default: metered)."),
 ]
-PosesFile = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Robot poses (CSV or ROS bag), on the clock of SOURCE."),
-]
-ImageTopic = Annotated[
-    str | None,
-    typer.Option(help="Image topic of a bag that has several, none of them the rig's."),
-]
-PoseTopic = Annotated[
-    str | None,
-    typer.Option(help="Pose topic of a bag that has several, none of them the rig's."),
-]
-"""Options of the commands that read a recording with its poses."""
+Rerun = Annotated[str | None, Parameter(metavar="FILE|live", group="Output")]
 
+_CALIBRATION, _MICROSCOPE, _POSES = (
+    Parameter(group=name) for name in ("Calibration", "Microscope", "Poses")
+)
 _POINT = TypeAdapter(tuple[FiniteFloat, FiniteFloat])
 _QUATERNION = TypeAdapter(Quaternion)
 
 
 def _point(given: Any) -> tuple[float, float] | None:
-    if given is None or given == "auto":
+    parts = _parts(given)
+    if parts is None or parts == ["auto"]:
         return None
     try:
-        return _POINT.validate_python(_parts(given))
+        return _POINT.validate_python(parts)
     except ValidationError:
         raise InputError("must be X,Y in px, such as 320,240, or auto") from None
 
@@ -78,92 +70,65 @@ def _turn(given: Any) -> Quaternion | None:
 
 
 def _parts(given: Any) -> Any:
-    """The parts of 320,240 (from a command line) or [320, 240] (from a launch file)."""
-    return given.split(",") if isinstance(given, str) else given
+    """The parts of 320,240 (from a command line, in a list) or [320, 240] (from a launch file)."""
+    (text,) = given if isinstance(given, list) and len(given) == 1 else (given,)
+    return text.split(",") if isinstance(text, str) else given
 
 
-class _Text(NamedTuple):
-    """Marks an option that a command line gives as text, in the form that the help shows."""
-
-    form: str
+def _text(form: str) -> Parameter:
+    return Parameter(metavar=form, n_tokens=1, allow_leading_hyphen=True)
 
 
+@Parameter(name="*")
 class Options(BaseModel):
     """How frames are measured, and how spots become distances.
 
-    The one definition of these options: fields are parameters of the rig's node, and options of
-    `eyespot track` by `with_options`, where their descriptions are the help.
+    The one definition of these options: its fields are options of the commands and parameters of
+    the rig's node.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    mode: Literal["subpixel", "literal", "pixels"] = Field(
-        "subpixel",
-        description="Measure the half-maximum contour, repeat the paper's algorithm step by step, "
-        "or find the pose of the beam from all pixels, with a calibration.",
-    )
-    settings: dict[str, float | str] = Field(
-        {},
-        description="Values that differ from the defaults of `SubpixelSettings` or "
-        "`LiteralSettings`.",
-    )
-    start: Annotated[tuple[float, float] | None, BeforeValidator(_point), _Text("X,Y|auto")] = (
-        Field(
-            None,
-            description="Position of the spot in the first frame, px (default: search for it).",
-        )
-    )
-    microscope: Annotated[Path | None, _Text("FILE")] = Field(
-        None, description="microscope.json or an OpenCV calibration (default: the stack's)."
-    )
-    pinhole_height_mm: float | None = Field(
-        None,
-        description="Height of the pinhole above the eyeball's centre, for OpenCV calibrations.",
-    )
-    eye_radius_mm: float | None = Field(
-        None, description="Radius of the eyeball, for OpenCV calibrations."
-    )
-    wall: Literal["plane"] | None = Field(
-        None,
-        description="The wall is a plane square to the microscope's axis, for microscope files "
-        "that do not say (default: the file's, or the eyeball).",
-    )
-    full_scale: float | None = Field(
-        None,
-        gt=0,
-        description="Value of the brightest light that the camera measures, such as 4095 of 12 "
-        "bits in 16 (default: the microscope file's, the image file's, or that of the type).",
-    )
-    calibration: Annotated[Path | None, _Text("FILE")] = Field(
-        None, description="Calibration file of `eyespot fit`; without it there are no distances."
-    )
-    model: str | None = Field(None, description="Distance model (default: the calibration file's).")
-    eccentricity_mm: float | None = Field(
-        None, description="Eccentricity of the spots (default: computed from their positions)."
-    )
-    exposure_s: float | None = Field(
-        None, gt=0, description="Exposure time, for the model lens (default: the frame's own)."
-    )
-    eye_from_robot: Annotated[Quaternion | None, BeforeValidator(_turn), _Text("QX,QY,QZ,QW")] = (
-        Field(
-            None,
-            description="Rotation (unit quaternion) from the poses' frame to the eye's. The models "
-            "exact and area and the mode pixels then take the beam's axis from the tool's +z axis, "
-            "or from beam_x and beam_y of the calibration.",
-        )
-    )
-
-    reference: Annotated[Path | None, _Text("FILE")] = Field(
-        None,
-        description="Image of the same wall by the same camera with the beam switched off: the "
-        "mode pixels then knows the wall before it sees the spot.",
-    )
-    stated: Annotated[Path | None, _Text("FILE")] = Field(
-        None,
-        description="Stated uncertainties (TOML) of eye radius, pinhole, touch, axis and clocks, "
-        "for the interval of each distance (default: known exactly, but for an axis within 1 deg "
-        "or up to 32 deg of tilt).",
-    )
+    mode: Literal["subpixel", "literal", "pixels"] = "subpixel"
+    """Measure the half-maximum contour, repeat the paper's algorithm step by step, or find the pose
+    of the beam from all pixels, with a calibration."""
+    settings: Annotated[dict[str, float | str], Parameter(parse=False)] = {}
+    """Values that differ from the defaults of `SubpixelSettings` or `LiteralSettings`."""
+    start: Annotated[tuple[float, float] | None, BeforeValidator(_point), _text("X,Y|auto")] = None
+    """Position of the spot in the first frame, px (default: search for it)."""
+    calibration: Path | None = None
+    """Calibration file of `eyespot fit`; without it there are no distances."""
+    microscope: Annotated[Path | None, _MICROSCOPE] = None
+    """microscope.json or an OpenCV calibration (default: the stack's)."""
+    pinhole_height_mm: Annotated[float | None, _MICROSCOPE] = None
+    """Height of the pinhole above the eyeball's centre, for OpenCV calibrations."""
+    eye_radius_mm: Annotated[float | None, _MICROSCOPE] = None
+    """Radius of the eyeball, for OpenCV calibrations."""
+    wall: Annotated[Literal["plane"] | None, _MICROSCOPE] = None
+    """The wall is a plane square to the microscope's axis, for microscope files that do not say
+    (default: the file's, or the eyeball)."""
+    full_scale: Annotated[float | None, Field(gt=0), _MICROSCOPE] = None
+    """Value of the brightest light that the camera measures, such as 4095 of 12 bits in 16
+    (default: the microscope file's, the image file's, or that of the type)."""
+    model: Annotated[str | None, _CALIBRATION] = None
+    """Distance model (default: the calibration file's)."""
+    eccentricity_mm: Annotated[float | None, _CALIBRATION] = None
+    """Eccentricity of the spots (default: computed from their positions)."""
+    exposure_s: Annotated[float | None, Field(gt=0), _CALIBRATION] = None
+    """Exposure time, for the model lens (default: the frame's own)."""
+    reference: Annotated[Path | None, _CALIBRATION] = None
+    """Image of the same wall by the same camera with the beam switched off: the mode pixels then
+    knows the wall before it sees the spot."""
+    stated: Annotated[Path | None, _CALIBRATION] = None
+    """Stated uncertainties (TOML) of eye radius, pinhole, touch, axis and clocks, for the interval
+    of each distance (default: known exactly, but for an axis within 1 deg or up to 32 deg of
+    tilt)."""
+    eye_from_robot: Annotated[
+        Quaternion | None, BeforeValidator(_turn), _text("QX,QY,QZ,QW"), _POSES
+    ] = None
+    """Rotation (unit quaternion) from the poses' frame to the eye's. The models exact and area and
+    the mode pixels then take the beam's axis from the tool's +z axis, or from beam_x and beam_y of
+    the calibration."""
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
@@ -184,6 +149,10 @@ class Options(BaseModel):
                 ) from error
             rule = problem.get("ctx", {}).get("error", problem["msg"])
             raise InputError(f"{name}: {rule}; got {shortened(given[str(name)])}.") from error
+
+    def of_source(self, source: Source) -> Self:
+        """These options with the source's own microscope file, if none is given."""
+        return self.model_copy(update={"microscope": self.microscope or source.microscope_file})
 
     def reader(self) -> Reader:
         """Read the files and prepare the measurement; `Ranger` says how long that takes.
@@ -322,33 +291,38 @@ class Options(BaseModel):
             raise InputError(f"settings: {error}.") from error
 
 
-def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command an option for each field of `Options` that a command line can give.
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """How a command reads a recording and its poses."""
 
-    The command has a parameter `**options`, from which `Options.of` makes the options.
-    """
-    hints = get_type_hints(command, include_extras=True)
-    own = [
-        parameter.replace(annotation=hints[name])
-        for name, parameter in inspect.signature(command).parameters.items()
-        if parameter.kind is not parameter.VAR_KEYWORD
-    ]
-    added = []
-    for name, field in Options.model_fields.items():
-        if name == "settings":
-            continue
-        form = next((text.form for text in field.metadata if isinstance(text, _Text)), None)
-        kind = str | None if form else field.annotation
-        option = typer.Option(help=field.description, metavar=form, show_default=False)
-        added.append(
-            inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=field.default,
-                annotation=Annotated[kind, option],
-            )
-        )
-    parameters = [*own, *added]
-    vars(command)["__signature__"] = inspect.Signature(parameters, return_annotation=None)
-    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return command
+    exposure: Exposure = None
+    poses: Annotated[Path | None, _POSES] = None
+    """Robot poses (CSV or ROS bag), on the clock of SOURCE."""
+    image_topic: Annotated[str | None, _POSES] = None
+    """Image topic of a bag that has several, none of them the rig's."""
+    pose_topic: Annotated[str | None, _POSES] = None
+    """Pose topic of a bag or of a running ROS that has several, none of them the rig's."""
+
+    def source(self, name: str) -> Source:
+        """Open a recording, as `open_source`."""
+        from estimator.sources import open_source
+
+        return open_source(name, exposure=self.exposure, image_topic=self.image_topic)
+
+    def pose_track(self, options: Options) -> PoseTrack | None:
+        """Read the poses; None if none are given.
+
+        Raises:
+            InputError: an option has no effect without poses, or they are wrong.
+            OSError: they cannot be read.
+        """
+        from estimator.files import read_poses
+
+        if self.poses is not None:
+            return read_poses(self.poses, topic=self.pose_topic)
+        needs = {"pose_topic": self.pose_topic, "eye_from_robot": options.eye_from_robot}
+        for name, value in needs.items():
+            if value is not None:
+                raise InputError(f"{name} has no effect without poses. Give both, or neither.")
+        return None

@@ -10,18 +10,17 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 
-SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
-OutputFolder = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="Output folder; created if missing.")
-]
+SceneFile = Annotated[Path, Parameter(help="Scene file (TOML).")]
+OutputFolder = Annotated[Path, Parameter(help="Output folder; created if missing.")]
 Changes = Annotated[
-    list[str] | None,
-    typer.Option(
+    tuple[str, ...],
+    Parameter(
         "--set",
         metavar="KEY=VALUE",
         help="Change a value of the scene, for example camera.bit_depth=12. Repeatable.",
+        show_default=False,
     ),
 ]
 
@@ -29,19 +28,19 @@ SCHEMA_FILE = "scene.schema.json"
 """File name under which `eyespot scene init` looks for the JSON schema."""
 
 
-def init(
-    path: Annotated[Path, typer.Argument(help="File to write; it must not exist yet.")] = Path(
-        "scene.toml"
-    ),
-) -> None:
-    """Write a scene file with every key, its unit and its default."""
+def init(path: Path = Path("scene.toml"), /) -> None:
+    """Write a scene file with every key, its unit and its default.
+
+    Args:
+        path: File to write; it must not exist yet.
+    """
     from estimator.files import written_whole
     from scenes.description.scene_file import scene_template
 
     schema_file = f"./{SCHEMA_FILE}" if path.with_name(SCHEMA_FILE).exists() else None
     with written_whole(path) as partial:
         partial.write_text(scene_template(schema_file=schema_file), encoding="utf-8")
-    typer.echo(f"Wrote {path}. Edit it, then: eyespot scene check {path}")
+    print(f"Wrote {path}. Edit it, then: eyespot scene check {path}")
 
 
 def schema() -> None:
@@ -51,4 +50,4 @@ def schema() -> None:
     """
     from scenes.description.scene_file import scene_schema
 
-    typer.echo(json.dumps(scene_schema(), indent=2))
+    print(json.dumps(scene_schema(), indent=2))

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-import typer
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from rich.console import Console
@@ -81,7 +80,7 @@ def doctor() -> None:
         table.add_row(Text(finding.what), Text(finding.found), state, Text(finding.remedy))
         something_missing |= finding.state is State.MISSING
     Console().print(table)
-    raise typer.Exit(int(something_missing))
+    sys.exit(int(something_missing))
 
 
 def examine() -> Iterator[Finding]:

@@ -102,7 +102,6 @@ def window_of(picture: np.ndarray, rng: np.random.Generator, zoom: float) -> np.
 
     Args:
         picture: (h, w) or (h, w, 3).
-        rng: of the place.
         zoom: frame pixels per pixel of the picture.
     """
     height, width = SHAPE

@@ -13,9 +13,17 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from benchmarks.rivals.learned.crops import Guess, Window, blob_in, cut, evened
+from benchmarks.rivals.learned.crops import (
+    Guess,
+    Window,
+    blob_in,
+    covariance_of,
+    cut,
+    ellipse_of,
+    evened,
+    place_of,
+)
 from benchmarks.rivals.learned.network import SpotNetwork
-from benchmarks.rivals.learned.targets import covariance_of, ellipse_of, place_of
 from estimator import MicroscopeFile
 from optics import InputError, in_file, read_text
 
@@ -52,7 +60,6 @@ class Learned(NamedTuple):
         ellipse: x, y, semi-major, semi-minor, angle.
         covariance: 5 x 5.
         distance_mm: tip to wall along the beam.
-        sigma_distance_mm: its standard deviation.
         presence: logit of a spot in the last window.
     """
 
@@ -70,7 +77,6 @@ class LearnedEstimator:
     theirs.
 
     Args:
-        network: trained.
         trust: from the split `validation`.
     """
 

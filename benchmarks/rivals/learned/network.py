@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from benchmarks.rivals.learned.targets import NUMBERS, PLACES
+from benchmarks.rivals.learned.crops import NUMBERS, PLACES
 
 Numbers = Array | np.ndarray
 

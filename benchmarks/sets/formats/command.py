@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
-
-import typer
+from typing import Literal
 
 
 def export(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Labelled set or stack.")],
-    to: Annotated[
-        Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"],
-        typer.Option(help="Format to write. benchmarks/sets/formats describes the formats."),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="PATH", help="File (hdf5) or folder to write; it must not exist yet."
-        ),
-    ],
+    folder: Path,
+    /,
+    *,
+    to: Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"],
+    out: Path,
 ) -> None:
-    """Write a labelled set or a single stack in another format."""
+    """Write a labelled set or a single stack in another format.
+
+    Args:
+        folder: Labelled set or stack.
+        to: Format to write. benchmarks/sets/formats describes the formats.
+        out: File (hdf5) or folder to write; it must not exist yet.
+    """
     from benchmarks.sets.formats.export import export as write
     from estimator.run import progress
 

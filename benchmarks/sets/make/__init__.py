@@ -3,7 +3,6 @@
 card       Writes the data card and the label tables of a complete set
 cluster    Dask workers: a local cluster with one core per worker, or a running scheduler
 command    The commands `eyespot dataset make`, `verify` and `push`
-columns    What the columns of a label table mean
 croissant  Writes croissant.json: the set described for search engines and loaders
 estimate   Estimates number of images, size and time from a few rendered frames
 generate   Renders the missing stacks on Dask workers, then completes the set

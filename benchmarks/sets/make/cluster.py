@@ -51,7 +51,6 @@ def local_workers(count: int, *, first_core: int = 0) -> Iterator[Client]:
     """A cluster on this machine; a worker that fails is started again.
 
     Args:
-        count: number of workers.
         first_core: index of the first worker's core among those that this process may use.
     """
     # By default Dask makes malloc return freed memory at once, which is slow for images.

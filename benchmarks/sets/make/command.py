@@ -7,7 +7,8 @@ from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from cyclopts import Parameter
+from cyclopts.types import PositiveInt
 
 from optics import InputError, in_file, shortened
 from scenes.description import Changes
@@ -18,44 +19,28 @@ if TYPE_CHECKING:
 
 
 def make(
-    spec: Annotated[
-        str,
-        typer.Argument(
-            metavar="SPEC",
-            help="Spec file (TOML), or a named set: static-v2, eccentricity-v2, dynamic-v2, "
-            "adverse-v2, eye-v2, or static-v1, eccentricity-v1, dynamic-v1, adverse-v1.",
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder of the set; not needed with --dry-run."),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(help="Worker processes on this machine (default: one per core).", min=1),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address of a Dask scheduler whose workers render the set; see docs/datasets.md.",
-        ),
-    ] = None,
-    shard: Annotated[
-        str | None,
-        typer.Option(metavar="I/N", help="Render only part I of N, for job arrays on a cluster."),
-    ] = None,
-    changes: Changes = None,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run", help="Print the number of frames, size and time; render nothing."
-        ),
-    ] = False,
+    spec: str,
+    /,
+    *,
+    out: Path | None = None,
+    workers: PositiveInt | None = None,
+    scheduler: str | None = None,
+    shard: Annotated[str | None, Parameter(metavar="I/N")] = None,
+    changes: Changes = (),
+    dry_run: bool = False,
 ) -> None:
     """Render a labelled set: splits of stacks, a data card and a manifest.
 
     If a run was stopped, the same command continues it.
+
+    Args:
+        spec: Spec file (TOML), or a named set: static-v2, eccentricity-v2, dynamic-v2, adverse-v2,
+            eye-v2, or static-v1, eccentricity-v1, dynamic-v1, adverse-v1.
+        out: Folder of the set; not needed with --dry-run.
+        workers: Worker processes on this machine (default: one per core).
+        scheduler: Address of a Dask scheduler whose workers render the set; see docs/datasets.md.
+        shard: Render only part I of N, for job arrays on a cluster.
+        dry_run: Print the number of frames, size and time; render nothing.
     """
     from benchmarks.sets.make import cluster
     from benchmarks.sets.make.estimate import estimate
@@ -63,7 +48,7 @@ def make(
     from benchmarks.sets.spec import load_spec, plan
     from estimator.run import progress
 
-    settings, part = load_spec(spec, changes or ()), _shard(shard)
+    settings, part = load_spec(spec, changes), _shard(shard)
     with in_file(shortened(spec)[1:-1]):
         planned = part.of(plan(settings))
     if scheduler is not None and workers is not None:
@@ -97,30 +82,33 @@ def make(
         print(f"Wrote the set {out}: {len(labelled.stacks)} stacks.")
 
 
-def verify(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the set.")],
-) -> None:
-    """Verify a set: list every file that is missing or changed."""
+def verify(folder: Path, /) -> None:
+    """Verify a set: list every file that is missing or changed.
+
+    Args:
+        folder: Folder of the set.
+    """
     from benchmarks.sets.make.manifest import verify_set
 
     print(f"{folder}: complete, {verify_set(folder)} files match the manifest.")
 
 
 def push(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the set.")],
-    repository: Annotated[
-        str,
-        typer.Argument(metavar="OWNER/NAME", help="Dataset repository; created if missing."),
-    ],
-    private: Annotated[
-        bool, typer.Option("--private", help="Make a new repository private.")
-    ] = False,
-    endpoint: Annotated[
-        str | None,
-        typer.Option(metavar="URL", help="Address of another Hub (default: huggingface.co)."),
-    ] = None,
+    folder: Path,
+    repository: Annotated[str, Parameter(name="OWNER/NAME")],
+    /,
+    *,
+    private: bool = False,
+    endpoint: str | None = None,
 ) -> None:
-    """Upload a complete set to the Hugging Face Hub."""
+    """Upload a complete set to the Hugging Face Hub.
+
+    Args:
+        folder: Folder of the set.
+        repository: Dataset repository; created if missing.
+        private: Make a new repository private.
+        endpoint: Address of another Hub (default: huggingface.co).
+    """
     from benchmarks.sets.make.push import push_set
 
     print(f"Wrote {push_set(folder, repository, private=private, endpoint=endpoint)}.")

@@ -21,8 +21,6 @@ class Estimate(NamedTuple):
     """Expected cost of a set.
 
     Attributes:
-        stacks: number of stacks.
-        images: number of images.
         size_bytes: size on disk without the data card.
         processor_s: processor time of all cores.
         tried: number of images rendered for the estimate.

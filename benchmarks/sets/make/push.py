@@ -19,7 +19,6 @@ def push_set(
     Files that are there already and have not changed are not sent again.
 
     Args:
-        folder: the set.
         repository: OWNER/NAME of a dataset repository.
         private: whether a new repository is private.
         endpoint: address of the Hub (default: that of huggingface_hub).

@@ -29,11 +29,9 @@ class SetStack:
 
     Attributes:
         split: train, validation, test, adverse or unseen.
-        name: name of its folder.
         condition: condition of an adverse stack, else None.
         pair: name of the pair whose partner the stack is, else None.
         parameters: values of the scene keys that vary within the set, by dotted name.
-        folder: path of the stack.
     """
 
     split: str
@@ -53,10 +51,8 @@ class LabelledSet:
     """A set on disk.
 
     Attributes:
-        folder: path of the set.
         name, licence: name and licence of its spec.
         stacks: all stacks of the set in order, also those not rendered yet.
-        description: content of set.json.
     """
 
     folder: Path

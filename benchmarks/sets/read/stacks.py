@@ -1,14 +1,29 @@
-"""The stacks of a set, or a single stack; names of stacks and images within a set."""
+"""The stacks of a set, or a single stack: names, images, true beams, and our readers for them."""
 
 from __future__ import annotations
 
+import functools
+import math
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
-from benchmarks.sets.read.labelled_set import SetError, SetStack, read_set
-from estimator import Stack
+import numpy as np
+
+from benchmarks.sets.read.labelled_set import LabelledSet, SetError, SetStack, read_set
+from estimator import (
+    Calibration,
+    FrameLabels,
+    LiteralSettings,
+    MicroscopeFile,
+    Reader,
+    Stack,
+    SubpixelSettings,
+)
 from estimator.files import inside
+from optics import InputError
 
 _DESCRIPTION = ("stack.toml", "metadata.jsonl", "microscope.json", "kinematics.csv")
 """Files of a stack other than images; kinematics.csv may be missing."""
@@ -75,3 +90,107 @@ def copy_description(stack: SetStack, folder: Path) -> None:
 def exposures_of(stack: Stack) -> tuple[str, ...]:
     """Kinds of exposure in a stack, in its order."""
     return tuple(dict.fromkeys(row.exposure for row in stack.labels))
+
+
+def true_beam(stack: Stack) -> Calibration:
+    """The beam of a stack's scene, as a perfect calibration would give it.
+
+    Stacks of one source share one object, whose light is traced once.
+
+    Raises:
+        InputError: the stack was not rendered, so that nothing says what its source is.
+    """
+    scene = stack.description.get("scene")
+    if not isinstance(scene, dict):
+        raise InputError(
+            f"{stack.folder} has no scene, so its light source is not known. Give --calibration."
+        )
+    from scenes import Scene
+
+    return _beam(Scene.model_validate(scene).model_dump_json(include={"source"}))
+
+
+@functools.cache
+def _beam(source: str) -> Calibration:
+    from scenes import Scene
+    from scenes.world import true_calibration  # loads JAX, which a reader of files need not have
+
+    return true_calibration(Scene.model_validate_json(source))
+
+
+Mode = Literal["literal", "subpixel", "pixels"]
+"""As of `eyespot track`."""
+
+
+def own_reader(
+    mode: Mode,
+    microscope: MicroscopeFile,
+    *,
+    click: tuple[float, float],
+    beam: Calibration | None = None,
+    constants: Mapping[str, Any] | None = None,
+) -> Reader:
+    """A reader that knows nothing of the robot.
+
+    Args:
+        click: (x, y) of the first spot, px, where the literal mode starts, as the paper's operator
+            clicks on it. The other modes find the spot themselves.
+        constants: of `LiteralSettings` or `SubpixelSettings`; those that are not given are the
+            product's.
+
+    Raises:
+        InputError: the mode pixels cannot read the stack; the text says why.
+    """
+    given = {"response": microscope.response} | dict(constants or {})
+    if mode == "literal":
+        return Reader(LiteralSettings(**given), start=click)
+    pixels = None
+    if mode == "pixels":
+        from estimator.pixels import PixelRanger
+
+        assert beam is not None, "the mode pixels needs the beam"
+        pixels = PixelRanger(beam, microscope)
+    return Reader(SubpixelSettings(**given), pixel_ranger=pixels)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """An image of a set.
+
+    Attributes:
+        planned: the stack as an entry of the set.
+    """
+
+    planned: SetStack
+    stack: Stack
+    labels: FrameLabels
+
+    @property
+    def k(self) -> float:
+        """1/tan of the half-angle of the source's cone (for a lens, the effective cone)."""
+        return 1 / math.tan(self.stack.described("cone.half_angle", float))
+
+    def image(self) -> np.ndarray:
+        """The image, RGB."""
+        return self.stack.image(self.labels)
+
+    def line(self) -> dict[str, Any]:
+        """The line of metadata.jsonl: labels of the image and parameters of its stack."""
+        line = self.labels.row()
+        for name in ("file_name", "mask_file_name"):
+            line[name] = f"{self.planned.name}/{line[name]}"
+        return {
+            **line,
+            "stack": self.planned.name,
+            "condition": self.planned.condition or "",
+            "cone_k": self.k,
+            **self.planned.parameters,
+        }
+
+
+def rows(labelled: LabelledSet) -> Iterator[Row]:
+    """Every image of a set, in the order of its stacks."""
+    for planned in labelled.stacks:
+        stack = planned.open()
+        for labels in stack.labels:
+            yield Row(planned=planned, stack=stack, labels=labels)

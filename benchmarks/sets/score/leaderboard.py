@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from typing import Annotated, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Drawing
+from matplotlib.figure import Figure
 
 from benchmarks.reporting import (
     BLUE,
@@ -16,22 +17,21 @@ from benchmarks.reporting import (
     VERMILION,
     Claim,
     Column,
-    Data,
     Picture,
     Report,
     Section,
     Table,
+    grouped,
 )
-from benchmarks.sets.score.conditions import CONDITIONS
 from benchmarks.sets.score.entries import Entry
-from benchmarks.sets.score.figure import score_figure
-from benchmarks.sets.score.groups import ALL, Score
-from benchmarks.sets.score.standings import Figure, Standing, Standings, standings
+from benchmarks.sets.score.images import ALL, CONDITIONS
+from benchmarks.sets.score.judging import Score
+from benchmarks.sets.score.standings import standings
+from benchmarks.sets.score.views import score_figure
 from estimator.files import in_figure
 
 _WIDTH_IN, _LINE_IN, _FRAME_IN = 9.0, 0.32, 1.1
 _ONE, _WIDE = 0.683, 0.950  # parts of normal errors within 1 and 1.96 sigma
-_TITLES = {condition.name: condition.title.replace("$", "") for condition in CONDITIONS}
 
 _RULE = (
     "Entries are ranked by the median of the absolute error over all images in which half of the "
@@ -55,98 +55,61 @@ _QUANTITIES = (
 )
 
 
-class LeaderboardRow(NamedTuple):
-    """A line of leaderboard.csv and of leaderboard_by_condition.csv; see `Standing`."""
-
-    quantity: str
-    condition: str
-    group: str
-    rank: int
-    rank_low: float
-    rank_high: float
-    entry: str
-    visible: int
-    missed: float
-    missed_low: float
-    missed_high: float
-    false_spots: float
-    median: float
-    median_low: float
-    median_high: float
-    ninth_decile: float
-    ninth_decile_low: float
-    ninth_decile_high: float
-    rmse: float
-    rmse_low: float
-    rmse_high: float
-    within_1_sigma: float
-    within_1_low: float
-    within_1_high: float
-    within_196_sigma: float
-    within_196_low: float
-    within_196_high: float
-    over_bound: float
-    over_bound_low: float
-    over_bound_high: float
-    ms_per_frame: float
-    command: str
-    versions: str
-    seed: str
-
-
-class _Shown(NamedTuple):
-    """A line of standings.csv and, without the last three, of the page's table."""
-
-    rank: Annotated[str, Column("rank")]
-    entry: Annotated[str, Column("entry")]
-    median: Annotated[str, Column("median |e|")]
-    ninth_decile: Annotated[str, Column("90 % of |e|")]
-    rmse: Annotated[str, Column("RMSE if found")]
-    missed: Annotated[str, Column("missed")]
-    false_spots: Annotated[str, Column("false spots")]
-    within_1_sigma: Annotated[str, Column("within 1 σ")]
-    within_196_sigma: Annotated[str, Column("within 1.96 σ")]
-    over_bound: Annotated[str, Column("error / bound")]
-    ms_per_frame: Annotated[str, Column("ms per frame")]
-    command: str
-    versions: str
-    seed: str
-
-
-class _Made(NamedTuple):
-    """How an entry was made."""
-
-    entry: Annotated[str, Column("entry")]
-    command: Annotated[str, Column("command")]
-    versions: Annotated[str, Column("versions")]
-    seed: Annotated[str, Column("seed")]
+_SHOWN = {
+    "rank": Column("rank"),
+    "entry": Column("entry"),
+    "median": Column("median |e|"),
+    "ninth_decile": Column("90 % of |e|"),
+    "rmse": Column("RMSE if found"),
+    "missed": Column("missed"),
+    "false_spots": Column("false spots"),
+    "within_1_sigma": Column("within 1 σ"),
+    "within_196_sigma": Column("within 1.96 σ"),
+    "over_bound": Column("error / bound"),
+    "ms_per_frame": Column("ms per frame"),
+}
+_MADE = {name: Column(name) for name in ("entry", "command", "versions", "seed")}
 
 
 def leaderboard(result: Score, entries: Mapping[str, Entry], *, name: str) -> Report:
     """The report of a leaderboard.
 
-    Args:
-        result: scores of all entries.
-        entries: the entries by name.
-        name: name of the set.
-
     Raises:
         InputError: the entries cover no image together.
     """
+    made = pd.DataFrame(
+        {
+            "entry": entry.name,
+            "ms_per_frame": math.nan if entry.ms_per_frame is None else entry.ms_per_frame,
+            "command": entry.command,
+            "versions": entry.versions,
+            "seed": entry.seed,
+        }
+        for entry in entries.values()
+    )
     ranked = {
-        quantity: found
+        quantity: found.merge(made, on="entry")
         for quantity in _QUANTITIES
-        if (found := standings(result.judged, quantity.name))
+        if not (found := standings(result.judged, quantity.name)).empty
     }
-    rows = [
-        row for quantity, found in ranked.items() for row in _rows(quantity.name, found, entries)
-    ]
+    totals = {quantity: found[found.condition == ALL] for quantity, found in ranked.items()}
+    shown = {quantity: _shown(quantity, total) for quantity, total in totals.items()}
+    data: dict[str, pd.DataFrame | None] = {}
+    if ranked:
+        data["standings.csv"] = next(iter(shown.values()))
+    rows = [found.assign(quantity=quantity.name) for quantity, found in ranked.items()]
+    if rows:
+        table = pd.concat(rows, ignore_index=True)
+        table.insert(0, "quantity", table.pop("quantity"))
+        table = table.drop(columns=["false_spots_low", "false_spots_high"])
+        data["leaderboard.csv"] = table[table.condition == ALL]
+        data["leaderboard_by_condition.csv"] = table
     return Report(
         title=f"Leaderboard of {name}",
         lead=f"{len(entries)} entries, compared with the true ellipse {result.against}. {_RULE}",
-        claims=[_best(quantity, found) for quantity, found in ranked.items()],
+        claims=[_best(quantity, total) for quantity, total in totals.items()],
         sections=[
-            *(_section(quantity, found, entries) for quantity, found in ranked.items()),
+            *(_section(quantity, total, shown[quantity]) for quantity, total in totals.items()),
             *(_by_condition(quantity, found) for quantity, found in ranked.items()),
             Section(
                 "Errors by condition",
@@ -157,41 +120,47 @@ def leaderboard(result: Score, entries: Mapping[str, Entry], *, name: str) -> Re
                     "score.csv",
                 ),
             ),
-            Section("How the entries were made", _made(entries)),
-        ],
-        data=[
-            *(
-                Data("standings.csv", _Shown, _shown(quantity, found[ALL, ALL], entries))
-                for quantity, found in list(ranked.items())[:1]
+            Section(
+                "How the entries were made",
+                Table.of(
+                    made, _MADE, "As the entries state it in entry.json.", data="leaderboard.csv"
+                ),
             ),
-            Data("leaderboard.csv", LeaderboardRow, [r for r in rows if r.condition == ALL]),
-            Data("leaderboard_by_condition.csv", LeaderboardRow, rows),
-            "score.csv",
         ],
+        data=data | {"score.csv": None},
     )
 
 
-def _best(quantity: _Quantity, found: Standings) -> Claim:
-    first = found[ALL, ALL][0]
+def _best(quantity: _Quantity, total: pd.DataFrame) -> Claim:
+    first = total.iloc[0]
     return Claim(
         name=quantity.title,
         sentence="{entry} has the least median error: {value} {unit}. It misses {missed:.1f} % of "
         "{visible:d} visible spots.",
-        value=first.median.value,
+        value=first["median"],
         numbers={
-            "value": _interval(first.median, quantity.digits),
+            "value": _interval(first, "median", quantity.digits),
             "entry": first.entry,
             "unit": quantity.unit,
-            "missed": 100 * first.missed.value,
-            "visible": first.visible,
+            "missed": 100 * first.missed,
+            "visible": int(first.visible),
         },
     )
 
 
-def _section(quantity: _Quantity, found: Standings, entries: Mapping[str, Entry]) -> Section:
-    total = found[ALL, ALL]
-    parts: list[str | Table | Picture] = [
-        _table(quantity, total, entries),
+def _section(quantity: _Quantity, total: pd.DataFrame, shown: pd.DataFrame) -> Section:
+    return Section(
+        quantity.title,
+        Table.of(
+            shown,
+            _SHOWN,
+            f"{quantity.title} ({quantity.unit}), on {total.visible.iloc[0]} visible images; "
+            "missed and within are in %, false spots per 100 images. σ as the entry states it; "
+            f"ideal are {100 * _ONE:.1f} and {100 * _WIDE:.1f} %. The bound is that of Cramér and "
+            "Rao for each image, for an estimator that knows the wall and the shape of the light. "
+            "Times are as the entries state them, or wall times of this run.",
+            data="leaderboard.csv",
+        ),
         Picture(
             f"standings_{quantity.name}",
             _drawn(quantity, total),
@@ -199,134 +168,81 @@ def _section(quantity: _Quantity, found: Standings, entries: Mapping[str, Entry]
             "standard deviations, each with its 95 % interval.",
             "leaderboard.csv",
         ),
-    ]
-    return Section(quantity.title, *parts)
-
-
-def _table(quantity: _Quantity, total: list[Standing], entries: Mapping[str, Entry]) -> Table:
-    caption = (
-        f"{quantity.title} ({quantity.unit}), on {total[0].visible} visible images; missed and "
-        "within are in %, false spots per 100 images. σ as the entry states it; ideal are "
-        f"{100 * _ONE:.1f} and {100 * _WIDE:.1f} %. The bound is that of Cramér and Rao for each "
-        "image, for an estimator that knows the wall and the shape of the light. Times are as the "
-        "entries state them, or wall times of this run."
     )
-    return Table.of(_Shown, _shown(quantity, total, entries), caption, data="leaderboard.csv")
 
 
-def _shown(
-    quantity: _Quantity, total: list[Standing], entries: Mapping[str, Entry]
-) -> list[_Shown]:
-    digits = quantity.digits
-    return [
-        _Shown(
-            _rank(standing.rank),
-            standing.entry,
-            _interval(standing.median, digits),
-            _interval(standing.ninth, digits),
-            _interval(standing.rmse, digits),
-            _interval(standing.missed, 1, scale=100),
-            _interval(standing.false_spots, 1, scale=100),
-            _interval(standing.within_1, 1, scale=100),
-            _interval(standing.within_196, 1, scale=100),
-            _interval(standing.over_bound, 1),
-            _milliseconds(entries[standing.entry]),
-            entries[standing.entry].command,
-            entries[standing.entry].versions,
-            entries[standing.entry].seed,
-        )
-        for standing in total
-    ]
+def _shown(quantity: _Quantity, total: pd.DataFrame) -> pd.DataFrame:
+    """Content of standings.csv and, without the last three columns, of the page's table."""
+    digits = {name: (quantity.digits, 1.0) for name in ("median", "ninth_decile", "rmse")}
+    digits |= {"over_bound": (1, 1.0)}
+    percents = ("missed", "false_spots", "within_1_sigma", "within_196_sigma")
+    digits |= {name: (1, 100.0) for name in percents}
+    return pd.DataFrame(
+        {
+            **{
+                name: _interval(row, name, *digits[name]) if name in digits else row[name]
+                for name in [*_SHOWN, "command", "versions", "seed"]
+            },
+            "rank": _rank(row),
+            "ms_per_frame": _number(row.ms_per_frame, 1),
+        }
+        for _, row in total.iterrows()
+    )
 
 
-def _by_condition(quantity: _Quantity, found: Standings) -> Section:
-    names = [standing.entry for standing in found[ALL, ALL]]
+def _by_condition(quantity: _Quantity, found: pd.DataFrame) -> Section:
+    names = found.entry[found.condition == ALL]
     rows = []
-    for (condition, group), placed in found.items():
-        by_name = {standing.entry: standing for standing in placed}
-        cells = [_place(by_name[name], quantity.digits) for name in names]
-        rows.append((_TITLES.get(condition, "all"), group, placed[0].visible, *cells))
+    for (condition, group), placed in grouped(found, "condition", "group"):
+        by_name = placed.set_index("entry")
+        title = CONDITIONS[condition].title.replace("$", "") if condition != ALL else ALL
+        cells = [_place(by_name.loc[name], quantity.digits) for name in names]
+        rows.append((title, group, placed.visible.iloc[0], *cells))
     columns = [Column(text) for text in ("condition", "group", "visible", *names)]
     caption = f"Rank, and in brackets the median error ({quantity.unit}), by condition."
     table = Table(columns, rows, caption, "leaderboard_by_condition.csv")
     return Section(f"{quantity.title}: ranks by condition", table)
 
 
-def _made(entries: Mapping[str, Entry]) -> Table:
-    rows = [
-        _Made(entry.name, entry.command, entry.versions, entry.seed) for entry in entries.values()
-    ]
-    return Table.of(_Made, rows, "As the entries state it in entry.json.", data="leaderboard.csv")
-
-
-def _rows(
-    quantity: str, found: Standings, entries: Mapping[str, Entry]
-) -> Iterator[LeaderboardRow]:
-    for (condition, group), placed in found.items():
-        for standing in placed:
-            entry = entries[standing.entry]
-            yield LeaderboardRow(
-                quantity,
-                condition,
-                group,
-                round(standing.rank.value),
-                *standing.rank[1:],
-                entry.name,
-                standing.visible,
-                *standing.missed,
-                standing.false_spots.value,
-                *standing.median,
-                *standing.ninth,
-                *standing.rmse,
-                *standing.within_1,
-                *standing.within_196,
-                *standing.over_bound,
-                math.nan if entry.ms_per_frame is None else entry.ms_per_frame,
-                entry.command,
-                entry.versions,
-                entry.seed,
-            )
-
-
-def _drawn(quantity: _Quantity, total: list[Standing]) -> Drawing:
-    figure = Drawing(figsize=(_WIDTH_IN, _FRAME_IN + _LINE_IN * len(total)), layout="constrained")
+def _drawn(quantity: _Quantity, total: pd.DataFrame) -> Figure:
+    figure = Figure(figsize=(_WIDTH_IN, _FRAME_IN + _LINE_IN * len(total)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    places = np.arange(len(total))
-    _points(left, places, [standing.median for standing in total], BLUE, "median")
-    if any(standing.median.value > 0 for standing in total):
+    _points(left, total, "median", BLUE, "median")
+    if (total["median"] > 0).any():
         left.set_xscale("log")
     left.set(xlabel=f"median |e| ({quantity.unit})")
-    left.set_yticks(places, [in_figure(standing.entry) for standing in total])
+    left.set_yticks(np.arange(len(total)), [in_figure(name) for name in total.entry])
     left.set_ylim(len(total) - 0.5, -0.5)
-    for part, ideal, colour, label in (
+    for name, ideal, colour, label in (
         ("within_1", _ONE, BLUE, "within 1 σ"),
         ("within_196", _WIDE, VERMILION, "within 1.96 σ"),
     ):
         right.axvline(100 * ideal, color=GREY, ls="--", lw=0.8)
-        figures = [
-            Figure(*(100 * value for value in getattr(standing, part))) for standing in total
-        ]
-        _points(right, places, figures, colour, label)
+        _points(right, total, f"{name}_sigma", colour, label, scale=100.0)
     right.set(xlabel="errors within the stated σ (%)", xlim=(0, 102))
     right.legend(loc="best")
     return figure
 
 
-def _points(axes: Axes, places: np.ndarray, figures: list[Figure], colour: str, label: str) -> None:
-    shown = [(place, own) for place, own in zip(places, figures, strict=True)]
-    shown = [(place, own) for place, own in shown if math.isfinite(own.value)]
-    axes.plot(
-        [own.value for _, own in shown], [p for p, _ in shown], "o", color=colour, label=label
-    )
-    for place, own in shown:
-        if math.isfinite(own.low) and math.isfinite(own.high):
-            axes.hlines(place, own.low, own.high, color=colour)
+def _points(
+    axes: Axes, total: pd.DataFrame, name: str, colour: str, label: str, *, scale: float = 1.0
+) -> None:
+    ends = name.removesuffix("_sigma")
+    values = total[[name, f"{ends}_low", f"{ends}_high"]].to_numpy(float) * scale
+    places = np.arange(len(total))
+    shown = np.isfinite(values[:, 0])
+    axes.plot(values[shown, 0], places[shown], "o", color=colour, label=label)
+    whole = np.isfinite(values).all(axis=1)
+    axes.hlines(places[whole], values[whole, 1], values[whole, 2], color=colour)
 
 
-def _interval(figure: Figure, digits: int, *, scale: float = 1.0) -> str:
+def _interval(row: Any, name: str, digits: int, scale: float = 1.0) -> str:
     """A figure with its interval, such as "0.021 [0.019, 0.024]"."""
-    value, low, high = (_number(part * scale, digits) for part in figure)
-    return value if math.isnan(figure.low) else f"{value} [{low}, {high}]"
+    ends = name.removesuffix("_sigma")
+    value, low, high = (
+        _number(row[key] * scale, digits) for key in (name, f"{ends}_low", f"{ends}_high")
+    )
+    return value if math.isnan(row[f"{ends}_low"]) else f"{value} [{low}, {high}]"
 
 
 def _number(value: float, digits: int) -> str:
@@ -335,16 +251,12 @@ def _number(value: float, digits: int) -> str:
     return "∞" if math.isinf(value) else f"{value:.{digits}f}"
 
 
-def _rank(rank: Figure) -> str:
-    value, low, high = (f"{part:.0f}" for part in rank)
-    return value if math.isnan(rank.low) or low == high else f"{value} [{low}–{high}]"
+def _rank(row: Any) -> str:
+    value, low, high = (f"{row[key]:.0f}" for key in ("rank", "rank_low", "rank_high"))
+    return value if math.isnan(row["rank_low"]) or low == high else f"{value} [{low}–{high}]"
 
 
-def _place(standing: Standing, digits: int) -> str:
-    if math.isnan(standing.median.value):
+def _place(row: Any, digits: int) -> str:
+    if math.isnan(row["median"]):
         return "–"
-    return f"{standing.rank.value:.0f} ({_number(standing.median.value, digits)})"
-
-
-def _milliseconds(entry: Entry) -> str:
-    return "–" if entry.ms_per_frame is None else f"{entry.ms_per_frame:.1f}"
+    return f"{row['rank']:.0f} ({_number(row['median'], digits)})"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import math
 import shlex
 import time
 from collections import Counter
@@ -18,15 +16,13 @@ from rich.console import Console
 from benchmarks.evaluation import VISIBLE_ENOUGH
 from benchmarks.reporting import STYLE, versions, write_json, write_page
 from benchmarks.sets.read import Mode, stacks_of
-from benchmarks.sets.score.conditions import circumstances_of
 from benchmarks.sets.score.entries import Entry, entries_in, entry_of
-from benchmarks.sets.score.groups import Score, score
+from benchmarks.sets.score.images import images_of
+from benchmarks.sets.score.judging import Against, Outcome, Score, score
 from benchmarks.sets.score.leaderboard import leaderboard
-from benchmarks.sets.score.measures import Counts, Errors
-from benchmarks.sets.score.outcomes import Against, Outcome
 from benchmarks.sets.score.sample import sample_folder
 from benchmarks.sets.score.spots_of_set import read_set_spots, track_set
-from benchmarks.sets.score.table import tables
+from benchmarks.sets.score.views import tables
 from estimator import Calibration, SpotRecord, read_calibration, write_spots
 from estimator.files import fingerprint, require_space, written_whole
 from estimator.run import progress
@@ -82,7 +78,8 @@ def run(
         whole.mkdir()
         require_space(out, _LEAST_BYTES)
         result, measured, found = _scored(folder, given, modes, beam, against, split)
-        _write(result, whole, folder)
+        write_json(whole / "score.json", _summary(result, folder))
+        result.table.to_csv(whole / "score.csv", index=False, lineterminator="\n")
         for name, records in measured.items():
             write_spots(whole / f"{name}.csv", records)
         words = ["eyespot", "score", folder, *spots_files]
@@ -115,13 +112,15 @@ def _scored(
     if not chosen:
         known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))
         raise InputError(f"the set has no split {split}. It has: {known or 'no splits'}.")
-    images = circumstances_of(stacks)
+    images = images_of(stacks)
     spots = {
-        entry.name: read_set_spots(entry.spots, stacks, images) for entry in given if entry.spots
+        entry.name: read_set_spots(entry.spots, stacks, images.index)
+        for entry in given
+        if entry.spots
     }
     measured: dict[str, list[SpotRecord]] = {}
     found = {entry.name: entry for entry in given}
-    scored = {name: about for name, about in images.items() if split in (None, about.split)}
+    scored = images if split is None else images[images.split == split]
     with progress("Tracking", total=len(scored) * len(modes)) as advance:
         for mode in modes:
             begin = time.perf_counter()
@@ -130,7 +129,7 @@ def _scored(
             spots[mode] = {record.file_name: record for record in measured[mode]}
             found[mode] = _own_entry(mode, folder, 1000 * passed / len(scored))
     kept = {
-        name: {image: record for image, record in records.items() if image in scored}
+        name: {image: record for image, record in records.items() if image in scored.index}
         for name, records in spots.items()
     }
     if empty := [name for name, records in kept.items() if not records]:
@@ -166,56 +165,28 @@ def _check(names: Sequence[str]) -> None:
         raise InputError(f"two estimators have the name {twice[0]}. Rename one of the spots files.")
 
 
-def _write(result: Score, out: Path, folder: Path) -> None:
-    write_json(out / "score.json", _summary(result, folder))
-    with (out / "score.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(
-            ["estimator", "against", "condition", "group", *Counts._fields, *Errors._fields]
-        )
-        for group in result.groups:
-            about = [group.estimator, result.against, group.condition, group.group, *group.counts]
-            for errors in group.errors:
-                writer.writerow([*about, *map(_cell, errors)])
-            if not group.errors:
-                writer.writerow(about + [""] * len(Errors._fields))
-
-
-def _cell(value: object) -> object:
-    return "" if isinstance(value, float) and math.isnan(value) else value
-
-
 def _summary(result: Score, folder: Path) -> dict[str, object]:
     """Content of score.json."""
     manifest = folder / "manifest.json"
+    keys = ["estimator", "condition", "group"]
+    errors = {
+        key: of.drop(columns=keys).to_dict("records") for key, of in result.errors.groupby(keys)
+    }
     return {
         "schema": _SCHEMA,
         "set": folder.resolve().name,
         "manifest": fingerprint(manifest) if manifest.is_file() else None,
         "against": result.against,
         "visible_from_fraction": VISIBLE_ENOUGH,
-        "outcomes": {
-            name: Counter(image.outcome.value for image in judged)
-            for name, judged in result.judged.items()
-        },
+        "outcomes": {name: Counter(judged.outcome) for name, judged in result.judged.items()},
         "reasons_of_misses": {
-            name: Counter(
-                image.record.reason if image.record else "no line"
-                for image in judged
-                if image.outcome is Outcome.MISSED
-            )
+            name: Counter(judged.reason[judged.outcome == Outcome.MISSED])
             for name, judged in result.judged.items()
         },
         "left_out": result.left_out,
         "groups": [
-            {
-                "estimator": group.estimator,
-                "condition": group.condition,
-                "group": group.group,
-                **group.counts._asdict(),
-                "errors": [errors._asdict() for errors in group.errors],
-            }
-            for group in result.groups
+            {**counts, "errors": errors.get(tuple(counts[key] for key in keys), [])}
+            for counts in result.counts.to_dict("records")
         ],
         "versions": versions(),
     }

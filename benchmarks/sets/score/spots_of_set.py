@@ -41,7 +41,6 @@ def read_set_spots(
             `eyespot track` writes it. Its name is SPLIT/STACK.csv or, if a stack has several
             exposures, SPLIT/STACK.EXPOSURE.csv. For a single stack, omit SPLIT/. A spots file is
             that of eyespot (.csv or .parquet), or plain (`plain_spots`).
-        stacks: stacks of the set.
         images: names of all images of the set.
 
     Returns:
@@ -75,10 +74,8 @@ def track_set(
     distortion.
 
     Args:
-        stacks: stacks of the set.
         mode: mode of the estimator, with its default settings.
         calibration: of the beam, for the mode pixels; None for each stack's true one.
-        progress: called after each frame.
 
     Returns:
         Records with image names relative to the set.

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from benchmarks.sets.score.conditions import CONDITIONS
-from benchmarks.sets.score.groups import ALL
-from benchmarks.sets.score.measures import counts_of
-from benchmarks.sets.score.outcomes import Judged, Outcome
+from benchmarks.sets.score.images import ALL, CONDITIONS, groups
+from benchmarks.sets.score.judging import Outcome, counts_of
 from optics import InputError
 
 _RESAMPLED = 1000  # the ends of a 95 % interval vary by 3 % of its width
@@ -22,56 +21,24 @@ _BOUNDS = {"semi_minor_px": "bound_semi_minor_px", "distance_mm": "bound_d_mm"}
 _WIDE = 1.96  # sigmas that contain 95 % of normal errors
 
 
-class Figure(NamedTuple):
-    """A figure with the ends of its 95 % interval; NaN if unknown."""
-
-    value: float = math.nan
-    low: float = math.nan
-    high: float = math.nan
-
-
-class Standing(NamedTuple):
-    """How one entry compares with the others on a group of images.
-
-    Attributes:
-        entry: name of the entry.
-        rank: 1 has the least median error; of equal medians all have the lower rank.
-        visible: number of images in which half of the contour or more is visible.
-        missed: fraction of them without the true spot.
-        false_spots: spots at a wrong place, per image.
-        median: median of the absolute error over the visible images. The error of a missed image
-            counts as infinite, so that leaving difficult images out does not help.
-        ninth: 90th percentile of the same errors.
-        rmse: root of the mean square error of the found images.
-        within_1: fraction of the errors below the stated σ; 0.683 if σ is right.
-        within_196: fraction below 1.96 σ; 0.950 if σ is right.
-        over_bound: median of the absolute error divided by the image's Cramér-Rao bound, as a
-            multiple of the median of a normal error of that size: 1 cannot be beaten without bias.
-            NaN if the labels have no bound.
-    """
-
-    entry: str
-    rank: Figure
-    visible: int
-    missed: Figure
-    false_spots: Figure
-    median: Figure
-    ninth: Figure
-    rmse: Figure
-    within_1: Figure
-    within_196: Figure
-    over_bound: Figure
-
-
-Standings = dict[tuple[str, str], list[Standing]]
-"""Standings by condition and group, each in the order of the ranks."""
-
-
-def standings(judged: Mapping[str, Sequence[Judged]], quantity: str) -> Standings:
+def standings(judged: Mapping[str, pd.DataFrame], quantity: str) -> pd.DataFrame:
     """Rank the entries that measure a quantity, on the images that all of them cover.
 
+    A figure has the ends of its 95 % interval beside it, such as `median_low` and `median_high`;
+    NaN if unknown. By `condition` and `group`, in the order of the ranks:
+
+    - `rank`: 1 has the least median error; of equal medians all have the lower rank.
+    - `visible`: number of images in which half of the contour or more is visible; `missed`:
+      fraction of them without the true spot; `false_spots`: spots at a wrong place, per image.
+    - `median` and `ninth_decile` of the absolute error over the visible images. The error of a
+      missed image counts as infinite, so that leaving difficult images out does not help.
+    - `rmse` of the found images; `within_1_sigma` and `within_196_sigma`: fraction of the errors
+      within the stated σ, 0.683 and 0.950 if σ is right.
+    - `over_bound`: median of the absolute error divided by the image's Cramér-Rao bound, as a
+      multiple of the median of a normal error of that size: 1 cannot be beaten without bias.
+
     Args:
-        judged: outcomes of each entry.
+        judged: images of each entry, see `judge`.
         quantity: one of `QUANTITIES`.
 
     Returns:
@@ -81,122 +48,81 @@ def standings(judged: Mapping[str, Sequence[Judged]], quantity: str) -> Standing
     Raises:
         InputError: the entries have no image in common.
     """
-    measuring = {name: images for name, images in judged.items() if _measures(images, quantity)}
-    if not any(_has_errors(images, quantity) for images in measuring.values()):
-        return {}
-    shared = _shared(measuring)
-    return {
-        (condition, group): _ranked(
-            {name: [images[place] for place in places] for name, images in shared.items()}, quantity
-        )
-        for condition, group, places in _groups(shared)
+    column = f"error_{quantity}"
+    has_errors = {name: np.isfinite(own[column]).any() for name, own in judged.items()}
+    if not any(has_errors.values()):
+        return pd.DataFrame()
+    measuring = {
+        name: own.set_index(["stack", "file_name"], drop=False)
+        for name, own in judged.items()
+        if has_errors[name]
+        or (quantity != "distance_mm" and not (own.outcome == Outcome.FOUND).any())
     }
-
-
-def _measures(images: Sequence[Judged], quantity: str) -> bool:
-    finds_nothing = not any(image.outcome is Outcome.FOUND for image in images)
-    return _has_errors(images, quantity) or (finds_nothing and quantity != "distance_mm")
-
-
-def _has_errors(images: Sequence[Judged], quantity: str) -> bool:
-    return any(math.isfinite(image.errors.get(quantity, math.nan)) for image in images)
-
-
-def _shared(judged: Mapping[str, Sequence[Judged]]) -> dict[str, list[Judged]]:
-    """The images that all entries cover, in the same order."""
-    by_image = {
-        name: {(i.circumstances.stack, i.circumstances.labels.file_name): i for i in images}
-        for name, images in judged.items()
-    }
-    names = [set(images) for images in by_image.values()]
-    common = set.intersection(*names) if names else set()
-    if names and not common:
+    first, *others = measuring.values()
+    common = first.index
+    for own in others:
+        common = common[common.isin(own.index)]
+    if not len(common):
         raise InputError(
             "the entries cover no image together: each has spots of other splits or exposures. "
             "Score them one by one."
         )
-    return {
-        name: [image for key, image in images.items() if key in common]
-        for name, images in by_image.items()
-    }
+    shared = {name: own.loc[common] for name, own in measuring.items()}
+    placed = []
+    for condition in (ALL, *CONDITIONS):
+        found = list(groups(first.loc[common], condition))
+        if condition == ALL or len(found) > 1:
+            for group, members in found:
+                of = {name: own.loc[members.index] for name, own in shared.items()}
+                ranked = _ranked(of, quantity)
+                ranked.insert(0, "condition", condition)
+                ranked.insert(1, "group", group)
+                placed.append(ranked)
+    return pd.concat(placed, ignore_index=True)
 
 
-def _groups(shared: Mapping[str, Sequence[Judged]]) -> Iterator[tuple[str, str, Sequence[int]]]:
-    """Condition, group and places of the images of each group."""
-    if not shared:
-        return
-    images = [image.circumstances for image in next(iter(shared.values()))]
-    yield ALL, ALL, range(len(images))
-    for condition in CONDITIONS:
-        groups = condition.groups(images)
-        if len(groups) > 1:
-            of = [condition.group_of(image) for image in images]
-            for group in groups:
-                yield condition.name, group, [n for n, own in enumerate(of) if own == group]
+def _ranked(judged: Mapping[str, pd.DataFrame], quantity: str) -> pd.DataFrame:
+    resampled = _Resampled(next(iter(judged.values()))["stack"].to_numpy(str))
+    standing = {name: _standing(own, resampled, quantity) for name, own in judged.items()}
+    medians = np.array([own["median"] for own in standing.values()])
+    # 1 + the number of better entries, in each resample.
+    ranks = 1.0 + (medians[None, :, :] < medians[:, None, :]).sum(axis=1)
+    rows = []
+    for (name, own), rank in zip(standing.items(), ranks, strict=True):
+        row: dict[str, Any] = _interval("rank", rank)
+        row |= {"entry": name, "visible": counts_of(judged[name])["visible"]}
+        for figure, samples in own.items():
+            row |= _interval(figure, samples)
+        rows.append(row)
+    table = pd.DataFrame(rows).sort_values("rank", kind="stable", ignore_index=True)
+    return table.astype({"rank": int})
 
 
-def _ranked(judged: Mapping[str, Sequence[Judged]], quantity: str) -> list[Standing]:
-    images = next(iter(judged.values()))
-    resampled = _Resampled([image.circumstances.stack for image in images])
-    medians = []
-    found = []
-    for name, own in judged.items():
-        errors = np.array([_absolute_error(image, quantity) for image in own])
-        seen = ~np.isnan(errors)
-        samples = resampled.quantile(errors, seen, 0.5)
-        medians.append(samples)
-        found.append(_standing(name, own, errors, seen, samples, resampled, quantity))
-    ranks = _ranks(np.array(medians))
-    placed = [
-        standing._replace(rank=_figure(own)) for standing, own in zip(found, ranks, strict=True)
-    ]
-    return sorted(placed, key=lambda standing: standing.rank.value)
-
-
-def _standing(
-    name: str,
-    images: Sequence[Judged],
-    errors: np.ndarray,
-    seen: np.ndarray,
-    medians: np.ndarray,
-    resampled: _Resampled,
-    quantity: str,
-) -> Standing:
-    counts = counts_of(images)
-    is_found = np.isfinite(errors)
+def _standing(own: pd.DataFrame, resampled: _Resampled, quantity: str) -> dict[str, np.ndarray]:
+    """Each figure on all images and on the resamples."""
+    missed = own.outcome.isin((Outcome.MISSED, Outcome.MISPLACED))
+    found = own.outcome == Outcome.FOUND
+    sizes = own[f"error_{quantity}"].abs().fillna(math.inf)
+    errors = sizes.where(found | missed).to_numpy(float)
+    seen, is_found = ~np.isnan(errors), np.isfinite(errors)
     # Outside of the images that count, errors are NaN or infinite; the weights remove them.
     known = np.where(is_found, errors, 0.0)
-    sigmas = np.array([image.sigmas.get(quantity, math.nan) for image in images])
+    sigmas = own[f"sigma_{quantity}"].to_numpy(float)
     stated = is_found & (sigmas > 0) & np.isfinite(sigmas)
-    false = np.array([i.outcome in (Outcome.MISPLACED, Outcome.INVENTED) for i in images])
+    false = own.outcome.isin((Outcome.MISPLACED, Outcome.INVENTED)).to_numpy()
     part = np.divide(known, sigmas, out=np.full(known.shape, math.inf), where=stated)
-    ratio = errors / (_MEDIAN_OF_NORMAL * np.array([_bound(image, quantity) for image in images]))
-    return Standing(
-        entry=name,
-        rank=Figure(),
-        visible=counts.visible,
-        missed=_figure(resampled.mean(~is_found, seen)),
-        false_spots=_figure(resampled.mean(false, np.ones_like(seen))),
-        median=_figure(medians),
-        ninth=_figure(resampled.quantile(errors, seen, 0.9)),
-        rmse=_figure(np.sqrt(resampled.mean(known**2, is_found))),
-        within_1=_figure(resampled.mean(part <= 1, stated)),
-        within_196=_figure(resampled.mean(part <= _WIDE, stated)),
-        over_bound=_figure(resampled.quantile(ratio, seen & ~np.isnan(ratio), 0.5)),
-    )
-
-
-def _absolute_error(image: Judged, quantity: str) -> float:
-    """Infinite for a missed image, NaN for a hidden one."""
-    if image.outcome is Outcome.FOUND:
-        error = abs(image.errors[quantity])
-        return math.inf if math.isnan(error) else error
-    return math.inf if image.outcome in (Outcome.MISSED, Outcome.MISPLACED) else math.nan
-
-
-def _bound(image: Judged, quantity: str) -> float:
-    name = _BOUNDS.get(quantity)
-    return getattr(image.circumstances.labels, name) if name else math.nan
+    bound = own[_BOUNDS[quantity]].to_numpy(float) if quantity in _BOUNDS else math.nan
+    ratio = errors / (_MEDIAN_OF_NORMAL * bound)
+    return {
+        "missed": resampled.mean(~is_found, seen),
+        "false_spots": resampled.mean(false, np.ones_like(seen)),
+        "median": resampled.quantile(errors, seen, 0.5),
+        "ninth_decile": resampled.quantile(errors, seen, 0.9),
+        "rmse": np.sqrt(resampled.mean(known**2, is_found)),
+        "within_1_sigma": resampled.mean(part <= 1, stated),
+        "within_196_sigma": resampled.mean(part <= _WIDE, stated),
+        "over_bound": resampled.quantile(ratio, seen & ~np.isnan(ratio), 0.5),
+    }
 
 
 class _Resampled:
@@ -205,7 +131,7 @@ class _Resampled:
     Images of a stack show the same wall and motion, so their errors are not independent.
     """
 
-    def __init__(self, stacks: Sequence[str]) -> None:
+    def __init__(self, stacks: np.ndarray) -> None:
         names, self._stack = np.unique(stacks, return_inverse=True)
         count = names.size
         self._times = np.ones((1, count), dtype=np.int32)
@@ -234,18 +160,12 @@ class _Resampled:
         return chosen
 
 
-def _figure(samples: np.ndarray) -> Figure:
-    """A figure from its value on all images and on the resamples."""
+def _interval(figure: str, samples: np.ndarray) -> dict[str, float]:
+    """A figure from its value on all images, with an interval from the resamples."""
     drawn = samples[1:][~np.isnan(samples[1:])]
-    if not drawn.size:
-        return Figure(float(samples[0]))
-    # No interpolation: a part of the resamples may be infinite.
-    low, high = np.quantile(drawn, (0.025, 0.975), method="inverted_cdf")
-    return Figure(float(samples[0]), float(low), float(high))
-
-
-def _ranks(medians: np.ndarray) -> np.ndarray:
-    """Rank of each entry (rows) in each resample (columns): 1 + the number of better entries."""
-    better = medians[None, :, :] < medians[:, None, :]
-    ranks: np.ndarray = 1.0 + better.sum(axis=1)
-    return ranks
+    low = high = math.nan
+    if drawn.size:
+        # No interpolation: a part of the resamples may be infinite.
+        low, high = np.quantile(drawn, (0.025, 0.975), method="inverted_cdf").tolist()
+    ends = figure.removesuffix("_sigma")
+    return {figure: float(samples[0]), f"{ends}_low": low, f"{ends}_high": high}

@@ -25,11 +25,9 @@ class PlannedStack:
 
     Attributes:
         split: train, validation, test, adverse or unseen.
-        name: name of its folder.
         condition: condition in the adverse split, else None.
         pair: name of the pair whose partner this stack is, else None. The other stack has the name
             without the pair's, the same draws and the same seeds.
-        scene: its scene.
         parameters: values of the scene keys that vary within the set, by dotted name.
     """
 

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from benchmarks.reporting import Changes, LightSource, OutputFolder, Quick, Seed, StartingScene
 
 
 def dynamic(
-    out: OutputFolder,
     scene: StartingScene = None,
-    changes: Changes = None,
+    /,
+    *,
+    out: OutputFolder,
+    changes: Changes = (),
     quick: Quick = False,
     seed: Seed = None,
     source: LightSource = "both",
-    exposure_ms: Annotated[
-        float,
-        typer.Option(help="Exposure time of a frame at the mean distance.", min=0.1, max=100.0),
-    ] = 20.0,
+    exposure_ms: Annotated[float, Parameter(validator=Number(gte=0.1, lte=100))] = 20.0,
 ) -> None:
     """Measure the error while the tip moves: by speed, motion blur and a late pose.
 
     To continue a run that was stopped, start it again with the same folder.
+
+    Args:
+        exposure_ms: Exposure time of a frame at the mean distance, 0.1 to 100.
     """
     from benchmarks.reporting import Request
     from benchmarks.studies.dynamic.run import run
@@ -32,7 +35,7 @@ def dynamic(
         Request(
             out=out,
             scene=scene,
-            changes=tuple(changes or ()),
+            changes=changes,
             quick=quick,
             seed=seed,
             options={"source": source, "exposure-ms": exposure_ms},

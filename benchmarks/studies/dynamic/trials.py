@@ -26,10 +26,8 @@ class MovingTrial(NamedTuple):
 
     Attributes:
         motion: one of `MOTIONS`.
-        way: of measuring.
         speed_mm_s: of a straight motion, or a hand's highest.
         run: from 1, each with noise, texture and hand of its own.
-        moving: the scene.
         frozen: the same poses, noise and brightness with exposures too short for blur.
     """
 

@@ -3,12 +3,10 @@
 causes    The error of every model, split by cause so that the parts sum to the whole
 chain     The chain from a distance to a spot's size and back, with each link real or ideal
 command   The command `eyespot study eccentricity`
-figures   The figures of the report
-findings  The results as data: errors of the models, limits and causes
+figures   The results of a run, and the figures of the report
 limits    The c at which a model's error reaches a limit, for the true and for a fitted c
 rendered  The rendered part: frames, measured spots, and the effect of rendering on their size
-report    The report
-run       The computation: exact contours, rendered frames, the space of geometries
+run       The study: exact contours, rendered frames, the space of geometries, page
 space     Every model's error at scrambled Sobol points of the space of geometries
 """
 

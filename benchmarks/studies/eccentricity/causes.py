@@ -18,13 +18,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from jaxtyping import Array, Float
 
 import optics
 from benchmarks.evaluation import Geometry, coalitions, place, shapley_values
 from benchmarks.studies.eccentricity import chain
 from benchmarks.studies.eccentricity.chain import LINKS, Eye, Links
-from benchmarks.studies.eccentricity.findings import CauseShare
 from scenes import Scene
 from scenes.walls import PRESETS_MM, wall_spread
 
@@ -52,7 +52,6 @@ class Shift(NamedTuple):
 
     Attributes:
         edge: by the edge and its light.
-        pixels: by pixels and noise.
         spread: by a wall that spreads light.
     """
 
@@ -71,7 +70,6 @@ def spread_shift(geometry: Geometry, *, c: np.ndarray, d: np.ndarray, length: fl
     """What light spread in the wall adds to e1' of the cone's half-maximum contour, px.
 
     Args:
-        geometry: what the spots share.
         c: n eccentricities, mm.
         d: n distances, mm.
         length: L, mm.
@@ -104,31 +102,29 @@ def spread_shift(geometry: Geometry, *, c: np.ndarray, d: np.ndarray, length: fl
 
 def shares(
     geometry: Geometry, *, medium: str, c: np.ndarray, d: np.ndarray, shift: Shift
-) -> list[CauseShare]:
-    """The errors of all models at eccentricities and distances (mm), each cause a row.
+) -> pd.DataFrame:
+    """Content of causes.csv: the errors of all models at eccentricities and distances by cause, mm.
+
+    `whole_mm` is the error with all causes, to which the parts of a geometry sum.
 
     Args:
-        geometry: what they share.
-        medium: by name.
         c: n eccentricities, mm.
         d: n distances, mm.
         shift: what rendering adds, n each.
     """
     worth = worths(eyes(geometry, c=c), d=d, shift=shift)
     values = shapley_values(worth)
-    return [
-        CauseShare(
-            model=model,
-            cause=cause,
-            medium=medium,
-            **place(geometry, c=c[i], d=d[i]),
-            part_mm=float(values[i, m, p]),
-            whole_mm=float(worth[i, m, -1]),
-        )
-        for i in range(len(c))
-        for m, model in enumerate(optics.MODELS)
-        for p, cause in enumerate(CAUSES)
-    ]
+    spot, m, p = (index.ravel() for index in np.indices(values.shape))
+    return pd.DataFrame(
+        {
+            "model": np.array(optics.MODELS)[m],
+            "cause": np.array(CAUSES)[p],
+            "medium": medium,
+            **place(geometry, c=c[spot], d=d[spot]),
+            "part_mm": values.ravel(),
+            "whole_mm": worth[spot, m, -1],
+        }
+    )
 
 
 def eyes(geometry: Geometry, *, c: np.ndarray) -> Eye:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
+from cyclopts.types import PositiveInt
 
 from benchmarks.reporting import Changes, OutputFolder, Quick, Seed, StartingScene
 
@@ -12,23 +10,21 @@ _GEOMETRIES, _GEOMETRIES_IF_QUICK = 1 << 17, 1 << 14
 
 
 def eccentricity(
-    out: OutputFolder,
     scene: StartingScene = None,
-    changes: Changes = None,
+    /,
+    *,
+    out: OutputFolder,
+    changes: Changes = (),
     quick: Quick = False,
     seed: Seed = None,
-    geometries: Annotated[
-        int | None,
-        typer.Option(
-            help="Number of random geometries (default: "
-            f"{_GEOMETRIES}; {_GEOMETRIES_IF_QUICK} if quick).",
-            min=1,
-        ),
-    ] = None,
+    geometries: PositiveInt | None = None,
 ) -> None:
     """Measure how wrong each model is, at which eccentricity, and by which cause.
 
     To continue a run that was stopped, start it again with the same folder.
+
+    Args:
+        geometries: Number of random geometries (default: 131072; 16384 if quick).
     """
     from benchmarks.reporting import Request
     from benchmarks.studies.eccentricity.run import run
@@ -38,7 +34,7 @@ def eccentricity(
         Request(
             out=out,
             scene=scene,
-            changes=tuple(changes or ()),
+            changes=changes,
             quick=quick,
             seed=seed,
             options={"geometries": count},

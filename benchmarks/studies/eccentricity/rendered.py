@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 import optics
 import scenes
 from benchmarks.evaluation import (
+    MODEL_ERROR,
     SUBPIXEL,
-    ModelError,
     Tracked,
     geometry_of,
     measured_errors,
@@ -20,7 +21,6 @@ from benchmarks.evaluation import (
 from benchmarks.reporting import Study
 from benchmarks.studies.eccentricity import causes
 from benchmarks.studies.eccentricity.causes import Shift
-from benchmarks.studies.eccentricity.findings import CauseShare, Refit, RenderedErrors
 from benchmarks.studies.eccentricity.limits import refitted
 from estimator import Stack
 from scenes import Scene
@@ -42,11 +42,33 @@ _NOISE_FREE = {
 _FEWEST_SPOTS = 3  # fewer do not determine c
 
 
+class RenderedErrors(NamedTuple):
+    """What the rendered part found.
+
+    Attributes:
+        errors: of all models on every measured spot, and of small_plane with c fitted.
+        refits: a fit for each trial with enough spots, see `refitted`.
+        shares: the errors by cause, for trials with a noise-free frame.
+        frames: number of frames rendered for the errors.
+        left_out: number of them without a spot that counts.
+    """
+
+    errors: pd.DataFrame
+    refits: pd.DataFrame
+    shares: pd.DataFrame
+    frames: int
+    left_out: int
+
+    @property
+    def with_true_c(self) -> pd.DataFrame:
+        """The errors without those of a fitted c."""
+        return self.errors[~self.errors.refit.astype(bool)]
+
+
 class EccentricTrial(NamedTuple):
     """A withdrawal: one pinhole, incidence and eccentricity.
 
     Attributes:
-        name: of its stack.
         scene: with the instrument in view, or square to the wall and without it.
         noise_free: the same at twice the resolution without noise; None if not wanted.
     """
@@ -67,12 +89,10 @@ def trials(
     """Withdrawals at the scene's incidence, and square ones without the instrument.
 
     Args:
-        scene: to start from.
         pinhole_heights: z_F, mm.
         eccentricities: c of the withdrawals at the scene's incidence, mm.
         few: those of them that are rendered without noise too, and with a square beam, which the
             instrument would hide.
-        frames: of a withdrawal.
     """
     return [
         _trial(scene, z_f=height, c=c, square=square, noise_free=c in few, frames=frames)
@@ -93,17 +113,38 @@ def measure(study: Study, every: Sequence[EccentricTrial]) -> RenderedErrors:
         return track_stack(stack, SUBPIXEL, spots_file=spots / f"{name}.csv")
 
     tracked = study.measured(wanted, track)
-    compared = [_compared(trial, tracked[trial.name]) for trial in every]
+    errors, refits, shares = [], [], []
+    for trial in every:
+        seen = tracked[trial.name]
+        labels = seen.used_labels
+        if labels:
+            geometry = geometry_of(trial.scene)
+            of_models = measured_errors(
+                geometry, labels=labels, semi_minor_px=seen.semi_minor_px, models=optics.MODELS
+            )
+            errors.append(of_models)
+            if len(labels) >= _FEWEST_SPOTS:
+                rows, refit = refitted(
+                    geometry,
+                    before=of_models,
+                    source="rendered",
+                    medium=trial.scene.source.medium,
+                    c=labels[0].c_mm,
+                    d=np.array([row.d_mm for row in labels]),
+                    semi_minor_px=seen.semi_minor_px,
+                )
+                errors.append(rows)
+                refits.append(refit)
+        if trial.noise_free is not None:
+            of_trial = _shares(trial, seen, tracked[_fine(trial)])
+            shares += [] if of_trial.empty else [of_trial]
     used = np.concatenate([tracked[trial.name].used for trial in every])
     return RenderedErrors(
-        errors=[error for errors, _ in compared for error in errors],
-        refits=[refit for _, refits in compared for refit in refits],
-        shares=[
-            share
-            for trial in every
-            if trial.noise_free is not None
-            for share in _shares(trial, tracked[trial.name], tracked[_fine(trial)])
-        ],
+        errors=pd.concat(errors, ignore_index=True)
+        if errors
+        else pd.DataFrame(columns=MODEL_ERROR),
+        refits=pd.DataFrame(refits),
+        shares=pd.concat(shares, ignore_index=True) if shares else pd.DataFrame(),
         frames=used.size,
         left_out=int(np.count_nonzero(~used)),
     )
@@ -140,32 +181,11 @@ def _fine(trial: EccentricTrial) -> str:
     return f"{trial.name}-noise-free"
 
 
-def _compared(trial: EccentricTrial, tracked: Tracked) -> tuple[list[ModelError], list[Refit]]:
-    """The trial's errors, and its fit of c if there are enough spots."""
-    labels, seen = tracked.used_labels, tracked.semi_minor_px
-    if not labels:
-        return [], []
-    geometry = geometry_of(trial.scene)
-    errors = measured_errors(geometry, labels=labels, semi_minor_px=seen, models=optics.MODELS)
-    if len(labels) < _FEWEST_SPOTS:
-        return errors, []
-    rows, refit = refitted(
-        geometry,
-        before=errors,
-        source="rendered",
-        medium=trial.scene.source.medium,
-        c=labels[0].c_mm,
-        d=np.array([row.d_mm for row in labels]),
-        semi_minor_px=seen,
-    )
-    return errors + rows, [refit]
-
-
-def _shares(trial: EccentricTrial, seen: Tracked, noise_free: Tracked) -> list[CauseShare]:
+def _shares(trial: EccentricTrial, seen: Tracked, noise_free: Tracked) -> pd.DataFrame:
     """The trial's errors by cause, in frames in which both measurements found the spot."""
     both = np.flatnonzero(seen.used & noise_free.used)
     if not both.size:
-        return []
+        return pd.DataFrame()
     measured, fine = (
         np.array([t.results[i].semi_minor_px for i in both])  # type: ignore[union-attr]
         for t in (seen, noise_free)

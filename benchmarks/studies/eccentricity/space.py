@@ -3,25 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from scipy.stats import qmc
 
 import optics
-from benchmarks.evaluation import ModelError
+from benchmarks.evaluation import MODEL_ERROR
 from benchmarks.studies.eccentricity import chain
 from benchmarks.studies.eccentricity.chain import Eye
-from benchmarks.studies.eccentricity.findings import AXES, PINHOLES, BinSpread, Sensitivity
+
+AXES = {
+    "c_mm": (0.0, 8.0),
+    "d_mm": (0.5, 6.0),
+    "r_mm": (10.5, 12.5),
+    "incidence_deg": (0.0, 45.0),
+    "azimuth_deg": (0.0, 360.0),
+    "half_angle_deg": (2.0, 8.0),
+}
+"""What is varied continuously, and its range; columns of model_error.csv."""
+
+PINHOLES = ("centre", "sphere", "200", "inf")
+"""z_F: the eyeball's centre (0), on the sphere (r), 200 mm, telecentric."""
 
 BLOCK = 1 << 14
 """Geometries at a time; a Sobol sequence is balanced over powers of two."""
 
 _BATCH = 512
 
-_FIRST_NUMBER = ModelError._fields.index("c_mm")
+_FIRST_NUMBER = MODEL_ERROR.index("c_mm")
 
 
 class Block(NamedTuple):
@@ -30,7 +43,6 @@ class Block(NamedTuple):
     Attributes:
         axes: by the names of `AXES`.
         pinhole: number of the pinhole in `PINHOLES`.
-        z_f_mm: its height.
         apex_offset_mm: b; the spot at contact keeps the scene's size whatever the cone's angle.
         estimates: by model, mm.
     """
@@ -51,7 +63,6 @@ def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Ite
 
     Args:
         count: of geometries, rounded up to whole blocks.
-        seed: of the scrambling.
         scale: delta, mm/px.
         contact_radius: -b/k, mm.
     """
@@ -81,7 +92,7 @@ def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Ite
         yield Block(axes, pinhole, z_f, b, {m: np.asarray(estimates[m]) for m in optics.MODELS})
 
 
-def csv_line(row: ModelError) -> str:
+def csv_line(row: tuple[Any, ...]) -> str:
     """A row of model_error.csv, in the digits of `csv_text`."""
     head, shared, (estimate, error) = row[:_FIRST_NUMBER], row[_FIRST_NUMBER:-2], row[-2:]
     place = ",".join(f"{value:.6g}" for value in shared)
@@ -94,7 +105,7 @@ def csv_text(block: Block, *, medium: str) -> str:
     Numbers are formatted once per geometry, not once per model, which saves most of the time.
     """
     axes = {**block.axes, "z_f_mm": block.z_f_mm, "apex_offset_mm": block.apex_offset_mm}
-    between = ModelError._fields[_FIRST_NUMBER:-2]
+    between = MODEL_ERROR[_FIRST_NUMBER:-2]
     columns = [axes[name].tolist() for name in between]
     row = ",".join(["%.6g"] * len(between))
     shared = [row % values for values in zip(*columns, strict=True)]
@@ -138,34 +149,36 @@ class Space:
         """A model's errors with one pinhole, mm."""
         return np.concatenate(self._errors[model])[self._seen_by(pinhole)]
 
-    def spreads(self, *, bins: int = 16) -> list[BinSpread]:
-        """Size of the errors along every axis."""
-        return [
-            BinSpread(
-                model=model,
-                pinhole=pinhole,
-                axis=axis,
-                from_value=low + (high - low) * n / bins,
-                to_value=low + (high - low) * (n + 1) / bins,
-                geometries=size.size,
-                median_mm=float(np.median(size)),
-                percentile_95_mm=float(np.percentile(size, 95)),
+    def spreads(self, *, bins: int = 16) -> pd.DataFrame:
+        """Content of space.csv: the size of the errors in each bin of an axis, over all others."""
+        rows = [
+            (
+                *(model, pinhole, axis, low + (high - low) * n / bins),
+                *(low + (high - low) * (n + 1) / bins, size.size),
+                *(float(np.median(size)), float(np.percentile(size, 95))),
             )
             for model in optics.MODELS
             for pinhole in PINHOLES
             for axis, (low, high) in AXES.items()
             for n, size in enumerate(self._binned(model, pinhole, axis, bins))
         ]
+        columns = "model pinhole axis from_value to_value geometries median_mm percentile_95_mm"
+        return pd.DataFrame(rows, columns=columns.split())
 
-    def sensitivities(self) -> list[Sensitivity]:
-        """The part of the errors' variance that each axis alone explains; `exact` has no error."""
-        return [
-            Sensitivity(model, pinhole, axis, self._explained(model, pinhole, axis))
+    def sensitivities(self) -> pd.DataFrame:
+        """Content of sensitivity.csv: the part of the variance that an axis alone explains.
+
+        The first-order Sobol index (Sobol 1993), in [0, 1]; the axes' sum is short of 1 by the part
+        of axes together. `exact` has no error.
+        """
+        rows = [
+            (model, pinhole, axis, self._explained(model, pinhole, axis))
             for model in optics.MODELS
             if model != "exact"
             for pinhole in PINHOLES
             for axis in AXES
         ]
+        return pd.DataFrame(rows, columns=["model", "pinhole", "axis", "first_order"])
 
     def _seen_by(self, pinhole: str) -> np.ndarray:
         return np.concatenate(self._pinhole) == PINHOLES.index(pinhole)

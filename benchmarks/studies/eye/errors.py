@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import optics
-from benchmarks.studies.eye.batches import in_batches
 from benchmarks.studies.eye.geometry import (
     NOMINAL_RADIUS_MM,
     SCALE_MM_PX,
@@ -20,6 +19,7 @@ from benchmarks.studies.eye.geometry import (
     Seen,
     Spots,
     cameras,
+    in_batches,
     spots_through,
 )
 from benchmarks.studies.eye.recipes import (
@@ -69,7 +69,6 @@ def path_errors(
             calibrated without noise.
         spots: c x d x tilts.
         seed: of the noise of the calibrations; None for none.
-        recipes: which.
     """
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _cameras(path, eyes, pupil_radius=_OPEN_MM)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PyTree
 
 import optics
 from optics.viewing import (
@@ -159,7 +160,6 @@ def image(
     Args:
         camera: by which it is seen.
         wall: on which it lies.
-        spot: one.
         sees: which points of the wall are not hidden.
     """
     beam = optics.beam_at_spot(
@@ -174,3 +174,27 @@ def image(
     ellipse = optics.ellipse_of_contour(camera.project(contour))
     axes = jnp.stack([ellipse.semi_minor, ellipse.semi_major])
     return Seen(ellipse.centre, axes, ellipse.angle, beam.axis, jnp.all(sees(contour)))
+
+
+def in_batches(function: Callable[[Any], Any], items: PyTree, *, size: int) -> PyTree:
+    """Results of a function that treats arrays with a leading axis item by item.
+
+    All batches have one shape, whatever the number of items, so that it is compiled once. One batch
+    is too small for several cores, so each core takes a batch of its own.
+
+    Args:
+        items: arrays with a leading axis of one length.
+        size: items per batch; the last batch is filled up with its last item.
+    """
+    items = jax.tree.map(np.asarray, items)
+    count = len(jax.tree.leaves(items)[0])
+
+    def batch(first: int) -> Any:
+        rows = np.minimum(np.arange(first, first + size), count - 1)
+        return jax.tree.map(np.asarray, function(jax.tree.map(lambda leaf: leaf[rows], items)))
+
+    first, *rest = range(0, count, size)
+    with ThreadPoolExecutor() as pool:
+        # The first batch runs alone, so that only one thread compiles.
+        done = [batch(first), *pool.map(batch, rest)]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *done)

@@ -27,12 +27,7 @@ PARTS: dict[str, tuple[str, ...]] = {
 
 
 def drawn(count: int, seed: int) -> Drawn:
-    """Random eyes (Rozema et al. 2016; `population.toml` says how they were reduced).
-
-    Args:
-        count: number of eyes.
-        seed: random seed.
-    """
+    """Random eyes (Rozema et al. 2016; `population.toml` says how they were reduced)."""
     content = read_toml(_FILE)
     mean = np.array([*content["mean"].values()])
     spread = np.array([*content["standard_deviation"].values()])
@@ -50,8 +45,6 @@ class Drawn(NamedTuple):
     """The parameters of random eyes.
 
     Attributes:
-        names: of the parameters.
-        mean: of the population.
         values: eyes x parameters.
         constant: what is the same in all eyes.
     """

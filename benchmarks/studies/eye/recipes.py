@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 import optics
-from benchmarks.studies.eye.batches import in_batches
 from benchmarks.studies.eye.geometry import (
     CONE,
     NOMINAL_RADIUS_MM,
@@ -20,6 +19,7 @@ from benchmarks.studies.eye.geometry import (
     Pinhole,
     Seen,
     Spots,
+    in_batches,
 )
 from calibration.solvers import gauss_newton_in_blocks
 from calibration.spots import NUISANCES, RETINA, SIZE_PER_MM, Group, misfit, whitening_of
@@ -167,10 +167,6 @@ def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[np.ndarray, "n"]:
     """Distances at which exact spots have the measured centres and areas, mm.
 
     Each spot is seen by its own pinhole over its own sphere; the robot knows the beams' axes.
-
-    Args:
-        seen: images of n spots.
-        pinhole: n pinholes.
     """
     return in_batches(_through_pinholes, (seen, pinhole), size=_SPOTS_AT_ONCE)
 

@@ -8,20 +8,53 @@ DIR/eye_errors.csv  median and 95 % error of every recipe, by path and c
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from benchmarks.evaluation import coalitions, shapley_values
-from benchmarks.reporting import Request, Study
-from benchmarks.studies.eye.errors import fields, path_errors, together
-from benchmarks.studies.eye.findings import QUANTILE, REFRACTIONS_D, EyeFindings, Share
-from benchmarks.studies.eye.geometry import PATHS, Spots, grid
+from benchmarks.evaluation import ECCENTRICITY, coalitions, shapley_values
+from benchmarks.reporting import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    Claim,
+    Column,
+    Picture,
+    Report,
+    Request,
+    Section,
+    Study,
+    Table,
+    grouped,
+    rows_of,
+    small_multiples,
+)
+from benchmarks.studies.eye.errors import PathErrors, fields, path_errors, together
+from benchmarks.studies.eye.geometry import NOMINAL_RADIUS_MM, PATHS, Spots, grid
 from benchmarks.studies.eye.population import PARTS, Drawn, drawn
-from benchmarks.studies.eye.recipes import Recipe
-from benchmarks.studies.eye.report import report
+from benchmarks.studies.eye.recipes import WITHDRAWALS_C_MM, Recipe
 from optics.viewing import Eye, load_eye
 
+LIMITS_MM = (0.1, 0.5)
+REFRACTIONS_D = (-10.0, -6.0, -3.0, 0.0, 4.0)
+"""Of the schematic eyes that depend on it (Atchison 2006)."""
+
+QUANTILE = 0.95
+"""Share of the eyes that a recipe must serve."""
 _NM = 555.0
 _ECCENTRICITIES_MM = np.arange(0.0, 8.1, 1.0)
 _DISTANCES_MM = np.array([0.5, 2.0, 4.0, 6.0])
@@ -69,7 +102,6 @@ def run(request: Request) -> EyeFindings:
     if gradient:
         names += ["liou-brennan", *(f"atchison {d:+g} D" for d in REFRACTIONS_D)]
     findings = EyeFindings(
-        scene=study.scene,
         eccentricities=_ECCENTRICITIES_MM,
         names=names,
         population=count,
@@ -88,7 +120,7 @@ def _stacked(eyes: list[Eye]) -> Eye:
 
 def _causes(
     path: str, eyes_drawn: Drawn, schematic: Eye, spots: Spots, *, seed: int
-) -> list[Share]:
+) -> pd.DataFrame:
     """Shares of the parts of the eye, and of the noise, in the 95 % error of the area recipes.
 
     In a coalition of parts the eyes differ in these parts only; the other parts are the mean of the
@@ -96,10 +128,8 @@ def _causes(
 
     Args:
         path: name of the viewing path.
-        eyes_drawn: the random eyes.
         schematic: the eye that stands for all where no calibration is made, with a leading axis.
         spots: c x d x tilts; as for the errors in all eyes, so that nothing is compiled again.
-        seed: of the noise.
     """
     players = (*PARTS, _NOISE)
     recipes = (Recipe.AREA_SCHEMATIC, Recipe.AREA)
@@ -114,8 +144,8 @@ def _causes(
             largest = np.abs(found.errors[recipe][1:]).max(axis=(2, 3))
             worth[k, :, row] = np.quantile(largest[:, shown], QUANTILE, axis=0)
     shares = shapley_values(worth)
-    return [
-        Share(recipe, float(c), cause, float(value))
+    rows = [
+        (recipe, float(c), cause, float(value))
         for k, recipe in enumerate(recipes)
         for j, c in enumerate(_SHOWN_MM)
         for cause, value in (
@@ -123,3 +153,401 @@ def _causes(
             *zip(players, shares[k, j], strict=True),
         )
     ]
+    return pd.DataFrame(rows, columns=["recipe", "c_mm", "cause", "share_mm"])
+
+
+# What the page shows.
+
+
+@dataclass(frozen=True, kw_only=True)
+class EyeFindings:
+    """All results of a run.
+
+    Attributes:
+        eccentricities: c, mm.
+        names: of the eyes: Navarro's, the random ones, other schematic ones.
+        fields: largest c that each eye's dilated pupil shows, by path, mm.
+        causes: shares of the parts of the eye in one path.
+    """
+
+    eccentricities: np.ndarray
+    names: list[str]
+    population: int
+    paths: dict[str, PathErrors]
+    fields: dict[str, np.ndarray]
+    causes: pd.DataFrame
+    causes_path: str
+
+    @property
+    def random(self) -> slice:
+        """The random eyes among all."""
+        return slice(1, 1 + self.population)
+
+    def largest(self, path: str, recipe: Recipe, *, square: bool) -> np.ndarray:
+        """Largest |error| of each random eye at each c, over distances (and tilts), mm."""
+        errors = np.abs(self.paths[path].errors[recipe][self.random])
+        errors = errors[..., :1] if square else errors
+        # A spot that is not whole at any distance or tilt counts as not seen.
+        return errors.max(axis=(2, 3))
+
+    @cached_property
+    def summaries(self) -> pd.DataFrame:
+        """Content of eye_errors.csv: median and 95 % of the largest |error| over the random eyes.
+
+        `tilt` is "square" for perpendicular beams only, "any" with tilts of 30 degrees, too; only
+        eyes in which the spots are whole count.
+        """
+        rows = []
+        for path, recipe, square in product(self.paths, Recipe, (True, False)):
+            largest = self.largest(path, recipe, square=square)
+            for c, values in zip(self.eccentricities.tolist(), largest.T, strict=True):
+                seen = values[np.isfinite(values)]
+                # A quantile of the few eyes that show the spot would not be the eyes'.
+                enough = len(seen) > QUANTILE * self.population
+                middle, high = np.quantile(seen, [0.5, QUANTILE]) if enough else (np.nan, np.nan)
+                tilt = "square" if square else "any"
+                rows.append((path, recipe, tilt, c, len(seen), middle, high))
+        columns = "path recipe tilt c_mm eyes median_mm p95_mm"
+        return pd.DataFrame(rows, columns=columns.split())
+
+    @cached_property
+    def limits(self) -> pd.DataFrame:
+        """Content of limits.csv: c up to which half or 95 % of the eyes stay within each limit.
+
+        Interpolated between the c of the grid.
+        """
+        keys = ["path", "recipe", "tilt"]
+        rows = [
+            (
+                *key,
+                *(
+                    crossing(self.eccentricities, own[curve].to_numpy(float), limit)
+                    for curve in ("median_mm", "p95_mm")
+                    for limit in LIMITS_MM
+                ),
+            )
+            for key, own in grouped(self.summaries, *keys)
+        ]
+        columns = [
+            f"{part}_{limit}_mm" for part in ("median", "within") for limit in ("0_1", "0_5")
+        ]
+        return pd.DataFrame(rows, columns=keys + columns)
+
+    @cached_property
+    def pinholes(self) -> pd.DataFrame:
+        """Pinholes and fields of each path, over the random eyes."""
+        rows = []
+        for path, found in self.paths.items():
+            kappas, fields = found.kappas[self.random], self.fields[path][self.random]
+            quantiles = np.quantile(fields, [0.05, 0.5, 0.95])
+            known = (path, found.paraxial_kappa, found.kappas[0])
+            rows.append((*known, kappas.mean(), kappas.std(), *quantiles))
+        columns = "path paraxial schematic mean deviation field_low field field_high"
+        return pd.DataFrame(rows, columns=columns.split())
+
+    @cached_property
+    def eyes(self) -> pd.DataFrame:
+        """Content of eyes.csv: what every eye shows behind every path.
+
+        The errors are the largest at c = 3 mm over distances and tilts, with the ellipse's area.
+        """
+        place = int(np.flatnonzero(self.eccentricities == 3.0)[0])
+        tables = []
+        for path, found in self.paths.items():
+            own, schematic = (
+                np.abs(found.errors[recipe][:, place]).max(axis=(1, 2))
+                for recipe in (Recipe.AREA, Recipe.AREA_SCHEMATIC)
+            )
+            columns = {"path": path, "eye": self.names, "kappa_per_mm": found.kappas}
+            columns |= {"field_mm": self.fields[path], "fitted_error_mm": own}
+            tables.append(pd.DataFrame(columns | {"schematic_error_mm": schematic}))
+        return pd.concat(tables, ignore_index=True)
+
+    @property
+    def schematic_eyes(self) -> pd.DataFrame:
+        """The schematic eyes behind every path."""
+        return self.eyes[~self.eyes.eye.str.startswith("random")]
+
+
+def crossing(c: np.ndarray, error: np.ndarray, limit: float) -> float:
+    """Last c before the error first exceeds a limit; NaN if it does at once."""
+    beyond = ~(error <= limit)
+    if not beyond.any():
+        return float(c[-1])
+    first = int(np.argmax(beyond))
+    if first == 0:
+        return float("nan")
+    if np.isnan(error[first]):
+        return float(c[first - 1])
+    share = (limit - error[first - 1]) / (error[first] - error[first - 1])
+    return float(c[first - 1] + share * (c[first] - c[first - 1]))
+
+
+# Figures.
+
+_STYLES = {
+    Recipe.PLANAR: (VERMILION, ":"),
+    Recipe.SMALL_PLANE: (VERMILION, "-"),
+    Recipe.STEREOGRAPHIC: (VERMILION, "--"),
+    Recipe.PARAXIAL: (ORANGE, "-"),
+    Recipe.LOCAL: (PURPLE, "-"),
+    Recipe.FITTED: (SKY, "-"),
+    Recipe.EXACT_SCHEMATIC: (GREEN, "--"),
+    Recipe.AREA_SCHEMATIC: (GREEN, "-"),
+    Recipe.AREA: (BLUE, "-"),
+}
+"""Colour and line; recipes that know the same have one colour."""
+_SMALLEST_MM, _LARGEST_MM = 0.002, 8.0
+
+
+def error_figure(findings: EyeFindings) -> Figure:
+    """95 % of the eyes' largest errors against c: a row for each path, a column for the tilts."""
+    curves = findings.summaries.set_index(["path", "recipe", "tilt"]).p95_mm
+
+    def draw(axes: Axes, path: str, tilt: str) -> None:
+        low, middle, high = np.quantile(findings.fields[path][findings.random], [0.05, 0.5, 0.95])
+        axes.axvspan(low, high, color="#EEEEEE", zorder=0)
+        axes.axvline(middle, color=GREY, lw=0.8, label="largest c that a 7 mm pupil shows")
+        for limit in LIMITS_MM:
+            axes.axhline(limit, color=BLACK, lw=0.8, ls="--")
+        for recipe, (colour, line) in _STYLES.items():
+            style: dict[str, Any] = {
+                "ls": line,
+                "marker": "o",
+                "ms": 3,
+                "color": colour,
+                "label": recipe,
+            }
+            axes.plot(findings.eccentricities, curves.loc[path, recipe, tilt], **style)
+        axes.set_yscale("log")
+        axes.set_xlim(-0.2, findings.eccentricities[-1] + 0.2)
+        axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
+
+    return small_multiples(
+        draw,
+        rows=[*findings.paths],
+        columns=["square", "any"],
+        title=lambda path, tilt: f"{path}; {'square' if tilt == 'square' else 'tilted up to 30°'}",
+        x=ECCENTRICITY,
+        y="95 % of eyes, |error| (mm)",
+        height=2.5,
+        sharex=True,
+        sharey=True,
+    )
+
+
+def kappa_figure(findings: EyeFindings) -> Figure:
+    """The fitted pinhole of every random eye against its field, by path."""
+    colours = dict(zip(findings.paths, (BLUE, SKY, GREEN, ORANGE, PURPLE), strict=False))
+
+    def draw(axes: Axes, _: str, __: str) -> None:
+        for path, colour in colours.items():
+            found = findings.paths[path]
+            kappas = found.kappas[findings.random]
+            axes.hist(kappas, bins=40, histtype="step", density=True, color=colour, label=path)
+            axes.axvline(found.paraxial_kappa, color=colour, lw=0.8, ls=":")
+
+    return small_multiples(
+        draw, rows=[""], columns=[""], x="fitted κ (1/mm)", y="density (mm)", height=3.0
+    )
+
+
+# The page.
+
+
+def report(findings: EyeFindings) -> Report:
+    """The report of a run."""
+    return Report(
+        title="How wrong is the distance when the microscope looks through the eye's own optics?",
+        lead=f"Exact spots of a cone (k 20, b −5.117 mm) in {findings.population} random eyes of a "
+        "healthy adult population (Rozema et al. 2016) and in schematic eyes, seen by a microscope "
+        "through a viewing lens, the cornea and the crystalline or an artificial lens. Each recipe "
+        "says what has to be known of the eye. Errors are the largest over the distances and, "
+        "where tilted, over tilts of 30° in three directions; the beam's direction is known.",
+        claims=list(_claims(findings)),
+        sections=[
+            Section(
+                "Error against eccentricity",
+                Picture(
+                    "error",
+                    error_figure(findings),
+                    "Largest error of 95 % of the eyes. Left: perpendicular beams; right: tilted, "
+                    "too. Grey: the largest c that a pupil of 7 mm shows (5 to 95 % of the eyes); "
+                    "spots beyond it are computed as if the iris were open. Dashed: 0.1 and "
+                    "0.5 mm. A line ends where fewer than 95 % of the eyes show a whole spot.",
+                    data="eye_errors.csv",
+                ),
+                Table.of(
+                    findings.limits,
+                    {
+                        "path": Column("path"),
+                        "recipe": Column("recipe"),
+                        "tilt": Column("tilt"),
+                        "median_0_1_mm": Column("half of the eyes, 0.1 mm", 1),
+                        "median_0_5_mm": Column("half, 0.5 mm", 1),
+                        "within_0_1_mm": Column("95 %, 0.1 mm", 1),
+                        "within_0_5_mm": Column("95 %, 0.5 mm", 1),
+                    },
+                    "c in mm up to which half and 95 % of the eyes stay within 0.1 and 0.5 mm: "
+                    "perpendicular beams (square), and tilted ones, too (any). Empty if the limit "
+                    "is exceeded at c = 0. No c is counted at which fewer than 95 % of the eyes "
+                    "show the whole spot: an artificial lens ends within the pupil.",
+                    data="limits.csv",
+                ),
+                _RECIPES,
+            ),
+            Section(
+                "The pinhole that stands for an eye",
+                Picture(
+                    "kappa",
+                    kappa_figure(findings),
+                    "Reciprocal working distance κ = 1/(z_F + r) fitted in each random eye. "
+                    "Dotted: that of the paraxial pinhole of Navarro's eye. Negative: the pinhole "
+                    "lies behind the retina.",
+                    data="eyes.csv",
+                ),
+                Table.of(
+                    findings.pinholes,
+                    {
+                        "path": Column("path"),
+                        "paraxial": Column("paraxial κ, 1/mm", 3, sign=True),
+                        "schematic": Column("κ, Navarro", 3, sign=True),
+                        "mean": Column("κ, mean", 3, sign=True),
+                        "deviation": Column("σ of κ", 3),
+                        "field_low": Column("field, 5 %", 1),
+                        "field": Column("50 %", 1),
+                        "field_high": Column("95 %, mm", 1),
+                    },
+                    "Pinholes, and the largest c that a dilated pupil of 7 mm shows.",
+                    data="eyes.csv",
+                ),
+                Table.of(
+                    findings.schematic_eyes,
+                    {
+                        "path": Column("path"),
+                        "eye": Column("eye"),
+                        "kappa_per_mm": Column("κ, 1/mm", 3, sign=True),
+                        "field_mm": Column("field, mm", 2),
+                        "fitted_error_mm": Column("own pinhole, mm"),
+                        "schematic_error_mm": Column("Navarro's, mm"),
+                    },
+                    "Schematic eyes: fitted κ, field, and largest |error| at c = 3 mm by the area "
+                    "with the eye's own and with Navarro's pinhole. The random eyes have Navarro's "
+                    "kind of lens, of one index; the lenses of the others have a gradient.",
+                    data="eyes.csv",
+                ),
+            ),
+            Section(
+                "Why",
+                Table.of(
+                    findings.causes,
+                    {
+                        "recipe": Column("recipe"),
+                        "c_mm": Column("c, mm", 1),
+                        "cause": Column("cause"),
+                        "share_mm": Column("share of the 95 % error, mm", sign=True),
+                    },
+                    f"Shapley's shares in the error of 95 % of the eyes, {findings.causes_path}, "
+                    "tilted beams included. The first row of each block is the error in the mean "
+                    "eye without noise, which the shares add to.",
+                    data="causes.csv",
+                ),
+            ),
+        ],
+        data={
+            "eye_errors.csv": findings.summaries,
+            "limits.csv": findings.limits,
+            "eyes.csv": findings.eyes,
+            "causes.csv": findings.causes,
+        },
+    )
+
+
+_RECIPES = (
+    f"“{Recipe.SMALL_PLANE}” is the paper's; like “{Recipe.PLANAR}” and “{Recipe.STEREOGRAPHIC}” "
+    f"it knows nothing of the eye but a sphere of {NOMINAL_RADIUS_MM:g} mm. "
+    f"“{Recipe.PARAXIAL}” and “{Recipe.LOCAL}” take the "
+    "pinhole or the magnification from Navarro's eye behind the same viewing lens. "
+    f"“{Recipe.FITTED}” and “{Recipe.AREA}” fit δ, κ and the radius of a sphere in the eye itself, "
+    f"from three withdrawals at c = {', '.join(f'{c:g}' for c in WITHDRAWALS_C_MM)} mm with nine "
+    "frames each, like `eyespot fit --model eye`: the robot's axis known, 25° from the retina's "
+    "normal and sideways; 0.1 px of noise on the centre and each semi-axis and 0.05 mm on each "
+    "touch. "
+    f"“{Recipe.EXACT_SCHEMATIC}” traces the spot through Navarro's eye onto its retina. "
+    f"“{Recipe.AREA_SCHEMATIC}” uses the pinhole and the sphere that this fit finds in Navarro's "
+    "eye. The recipes with “area” or “exact” look for the exact spot that has the ellipse's centre "
+    "and area. The others use the semi-minor axis, know c and assume a perpendicular beam."
+)
+
+
+def _claims(findings: EyeFindings) -> Iterator[Claim]:
+    limits = findings.limits
+    for path, field in zip(findings.pinholes.path, findings.pinholes.field, strict=True):
+        tilted = limits[(limits.path == path) & (limits.tilt == "any")].set_index("recipe")
+        within = tilted.within_0_1_mm.fillna(0.0)  # exceeded at c = 0: it is kept up to 0
+        yield Claim(
+            name=f"within {LIMITS_MM[0]:g} mm, {path}",
+            sentence="Through {path}, 95 % of the eyes stay within {limit:g} mm up to c = "
+            "{value:.1f} mm with a pinhole fitted in the eye and the ellipse's area, up to "
+            "{schematic:.1f} mm with the pinhole of Navarro's eye, and up to {small:.1f} mm with "
+            "small_plane. A pupil of 7 mm shows c = {field:.1f} mm (median).",
+            value=within[Recipe.AREA],
+            numbers={
+                "path": path,
+                "limit": LIMITS_MM[0],
+                "schematic": within[Recipe.AREA_SCHEMATIC],
+                "small": within[Recipe.SMALL_PLANE],
+                "field": field,
+            },
+        )
+    eyes = findings.schematic_eyes
+    for path, gradient in grouped(eyes[eyes.eye != "navarro"], "path"):
+        yield _gradient_lenses(path, gradient)
+    yield _small_plane(findings)
+    yield _largest_cause(findings)
+
+
+def _gradient_lenses(path: str, eyes: pd.DataFrame) -> Claim:
+    return Claim(
+        name=f"other schematic eyes, {path}",
+        sentence="Through {path}, at c = 3 mm, the schematic eyes with a gradient lens (Liou and "
+        "Brennan, Atchison from {low:g} to {high:g} D) are off by up to {value:.3f} mm with their "
+        "own pinhole and the area, and by up to {navarro:.2f} mm with Navarro's pinhole.",
+        value=eyes.fitted_error_mm.max(),
+        numbers={
+            "path": path,
+            "low": min(REFRACTIONS_D),
+            "high": max(REFRACTIONS_D),
+            "navarro": eyes.schematic_error_mm.max(),
+        },
+    )
+
+
+def _small_plane(findings: EyeFindings) -> Claim:
+    c = 3.0
+    place = int(np.flatnonzero(findings.eccentricities == c)[0])
+    medians = {
+        path: np.nanmedian(found.errors[Recipe.SMALL_PLANE][findings.random, place, :, 0], axis=0)
+        for path, found in findings.paths.items()
+    }
+    worst = {path: float(m[np.argmax(np.abs(m))]) for path, m in medians.items()}
+    return Claim(
+        name="small_plane at c = 3",
+        sentence="At c = {c:g} mm and a perpendicular beam small_plane errs by {listed} (median of "
+        "the eyes at the worst distance).",
+        value=tuple(worst.values()),
+        numbers={"c": c, "listed": "; ".join(f"{e:+.2f} mm, {p}" for p, e in worst.items())},
+    )
+
+
+def _largest_cause(findings: EyeFindings) -> Claim:
+    of = findings.causes
+    rows = rows_of(of[(of.recipe == Recipe.AREA) & (of.c_mm == 3.0)])
+    largest = max(rows, key=lambda row: row.share_mm)
+    return Claim(
+        name="largest remaining cause",
+        sentence="With the fitted pinhole and the area the largest share of what remains at "
+        "c = {row.c_mm:g} mm is {value:.3f} mm: {row.cause} ({path}).",
+        value=largest.share_mm,
+        numbers={"row": largest, "path": findings.causes_path},
+    )

@@ -6,18 +6,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 import scenes
 from benchmarks.evaluation import SUBPIXEL, Tracked, track_stack
 from benchmarks.reporting import Study
-from benchmarks.studies.medium.findings import (
+from benchmarks.studies.medium.light import (
     AIR,
+    COLUMNS,
     CONE,
     FARTHEST_MM,
     NEAREST_MM,
     VITREOUS,
     Curve,
-    MediumError,
     Method,
 )
 from calibration import PlaneFit, fit_plane
@@ -32,9 +33,7 @@ def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Sce
     """Withdrawals with each light: on a plane in air, in an eyeball in both media.
 
     Args:
-        scene: to start from.
         lights: lenses, and "cone".
-        frames: of a withdrawal.
     """
     return {
         f"{_slug(light)}-{medium}-{phantom}": scenes.changed(
@@ -56,18 +55,11 @@ def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Sce
     }
 
 
-def measure(
-    study: Study, *, frames: int, curves: Mapping[tuple[str, str], Curve]
-) -> tuple[dict[str, PlaneFit], list[MediumError]]:
-    """Render, track, calibrate in air and use.
+def measure(study: Study, *, frames: int, curves: Mapping[tuple[str, str], Curve]) -> pd.DataFrame:
+    """Render, track, calibrate in air and use: errors in the eyeball.
 
     Args:
-        study: whose scene is rendered.
-        frames: of a withdrawal.
         curves: by light and medium: what the lens model says without another fit.
-
-    Returns:
-        The fits in air by light, and errors in the eyeball.
     """
     lights = list(dict.fromkeys(light for light, _ in curves))
     every = trials(study.scene, lights=lights, frames=frames)
@@ -78,24 +70,22 @@ def measure(
         return stack, track_stack(stack, SUBPIXEL, spots_file=spots / f"{name}.csv")
 
     tracked = study.measured(every, track)
-    fits, rows = {}, []
+    errors = []
     for light in lights:
         _, seen = tracked[f"{_slug(light)}-{AIR}-plane"]
         # The robot's reading since the first frame, whose distance is known here.
         reading = NEAREST_MM + seen.travel_mm
-        fits[light] = fit_plane(semi_minor_px=seen.semi_minor_px, distance=reading)
+        fit = fit_plane(semi_minor_px=seen.semi_minor_px, distance=reading)
         for medium in (AIR, VITREOUS):
             name = f"{_slug(light)}-{medium}-eyeball"
-            calibrations: dict[Method, Calibration] = {
-                Method.AIR_CONE: _of_fit(fits[light], study.scene)
-            }
+            calibrations = {Method.AIR_CONE: _of_fit(fit, study.scene)}
             if light != CONE and medium == VITREOUS:
-                regression = curves[light, medium].regression
+                regression = curves[light, medium].cone
                 values = {"k": regression.k, "b": regression.b_mm}
                 calibrations[Method.LENS_CONE] = study_calibration("planar", values, medium=medium)
                 calibrations[Method.LENS] = true_calibration(every[name])
-            rows += _errors(every[name], *tracked[name], calibrations)
-    return fits, rows
+            errors.append(_errors(every[name], *tracked[name], calibrations))
+    return pd.concat(errors, ignore_index=True)
 
 
 def _slug(light: str) -> str:
@@ -105,7 +95,7 @@ def _slug(light: str) -> str:
 
 def _errors(
     scene: Scene, stack: Stack, tracked: Tracked, calibrations: Mapping[Method, Calibration]
-) -> list[MediumError]:
+) -> pd.DataFrame:
     light = CONE if scene.source.kind == CONE else scene.source.lens
     microscope = read_microscope(stack.folder / "microscope.json")
     rows = []
@@ -117,20 +107,10 @@ def _errors(
             if not (used and isinstance(result, Spot)):
                 continue
             found = ranger.distance(result, frame=stack.image(label))
-            rows.append(
-                MediumError(
-                    source="rendered",
-                    light=light,
-                    medium=scene.source.medium,
-                    method=method,
-                    d_mm=label.d_mm,
-                    radius_mm=result.semi_minor_px * microscope.scale_mm_px,
-                    estimate_mm=found.distance_mm,
-                    error_mm=found.distance_mm - label.d_mm,
-                    ambiguous=bool(found.others_mm),
-                )
-            )
-    return rows
+            radius, estimate = result.semi_minor_px * microscope.scale_mm_px, found.distance_mm
+            values = (label.d_mm, radius, estimate, estimate - label.d_mm, bool(found.others_mm))
+            rows.append(("rendered", light, scene.source.medium, method, *values))
+    return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def _of_fit(fit: PlaneFit, scene: Scene) -> Calibration:

@@ -2,12 +2,9 @@
 
 analytic  The analytic part: exact contours with noise, over the working volume
 command   The command `eyespot study pose`
-errors    A pose in the working volume, and the error of an estimate of it
-figures   The figures of the report
-findings  The results as data: the error of every pose, and summaries
+errors    The working volume, a pose in it, and the error of an estimate
 rendered  The rendered part: frames of an even wall, spots and poses by the estimator
-report    The report
-run       The computation: exact contours, rendered frames, errors
+run       The study: exact contours, rendered frames, summaries, figures, page
 """
 
 import lazy_loader

@@ -13,15 +13,18 @@ import numpy as np
 from scipy.stats import qmc
 
 import optics
-from benchmarks.studies.pose.errors import Estimate, Place, drawn_prior, place_at, pose_error
-from benchmarks.studies.pose.findings import (
+from benchmarks.studies.pose.errors import (
     FARTHEST_MM,
     HALF_WIDTH_MM,
     INCIDENCE_DEG,
     NEAREST_MM,
     NOISE_PX,
-    PoseError,
+    Estimate,
+    Place,
     Prior,
+    drawn_prior,
+    place_at,
+    pose_error,
 )
 from calibration.spots import (
     Tool,
@@ -38,9 +41,7 @@ def places(wall: optics.Sphere, *, count: int, seed: int) -> list[Place]:
     """Poses that fill the working volume evenly (scrambled Sobol points).
 
     Args:
-        wall: the eyeball.
         count: of poses; a power of two is balanced.
-        seed: of the scrambling.
     """
     engine = qmc.Sobol(d=6, scramble=True, rng=np.random.default_rng(seed))
     low = [-HALF_WIDTH_MM, -HALF_WIDTH_MM, NEAREST_MM, INCIDENCE_DEG[0], 0.0, 0.0]
@@ -61,7 +62,7 @@ def places(wall: optics.Sphere, *, count: int, seed: int) -> list[Place]:
 
 def errors(
     tool: Tool, every: list[Place], wall: optics.Sphere, view: optics.Microscope, *, seed: int
-) -> list[PoseError]:
+) -> list[dict[str, Any]]:
     """Errors of the poses from a noisy contour at each place, with each kind of prior.
 
     One spot is solved by `optics.pose_from_contour`, several by `calibration.spots.fit_tool` from

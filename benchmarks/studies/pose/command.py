@@ -6,9 +6,11 @@ from benchmarks.reporting import Changes, OutputFolder, Quick, Seed, StartingSce
 
 
 def pose(
-    out: OutputFolder,
     scene: StartingScene = None,
-    changes: Changes = None,
+    /,
+    *,
+    out: OutputFolder,
+    changes: Changes = (),
     quick: Quick = False,
     seed: Seed = None,
 ) -> None:
@@ -19,4 +21,4 @@ def pose(
     from benchmarks.reporting import Request
     from benchmarks.studies.pose.run import run
 
-    run(Request(out=out, scene=scene, changes=tuple(changes or ()), quick=quick, seed=seed))
+    run(Request(out=out, scene=scene, changes=changes, quick=quick, seed=seed))

@@ -1,15 +1,46 @@
-"""A pose of the working volume, and how far an estimate is from it."""
+"""The working volume, a pose in it, and how far an estimate is from it."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from enum import StrEnum
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import optics
-from benchmarks.studies.pose.findings import PRIOR_DEG, PoseError, Prior
 from calibration.spots import Tool, ToolPose
+
+HALF_WIDTH_MM = 5.0
+"""Half the side of the square around the microscope's axis in which O lies: 10 mm x 10 mm."""
+NEAREST_MM, FARTHEST_MM = 0.5, 5.5
+"""Distances from tip to wall along the beam: 5 mm of depth."""
+INCIDENCE_DEG = (10.0, 30.0)
+NOISE_PX = 0.05
+"""Standard deviation across the contour of each of 128 points."""
+LARGEST_C_MM = 5.0
+"""Largest eccentricity of the rendered spots."""
+PRIOR_DEG = 5.0
+"""Standard deviation of the direction prior across the axis, as for a rough robot calibration."""
+
+REPORTED = {1: (0.029, 0.124), 3: (0.025, 0.101)}
+"""Mean errors of tip (mm) and axis (degrees) by number of spots: Zhou et al., "Theoretical error
+analysis of spotlight-based instrument localization for retinal surgery", Robotica 2023; rendered
+in Blender, with another light and eye."""
+
+
+class Prior(StrEnum):
+    """Prior knowledge of the axis."""
+
+    ROUGH = "5 deg"
+    NONE = "none"
+    KNOWN = "axis known"
+
+    @property
+    def sigma_rad(self) -> float:
+        """The solver's standard deviation of the prior across the axis, rad."""
+        return {Prior.ROUGH: math.radians(PRIOR_DEG), Prior.NONE: 1e6, Prior.KNOWN: 1e-6}[self]
+
 
 _MIRRORED_DEG = 2.0
 """An axis farther off than this, and nearer to the mirror image than to the truth, is mirrored."""
@@ -36,7 +67,6 @@ class Place(NamedTuple):
     """A pose of the working volume.
 
     Attributes:
-        pose: of the tool.
         c_mm, d_mm, incidence_deg, azimuth_deg: the same by where the axis meets the wall.
         outward: wall's normal at O.
     """
@@ -94,38 +124,39 @@ def pose_error(
     pinhole_height: float,
     noise_px: float,
     covariance: np.ndarray,
-) -> PoseError:
-    """The row of an estimate.
+) -> dict[str, Any]:
+    """Row of pose_error.csv; errors are estimate - truth, or lengths and angles between the two.
+
+    `mirrored`: whether the solution has the reversed incidence. The bounds are the Cramér-Rao
+    standard deviations of the same quantities for the row's noise. `sigma_distance_mm` is the
+    standard deviation that the estimator reports.
 
     Args:
         place: the true pose.
-        found: the estimate.
         source: "analytic" or "rendered".
-        spots: number of spots.
-        prior: of the axis.
         pinhole_height: z_F, mm.
         noise_px: of the contour's points.
         covariance: the bound, of tip and axis or of the tip only.
     """
     true = np.asarray(place.pose.axis)
-    return PoseError(
-        source=source,
-        spots=spots,
-        prior=prior,
-        z_f_mm=pinhole_height,
-        c_mm=place.c_mm,
-        d_mm=place.d_mm,
-        incidence_deg=place.incidence_deg,
-        azimuth_deg=place.azimuth_deg,
-        noise_px=noise_px,
-        mirrored=is_mirrored(found.axis, true, place.outward),
-        tip_error_mm=float(np.linalg.norm(found.tip - np.asarray(place.pose.tip))),
-        axis_error_deg=angle_deg(found.axis, true),
-        distance_error_mm=float(found.distance - place.d_mm),
-        tip_bound_mm=tip_bound(covariance),
-        axis_bound_deg=axis_bound_deg(covariance),
-        sigma_distance_mm=float(found.sigma_distance),
-    )
+    return {
+        "source": source,
+        "spots": spots,
+        "prior": prior,
+        "z_f_mm": pinhole_height,
+        "c_mm": place.c_mm,
+        "d_mm": place.d_mm,
+        "incidence_deg": place.incidence_deg,
+        "azimuth_deg": place.azimuth_deg,
+        "noise_px": noise_px,
+        "mirrored": is_mirrored(found.axis, true, place.outward),
+        "tip_error_mm": float(np.linalg.norm(found.tip - np.asarray(place.pose.tip))),
+        "axis_error_deg": angle_deg(found.axis, true),
+        "distance_error_mm": float(found.distance - place.d_mm),
+        "tip_bound_mm": tip_bound(covariance),
+        "axis_bound_deg": axis_bound_deg(covariance),
+        "sigma_distance_mm": float(found.sigma_distance),
+    }
 
 
 def tip_bound(covariance: np.ndarray) -> float:

@@ -6,6 +6,7 @@ import csv
 import math
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,13 +18,13 @@ from benchmarks.reporting import Study
 from benchmarks.studies.pose.errors import (
     Estimate,
     Place,
+    Prior,
     drawn_prior,
     one_spot,
     place_at,
     pose_error,
     three_spots,
 )
-from benchmarks.studies.pose.findings import PoseError, Prior
 from calibration.spots import Tool, ToolPose, fit_tool, tool_beams, tool_pose_bound
 from estimator import (
     MicroscopeFile,
@@ -77,11 +78,10 @@ def places_at(scene: Scene, *, c: float, poses: int) -> list[Place]:
     ]
 
 
-def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[PoseError]:
+def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[dict[str, Any]]:
     """Render, track and solve with one spot and with three.
 
     Args:
-        study: whose scene is rendered.
         eccentricities: c of the wall points, mm.
         poses: at each of them.
     """
@@ -163,7 +163,7 @@ def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None
 
 def _errors(
     tool: Tool, place: Place, seen: list[Spot], prior: np.ndarray, ranger: Ranger
-) -> list[PoseError]:
+) -> list[dict[str, Any]]:
     """Errors with each kind of prior, all from the same spots."""
     microscope = ranger.microscope
     surface, view = optics.Sphere(microscope.eye_radius_mm), microscope.pinhole()

@@ -9,28 +9,25 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 
 import optics
-from benchmarks.studies.rivals.findings import (
+from benchmarks.studies.rivals.sensors import (
     CONTOUR_PX,
     MARK_PX,
     WALL_PX,
-    Bias,
-    Expected,
+    Known,
+    Marks,
     Outcome,
     Sensor,
     Wrong,
-)
-from benchmarks.studies.rivals.sensors import (
-    Known,
-    Marks,
     by_shadow,
     by_spot,
     by_stereo,
     marks_of,
+    outcomes_at,
 )
 from benchmarks.studies.rivals.setup import RADIUS_MM, Numbers, Place, Views, place
-from benchmarks.studies.rivals.visible import outcomes_at
 
 _POINTS = 128
 _LAMP_OFF_MM, _AXIS_OFF_DEG, _RADIUS_OFF_MM = 1.0, 1.0, 0.5
@@ -43,7 +40,6 @@ class Assumed(NamedTuple):
 
     Attributes:
         lamp: end of the light guide, mm.
-        axis: of the instrument.
         lower: by how much the wall's radius is taken too large, mm.
     """
 
@@ -61,17 +57,17 @@ def expected(
     distances: np.ndarray,
     draws: int,
     seed: int,
-) -> tuple[list[Expected], list[Bias]]:
-    """Standard deviations and biases of all sensors through one path.
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Rows of expected.csv and of wrong.csv for one path.
+
+    The first are standard deviations of marks of the stated noise, with everything known; the
+    second are errors of exact marks if one assumption is wrong, RMS over directions.
 
     Args:
-        path: its name.
-        seen: its cameras.
         pinholes: cameras at the same places without a path.
         eccentricities: c, mm.
         distances: d, mm.
         draws: of the noise at each place.
-        seed: of the noise.
     """
     every = [
         place(eccentricity=c, distance=d)
@@ -88,21 +84,13 @@ def expected(
     noise = _noise(true, draws, len(assumed), seed)
     read = {sensor: np.asarray(d) for sensor, d in _read(true, noise, batch, seen).items()}
     by_pinhole = read if path == "pinhole" else _read(true, noise, batch, pinholes)
-    rows = [
-        Expected(
-            sensor,
-            path,
-            float(one.eccentricity),
-            float(one.distance),
-            outcome,
-            float(values.std()) if outcome == Outcome.READ else math.nan,
-        )
-        for sensor in Sensor
-        for one, outcome, values in zip(
-            every, outcomes[sensor], read[sensor][:draws].T, strict=True
-        )
-    ]
-    biases, first = [], draws
+    where = {"path": path, "c_mm": places.eccentricity, "d_mm": places.distance}
+    noisy, biases, first = [], [], draws
+    for sensor in Sensor:
+        done = np.array(outcomes[sensor]) == Outcome.READ
+        sigma = np.where(done, read[sensor][:draws].std(axis=0), np.nan)
+        about = {"sensor": sensor, **where, "outcome": outcomes[sensor]}
+        noisy.append(pd.DataFrame(about | {"sigma_mm": sigma}))
     for wrong, several in cases.items():
         part = slice(first, first + len(several))
         first = part.stop
@@ -113,12 +101,11 @@ def expected(
             error = np.asarray(values)[part] - places.distance
             # Displacements in opposite directions have opposite effects; their size counts.
             size = error[0] if len(error) == 1 else np.sqrt(np.mean(error**2, axis=0))
-            biases += [
-                Bias(sensor, path, wrong, float(o.eccentricity), float(o.distance), float(e))
-                for o, outcome, e in zip(every, outcomes[sensor], size, strict=True)
-                if outcome == Outcome.READ
-            ]
-    return rows, biases
+            rows = pd.DataFrame({"sensor": sensor, **where, "wrong": wrong, "error_mm": size})
+            biases.append(rows[np.array(outcomes[sensor]) == Outcome.READ])
+    columns = ["sensor", "path", "wrong", "c_mm", "d_mm", "error_mm"]
+    wrongs = pd.concat(biases, ignore_index=True)[columns]
+    return pd.concat(noisy, ignore_index=True), wrongs
 
 
 @eqx.filter_jit

@@ -94,9 +94,7 @@ def wall_height(left: np.ndarray, right: np.ndarray, one: Place, seen: Views) ->
 
     Args:
         left: grey image.
-        right: the other one.
         one: place of the instrument, which hides a part of the wall.
-        seen: cameras of these images.
     """
     textures = [
         gaussian_filter(image, _SMOOTH_PX) - gaussian_filter(image, _COARSE_PX)

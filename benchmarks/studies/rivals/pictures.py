@@ -57,7 +57,6 @@ def base_scene(scene: Scene, path: str, wall: str, *, eccentricity: float) -> Sc
     Args:
         scene: the study's.
         path: name of the viewing path.
-        wall: kind of the wall.
         eccentricity: c of O, mm.
     """
     lens = PATHS[path]
@@ -90,7 +89,6 @@ def pictures(scene: Scene, one: Place, seen: Views) -> Pictures:
     Args:
         scene: `base_scene` of the place.
         one: of instrument and light guide.
-        seen: the cameras.
     """
     lit = scenes.changed(
         scene,

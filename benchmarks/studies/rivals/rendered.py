@@ -15,8 +15,7 @@ import scenes
 from benchmarks.evaluation import SUBPIXEL, VISIBLE_ENOUGH, track_stack
 from benchmarks.reporting import Study
 from benchmarks.studies.rivals import marks, pictures, sensors
-from benchmarks.studies.rivals.findings import Outcome, Reading, Sensor
-from benchmarks.studies.rivals.sensors import Known
+from benchmarks.studies.rivals.sensors import Known, Outcome, Sensor, outcomes_at
 from benchmarks.studies.rivals.setup import (
     CONE,
     RADIUS_MM,
@@ -27,10 +26,17 @@ from benchmarks.studies.rivals.setup import (
     project,
     views,
 )
-from benchmarks.studies.rivals.visible import outcomes_at
 from estimator import FrameLabels, NoSpot, Spot, Stack
 from estimator.run import progress
 from scenes import Scene
+
+Reading = tuple[Sensor, str, str, float, float, Outcome, float, float]
+READING = "sensor path wall c_mm d_mm outcome error_mm mark_error_px".split()
+"""Row of readings.csv, and its columns; error = estimate - truth.
+
+The marks' errors are the largest of the reading's marks: the semi-minor axis for the spot, the
+place of tip and shadow otherwise; empty if nothing was read.
+"""
 
 _by_spot, _by_shadow, _in_space, _distance_along = (
     eqx.filter_jit(function)
@@ -47,11 +53,8 @@ class Trial(NamedTuple):
     """Places with one path, one wall and one eccentricity.
 
     Attributes:
-        path: its name.
-        wall: its kind.
         c: mm.
         scene: that all places have in common.
-        places: one for each distance.
     """
 
     path: str
@@ -169,7 +172,7 @@ def _reading(
     mark_error: float = math.nan,
 ) -> Reading:
     d = float(one.distance)
-    return Reading(sensor, trial.path, trial.wall, trial.c, d, outcome, distance - d, mark_error)
+    return sensor, trial.path, trial.wall, trial.c, d, outcome, distance - d, mark_error
 
 
 def _spot_reading(

@@ -28,7 +28,6 @@ class Pooling(NamedTuple):
     Attributes:
         means: mean reading of each trial, mm.
         weights: share of each trial in all spots.
-        row: the pooled line.
     """
 
     means: tuple[float, ...]
@@ -100,7 +99,6 @@ def nearest(rows: Sequence[PlaneRow], printed: PlaneRow, *, tolerance: PlaneRow)
 
     Args:
         rows: each trial's own line.
-        printed: the pooled row.
         tolerance: unit of each figure's distance.
     """
     count = len(rows)

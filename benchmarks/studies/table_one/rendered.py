@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import tomli_w
 
 import scenes
@@ -15,15 +17,15 @@ from benchmarks.evaluation import (
     LITERAL,
     PAPERS_PLANES,
     SUBPIXEL,
+    Criterion,
     Photographer,
     PlaneRow,
     Shot,
     paper_trials,
+    reproduction,
 )
-from benchmarks.reporting import Study
-from benchmarks.studies.table_one.findings import ConfirmedLens, LensChoice, RenderedLine
-from benchmarks.studies.table_one.isophotes import Family
-from benchmarks.studies.table_one.scan import NEAR_CONTACT_MM, misses
+from benchmarks.reporting import Claim, Study, rows_of
+from benchmarks.studies.table_one.scan import NEAR_CONTACT_MM, Family, LensChoice, misses
 from calibration import fit_lines
 from estimator.files import written_whole
 from scenes import Scene
@@ -31,6 +33,47 @@ from scenes import Scene
 LIGHTS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2)
 """Factors on the fixed exposure: a place of the picture reflects more or less than the mean."""
 _TRIALS = tuple(PAPERS_PLANES)
+_LENS = ("numerical_aperture", "sag_mm", "level", "from_mm", "to_mm", "scale_mm_px")
+
+
+class ConfirmedLens(NamedTuple):
+    """A choice of the scan on rendered stacks.
+
+    Attributes:
+        choice: of the scan, with the threshold and the first reading at which the rendered spots
+            come nearest to Table I.
+        spots: e1' (px, NaN where none counts) and d_r (mm) by (way, trial).
+        lines: rows of table_one_rendered.csv, "all planes" among the trials.
+    """
+
+    choice: LensChoice
+    spots: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]
+    lines: pd.DataFrame
+
+    def line(self, way: str, trial: str) -> Any:
+        """The row of one way of measuring and one trial."""
+        return rows_of(self.lines[(self.lines.way == way) & (self.lines.trial == trial)])[0]
+
+    @property
+    def criteria(self) -> dict[Criterion, Claim]:
+        """The criteria of Table I in literal mode."""
+        fits = {
+            row.trial: PlaneRow(row.delta_k_mm_px, row.b_mm, row.r_squared, row.rmse_mm)
+            for row in rows_of(self.lines[self.lines.way == LITERAL.name])
+        }
+        return reproduction(fits, name="Table I by the best lens")
+
+    @property
+    def reproduces(self) -> bool:
+        """Whether all criteria are met, scatter as large as the paper's included."""
+        return all(claim.holds for claim in self.criteria.values())
+
+    @property
+    def straight(self) -> bool:
+        """Whether they are met if the scatter may be smaller than the paper's."""
+        rmse = self.criteria[Criterion.RMSE]
+        others = (c for criterion, c in self.criteria.items() if criterion != Criterion.RMSE)
+        return np.max(rmse.value) <= rmse.high and all(claim.holds for claim in others)
 
 
 def confirm(study: Study, choices: Sequence[LensChoice], *, frames: int) -> list[ConfirmedLens]:
@@ -38,8 +81,6 @@ def confirm(study: Study, choices: Sequence[LensChoice], *, frames: int) -> list
 
     Args:
         study: lens files and stacks are written into its folder.
-        choices: of the scan.
-        frames: of a trial.
     """
     wanted = {
         (choice, trial): scene
@@ -121,12 +162,17 @@ def _confirmed(choice: LensChoice, trials: Mapping[str, Photographer]) -> Confir
             t: p.measure(SUBPIXEL, [Shot(seed=p.scene.seed)])[0] for t, p in trials.items()
         },
     }
-    lines = {}
+    rows = []
     for way, spots in seen.items():
-        for trial in _TRIALS:
-            own = _from(start, {trial: spots[trial]}, readings)
-            lines[way, trial] = _line(choice, way, trial, *own)
-        lines[way, ALL_PLANES] = _line(choice, way, ALL_PLANES, *_from(start, spots, readings))
+        for trial, of in [(t, {t: spots[t]}) for t in _TRIALS] + [(ALL_PLANES, spots)]:
+            semi_minor, reading = _from(start, of, readings)
+            line = PlaneRow(*(float(x) for x in fit_lines(semi_minor, reading)))
+            count = int(np.count_nonzero(np.isfinite(semi_minor)))
+            rows.append((way, trial, *line, -line.b / line.delta_k, count))
+    columns = "way trial delta_k_mm_px b_mm r_squared rmse_mm contact_radius_px spots".split()
+    lines = pd.DataFrame(rows, columns=columns)
+    for n, name in enumerate(_LENS):
+        lines.insert(n, name, getattr(choice, name))
     return ConfirmedLens(
         choice,
         {(way, t): (spots[t], readings[t]) for way, spots in seen.items() for t in _TRIALS},
@@ -142,11 +188,3 @@ def _from(
     reading = np.concatenate([readings[trial] for trial in spots])
     inside = reading > start - 1e-6
     return axis[inside], reading[inside]
-
-
-def _line(
-    choice: LensChoice, way: str, trial: str, semi_minor_px: np.ndarray, reading: np.ndarray
-) -> RenderedLine:
-    line = PlaneRow(*(float(x) for x in fit_lines(semi_minor_px, reading)))
-    spots = int(np.count_nonzero(np.isfinite(semi_minor_px)))
-    return RenderedLine.of(choice, way, trial, line, spots=spots)

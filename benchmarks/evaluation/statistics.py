@@ -1,10 +1,34 @@
-"""Shapley's fair shares: what each player adds to a whole, over all orders of joining."""
+"""Summaries of errors, and Shapley's fair shares of a whole.
+
+NaN stands for a missing error and is left out; a summary is NaN if no error is there.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
+
+
+def mean(errors: Iterable[float]) -> float:
+    """Their mean."""
+    there = _there(errors)
+    return sum(there) / len(there) if there else math.nan
+
+
+def rms(errors: Iterable[float]) -> float:
+    """Their root mean square."""
+    return math.sqrt(mean(e * e for e in errors))
+
+
+def largest(errors: Iterable[float]) -> float:
+    """The largest absolute value."""
+    return max(map(abs, _there(errors)), default=math.nan)
+
+
+def _there(errors: Iterable[float]) -> list[float]:
+    return [float(e) for e in errors if not math.isnan(e)]
 
 
 def coalitions(players: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Checks of a fit: convergence, bounds, chi squared, structure of residuals.
+"""The verdict on a fit: convergence, bounds, chi squared, structure of residuals; what to try.
 
 A fit has one of four verdicts. It is good; or good with too wide standard errors; or good with a
 stated misfit, whose effect its standard errors contain; or not good. Only the last writes no
@@ -8,7 +8,8 @@ calibration.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from enum import Enum, auto
 from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
@@ -16,10 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from calibration.command.remedies import OF_CRITERION, Fault, remedy
-from calibration.pixels import Failure, Misfit
+from calibration.command.fitted import Fitted
+from calibration.pixels import Misfit
 from calibration.solvers import accepted_range
-from estimator.files import QUANTITIES
 
 MOST_CHI_SQUARED = 2.0
 """Largest chi squared per degree of freedom of a fit to spots. Below it, errors grow instead."""
@@ -34,6 +34,90 @@ SIGNIFICANCE = 0.01
 _SHOWN = 2  # reasons in an error message; the report lists all
 
 
+class Fault(Enum):
+    """The criterion that a fit does not meet; the first ones as `calibration.pixels.Criterion`."""
+
+    STEPS = auto()
+    FIRST_ROUND = auto()
+    TABLES = auto()
+    BOUND = auto()
+    UNDETERMINED = auto()
+    LARGE_RESIDUALS = auto()
+    STRUCTURE = auto()
+    MISFIT = auto()
+    OVERSTATED_NOISE = auto()
+    STATED_MISFIT = auto()
+
+    @property
+    def harmless(self) -> bool:
+        """Whether the values are right within their errors."""
+        return self in (Fault.OVERSTATED_NOISE, Fault.STATED_MISFIT)
+
+
+_PRIOR = "a prior (--prior NAME=MEAN,SIGMA)"
+_FEWER = "fewer parameters (--free)"
+_EVEN = "an even wall with nothing in front of it"
+_SPREAD = "spread in --free, if the wall spreads light"
+_CONE = "--model cone, which fits the exact geometry"
+_LENS = "--model lens, if the spot's edge is soft"
+_PLACES = "withdrawals at other places, one within 1 mm of the axis and one beyond 3 mm"
+_ROBOT = (
+    "to check that --eye-from-robot is right to a degree, that the eye did not turn, and that "
+    "--cone belongs to this fibre; or leave out the withdrawal farthest from the axis"
+)
+
+_REMEDIES: dict[Fault, dict[str, str]] = {
+    Fault.STEPS: {
+        "plane sphere": f"--robust, which leaves out outliers, or {_CONE}",
+        "cone image": f"{_FEWER}, or {_PRIOR} for those that are free",
+        "eye": _PLACES,
+        "lens": f"a lens to start from that is nearer to yours (--lens FILE), or {_FEWER}",
+    },
+    Fault.FIRST_ROUND: {
+        "lens": "a lens to start from whose core, aperture and rim are yours (--lens FILE); or a "
+        f"recording of {_EVEN}"
+    },
+    Fault.TABLES: {
+        "lens": f"{_FEWER}, or a recording without the distances at which the spot is sharpest: "
+        "there the lens's light is hardest to compute"
+    },
+    Fault.BOUND: {
+        "plane sphere": f"{_CONE}, or recordings at other distances from the wall",
+        "cone image": f"{_PRIOR} for the parameter at its bound, or a longer withdrawal",
+        "eye": _PLACES,
+        "lens": f"{_PRIOR} for the parameter at its bound, or fit without it (--free)",
+    },
+    Fault.UNDETERMINED: {
+        "plane sphere": f"{_CONE}, and recordings at other places and distances",
+        "cone image lens": f"{_PRIOR} for one of them, or fit without it (--free)",
+        "eye": _PLACES,
+    },
+    Fault.LARGE_RESIDUALS: {
+        "plane sphere": f"--robust, which leaves out outliers, or {_CONE}",
+        "cone": f"{_LENS}, or the microscope's scale and the eye's radius, which may be wrong, in "
+        "--free",
+        "eye": _ROBOT,
+    },
+    Fault.STRUCTURE: {
+        "plane sphere": f"{_CONE}, or --robust, which leaves out outliers",
+        "cone": f"{_LENS}, or a recording of {_EVEN}",
+        "eye": _ROBOT,
+    },
+    Fault.MISFIT: {
+        "image": f"{_LENS}, {_SPREAD}, or a recording of {_EVEN}",
+        "lens": f"{_SPREAD}, or a recording of {_EVEN}. A cap off centre, a tilted end and a "
+        "Gaussian launch cannot be fitted",
+    },
+}
+"""By fault and by models."""
+
+
+def remedy(fault: Fault, *, model: str) -> str:
+    """What to try, with options that the model has; empty if nothing is needed."""
+    tries = _REMEDIES.get(fault, {}).items()
+    return next((text for models, text in tries if model in models.split()), "")
+
+
 class Doubt(NamedTuple):
     """A fault of a fit and the reason in words."""
 
@@ -46,42 +130,23 @@ class Doubt(NamedTuple):
         return self.fault.harmless
 
 
-def doubts(
-    *,
-    converged: bool,
-    failed: Failure | None = None,
-    bounds: tuple[str, ...],
-    undetermined: tuple[str, ...],
-    chi_squared_per_degree: float | None,
-    degrees_of_freedom: int,
-    misfit: Misfit | None,
-    residuals: Mapping[str, Float[np.ndarray, "n"]],
-) -> list[Doubt]:
-    """Reasons why a fit is not good; empty for a good fit.
-
-    Args:
-        converged: whether the solver converged.
-        failed: the criterion of convergence that a fit to pixels does not meet; None if it does.
-        bounds: bounds that the fit reached, in words.
-        undetermined: parameters that the data do not determine, in words.
-        chi_squared_per_degree: None if the noise was estimated from the residuals themselves.
-        degrees_of_freedom: those of chi squared.
-        misfit: of a fit to pixels; None for a fit to spots.
-        residuals: of a fit to spots, by name, ordered so that a misfit affects neighbours alike.
-    """
+def doubts(fitted: Fitted) -> list[Doubt]:
+    """Reasons why a fit is not good; empty for a good fit."""
     found: list[Doubt] = []
-    if not converged:
+    if not fitted.converged:
+        failed = fitted.failed
         why = "the solver did not converge" + (f": {failed.reason}" if failed else "")
-        found.append(Doubt(OF_CRITERION[failed.criterion] if failed else Fault.STEPS, why))
-    found += [Doubt(Fault.BOUND, f"it hit a bound: {bound}") for bound in bounds]
+        found.append(Doubt(Fault[failed.criterion.name] if failed else Fault.STEPS, why))
+    found += [Doubt(Fault.BOUND, f"it hit a bound: {bound}") for bound in fitted.bounds]
     found += [
         Doubt(Fault.UNDETERMINED, f"the data do not determine all parameters: {direction}")
-        for direction in undetermined
+        for direction in fitted.undetermined
     ]
-    if chi_squared_per_degree is not None:
-        found += _of_chi_squared(chi_squared_per_degree, degrees_of_freedom, misfit)
-    level = SIGNIFICANCE / max(len(residuals), 1)
-    chances = {name: runs_probability(values) for name, values in residuals.items()}
+    if fitted.chi_squared_per_degree is not None:
+        misfit = fitted.pixels.misfit if fitted.pixels else None
+        found += of_chi_squared(fitted.chi_squared_per_degree, fitted.degrees_of_freedom, misfit)
+    level = SIGNIFICANCE / max(len(fitted.residuals), 1)
+    chances = {name: runs_probability(values) for name, values in fitted.residuals.items()}
     structured = [name for name, chance in chances.items() if chance < level]
     if structured:
         why = (
@@ -92,7 +157,7 @@ def doubts(
     return found
 
 
-def _of_chi_squared(value: float, degrees: int, misfit: Misfit | None) -> list[Doubt]:
+def of_chi_squared(value: float, degrees: int, misfit: Misfit | None) -> list[Doubt]:
     """Doubts about the size of the residuals, and for pixels about their structure."""
     low, high = accepted_range(degrees)
     said = f"chi squared per degree of freedom is {value:.3g}"
@@ -162,13 +227,3 @@ def runs_probability(values: Float[np.ndarray, "n"]) -> float:
         else:
             ways += 2 * math.comb(positive - 1, half - 1) * math.comb(negative - 1, half - 1)
     return float(Fraction(ways, math.comb(positive + negative, positive)))
-
-
-def bounds_hit(values: Mapping[str, float]) -> tuple[str, ...]:
-    """Parameters outside their physical range, in words."""
-    found = []
-    for name, value in values.items():
-        unit, low, high, _ = QUANTITIES[name]
-        if not low < value < high:
-            found.append(f"{name} = {value:.6g} {unit}, outside of ({low:g}, {high:g})")
-    return tuple(found)
