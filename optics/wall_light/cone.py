@@ -41,7 +41,7 @@ class Cone(eqx.Module):
         half_angle: alpha, rad.
         apex_offset: b, mm.
         blur: sigma of the microscope's Gaussian blur at the cone's edge, px, or None.
-        spread: L of the light's spread in the wall (`optics.wall_spread`), mm, or None.
+        spread: L of the light's spread in the wall (`optics.truth`), mm, or None.
     """
 
     half_angle: Float[Array, ""]

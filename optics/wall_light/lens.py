@@ -23,7 +23,7 @@ class Lens(eqx.Module):
 
     Attributes:
         table: the lens's light near the parameters for which the table was computed.
-        spread: L of the light's spread in the wall (`optics.wall_spread`), mm, or None.
+        spread: L of the light's spread in the wall (`optics.truth`), mm, or None.
     """
 
     table: LensTable
