@@ -1,4 +1,7 @@
-"""A whole fit, from recordings to a report, a table and a calibration file."""
+"""A whole fit, from recordings to a report, a table and a calibration file.
+
+It may be recorded for the viewer rerun: frames, spots, distances by fit and robot, residuals.
+"""
 
 from __future__ import annotations
 
@@ -6,40 +9,112 @@ import hashlib
 import importlib.metadata
 import json
 import math
-import operator
-import sys
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import NamedTuple
-
 import numpy as np
-from rich.console import Console
-from rich.table import Table
-
+import operator
 import optics
+import sys
 from calibration.command import report as fit_report
 from calibration.command.choices import Choices
-from calibration.command.cone_models import EYE, fit_cone_to_spots, fit_eye
+from calibration.command.cone_models import EYE
+from calibration.command.cone_models import fit_cone_to_spots
+from calibration.command.cone_models import fit_eye
 from calibration.command.fitted import Fitted
-from calibration.command.paper_models import fit_planes, fit_sphere
-from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_lens
-from calibration.command.recording import record_fit
-from calibration.command.verdict import doubts, refusal, verdict
-from calibration.pixels import CONE, FREE, NUISANCES, known_names
-from calibration.recordings import Recording, is_stack, read_recording
+from calibration.command.paper_models import fit_planes
+from calibration.command.paper_models import fit_sphere
+from calibration.command.pixel_models import fit_image_of_cone
+from calibration.command.pixel_models import fit_image_of_lens
+from calibration.command.verdict import doubts
+from calibration.command.verdict import refusal
+from calibration.command.verdict import verdict
+from calibration.pixels import CONE
+from calibration.pixels import FREE
+from calibration.pixels import NUISANCES
+from calibration.pixels import known_names
+from calibration.recordings import Recording
+from calibration.recordings import is_stack
+from calibration.recordings import read_recording
 from calibration.solvers import correlations
 from calibration.spots import PARAMETERS
-from estimator.files import (
-    Calibration,
-    in_terminal,
-    read_calibration,
-    require_space,
-    write_calibration,
-    written_whole,
-)
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Sequence
+from estimator import Ranger
+from estimator import Spot
+from estimator.files import Calibration
+from estimator.files import in_terminal
+from estimator.files import read_calibration
+from estimator.files import require_space
+from estimator.files import write_calibration
+from estimator.files import written_whole
 from estimator.run import progress
+from estimator.sources import open_source
 from estimator.viewer import check_recording_path
+from estimator.viewer import recording_of
 from optics import InputError
+from pathlib import Path
+from rich.console import Console
+from rich.table import Table
+from typing import Any
+from typing import NamedTuple
+
+_SPOTS_FILES = (".csv", ".parquet")
+
+
+def record_fit(
+    target: str,
+    fitted: Fitted,
+    recordings: Sequence[Recording],
+    calibration: Calibration,
+    *,
+    exposure: str | None,
+) -> None:
+    """Record the frames of a fit, one recording after the other on the timeline `frame`."""
+    name = ", ".join(recording.name for recording in recordings)
+    touches = {row[0].removeprefix("touch of "): row[1] for row in fitted.others}
+    residuals = _residuals(fitted, recordings)
+    first = 0
+    with recording_of(target, name=name, microscope=recordings[0].microscope) as recorded:
+        for recording in recordings:
+            trial = recording.trial
+            ranger = Ranger(calibration, recording.microscope)
+            touch = touches.get(recording.name, trial.touch.mean)
+            numbers = [record.frame for record in recording.records]
+            seen = zip(recording.records, trial.readings, strict=True)
+            spots = dict(zip(numbers, seen, strict=True))
+            for number, time_s, image in _frames(recording, exposure):
+                recorded.add_frame(first + number, time_s, image)
+                if number not in spots:
+                    continue
+                record, reading = spots[number]
+                assert isinstance(record.result, Spot)
+                found = ranger.distance(record.result, axis=trial.axis, frame=image)
+                recorded.add_measured(record.result, found, "")
+                recorded.add_value("distance/robot", touch + float(reading))
+                for kind, value in next(residuals, {}).items():
+                    recorded.add_value(f"residuals/{kind.replace(' ', '_')}", value)
+            first += recording.frames
+
+
+def _frames(
+    recording: Recording, exposure: str | None
+) -> Iterator[tuple[int, float, np.ndarray | None]]:
+    """Number, time and image of every frame; of a spots file those with a spot, without image."""
+    source = recording.source
+    if source.suffix.lower() in _SPOTS_FILES:
+        yield from ((record.frame, record.time_s, None) for record in recording.records)
+        return
+    for frame in open_source(source, exposure=exposure):
+        yield frame.index, frame.time_s, frame.image
+
+
+def _residuals(fitted: Fitted, recordings: Sequence[Recording]) -> Iterator[dict[str, Any]]:
+    """The residuals of each usable spot, in the order of the recordings; none of pixels."""
+    order = [id(recording) for recording in fitted.recordings]
+    if order != [id(recording) for recording in recordings]:
+        return
+    for row in zip(*fitted.residuals.values(), strict=True):
+        yield {name: float(value) for name, value in zip(fitted.residuals, row, strict=True)}
+
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
 _MOST_BYTES = 2**23  # of a report with its figures
