@@ -9,53 +9,41 @@ import hashlib
 import importlib.metadata
 import json
 import math
-import numpy as np
 import operator
-import optics
 import sys
-from calibration.command import report as fit_report
-from calibration.command.choices import Choices
-from calibration.command.cone_models import EYE
-from calibration.command.cone_models import fit_cone_to_spots
-from calibration.command.cone_models import fit_eye
-from calibration.command.fitted import Fitted
-from calibration.command.paper_models import fit_planes
-from calibration.command.paper_models import fit_sphere
-from calibration.command.pixel_models import fit_image_of_cone
-from calibration.command.pixel_models import fit_image_of_lens
-from calibration.command.verdict import doubts
-from calibration.command.verdict import refusal
-from calibration.command.verdict import verdict
-from calibration.pixels import CONE
-from calibration.pixels import FREE
-from calibration.pixels import NUISANCES
-from calibration.pixels import known_names
-from calibration.recordings import Recording
-from calibration.recordings import is_stack
-from calibration.recordings import read_recording
-from calibration.solvers import correlations
-from calibration.spots import PARAMETERS
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Sequence
-from estimator import Ranger
-from estimator import Spot
-from estimator.files import Calibration
-from estimator.files import in_terminal
-from estimator.files import read_calibration
-from estimator.files import require_space
-from estimator.files import write_calibration
-from estimator.files import written_whole
-from estimator.run import progress
-from estimator.sources import open_source
-from estimator.viewer import check_recording_path
-from estimator.viewer import recording_of
-from optics import InputError
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
 from rich.console import Console
 from rich.table import Table
-from typing import Any
-from typing import NamedTuple
+
+import optics
+from calibration.command import report as fit_report
+from calibration.command.choices import Choices
+from calibration.command.cone_models import EYE, fit_cone_to_spots, fit_eye
+from calibration.command.fitted import Fitted
+from calibration.command.paper_models import fit_planes, fit_sphere
+from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_lens
+from calibration.command.verdict import doubts, refusal, verdict
+from calibration.pixels import CONE, FREE, NUISANCES, known_names
+from calibration.recordings import Recording, is_stack, read_recording
+from calibration.solvers import correlations
+from calibration.spots import PARAMETERS
+from estimator import Ranger, Spot
+from estimator.files import (
+    Calibration,
+    in_terminal,
+    read_calibration,
+    require_space,
+    write_calibration,
+    written_whole,
+)
+from estimator.run import progress
+from estimator.sources import open_source
+from estimator.viewer import check_recording_path, recording_of
+from optics import InputError
 
 _SPOTS_FILES = (".csv", ".parquet")
 

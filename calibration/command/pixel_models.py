@@ -6,36 +6,27 @@ The fit of a lens starts from one that is chosen by the sizes and edge widths of
 from __future__ import annotations
 
 import itertools
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
 import jax
 import jax.numpy as jnp
-import math
 import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+from scipy import ndimage
+
 import optics
-import sys
 from calibration.command.choices import Choices
 from calibration.command.cone_models import cone_start
-from calibration.command.fitted import Fitted
-from calibration.command.fitted import PixelResiduals
-from calibration.command.fitted import bounds_hit
-from calibration.pixels import ImageFit
-from calibration.pixels import LENS
-from calibration.pixels import UNITS
-from calibration.pixels import fit_footage
-from calibration.pixels import lens_start
-from calibration.pixels import read_footage
+from calibration.command.fitted import Fitted, PixelResiduals, bounds_hit
+from calibration.pixels import LENS, UNITS, ImageFit, fit_footage, lens_start, read_footage
 from calibration.recordings import Recording
-from collections.abc import Mapping
-from collections.abc import Sequence
 from estimator import read_stack
-from estimator.files import BEAM
-from estimator.files import LENS_PARAMETERS
+from estimator.files import BEAM, LENS_PARAMETERS
 from estimator.run import progress
-from jaxtyping import Array
-from jaxtyping import ArrayLike
-from jaxtyping import Float
 from optics import InputError
-from scipy import ndimage
-from typing import Literal
 
 FLATTEST = 0.02
 """Height of the flattest start cap over the core's radius; a sag of 0 cannot be fitted."""

@@ -1,4 +1,4 @@
-"""The fit to all pixels: its start, the model on all chunks, and steps from blurred frames to sharp.
+"""The fit to all pixels: its start, the model on all chunks, and steps from blurred to sharp.
 
 Levenberg-Marquardt minimises the sum over pixels of ((light - model)/sigma)^2. The Jacobian over 40
 frames would take 24 GB, but only J^T J and J^T r are needed. These are sums over pixels, computed
@@ -11,54 +11,32 @@ the first fits blur frames and model alike, by a quarter of the spot's radius an
 
 from __future__ import annotations
 
-import equinox as eqx
 import itertools
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Literal, NamedTuple
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-import math
 import numpy as np
+from jaxtyping import Array, Float
+
 import optics
-import os
-from calibration.pixels.chunks import Chunk
-from calibration.pixels.chunks import Problem
-from calibration.pixels.chunks import Sums
-from calibration.pixels.chunks import linearised
-from calibration.pixels.chunks import look
-from calibration.pixels.chunks import poses
-from calibration.pixels.chunks import sums
-from calibration.pixels.chunks import values_at
+from calibration.pixels.chunks import Chunk, Problem, Sums, linearised, look, poses, sums, values_at
 from calibration.pixels.data import Footage
-from calibration.pixels.image_fit import Criterion
-from calibration.pixels.image_fit import Failure
-from calibration.pixels.image_fit import ImageFit
-from calibration.pixels.lens_light import LensLight
-from calibration.pixels.lens_light import NEAREST_MM
-from calibration.pixels.misfit import Pixels
-from calibration.pixels.misfit import found_misfit
-from calibration.pixels.parameters import DEFAULTS
-from calibration.pixels.parameters import NUISANCES
-from calibration.pixels.parameters import possible
-from calibration.pixels.selection import bright_spot
-from calibration.pixels.selection import chosen_chunks
-from calibration.pixels.squares import chunked
-from calibration.pixels.squares import residual_frames
-from calibration.solvers import Minimum
-from calibration.solvers import NormalEquations
-from calibration.solvers import covariance_and_lost
-from calibration.solvers import minimise
-from calibration.spots import Prior
-from calibration.spots import phantom_wall
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Mapping
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from jaxtyping import Array
-from jaxtyping import Float
+from calibration.pixels.image_fit import Criterion, Failure, ImageFit
+from calibration.pixels.lens_light import NEAREST_MM, LensLight
+from calibration.pixels.misfit import Pixels, found_misfit
+from calibration.pixels.parameters import DEFAULTS, NUISANCES, possible
+from calibration.pixels.selection import bright_spot, chosen_chunks
+from calibration.pixels.squares import chunked, residual_frames
+from calibration.solvers import Minimum, NormalEquations, covariance_and_lost, minimise
+from calibration.spots import Prior, phantom_wall
 from optics import InputError
 from optics.wall_light import LensTable
-from typing import Literal
-from typing import NamedTuple
 
 _TOUCH_SIGMA_MM = 0.02
 
