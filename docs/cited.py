@@ -1,7 +1,7 @@
 """The code that pages cite, and the pages that show it.
 
     {test}`test_the_field_has_no_sources`        a test, found by its name
-    {source}`optics.lens_trace.trace_backwards`  a module, or a function or class in it
+    {source}`optics.irradiance_edges.trace_backwards`  a module, or a function or class in it
     {api}`optics.vector_irradiance`              a name of the Python interface
 
 These are the roles of `docs/roles.py`. The first two lead to pages with the code itself, which are

@@ -152,14 +152,14 @@ KINDS = (
         "Eye (TOML)",
         "An eye to look into (`viewing.eye`). Those of eyespot lie in `optics/viewing/eyes`. A "
         "value `[a, b]` is a + b times the refraction in dioptres.",
-        models=("optics.viewing.eye_file:EyeFile",),
+        models=("optics.viewing.eye:EyeFile",),
     ),
     FileKind(
         "viewing-lens",
         "Viewing lens (TOML)",
         "A contact lens, or a lens held above the eye (`viewing.lens`). Those of eyespot lie in "
         "`optics/viewing/lenses`.",
-        models=("optics.viewing.viewing_lens:_LensFile",),
+        models=("optics.viewing.eye:_LensFile",),
     ),
 )
 

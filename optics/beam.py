@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
-from optics.surface import Intersection, Sphere, Surface
-from optics.vector import components
+from optics.surface import Intersection, Sphere, Surface, components
 
 
 class Beam(eqx.Module):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from optics.input_error import InputError
-from optics.vector import components
+from optics.surface import components
 
 _UNDISTORT_STEPS = 12
 

@@ -1,15 +1,26 @@
-"""Boundaries between lit and dark along a scan, with the implicit function's derivatives.
+"""The edge of a cap's lit part, when seen from a wall point.
 
-A point is lit if the excess over all limits is negative (see `BackwardRays`).
+Rays are traced backwards from the wall point through the cap of a glue lens to the core's face. A
+point of the cap is lit if the excess over all limits is negative (see `BackwardRays`). Boundaries
+between lit and dark are found along a scan, with the implicit function's derivatives. The edge
+turns on rings that it touches, or on which two limits meet.
 """
 
-from collections.abc import Callable
+from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
+
+from optics.lens import GlueLens
+from optics.refraction import fresnel_transmittance, refracted_cosine
 
 _STEPS = 6  # Newton or bisection steps towards a boundary
 _APPROACHES = 2  # pairs of steps towards an extremum
@@ -179,3 +190,318 @@ def implicit_root(excess: Excess, root: Array) -> Array:
     value, slope = jax.jvp(excess, (root,), (jnp.ones_like(root),))
     slope = lax.stop_gradient(slope)
     return root - jnp.where(slope == 0.0, 0.0, value / jnp.where(slope == 0.0, 1.0, slope))
+
+
+class BackwardRays(NamedTuple):
+    """Light that reaches a wall point through points of the cap.
+
+    Light arrives only within four limits. Each is given as an excess that is negative within it.
+
+    Attributes:
+        cone: sin² of the angle to the axis inside the glue over that of the numerical aperture,
+            minus 1.
+        face: squared radius at which the ray starts over that of the face's lit part, minus 1.
+        drop: the larger of two excesses: the squared radius at which the ray passes the rim's plane
+            over the aperture's, minus 1, and minus the cosine between the cap's normal and the
+            direction to the wall point.
+        lateral: dV_rho per area of the aperture's plane, without the limits, 1/mm⁴.
+        axial: dV_s per area of the aperture's plane, without the limits, 1/mm⁴.
+    """
+
+    cone: Float[Array, "*batch"]
+    face: Float[Array, "*batch"]
+    drop: Float[Array, "*batch"]
+    lateral: Float[Array, "*batch"]
+    axial: Float[Array, "*batch"]
+
+    @property
+    def excess(self) -> Float[Array, "*batch"]:
+        """Largest excess: negative where light arrives."""
+        return jnp.maximum(jnp.maximum(self.cone, self.face), self.drop)
+
+
+def trace_backwards(
+    lens: GlueLens,
+    *,
+    medium_index: ArrayLike,
+    radius: ArrayLike,
+    distance: ArrayLike,
+    cap_radius: Float[Array, "*batch"],
+    haversine: Float[Array, "*batch"],
+) -> BackwardRays:
+    """Trace from a wall point through points of the cap to the core's face.
+
+    Args:
+        lens: the lens.
+        medium_index: n0, refractive index of the medium.
+        radius: distance of the wall point from the axis, mm.
+        distance: distance of the wall point from the tip's plane, mm.
+        cap_radius: distance of the cap point from the axis, mm, within the aperture.
+        haversine: sin²(φ/2) of the angle φ around the axis from the wall point to the cap point.
+            Unlike cos φ it stays accurate for small angles.
+    """
+    ratio = jnp.asarray(medium_index) / lens.glue_index
+    curvature = lens.curvature
+    # The normal of a hemisphere's rim is perpendicular to the axis; the bound avoids infinities.
+    normal_s = jnp.sqrt(jnp.maximum(1.0 - jnp.square(curvature * cap_radius), 1e-12))
+    depth = curvature * jnp.square(cap_radius) / (1.0 + normal_s)
+
+    # In the plane perpendicular to the axis, components are along the cap point's radial unit
+    # vector and perpendicular to it.
+    cos, sin_squared = 1.0 - 2.0 * haversine, 4.0 * haversine * (1.0 - haversine)
+    out_radial = radius * cos - cap_radius
+    out_across_squared = jnp.square(radius) * sin_squared
+    out_s = distance + depth
+    length_squared = (
+        jnp.square(radius - cap_radius) + 4.0 * radius * cap_radius * haversine + jnp.square(out_s)
+    )
+    per_length = 1.0 / jnp.sqrt(length_squared)
+    out_radial, out_s = out_radial * per_length, out_s * per_length
+    cos_medium = out_radial * curvature * cap_radius + out_s * normal_s
+    cos_glue = refracted_cosine(cos_incident=cos_medium, index_ratio=ratio)
+    bend = cos_glue - ratio * cos_medium
+    in_radial = ratio * out_radial + bend * curvature * cap_radius
+    in_s = ratio * out_s + bend * normal_s
+    in_across_squared = jnp.square(ratio * per_length) * out_across_squared
+
+    sine_squared = jnp.square(in_radial) + in_across_squared
+    # Rays back towards the medium are outside every cone; 2 - sin² continues to increase there.
+    opening = jnp.where(in_s > 0.0, sine_squared, 2.0 - sine_squared)
+    per_forward = 1.0 / jnp.maximum(in_s, 1e-3)
+
+    def crossing_squared(path):
+        return jnp.square(cap_radius - path * in_radial) + jnp.square(path) * in_across_squared
+
+    face_squared = crossing_squared((lens.glue_length - depth) * per_forward)
+    rim_squared = crossing_squared((lens.sag - depth) * per_forward)
+    # A ray from behind the cap carries nothing; Fresnel's formula has no negative cosines.
+    facing = jnp.maximum(cos_medium, 0.0)
+    transmittance = fresnel_transmittance(
+        cos_incident=facing,
+        cos_transmitted=cos_glue,
+        index_incident=medium_index,
+        index_transmitted=lens.glue_index,
+    )
+    radiance = lens.radiance(face_radius_squared=face_squared, sine_squared=sine_squared)
+    per_area = radiance * transmittance * jnp.square(ratio) * facing / (normal_s * length_squared)
+    out_meridian = (radius - cap_radius * cos) * per_length
+    return BackwardRays(
+        cone=opening / jnp.square(lens.sine_limit) - 1.0,
+        face=face_squared / jnp.square(lens.face_radius) - 1.0,
+        drop=jnp.maximum(rim_squared / jnp.square(lens.aperture_radius) - 1.0, -cos_medium),
+        lateral=per_area * out_meridian,
+        axial=per_area * out_s,
+    )
+
+
+_RINGS, _TURNS = 16, 10  # cells of the search for turns of the edge
+_STARTS = 4  # of the search, for each kind of turn
+_NEWTON_STEPS, _LONGEST = 7, 0.25  # Newton steps towards a turn, and their bound
+_AROUND = 0.5  # of the range that may be lit: its bounds are estimates
+_CLOSE = 1e-6  # residual of a turn
+
+# A turn is a zero of one limit and of its slope along the ring (touches), or of two limits.
+# Limits: 0 cone, 1 face, 2 drop.
+_FIRST, _SECOND = np.array([0, 0, 1, 0, 1, 2]), np.array([1, 2, 2, 0, 1, 2])
+_TOUCHES = _FIRST == _SECOND
+
+
+class RingRays(eqx.Module):
+    """Rays from a wall point backwards through points of half a ring of the cap.
+
+    A search for a boundary needs no derivatives: it uses `lax.stop_gradient` of this object, since
+    to differentiate its steps only to discard the result takes most of the time of compilation.
+
+    Attributes:
+        lens: the lens.
+        medium_index: n0.
+        radius: distance of the wall point from the axis, mm.
+        distance: distance of the wall point from the tip's plane, mm.
+    """
+
+    lens: GlueLens
+    medium_index: Array
+    radius: Array
+    distance: Array
+
+    def __call__(self, ring: Array, tau: Array) -> BackwardRays:
+        """Rays by ring, mm, and tau, from 0 on the wall point's side to 1."""
+        return self.trace(ring, self.haversine(ring, tau))
+
+    def haversine(self, ring: Array, tau: Array) -> Array:
+        """sin²(phi/2) of the angle around the axis.
+
+        With this Möbius map the squared sine at the wall point is linear along a ring, for near and
+        far wall points, so a few Newton steps find a root.
+        """
+        depth = self.distance + self.lens.sagitta(ring)
+        gap_squared = jnp.square(self.radius - ring) + jnp.square(depth)
+        return tau / (1.0 + 4.0 * self.radius * ring / gap_squared * (1.0 - tau))
+
+    def trace(self, ring: Array, haversine: Array) -> BackwardRays:
+        """Rays by ring, mm, and sin²(phi/2)."""
+        return trace_backwards(
+            self.lens,
+            medium_index=self.medium_index,
+            radius=self.radius,
+            distance=self.distance,
+            cap_radius=ring,
+            haversine=haversine,
+        )
+
+
+class RingRange(eqx.Module):
+    """Rings of a cap by their share of a range, even in the angle seen from the wall point.
+
+    Attributes:
+        radius: distance of the wall point from the axis, mm.
+        gap: distance of the wall point from the cap, mm.
+        end: largest ring, mm.
+        low, high: half tangents of the range's angles.
+    """
+
+    radius: Array
+    gap: Array
+    end: Array
+    low: Array
+    high: Array
+
+    def __call__(self, share: Array) -> Array:
+        """Rings, mm, negative beyond the axis."""
+        return self.place(self.low + (self.high - self.low) * share)
+
+    def place(self, tangent: Array) -> Array:
+        """Ring by the half tangent of its angle."""
+        x = self.radius + self.gap * 2.0 * tangent / (1.0 - jnp.square(tangent))
+        return jnp.clip(x, -self.end, self.end)
+
+    def angle(self, x: Array) -> Array:
+        """Half tangent of a ring's angle."""
+        tangent = (x - self.radius) / self.gap
+        return tangent / (1.0 + jnp.sqrt(1.0 + jnp.square(tangent)))
+
+    def between(self, first: Array, last: Array) -> RingRange:
+        """The range between two rings."""
+        ends = self.angle(first), self.angle(last)
+        return RingRange(self.radius, self.gap, self.end, *ends)
+
+
+def find_turns(
+    rays: RingRays, ring_at: RingRange
+) -> tuple[Bool[Array, "turns"], Array, Array, Array]:
+    """Rings that the lit part's edge touches, and rings on which two limits meet on it.
+
+    Whether each candidate is one, its ring, its tau, and the drift of the arc that opens there.
+
+    Newton's method in two variables, from the cells of a grid that seem to contain a turn.
+
+    Args:
+        rays: rays by ring and tau.
+        ring_at: the range that may be lit.
+    """
+    still = lax.stop_gradient((rays, ring_at))
+
+    def limits(place, rays, ring_at):
+        """All limits and their slopes along the ring, [limit, ...]."""
+
+        def along(tau):
+            light = rays(ring_at(place[0]), tau)
+            return jnp.stack([light.cone, light.face, light.drop])
+
+        return jax.jvp(along, (place[1],), (jnp.ones_like(place[1]),))
+
+    sides = np.linspace(0.0, 1.0, _RINGS + 1), np.linspace(0.0, 1.0, _TURNS + 1)
+    value, slope = limits(jnp.stack(jnp.meshgrid(*map(jnp.asarray, sides), indexing="ij")), *still)
+    place = _cell_roots(
+        value[_FIRST],
+        jnp.where(_TOUCHES[:, None, None], slope[_FIRST], value[_SECOND]),
+        jnp.max(value, axis=0),
+    )
+    which = np.arange(place.shape[1])
+    first_limit, second_limit, touches = (
+        np.repeat(x, _STARTS) for x in (_FIRST, _SECOND, _TOUCHES)
+    )
+
+    def values(place, *world):
+        value, slope = limits(place, *world)
+        other = jnp.where(touches, slope[first_limit, which], value[second_limit, which])
+        return value[first_limit, which], other, jnp.max(value, axis=0)
+
+    def step(place, *world):
+        def along(direction):
+            move = jnp.broadcast_to(direction[:, None], place.shape)
+            return jax.jvp(lambda place: values(place, *world), (place,), (move,))
+
+        (a, b, excess), (a_slope, b_slope, _) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(2))
+        (a_ring, a_tau), (b_ring, b_tau) = lax.stop_gradient((a_slope, b_slope))
+        determinant = a_ring * b_tau - a_tau * b_ring
+        correction = jnp.stack([b_tau * a - a_tau * b, a_ring * b - b_ring * a])
+        correction /= _nonzero(determinant)
+        correction = jnp.clip(correction, -_LONGEST, _LONGEST)
+        is_turn = jnp.maximum(jnp.maximum(jnp.abs(a), jnp.abs(b)), excess) < _CLOSE
+        ring, tau = place - correction
+        place = jnp.stack([jnp.clip(ring, -_AROUND, 1.0 + _AROUND), jnp.clip(tau, 0.0, 1.0)])
+        # Next to a touched ring the short arc lies around the zero of the slope, and next to a
+        # meeting of two limits between their zeros.
+        second = -b_ring / _nonzero(b_tau)
+        drift = jnp.where(touches, second, 0.5 * (second - a_ring / _nonzero(a_tau)))
+        return place, is_turn, drift
+
+    place = lax.stop_gradient(place)
+    place = lax.fori_loop(0, _NEWTON_STEPS, lambda _, place: step(place, *still)[0], place)
+    # Only the last step is differentiated; it gives the implicit function's derivative.
+    place, is_turn, drift = step(lax.stop_gradient(place), rays, ring_at)
+    ring, per_share = jax.jvp(ring_at, (place[0],), (jnp.ones_like(place[0]),))
+    return is_turn, ring, *lax.stop_gradient((place[1], drift / _nonzero(per_share)))
+
+
+def _cell_roots(
+    first: Float[Array, "kinds n m"], second: Float[Array, "kinds n m"], excess: Float[Array, "n m"]
+) -> Float[Array, "2 starts"]:
+    """Common zeros of two functions by linear interpolation in the cells of a grid on [0, 1]².
+
+    Of each kind, those that lie nearest to the middles of their cells, among lit cells.
+    """
+
+    def corners(values):
+        left, right = values[..., :-1], values[..., 1:]
+        return left[..., :-1, :], left[..., 1:, :], right[..., :-1, :], right[..., 1:, :]
+
+    def plane(values):
+        """Value in the middle of each cell, and its slopes per cell."""
+        a, b, c, d = corners(values)
+        return 0.25 * (a + b + c + d), 0.5 * (b + d - a - c), 0.5 * (c + d - a - b)
+
+    (a, a_ring, a_tau), (b, b_ring, b_tau) = plane(first), plane(second)
+    determinant = _nonzero(a_ring * b_tau - a_tau * b_ring)
+    ring = -(b_tau * a - a_tau * b) / determinant
+    tau = -(a_ring * b - b_ring * a) / determinant
+    corner = jnp.stack(corners(excess))
+    lit = 2.0 * jnp.min(corner, axis=0) < jnp.max(corner, axis=0)
+    away = jnp.where(lit, jnp.maximum(jnp.abs(ring), jnp.abs(tau)), jnp.inf)
+    rows, columns = lit.shape
+    away = away.reshape(len(away), -1)
+    chosen = smallest(away, _STARTS)
+    ring, tau = (
+        jnp.clip(jnp.take_along_axis(x.reshape(away.shape), chosen, axis=1), -1.0, 1.0)
+        for x in (ring, tau)
+    )
+    return jnp.stack(
+        [
+            ((chosen // columns + 0.5 + ring) / rows).ravel(),
+            jnp.clip((chosen % columns + 0.5 + tau) / columns, 0.0, 1.0).ravel(),
+        ]
+    )
+
+
+def smallest(values: Float[Array, "*batch n"], count: int) -> Array:
+    """Indices of the smallest values; sorting all of them would cost a fourth of the quadrature."""
+    chosen = []
+    for _ in range(count):
+        chosen.append(jnp.argmin(values, axis=-1, keepdims=True))
+        values = jnp.where(np.arange(values.shape[-1]) == chosen[-1], jnp.inf, values)
+    return jnp.concatenate(chosen, axis=-1)
+
+
+def _nonzero(x: Array) -> Array:
+    return jnp.where(x == 0.0, 1.0, x)

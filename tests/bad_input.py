@@ -45,7 +45,7 @@ from estimator.run import Options
 from estimator.sources import open_source, write_bag
 from optics import load_lens
 from scenes.description import load_scene, scene_toml
-from scenes.walls.image_file import wall_image
+from scenes.walls.picture import wall_image
 from scenes.world import World, frame_count, kinematics
 
 OLD = Path(__file__).with_name("files-0.1")

@@ -34,8 +34,7 @@ from optics.wall_light import (
     wall_pixels,
 )
 from optics.wall_light.cone import Cone, Edge, lit_moment, lit_part
-from optics.wall_light.table import Grid, LensTable
-from optics.wall_light.table_samples import _Field, _means_within, lens_table
+from optics.wall_light.lens import Grid, LensTable, _Field, _means_within, lens_table
 from scenes import Renderer, Scene, render_stack
 from scenes.camera.exposure import expose
 from scenes.description.camera_settings import CameraSettings

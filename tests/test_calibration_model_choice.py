@@ -11,7 +11,7 @@ import tomli_w
 
 import scenes
 from calibration.command.fitting import chosen_model
-from calibration.command.lens_guess import guessed_lens
+from calibration.command.pixel_models import guessed_lens
 from calibration.recordings.trials import read_recording
 
 LENS = {"kind": "lens", "lens": "paper-candidate", "medium": "air"}

@@ -13,7 +13,7 @@ import optics
 from calibration.spots import Prior
 from estimator import Stack
 from optics.wall_light import Cone, Lens, wall_pixels
-from optics.wall_light.table import Grid, LensTable
+from optics.wall_light.lens import Grid, LensTable
 from scenes import Scene, render_stack
 from scenes.world import World
 from tests.spread_disc import lit_by_disc, radii

@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from estimator.detector.censored import _flank, hidden_edge
-from estimator.detector.ellipse import Ellipse
+from estimator.detector.band import _flank, hidden_edge
+from estimator.detector.ellipse import Ellipse, Patch
 from estimator.detector.levels import Levels
 from estimator.detector.tuning import RAYS
-from estimator.detector.unwrap import Patch
 
 
 @pytest.mark.parametrize(("radius", "grey"), [(9.5, 0.3), (11.75, 0.85), (13.5, 0.85)])

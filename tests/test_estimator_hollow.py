@@ -10,10 +10,9 @@ import pytest
 from benchmarks.bench.estimator import own_frames
 from benchmarks.bench.estimator.lookalikes import taken_for_spots
 from estimator import Spot, SubpixelSettings, TrackState, measure
-from estimator.detector.ellipse import Ellipse
-from estimator.detector.hollow import hollow_share
+from estimator.detector.contour import hollow_share
+from estimator.detector.ellipse import Ellipse, Patch
 from estimator.detector.tuning import RAYS, Hollow
-from estimator.detector.unwrap import Patch
 
 _SIDE = 200
 _AXES = 80.0, 60.0

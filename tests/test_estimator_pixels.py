@@ -19,7 +19,7 @@ from estimator.files import (
 from estimator.image import NoSpot, Reason
 from estimator.pixels import PixelRanger
 from estimator.pixels.cells import COUNT, CellLight, Window, rolled
-from estimator.pixels.mix import _most_even
+from estimator.pixels.picture import _most_even
 from estimator.run import Options
 from estimator.sources import open_source
 from optics import InputError

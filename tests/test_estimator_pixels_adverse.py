@@ -8,7 +8,7 @@ import pytest
 from benchmarks.bench.estimator.lookalikes import LOOKALIKES
 from estimator import NoSpot, Reason, SubpixelSettings, TrackState, measure, open_source
 from estimator.distance import RangeFlag, WallMemory
-from estimator.pixels import ranger
+from estimator.pixels import tracker
 from estimator.pixels.beam import BeamLight
 from estimator.pixels.cells import COUNT
 from estimator.pixels.frame_fit import _grown
@@ -143,7 +143,7 @@ def test_a_distance_at_which_the_light_is_not_known_is_none(tmp_path, monkeypatc
     # off.
     stack = cone_stack(tmp_path / "stack", motion={"start_mm": 2.0, "travel_mm": 0.1, "frames": 1})
     known = functools.partial(BeamLight, within_mm=(2.5, 9.0))
-    monkeypatch.setattr(ranger, "BeamLight", lambda *a, within_mm, **more: known(*a, **more))
+    monkeypatch.setattr(tracker, "BeamLight", lambda *a, within_mm, **more: known(*a, **more))
     (frame,) = open_source(stack.folder)
     reading = reader_in(stack, tmp_path).read(frame.image, time_s=frame.time_s)
     assert reading.result

@@ -9,13 +9,9 @@ from scipy.special import k1
 from scipy.stats import norm
 
 from estimator.files import MicroscopeFile
-from estimator.pixels.beam import BeamLight
-from estimator.pixels.blur import blurred, blurred_with_growth
-from estimator.pixels.cells import COUNT, CellLight, Window
-from estimator.pixels.frame_model import FrameModel
-from estimator.pixels.frame_state import FrameState
-from estimator.pixels.texture import Texture
-from estimator.pixels.wall_motion import STILL
+from estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
+from estimator.pixels.cells import COUNT, STILL, CellLight, Window
+from estimator.pixels.frame_model import FrameModel, FrameState, Texture
 from optics.wall_light import Steps, UniformCone
 
 MIDDLE = COUNT // 2

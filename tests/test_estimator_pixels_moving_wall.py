@@ -3,10 +3,9 @@
 import numpy as np
 
 from estimator.distance import WallMemory
-from estimator.pixels.cells import COUNT, CellLight, Window
-from estimator.pixels.frame_state import OWN, Linear
-from estimator.pixels.registration import registered
-from estimator.pixels.wall_motion import WallMotion
+from estimator.pixels.cells import COUNT, CellLight, WallMotion, Window
+from estimator.pixels.frame_fit import registered
+from estimator.pixels.frame_model import OWN, Linear
 from estimator.sources import open_source
 from tests.pixel_stacks import cone_stack, readings_of
 

@@ -8,7 +8,7 @@ import pytest
 
 from estimator.files import PoseTrack, read_poses
 from estimator.pixels.beam import Pose
-from estimator.pixels.robot import RobotPose, _turn, motion_between
+from estimator.pixels.frame_model import RobotPose, _turn, motion_between
 from tests.pixel_stacks import cone_stack, readings_of
 
 

@@ -6,8 +6,8 @@ import pytest
 from estimator import NoSpot, Reason, SubpixelSettings, TrackState, measure, open_source
 from estimator.image import Outline
 from estimator.pixels.cells import COUNT
-from estimator.pixels.hidden import hidden_pixels
-from estimator.pixels.saturation import covered, halo
+from estimator.pixels.frame_model import covered, halo
+from estimator.pixels.picture import hidden_pixels
 from tests.pixel_stacks import cone_stack, readings_of
 
 _MOST = 30.0  # chi squared of five numbers exceeds it once in 70,000

@@ -7,9 +7,8 @@ import pytest
 from scipy.linalg import cho_factor
 
 from estimator.pixels.cells import COUNT, SHADES
-from estimator.pixels.frame_state import Linear
-from estimator.pixels.solution import Solution
-from estimator.pixels.texture import LENGTHS_MM, Texture, texture_of
+from estimator.pixels.frame_model import LENGTHS_MM, Linear, Texture, texture_of
+from estimator.pixels.solver import Solution
 
 _SIDE_MM = 0.06
 

@@ -9,9 +9,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from estimator import SubpixelSettings, TrackState, measure
-from estimator.detector.ellipse import Ellipse
-from estimator.detector.texture import without_texture
-from estimator.detector.unwrap import Patch
+from estimator.detector.contour import without_texture
+from estimator.detector.ellipse import Ellipse, Patch
 
 SHAPE = (200, 240)
 SEMI_MINOR_PX = 40.0

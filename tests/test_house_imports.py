@@ -45,7 +45,7 @@ FROM_SPOT_TO_DISTANCE = {
     "estimator/files/microscope.py",
     "estimator/files/viewing.py",
     "estimator/pixels/beam.py",
-    "estimator/pixels/ranger.py",
+    "estimator/pixels/tracker.py",
 }
 
 

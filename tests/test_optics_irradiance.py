@@ -9,8 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 import optics
-from optics.emission import transmitted_power
-from optics.irradiance_lookup import LensField
+from optics.lens_table import LensField, transmitted_power
 from tests.lens_quadrature import irradiance
 from tests.random_lenses import random_lens
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 import optics
-from optics.irradiance_lookup import IrradianceTable, LensField
+from optics.lens_table import IrradianceTable, LensField
 from tests.photons import Drop, counted_light
 
 AIR, VITREOUS = 1.0, 1.336

@@ -7,14 +7,14 @@ import pytest
 from scipy.integrate import quad
 
 import optics
-from optics.emission import (
+from optics.irradiance_edges import trace_backwards
+from optics.lens_table import (
     MISSED_APERTURE,
     TOTAL_INTERNAL_REFLECTION,
     TRANSMITTED,
     emitted_rays,
     transmitted_power,
 )
-from optics.lens_trace import trace_backwards
 from optics.refraction import fresnel_transmittance, refracted_cosine
 
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49

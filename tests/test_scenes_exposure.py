@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from scenes.camera.camera import metered_exposure
 from scenes.camera.exposure import expose, fixed_patterns
-from scenes.camera.metering import metered_exposure
 from scenes.camera.output import after_jpeg, demosaiced, mosaic
 from scenes.camera.response import full_wells
 from scenes.description.camera_settings import CameraSettings

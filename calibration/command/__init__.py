@@ -4,11 +4,9 @@ choices       The choices of a fit: the options of `eyespot fit`, defined once
 command       The command
 cone_models   Models cone and eye: the exact geometry fitted to the spots' ellipses
 fitted        The result that all models share
-fitting       A whole fit, from recordings to a report, a table and a calibration file
-lens_guess    A start lens, chosen by the sizes and edge widths of the spots
+fitting       A whole fit, from recordings to a report, a table, a calibration file
 paper_models  Models plane and sphere: the fits of Zhou et al. 2020
 pixel_models  Models image and lens, fitted to every pixel of one stack
-recording     Records a fit for the viewer rerun: frames, spots, distances, residuals
 report        The report: one HTML page with its pictures inside
 verdict       The verdict on a fit, and what to try if it is not good
 """

@@ -1,4 +1,7 @@
-"""A whole fit, from recordings to a report, a table and a calibration file."""
+"""A whole fit, from recordings to a report, a table and a calibration file.
+
+It may be recorded for the viewer rerun: frames, spots, distances by fit and robot, residuals.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,9 @@ import json
 import math
 import operator
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -23,12 +26,12 @@ from calibration.command.cone_models import EYE, fit_cone_to_spots, fit_eye
 from calibration.command.fitted import Fitted
 from calibration.command.paper_models import fit_planes, fit_sphere
 from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_lens
-from calibration.command.recording import record_fit
 from calibration.command.verdict import doubts, refusal, verdict
 from calibration.pixels import CONE, FREE, NUISANCES, known_names
 from calibration.recordings import Recording, is_stack, read_recording
 from calibration.solvers import correlations
 from calibration.spots import PARAMETERS
+from estimator import Ranger, Spot
 from estimator.files import (
     Calibration,
     in_terminal,
@@ -38,8 +41,68 @@ from estimator.files import (
     written_whole,
 )
 from estimator.run import progress
-from estimator.viewer import check_recording_path
+from estimator.sources import open_source
+from estimator.viewer import check_recording_path, recording_of
 from optics import InputError
+
+_SPOTS_FILES = (".csv", ".parquet")
+
+
+def record_fit(
+    target: str,
+    fitted: Fitted,
+    recordings: Sequence[Recording],
+    calibration: Calibration,
+    *,
+    exposure: str | None,
+) -> None:
+    """Record the frames of a fit, one recording after the other on the timeline `frame`."""
+    name = ", ".join(recording.name for recording in recordings)
+    touches = {row[0].removeprefix("touch of "): row[1] for row in fitted.others}
+    residuals = _residuals(fitted, recordings)
+    first = 0
+    with recording_of(target, name=name, microscope=recordings[0].microscope) as recorded:
+        for recording in recordings:
+            trial = recording.trial
+            ranger = Ranger(calibration, recording.microscope)
+            touch = touches.get(recording.name, trial.touch.mean)
+            numbers = [record.frame for record in recording.records]
+            seen = zip(recording.records, trial.readings, strict=True)
+            spots = dict(zip(numbers, seen, strict=True))
+            for number, time_s, image in _frames(recording, exposure):
+                recorded.add_frame(first + number, time_s, image)
+                if number not in spots:
+                    continue
+                record, reading = spots[number]
+                assert isinstance(record.result, Spot)
+                found = ranger.distance(record.result, axis=trial.axis, frame=image)
+                recorded.add_measured(record.result, found, "")
+                recorded.add_value("distance/robot", touch + float(reading))
+                for kind, value in next(residuals, {}).items():
+                    recorded.add_value(f"residuals/{kind.replace(' ', '_')}", value)
+            first += recording.frames
+
+
+def _frames(
+    recording: Recording, exposure: str | None
+) -> Iterator[tuple[int, float, np.ndarray | None]]:
+    """Number, time and image of every frame; of a spots file those with a spot, without image."""
+    source = recording.source
+    if source.suffix.lower() in _SPOTS_FILES:
+        yield from ((record.frame, record.time_s, None) for record in recording.records)
+        return
+    for frame in open_source(source, exposure=exposure):
+        yield frame.index, frame.time_s, frame.image
+
+
+def _residuals(fitted: Fitted, recordings: Sequence[Recording]) -> Iterator[dict[str, Any]]:
+    """The residuals of each usable spot, in the order of the recordings; none of pixels."""
+    order = [id(recording) for recording in fitted.recordings]
+    if order != [id(recording) for recording in recordings]:
+        return
+    for row in zip(*fitted.residuals.values(), strict=True):
+        yield {name: float(value) for name, value in zip(fitted.residuals, row, strict=True)}
+
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
 _MOST_BYTES = 2**23  # of a report with its figures

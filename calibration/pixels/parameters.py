@@ -38,7 +38,7 @@ the point where the beam meets the wall at reading 0, in the first frame. `touch
 the beam there. `lean`, `lean_sideways`: rotation of the robot's directions against the eye, along
 `optics.perpendicular_frame` of the tool's axis. `boresight`, `boresight_sideways`: angle of the
 beam from the tool's axis, along the same vectors. `spread`: L of the light's spread in the wall
-(`optics.wall_spread`); without a start value there is none."""
+(`optics.spread_nodes`); without a start value there is none."""
 
 CONE = ("half_angle", "b")
 FREE = {"cone": CONE, "lens": ("sag", "numerical_aperture")}

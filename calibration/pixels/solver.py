@@ -1,8 +1,9 @@
-r"""The steps of the fit to all pixels, from blurred frames to all pixels.
+"""The fit to all pixels: its start, the model on all chunks, and steps from blurred to sharp.
 
 Levenberg-Marquardt minimises the sum over pixels of ((light - model)/sigma)^2. The Jacobian over 40
 frames would take 24 GB, but only J^T J and J^T r are needed. These are sums over pixels, computed
-in chunks by forward mode. Optimistix needs the residuals themselves, so it cannot be used here.
+in chunks by forward mode, on all cores. Optimistix needs the residuals themselves, so it cannot be
+used here.
 
 The cone's edge is sharp. If the start deviates by 30 %, no pixel's derivative shows the edge. So
 the first fits blur frames and model alike, by a quarter of the spot's radius and then by less.
@@ -10,29 +11,173 @@ the first fits blur frames and model alike, by a quarter of the spot's radius an
 
 from __future__ import annotations
 
+import itertools
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
-from calibration.pixels.chunks import look, poses, values_at
+import optics
+from calibration.pixels.chunks import Chunk, Problem, Sums, linearised, look, poses, sums, values_at
 from calibration.pixels.data import Footage
-from calibration.pixels.evaluation import Place, compile_model, parts_at, pixels_at
 from calibration.pixels.image_fit import Criterion, Failure, ImageFit
 from calibration.pixels.lens_light import NEAREST_MM, LensLight
 from calibration.pixels.misfit import Pixels, found_misfit
-from calibration.pixels.parameters import possible
+from calibration.pixels.parameters import DEFAULTS, NUISANCES, possible
 from calibration.pixels.selection import bright_spot, chosen_chunks
-from calibration.pixels.setup import fit_problem
 from calibration.pixels.squares import chunked, residual_frames
 from calibration.solvers import Minimum, NormalEquations, covariance_and_lost, minimise
-from calibration.spots import Prior
+from calibration.spots import Prior, phantom_wall
 from optics import InputError
 from optics.wall_light import LensTable
+
+_TOUCH_SIGMA_MM = 0.02
+
+
+def fit_problem(
+    footage: Footage,
+    start: Mapping[str, float],
+    free: tuple[str, ...],
+    priors: Mapping[str, Prior],
+    *,
+    place: Float[np.ndarray, "2"],
+    lean_sigma: float,
+    boresight_sigma: float,
+) -> tuple[Problem, dict[str, Prior]]:
+    """The problem and its priors, given ones included.
+
+    Args:
+        footage: the frames.
+        start: start values of free parameters, and values of others.
+        free: names of the free parameters; the nuisances are free too.
+        priors: priors that replace or add to those of the nuisances.
+        place: centre of the spot, px.
+        lean_sigma: standard deviation of the robot's directions, rad.
+        boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.
+    """
+    file = footage.microscope
+    microscope = optics.microscope(
+        scale=file.scale_mm_px,
+        pinhole_height=file.pinhole_height_mm,
+        eye_radius=file.eye_radius_mm,
+        principal_point=file.principal_point_px,
+        distortion=tuple(file.distortion),
+    )
+    surface = phantom_wall(footage.kind, eye_radius=file.eye_radius_mm)
+    normal = surface.intersect(*microscope.ray(place)).normal
+    # The rim of a tilted tip touches the wall before the centre does.
+    touch = optics.contact_distance(
+        surface,
+        incidence=jnp.arccos(-normal @ footage.axis),
+        rim_radius=footage.instrument.fibre_radius,
+    )
+    lean, boresight = Prior(0.0, lean_sigma), Prior(0.0, boresight_sigma)
+    every = {
+        "touch": Prior(float(touch), _TOUCH_SIGMA_MM),
+        "lean": lean,
+        "lean_sideways": lean,
+        "boresight": boresight,
+        "boresight_sideways": boresight,
+        **priors,
+    }
+    known = dict.fromkeys(NUISANCES, 0.0) | DEFAULTS
+    known |= {"scale": file.scale_mm_px, "eye_radius": file.eye_radius_mm}
+    known |= {"u": float(place[0]), "v": float(place[1])}
+    known |= {name: prior.mean for name, prior in every.items()} | dict(start)
+    names = (*free, *(name for name in NUISANCES if name not in free))
+    problem = Problem(
+        first=jnp.array([known[name] for name in names]),
+        size=jnp.array([_size(name, known[name], every) for name in names]),
+        fixed={name: jnp.asarray(v, float) for name, v in known.items() if name not in names},
+        microscope=microscope,
+        motion=jnp.asarray(footage.motion),
+        axis=jnp.asarray(footage.axis),
+        blur=None,
+        names=names,
+        kind=footage.kind,
+    )
+    return problem, every
+
+
+def _size(name: str, value: float, priors: Mapping[str, Prior]) -> float:
+    """Scale of a parameter; with it, the damping affects all parameters equally."""
+    if name in priors:
+        return priors[name].sigma
+    own = {"u": 1.0, "v": 1.0, "illumination": 0.01}
+    return own.get(name) or abs(value) or 1.0
+
+
+class Place(NamedTuple):
+    """Where the model is evaluated.
+
+    Attributes:
+        problem: the fit.
+        table: light of the lens, computed near `x`; None for a cone.
+        x: the parameters, without exposures.
+        over: relative excess of each frame's exposure over the reported one.
+        exposures: whether exposures are parameters too.
+    """
+
+    problem: Problem
+    table: LensTable | None
+    x: Float[Array, "p"]
+    over: Float[np.ndarray, "frames"]
+    exposures: bool
+
+
+def parts_at(place: Place, chunks: Sequence[Chunk]) -> list[Sums]:
+    """The sums of every chunk."""
+
+    def part(chunk: Chunk) -> Sums:
+        over = place.over[int(chunk.frame)]
+        return jax.block_until_ready(sums(place.problem, place.table, place.x, over, chunk))
+
+    with ThreadPoolExecutor() as pool:
+        # The first chunk runs alone, so that only one thread compiles.
+        return [part(chunks[0]), *pool.map(part, chunks[1:])]
+
+
+def pixels_at(place: Place, chunks: Sequence[Chunk]) -> Iterator[Pixels]:
+    """The pixels of every frame with their residuals and derivatives, in the chunks' order."""
+    p, frames = place.x.size, len(place.over)
+
+    def of_frame(own: list[Chunk]) -> Pixels:
+        frame, parts = int(own[0].frame), []
+        for chunk in own:
+            view = look(place.problem, place.table, place.x, chunk)
+            off, derivatives = linearised(
+                place.problem, place.table, place.x, place.over[frame], chunk
+            )
+            columns = (*chunk.pixels.T, view.direct, view.light, chunk.weight, off)
+            rows = [*columns, *np.asarray(derivatives)[: p + place.exposures]]
+            parts.append(np.array(rows)[:, chunk.weight > 0])
+        u, v, direct, light, weight, residual, *slope = np.concatenate(parts, axis=1)
+        slopes = np.zeros((p + frames * place.exposures, u.size))
+        slopes[:p] = slope[:p]
+        if place.exposures:
+            slopes[p + frame] = slope[p]
+        return Pixels(frame, u, v, direct, light, weight, residual, slopes)
+
+    by_frame = [list(own) for _, own in itertools.groupby(chunks, lambda c: int(c.frame))]
+    cores = os.cpu_count() or 1
+    with ThreadPoolExecutor(cores) as pool:
+        # No more frames than cores at a time, because the derivatives of all pixels take gigabytes.
+        for first in range(0, len(by_frame), cores):
+            yield from pool.map(of_frame, by_frame[first : first + cores])
+
+
+def compile_model(place: Place, chunk: Chunk) -> None:
+    """Compile what a fit evaluates for places and chunks of these shapes."""
+    look(place.problem, place.table, place.x, chunk)
+    parts_at(place, [chunk])
+
 
 _BLURS = (1 / 4, 1 / 12, 1 / 36)
 """Blurs of the first fits, relative to the spot's radius; the last fits have no blur."""

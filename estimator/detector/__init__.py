@@ -2,33 +2,26 @@
 
 A frame goes down this list in the sub-pixel mode, and the spot comes back:
 
-tracking     From frame to frame: where the spot is looked for, and which of the spots found is it
-verdict      Spot or not: every reason to reject what was fitted, in one place
-motion_blur  The ellipse in the middle of the exposure, of a spot that moved during it
-reflection   Distinguishes a broad spot from a specular reflection of a wet wall with the spot on it
-hollow       Dark places inside an ellipse that nothing which reaches in from outside can explain
-contour      The half-maximum contour of a region: which light it is fitted to, and through which
-             ellipse
-texture      The wall's texture, estimated from its colours
-outlines     Where the spot may be in a frame in which none was measured
-regions      Bright regions of a frame that may be the spot: anywhere in a window, or at the last
-             contour
-channel      The colour channel in which a region of a frame is measured
-edges        Fits an ellipse to the half-maximum contour in a patch of light, from its profiles
-             along rays
-sharp        One refinement of a spot with a sharp edge
-broad        One refinement of a spot with a broad flank: a bell, or a plateau that falls off slowly
-censored     The edge of a saturated spot, from the part of its flank that is below full scale
-band         A band of profiles along a contour: the mean profile, and each ray's shift against it
-levels       Peak, background and edge width of a spot, from its profiles
-coarse       Bright regions of a subsampled window, and the ellipses of which they may be parts
-unwrap       Profiles along the rays of an ellipse: sampling, and statistics round the ring of rays
-ellipse      Ellipses as images of the unit circle, and their fit to radial edge offsets
+tracking  From frame to frame: where the spot is looked for, which of the spots found is it, and
+          where it may be if none was measured
+verdict   Spot or not: every reason to reject what was fitted, and the spots that are fitted again,
+          because they moved or lie on a reflection
+contour   Bright regions that may be the spot, and the half-maximum contour of one: which light it
+          is fitted to, and through which ellipse
+edges     Fits an ellipse to the half-maximum contour in a patch of light, from its profiles along
+          rays
+band      A band of profiles along a contour: the mean profile, each ray's shift against it, and one
+          refinement of a spot with a sharp edge
+levels    Peak, background and edge width of a spot, from its profiles
+coarse    The colour channel to measure in, and the bright regions of a subsampled window with the
+          ellipses of which they may be parts
+ellipse   Ellipses as images of the unit circle, their fit to radial edge offsets, and profiles
+          along their rays
 
-settings     Settings of the sub-pixel mode
-tuning       Every constant of the sub-pixel mode, in one table
-shape        Shape of a spot's profile: plateau, bell, or something in between
-literal      Literal mode: the paper's Algorithms 1 and 2 (Zhou et al. 2020), step by step
+settings  Settings of the sub-pixel mode
+tuning    Every constant of the sub-pixel mode, in one table
+shape     Shape of a spot's profile: plateau, bell, or something in between
+literal   Literal mode: the paper's Algorithms 1 and 2 (Zhou et al. 2020), step by step
 """
 
 import lazy_loader

@@ -1,25 +1,291 @@
-"""The half-maximum contour of a region: which light it is fitted to, and through which ellipse.
+"""Bright regions that may be the spot, and the half-maximum contour of each.
 
-`edges` fits a contour to a patch of light. Here the light is chosen: the wall's texture is taken
-out of a broad flank, and a background that the window does not show is taken from the whole frame.
-Both are known only after a fit, so such a contour is fitted again.
+Regions are looked for anywhere in a window, or at the last contour. `edges` fits a contour to a
+patch of light. Here the light is chosen: the wall's texture is taken out of a broad flank, and a
+background that the window does not show is taken from the whole frame. Both are known only after a
+fit, so such a contour is fitted again.
+
+Texture is estimated from its colours. Blood and pigment absorb some colours more than others, while
+light from one source falls off alike in all. A product of powers of the channels, with exponents
+that sum to one, leaves such light unchanged. Of these products, the one that varies least over
+short distances shows least of the wall: the beamformer of Capon (1969) on the logarithms. Texture
+that is equally dark in every colour remains.
+
+A contour is rejected if dark places inside cannot be explained by anything that reaches in from
+outside. A shaft or a shadow in front of a spot begins outside the spot: from every point of it, a
+straight way through the dark leads out. A letter or a ring is dark behind a bright stroke.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
-from estimator.detector.coarse import Candidate, Coarse
+from estimator.detector.coarse import Candidate, Coarse, TooSmall, bright_regions, channel_for
 from estimator.detector.edges import EdgeFit, fit_edge
-from estimator.detector.ellipse import Ellipse
-from estimator.detector.hollow import hollow_share
-from estimator.detector.regions import Region, coarse_window
-from estimator.detector.texture import without_texture
-from estimator.detector.tuning import RAYS, Capture, Hollow, Refine
-from estimator.detector.unwrap import Patch
-from estimator.image import NoSpot, Reason, Window
+from estimator.detector.ellipse import Ellipse, Patch
+from estimator.detector.levels import dark_radius
+from estimator.detector.settings import SubpixelSettings
+from estimator.detector.tuning import RAYS, Capture, Hollow, Refine, Search, Sharp, Texture
+from estimator.image import GREY, NoSpot, Reason, Window
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A bright region of a frame that may be a spot.
+
+    Attributes:
+        frame: in which it was found.
+        settings: with which it was found.
+        coarse: the window in which it was found, in the channel in which it is to be measured.
+        channel: 0, 1, 2 or GREY.
+        full_scale: of the frame.
+        clips: value at which each channel is clipped, see `channel_for`.
+        saturated: fraction of its pixels that are clipped by channel, see `channel_for`.
+        candidates: at least one ellipse of which it may be a part.
+        faint: whether it is no brighter than a wall's texture may make it.
+    """
+
+    frame: np.ndarray
+    settings: SubpixelSettings
+    coarse: Coarse
+    channel: int
+    full_scale: float
+    clips: tuple[float, ...]
+    saturated: tuple[float, ...]
+    candidates: list[Candidate]
+    faint: bool
+
+    @property
+    def area_px(self) -> float:
+        """Number of the frame's pixels in the region."""
+        return float(np.count_nonzero(self.candidates[0].mask)) * self.coarse.stride**2
+
+    @property
+    def ellipse(self) -> Ellipse:
+        """The ellipse round the region, good to a few px."""
+        return self.candidates[0].ellipse
+
+    def fills_its_ellipse(self) -> float:
+        """Fraction of the ellipse round the region that the region takes up."""
+        semi_major, semi_minor, _ = self.ellipse.axes()
+        return self.area_px / (math.pi * semi_major * semi_minor)
+
+
+def regions_in(
+    frame: np.ndarray, window: Window, settings: SubpixelSettings
+) -> Iterator[Region | NoSpot]:
+    """Bright regions of a window, brightest first, and the reasons why others are no spots.
+
+    Args:
+        frame: checked (`image.checked_frame`).
+        window: where the spot's body may lie; its edge is followed beyond.
+        settings: of the mode.
+    """
+    window = window.on_grid(settings.stride)
+    values = window.of(frame, settings.stride)
+    if min(values.shape[:2]) < Search.SMALLEST_WINDOW:
+        return
+    full_scale = settings.response.full_scale_of(frame)
+    settings.meter.check(frame)
+    grey = coarse_window(values, window, GREY, settings, full_scale)
+    smallest = Search.SMALLEST_AREA * math.pi * settings.min_semi_minor_px**2
+    for candidates in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
+        if isinstance(candidates, TooSmall):
+            yield NoSpot(Reason.TOO_SMALL)
+        elif candidates:
+            mask = candidates[0].mask.view(np.uint8)
+            channel, clips, full = channel_for(frame, window, settings.stride, mask, full_scale)
+            coarse, faint = grey, candidates[0].is_below(settings.min_contrast)
+            if channel != GREY:
+                coarse = coarse_window(values, window, channel, settings, full_scale)
+                candidates = [candidate.relevelled(coarse) for candidate in candidates]
+            yield Region(
+                frame, settings, coarse, channel, full_scale, clips, full, candidates, faint
+            )
+
+
+def region_at(
+    last: EdgeFit, channel: int, frame: np.ndarray, settings: SubpixelSettings
+) -> Region | None:
+    """The region that exceeds the last spot's half level near its contour.
+
+    Args:
+        last: the spot's contour in the last frame.
+        channel: in which it was measured.
+        frame: checked (`image.checked_frame`).
+        settings: of the mode.
+
+    Returns:
+        None where there is nothing like it, where another channel shows it better now, and for a
+        broad edge, whose background is too far away for a search nearby.
+    """
+    ellipse, levels, stride = last.ellipse, last.levels, settings.stride
+    if levels.width > Refine.BROAD:
+        return None
+    settings.meter.check(frame)
+    reach = dark_radius(levels.width) + Search.AROUND
+    x, y = ellipse.centre.tolist()
+    window = Window.around(x, y, *ellipse.scaled(reach).half_extent(), frame).on_grid(stride)
+    values = window.of(frame, stride)
+    full_scale = settings.response.full_scale_of(frame)
+    coarse = coarse_window(values, window, channel, settings, full_scale)
+    mask = (coarse.levels > levels.half / coarse.unit).view(np.uint8)
+    moments = cv2.moments(mask, binaryImage=True)
+    semi_major, semi_minor, _ = ellipse.axes()
+    filled = moments["m00"] * stride**2 / (math.pi * semi_major * semi_minor)
+    if abs(filled - 1) > Search.LIKE_LAST:
+        return None
+    best_channel, clips, full = channel_for(frame, window, stride, mask, full_scale)
+    if best_channel != channel:
+        return None
+    if abs(filled - 1) < Search.UNHIDDEN:
+        centroid = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
+        ellipse = Ellipse((window.x0, window.y0) + stride * centroid, ellipse.shape)
+    candidate = Candidate(ellipse, 0.0, 0.0, mask.view(bool)).relevelled(coarse)
+    faint = candidate.is_below(settings.min_contrast)
+    return Region(frame, settings, coarse, channel, full_scale, clips, full, [candidate], faint)
+
+
+def coarse_window(
+    values: np.ndarray,
+    window: Window,
+    channel: int,
+    settings: SubpixelSettings,
+    full_scale: float,
+) -> Coarse:
+    """The light of a window in one channel, subsampled and in 8 bits.
+
+    Args:
+        values: of the window, every `settings.stride`-th pixel.
+        window: of a checked frame.
+        channel: 0, 1, 2 or GREY.
+        settings: of the mode.
+        full_scale: of the frame.
+    """
+    stride = settings.stride
+    light = settings.meter.light(values, window, channel, full_scale, stride)
+    return Coarse.of_signal(light, stride=stride, x0=window.x0, y0=window.y0)
+
+
+def without_texture(patch: Patch, colours: np.ndarray, ellipse: Ellipse) -> Patch:
+    """The patch divided by the texture that its colours show.
+
+    Args:
+        patch: light of the channel or the grey mean to be measured in, at full resolution.
+        colours: (h, w, 3) float32 light of the same pixels, nowhere saturated.
+        ellipse: of the spot, roughly.
+    """
+    light = patch.signal
+    height, width = light.shape
+    cell = max(ellipse.axes()[1] / Texture.CELLS, 1.0)
+    cells = max(round(width / cell), 1), max(round(height / cell), 1)
+    channels = cv2.resize(np.dstack([colours, light]), cells, interpolation=cv2.INTER_AREA)
+    channels = np.maximum(channels.reshape(-1, 4), 0)
+    bright = channels[:, 3:]
+    # The same fraction of each channel, so that light that falls off alike in all still does.
+    lift = Texture.LIFT * (channels * bright).sum(axis=0) / max(bright.sum(), 1e-30) + 1e-30
+    logarithms = cv2.log(channels + lift)
+    # Twice, because the logarithm of a bell is curved, and the bell's colour differs from that of
+    # the other light.
+    short = _without_long_waves(_without_long_waves(logarithms.reshape(*cells[::-1], 4)))
+    short = bright * short.reshape(-1, 4)[:, :3]
+    varying = short.T @ short
+    varying.flat[::4] += 1e-6 * varying.trace() + 1e-30
+    exponents = np.linalg.solve(varying, np.ones(3))
+    texture = logarithms[:, 3] - logarithms[:, :3] @ (exponents / exponents.sum())
+    both = np.stack([logarithms[:, 3], logarithms[:, 3] - texture], axis=1)
+    uneven = bright * _round_rings(both, _rings(patch, ellipse, cells))
+    before, after = np.square(uneven).sum(axis=0)
+    if after > Texture.BY_CHANCE * before:  # wide patches of another pigment
+        return patch
+    texture = cv2.exp((texture - np.median(texture)).astype(np.float32)).reshape(cells[::-1])
+    texture = cv2.resize(texture, (width, height), interpolation=cv2.INTER_LINEAR)
+    return replace(patch, signal=(light + lift[3]) / texture - lift[3])
+
+
+def _without_long_waves(image: np.ndarray) -> np.ndarray:
+    return image - cv2.GaussianBlur(image, (0, 0), Texture.SHORT_WAVES)
+
+
+def _rings(patch: Patch, ellipse: Ellipse, cells: tuple[int, int]) -> np.ndarray:
+    """Number of the ring about the ellipse's centre in which each cell lies, (h w,)."""
+    height, width = patch.signal.shape
+    x = (np.arange(cells[0]) + 0.5) * (width / cells[0]) - 0.5 + patch.x0 - ellipse.centre[0]
+    y = (np.arange(cells[1]) + 0.5) * (height / cells[1]) - 0.5 + patch.y0 - ellipse.centre[1]
+    (a, b), (c, d) = np.linalg.inv(ellipse.shape).tolist()
+    radius = np.hypot(a * x + b * y[:, None], c * x + d * y[:, None])
+    return np.rint(radius * Texture.CELLS).astype(int).ravel()
+
+
+def _round_rings(values: np.ndarray, rings: np.ndarray) -> np.ndarray:
+    """Values (n, k) less the means of their rings: variation with the radius is the light's."""
+    number = np.maximum(np.bincount(rings), 1)
+    sums = [np.bincount(rings, column) for column in values.T]
+    return values - (np.stack(sums, axis=1) / number[:, None])[rings]
+
+
+_AT = np.linspace(-1, 1, Hollow.SIDE, dtype=np.float32)
+_X, _Y = np.meshgrid(_AT, _AT)
+_RADIUS = np.hypot(_X, _Y)
+_RAY = np.rint(np.arctan2(_Y, _X) * (RAYS / (2 * math.pi))).astype(int) % RAYS
+_THICK = np.ones((3, 3), np.uint8)  # along a thinner line, a way strays into the bright
+_MIDDLE = (Hollow.SIDE - 1) / 2
+_TURNS = [
+    cv2.getRotationMatrix2D((_MIDDLE, _MIDDLE), degrees, 1)
+    for degrees in np.arange(0, 180, 180 / Hollow.DIRECTIONS).tolist()
+]
+
+
+def hollow_share(
+    patch: Patch, ellipse: Ellipse, seen: np.ndarray, half: float, width: float
+) -> float:
+    """Area of dark places behind a visible edge, over the area inside the edge.
+
+    Args:
+        patch: signal round the ellipse.
+        ellipse: px.
+        seen: (RAYS,) rays on which its edge is visible.
+        half: the signal below which a place is dark.
+        width: of the edge, radii.
+    """
+    inside = _RADIUS < 1 - Sharp.PLATEAU * width
+    light = _on_grid(patch, ellipse)
+    dark = inside & (light < half)
+    area = np.count_nonzero(inside)
+    if np.count_nonzero(dark) <= Hollow.SHARE * area:
+        return 0.0
+    thick = cv2.morphologyEx(dark.view(np.uint8), cv2.MORPH_OPEN, _THICK).view(bool)
+    passable = np.where(inside, dark | np.isnan(light), ~seen[_RAY])
+    return np.count_nonzero(thick & ~_reached_from_outside(passable)) / area
+
+
+def _on_grid(patch: Patch, ellipse: Ellipse) -> np.ndarray:
+    """The signal on a grid on which the ellipse is the unit circle; NaN outside the patch."""
+    x0, y0 = ((ellipse.centre - (patch.x0, patch.y0)) / patch.stride).tolist()
+    (a, b), (c, d) = (ellipse.shape / patch.stride).astype(np.float32)
+    x, y = np.float32(x0) + a * _X + b * _Y, np.float32(y0) + c * _X + d * _Y
+    return cv2.remap(
+        patch.signal, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=math.nan
+    )
+
+
+def _reached_from_outside(passable: np.ndarray) -> np.ndarray:
+    """Pixels from which some straight way through passable pixels leads to the image's border."""
+    reached = np.zeros_like(passable)
+    for turn in _TURNS:
+        turned = cv2.warpAffine(
+            passable.view(np.uint8), turn, passable.shape, flags=cv2.INTER_NEAREST, borderValue=1
+        )
+        ways = np.minimum.accumulate(turned, axis=1)
+        ways |= np.minimum.accumulate(turned[:, ::-1], axis=1)[:, ::-1]
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        reached |= cv2.warpAffine(ways, turn, passable.shape, flags=flags).view(bool)
+    return reached
 
 
 def contour_of(region: Region) -> EdgeFit | NoSpot:

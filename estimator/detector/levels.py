@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 
 from estimator.detector.coarse import Candidate, Coarse
-from estimator.detector.ellipse import Ellipse
+from estimator.detector.ellipse import DESIGN, Ellipse, Patch
 from estimator.detector.tuning import RAYS, HalfLevel, Rays, WideView
-from estimator.detector.unwrap import DESIGN, Patch
 
 RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
 """Radii of the wide view, in units of the ellipse."""

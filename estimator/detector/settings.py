@@ -9,7 +9,7 @@ reference frame without the spot.
 Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), which has the least
 noise. If one channel is clearly brighter in the spot, texture is weaker there, and that channel is
 used (on a retina red, which hardly shows vessels). If a channel is saturated, the least saturated
-one is used. Texture that differs between colours is removed from broad edges first (`texture.py`).
+one is used. Texture that differs between colours is removed from broad edges first (`contour.py`).
 """
 
 from __future__ import annotations

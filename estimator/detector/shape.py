@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.detector.ellipse import Ellipse
+from estimator.detector.ellipse import Ellipse, Patch
 from estimator.detector.tuning import SpotProfile
-from estimator.detector.unwrap import Patch
 from estimator.image import (
     GREY,
     Camera,

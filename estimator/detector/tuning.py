@@ -26,7 +26,7 @@ bilinear samples share
 
 
 class Rays:
-    """The rays of an ellipse, along which profiles are sampled (`unwrap`)."""
+    """The rays of an ellipse, along which profiles are sampled (`ellipse`)."""
 
     FEWEST = 8
     """rays | least number that determines an ellipse or a mean profile | derived: five parameters
@@ -46,7 +46,7 @@ class WideView:
 
 
 class Search:
-    """Bright regions of a window (`coarse`, `regions`)."""
+    """Bright regions of a window (`coarse`, `contour`)."""
 
     REGIONS = 4
     """- | regions offered from one window | set by hand for glints and reflections brighter than
@@ -108,7 +108,7 @@ class Search:
 
 
 class Channel:
-    """The colour channel to measure in (`channel`)."""
+    """The colour channel to measure in (`coarse`)."""
 
     SATURATED = 0.02
     """- | fraction of a spot's pixels at full scale that changes its half level | set by hand"""
@@ -120,6 +120,8 @@ class Channel:
     """brightest channel | least brightness of a channel that may replace grey | set by hand"""
     MOST_PX = 40_000
     """px | larger regions are subsampled for the search of a flat top | set by hand: 0.3 ms"""
+    HOT = 0.005
+    """- | fraction of a region's pixels that may be hot, or written over | set by hand"""
 
 
 class Capture:
@@ -154,7 +156,7 @@ class Capture:
 
 
 class Refine:
-    """Refinement of the captured ellipse (`edges`, `band`, `sharp`, `broad`)."""
+    """Refinement of the captured ellipse (`edges`, `band`)."""
 
     BROAD = 0.17
     """radii | edge width from which an edge is a broad flank | set by hand between a disc of 60 px
@@ -238,7 +240,7 @@ class Refine:
 
 
 class Sharp:
-    """Refinement of a sharp edge (`sharp`)."""
+    """Refinement of a sharp edge (`band`)."""
 
     REACH = 3.0
     """edge widths | profile on either side | derived: beyond three standard deviations a Gaussian
@@ -287,7 +289,7 @@ class Sharp:
 
 
 class Broad:
-    """Refinement of a broad flank (`broad`)."""
+    """Refinement of a broad flank (`edges`)."""
 
     FLANK = 0.9
     """edge widths | flank on either side of the half level | set by hand"""
@@ -353,7 +355,7 @@ class ErrorGrowth:
 
 
 class Saturated:
-    """The edge of a saturated spot (`censored`)."""
+    """The edge of a saturated spot (`band`)."""
 
     READABLE = 0.95
     """full scale | mean value up to which noise does not reach full scale | derived: noise of 3 of
@@ -442,7 +444,7 @@ class HalfLevel:
 
 
 class Texture:
-    """The wall's texture from its colours (`texture`)."""
+    """The wall's texture from its colours (`contour`)."""
 
     CELLS = 16
     """- | cells on a semi-minor axis | set by hand: finer texture averages out round a contour"""
@@ -456,7 +458,7 @@ class Texture:
 
 
 class Motion:
-    """A spot that moved during the exposure (`motion_blur`)."""
+    """A spot that moved during the exposure (`verdict`)."""
 
     SMEARED = 0.08
     """radii | edge width from which a smear bends the contour | set by hand for moving drawn frames
@@ -509,7 +511,7 @@ class Motion:
 
 
 class Reflection:
-    """A wet wall's specular reflection with the spot on it (`reflection`)."""
+    """A wet wall's specular reflection with the spot on it (`verdict`)."""
 
     SIDE = 64
     """px | side to which the bell is reduced | set by hand: speed"""
@@ -569,7 +571,7 @@ class Verdict:
 
 
 class Hollow:
-    """Dark places inside an ellipse (`hollow`)."""
+    """Dark places inside an ellipse (`contour`)."""
 
     SHARE = 0.02
     """- | area of dark places behind a visible edge, over the ellipse's | set by hand between
@@ -636,7 +638,7 @@ class SpotProfile:
 
 
 class Faint:
-    """Where a spot may be that was not measured (`outlines`)."""
+    """Where a spot may be that was not measured (`tracking`)."""
 
     COVERAGE = 0.3
     """- | fraction of the contour that tells where the spot is | derived: `Verdict.SHORTEST_ARC`"""

@@ -1,4 +1,4 @@
 from .beam import NODES as NODES
 from .beam import Sweep as Sweep
-from .ranger import PixelRanger as PixelRanger
-from .robot import RobotPose as RobotPose
+from .frame_model import RobotPose as RobotPose
+from .tracker import PixelRanger as PixelRanger

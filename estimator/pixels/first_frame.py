@@ -1,31 +1,323 @@
-"""Explains a frame by itself: its pose, and the texture of a wall that is not known yet."""
+"""Explains a frame by itself, or together with earlier ones that show a part of its wall.
+
+Several explanations of the frames so far may be possible; each is a `Belief`. Behind a lens one
+radius may belong to several distances, and without the robot's axis a spot may lean to either side.
+So the first frame's distances and directions are scanned, and every one that might become the best
+is fitted. A later frame continues each explanation.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from estimator.image import CameraNoise, Outline
-from estimator.pixels.beam import BeamLight
-from estimator.pixels.belief import Belief, distinct, lit_px2
-from estimator.pixels.cells import COUNT, Window
-from estimator.pixels.frame_fit import STEPS, robust_fit, unlike_wall
-from estimator.pixels.frame_model import contrast
-from estimator.pixels.frame_state import FrameState
-from estimator.pixels.look import Look, reach_px
-from estimator.pixels.mix import Mix, evener_mix
-from estimator.pixels.reference import Reference
-from estimator.pixels.solution import Solution
-from estimator.pixels.solver import Solver
-from estimator.pixels.starts import (
-    blurred_starts,
-    likely_directions,
-    mirrored_start,
-    scanned_starts,
+from estimator.pixels.beam import BeamLight, Pose, Sweep
+from estimator.pixels.cells import COUNT, STILL, CellLight, WallMotion, Window
+from estimator.pixels.frame_fit import (
+    STEPS,
+    far_moved,
+    fit_wherever,
+    moved,
+    robust_fit,
+    unlike_wall,
 )
-from estimator.pixels.texture import Texture, texture_of
+from estimator.pixels.frame_model import (
+    SHIFT,
+    Direction,
+    FrameState,
+    Linear,
+    RobotPose,
+    Texture,
+    contrast,
+    lit,
+    texture_of,
+)
+from estimator.pixels.picture import Mix, Picture, Reference, evener_mix
+from estimator.pixels.solver import Solution, Solver
+
+REACH = (2.0, 1.2)
+"""Of the window over the half-maximum ellipse, for light without and with a sharp edge: farther out
+there is hardly any light. The smaller the cells, the less texture averages out within them."""
+_BESIDE_PX, _BESIDE_EDGE = 6.0, 2.5  # beside it, px, and in widths of the edge
+
+
+class Look(NamedTuple):
+    """A frame, and what the robot says of it.
+
+    Attributes:
+        picture: the pixels.
+        direction: of the beam, from the robot.
+        sweep: motion during the exposure, from the robot; None if unknown.
+        robot: where the robot says the tool is; None if it does not.
+    """
+
+    picture: Picture
+    direction: Direction | None
+    sweep: Sweep | None
+    robot: RobotPose | None
+
+
+def reach_px(spot: Outline, *, sharp: bool) -> float:
+    """From a spot's centre to where there is hardly any light."""
+    beside = _BESIDE_PX + _BESIDE_EDGE * spot.edge_width_px * sharp
+    return REACH[sharp] * spot.semi_major_px + beside
+
+
+_UNDECIDED = 16.0
+"""Difference of -2 log likelihoods that keeps a second pose possible: four standard deviations."""
+_SAME = 3.0  # standard deviations within which two poses are one
+_CALMS = 0.9  # of the shake that is expected, from frame to frame
+_MOVES_ON_PX = 4.0  # of the wall from frame to frame; a microscope shakes by one or two
+_DRIFTED_PX, _SURELY = 1.0, 3.0
+"""Least drift of the wall since the first frame that is worth a word: px, standard deviations."""
+_STAYS_PX = 0.1  # shift of a wall that keeps still; one that moved may move as far again
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """One explanation of the frames so far.
+
+    Attributes:
+        solver: of the window and with the wall's texture.
+        kept: frames that are fitted again with each new one.
+        solution: of the newest frame and those that were kept then.
+        learnt_px2: `lit_px2` when the texture was learnt.
+        surprise: mean square of the newest frame's cells less what all else says of them, in
+            variances; see `frame_fit.Surprise`.
+        lost: whether the newest frame shows another wall than the earlier ones or the reference.
+        step: motion of the wall in the image since the frame before.
+        shake_before_px: `shake_px` of the frame before.
+    """
+
+    solver: Solver
+    kept: list[tuple[FrameState, Linear]]
+    solution: Solution
+    learnt_px2: float
+    surprise: float = 1.0
+    lost: bool = False
+    step: WallMotion = STILL
+    shake_before_px: float = 0.0
+
+    @property
+    def newest(self) -> FrameState:
+        """The newest frame."""
+        return self.solution.frames[-1]
+
+    @cached_property
+    def unlikelihood(self) -> float:
+        """-2 log likelihood of all frames; a cell that is not trusted has a price, too."""
+        return self.solver.unlikelihood_of(self.solution)
+
+    @cached_property
+    def sigmas(self) -> Float[np.ndarray, "5"]:
+        """Standard deviations of the newest frame's pose."""
+        return np.sqrt(np.diag(self.solution.newest_covariance))
+
+    @cached_property
+    def shift_variance_px2(self) -> float:
+        """Variance of the newest frame's shift, of both sides together."""
+        return float(np.trace(self.solution.newest_states(SHIFT)))
+
+    @property
+    def way_px(self) -> float:
+        """How far the wall has moved in the image since the frame before.
+
+        Less what errors of the shifts, of this frame and of that one, look like: a wall of which
+        little is seen would move on, and ever farther, by its errors.
+        """
+        middle = self.newest.cells.motion.image_px(self.solver.window.middle_px)
+        way = self.step.image_px(middle) - middle
+        return math.sqrt(max(float(way @ way) - 2.0 * self.shift_variance_px2, 0.0))
+
+    @property
+    def shake_px(self) -> float:
+        """How far the image may jump from frame to frame, as it did of late."""
+        return max(min(self.way_px, _MOVES_ON_PX), _CALMS * self.shake_before_px)
+
+    @property
+    def shift_sigma_px(self) -> float:
+        """Standard deviation of the wall's shift in the next frame."""
+        return _STAYS_PX + self.shake_px
+
+    @property
+    def expected_motion(self) -> WallMotion:
+        """Of the wall in the next frame: it moves on as it did, unless it only shakes."""
+        motion = self.newest.cells.motion
+        return self.step.after(motion) if self.way_px > _MOVES_ON_PX else motion
+
+    @property
+    def outline(self) -> Outline:
+        """The half-maximum ellipse of the newest frame's light, good to a part of a cell."""
+        window = self.solver.window
+        light = self.solver.model.light(self.newest, self.solution.own)
+        places = window.centres().reshape(-1, 2)[lit(light)]
+        middle = self.newest.cells.motion.image_px(places.mean(axis=0))
+        # Half of an axis is twice the standard deviation along it.
+        variances, axes = np.linalg.eigh(4.0 * np.cov(places.T))
+        semi_minor, semi_major = np.sqrt(variances).tolist()
+        x, y = middle.tolist()
+        angle = math.atan2(axes[1, 1], axes[0, 1])
+        return Outline(x, y, semi_major, semi_minor, angle, measured=False)
+
+    def drift(self, frame: FrameState) -> Float[np.ndarray, "2"]:
+        """How far the wall has moved in the image from the map's begin to a frame, px."""
+        middle = self.solver.window.middle_px
+        return frame.cells.motion.image_px(middle) - middle
+
+    @property
+    def drifted(self) -> bool:
+        """Whether the wall has moved since the map's begin, beyond what may be an error."""
+        way = math.hypot(*self.drift(self.newest))
+        return way > max(_DRIFTED_PX, _SURELY * math.sqrt(self.shift_variance_px2))
+
+    def differs(self, other: Belief) -> bool:
+        """Whether the newest pose is another one."""
+        mine, its = self.newest.pose, other.newest.pose
+        turned = mine.axis - its.axis
+        change = np.array([mine.distance - its.distance, turned @ its.first, turned @ its.second])
+        return bool((np.abs(change) > _SAME * other.sigmas[2:]).any())
+
+
+def lit_px2(solver: Solver, solution: Solution) -> float:
+    """Area of the window's wall that any frame of a solution lights."""
+    seen = [lit(solver.model.light(frame, solution.own)) for frame in solution.frames]
+    return float(np.count_nonzero(np.any(seen, axis=0))) * solver.window.side**2
+
+
+def distinct(beliefs: list[Belief]) -> list[Belief]:
+    """The best explanation, and others that are different and nearly as good."""
+    if len(beliefs) < 2:  # a likelihood takes some milliseconds
+        return beliefs
+    best, *others = sorted(beliefs, key=lambda one: one.unlikelihood)
+    kept = [best]
+    for belief in others:
+        near = belief.unlikelihood - best.unlikelihood < _UNDECIDED
+        if near and all(belief.differs(other) for other in kept):
+            kept.append(belief)
+    return kept
+
+
+_DISTANCES_MM = np.geomspace(0.4, 7.0, 20)
+_ROUND = 1.02  # ratio of the axes below which a spot shows no tilt
+_MOST = 3  # starts that are fitted
+_SIZE, _TINY = (0.2, 0.05), 1e-6
+"""Standard deviation of the logarithm of the spot's area, for light without and with a sharp edge:
+the contour of a bell follows the texture, and cells are counted."""
+_STEEPEST = 60.0  # incidence, degrees
+_BLURRED_PX = 1.5  # width of an edge, above which its blur has a shape
+_SHAPES = ((-1.0, 2.0 / np.pi), (0.0, 1.0), (2.0, 6.0 / np.pi))
+"""Kurtosis of a blur, and its variance over the square of the edge width (`Spot.edge_width_px`),
+which is that of the Gaussian whose step is as steep in the middle: 2/pi for a disc, and 6/pi for
+exp(-r/L)."""
+
+
+def scanned_starts(
+    solver: Solver,
+    frame_at: Callable[[Pose], FrameState],
+    spot: Outline,
+    own: np.ndarray,
+    directions: list[np.ndarray],
+) -> list[FrameState]:
+    """The frame at the poses that are the likeliest along each direction, best first.
+
+    Args:
+        solver: of the frame's window.
+        frame_at: the frame with a pose.
+        spot: in the frame.
+        own: changes of the beam's own parameters.
+        directions: axes of the beam.
+    """
+    found: list[tuple[float, FrameState]] = []
+    spot_px2 = np.pi * spot.semi_major_px * spot.semi_minor_px
+    model = solver.model
+    point = solver.beam.wall_points(np.array([[spot.x_px, spot.y_px]]))[0][0]
+    for axis in directions:
+        costs: list[float] = []
+        states: list[FrameState | None] = []
+        for distance in _DISTANCES_MM:
+            pose = solver.beam.pose(point - distance * axis, axis)
+            scanned = None if pose is None else model.scanned(frame_at(pose), own)
+            state, cost = (None, np.inf) if scanned is None else scanned
+            if state is not None:
+                cells = np.count_nonzero(lit(model.light(state, own)))
+                size = cells * model.window.side**2 / spot_px2
+                cost += (np.log(max(size, _TINY)) / _SIZE[solver.beam.sharp]) ** 2
+            states.append(state)
+            costs.append(cost)
+        padded = np.array([np.inf, *costs, np.inf])
+        for k in np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:])):
+            state = states[k]
+            if state is not None:
+                found.append((costs[k], state))
+    found.sort(key=lambda one: one[0])
+    return [state for _, state in found[:_MOST]]
+
+
+def blurred_starts(frame: FrameState, spot: Outline) -> list[FrameState]:
+    """A frame with the blurs that a sharp edge may have, which looks as wide as the spot's.
+
+    Args:
+        frame: at a pose.
+        spot: in the frame.
+    """
+    if spot.edge_width_px < _BLURRED_PX:
+        return [frame]
+    return [
+        replace(frame, blur_px2=share * spot.edge_width_px**2, kurtosis=kurtosis)
+        for kurtosis, share in _SHAPES
+    ]
+
+
+def mirrored_start(solver: Solver, frame: FrameState, own: np.ndarray) -> FrameState | None:
+    """A frame with the beam leaning to the other side of the wall's normal, as alike in the image.
+
+    Args:
+        solver: of the frame's window.
+        frame: at a pose that was found.
+        own: changes of the beam's own parameters.
+
+    Returns:
+        The frame, or None if such a beam meets no wall that is seen.
+    """
+    pose = frame.pose
+    normal = np.cross(pose.right, pose.down)
+    axis = 2.0 * (pose.axis @ normal) * normal - pose.axis
+    other = solver.beam.pose(pose.spot - pose.distance * axis, axis)
+    scanned = None if other is None else solver.model.scanned(replace(frame, pose=other), own)
+    return None if scanned is None else scanned[0]
+
+
+def likely_directions(
+    beam: BeamLight, spot: Outline, direction: Direction | None
+) -> list[np.ndarray]:
+    """Axes of the beam to start from: the robot's, or square to the wall and tilted as the spot."""
+    if direction is not None:
+        return [direction.axis]
+    return list(_tilted(beam, spot))
+
+
+def _tilted(beam: BeamLight, spot: Outline) -> Iterator[np.ndarray]:
+    along = np.array([np.cos(spot.angle_rad), np.sin(spot.angle_rad)])
+    middle = np.array([spot.x_px, spot.y_px])
+    points, normals = beam.wall_points(np.stack([middle, middle + along]))
+    normal = normals[0]
+    yield -normal
+    ratio = spot.semi_major_px / spot.semi_minor_px
+    if ratio > _ROUND:
+        way = points[1] - points[0]
+        way -= (way @ normal) * normal
+        way /= np.linalg.norm(way)
+        tilt = min(np.arccos(1.0 / ratio), np.radians(_STEEPEST))
+        for side in (-1.0, 1.0):
+            yield -np.cos(tilt) * normal + side * np.sin(tilt) * way
+
 
 _STEPS_FIRST = 14
 _FEWEST = 30  # cells of a first frame; it has sixteen states
@@ -123,3 +415,144 @@ def explained_alone(
 def learnt_texture(solver: Solver, solution: Solution) -> Texture:
     """The texture that all frames of a solution show. Takes a second or two."""
     return texture_of(*solution.together, count=COUNT, side_mm=solver.model.side_mm)
+
+
+_KEPT = 6  # earlier frames
+_NEW = 0.25  # shift over the spot's radius that makes a frame worth keeping
+_GROWN = 0.07  # change of the distance's logarithm that does
+_MORE_WALL = 1.25
+"""Growth of the wall that the frames light, after which its texture is learnt again. One small spot
+says little of it: vessels and grain that it does not show have the variances of the prior, and what
+is larger than the spot may as well be its light."""
+_ANEW = 3  # fits of a frame, if it moves the earlier ones far
+_AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
+_OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
+
+
+def explained_with(
+    belief: Belief, look: Look, mix: Mix, spot: Outline, last_px: np.ndarray, *, shake_px: float
+) -> Belief | None:
+    """An explanation of the frames so far, continued by the next one.
+
+    Args:
+        belief: that explanation.
+        look: the next frame.
+        mix: the mixture of channels.
+        spot: the outline in it.
+        last_px: where the spot was.
+        shake_px: least standard deviation of the image's shake along each side.
+
+    Returns:
+        It, or None if the beam would light nothing that is seen.
+    """
+
+    def cells(motion: WallMotion) -> CellLight:
+        return look.picture.cells(mix, motion)
+
+    solver, kept, own = belief.solver, belief.kept, belief.solution.own
+    motion = belief.expected_motion
+    centre = np.array([spot.x_px, spot.y_px])
+    on_map, before = motion.map_px(centre), belief.newest.cells.motion.map_px(last_px)
+    reach = reach_px(spot, sharp=solver.beam.sharp)
+    window = solver.window.following(on_map, reach, on_map - before)
+    if window == solver.window:
+        solver = solver.with_map(belief.solution.texture_map)
+    else:
+        solver, kept = moved(solver, window, kept, own)
+    point = solver.beam.wall_points(centre[None])[0][0]
+    start = _start(belief.newest, solver, cells(motion), point, own, look.sweep)
+    if start is None:
+        return None
+    start = replace(
+        start,
+        shift_sigma=math.hypot(belief.shift_sigma_px, math.sqrt(2.0) * shake_px),
+        # Where the microscope drifts, the eye frame moves against the robot.
+        robot=None if belief.drifted else look.robot,
+    )
+    found, surprise, lost, kept = _fitted(solver, kept, start, own, cells, belief.surprise)
+    learnt_px2, seen_px2 = belief.learnt_px2, lit_px2(solver, found)
+    if seen_px2 > _MORE_WALL * learnt_px2 and not lost:
+        solver, learnt_px2 = solver.of_texture(learnt_texture(solver, found)), seen_px2
+        start, own = found.frames[-1], found.own
+        found, surprise, lost, kept = _fitted(solver, kept, start, own, cells, belief.surprise)
+    return Belief(
+        solver=solver,
+        kept=_kept(solver, found, kept),
+        solution=found,
+        learnt_px2=learnt_px2,
+        surprise=surprise,
+        lost=lost,
+        step=found.frames[-1].cells.motion.since(belief.newest.cells.motion),
+        shake_before_px=belief.shake_px,
+    )
+
+
+def _fitted(
+    solver: Solver,
+    kept: list[tuple[FrameState, Linear]],
+    start: FrameState,
+    own: Float[np.ndarray, "q"],
+    cells: Callable[[WallMotion], CellLight],
+    usual: float,
+) -> tuple[Solution, float, bool, list[tuple[FrameState, Linear]]]:
+    """What `fit_wherever` finds; and the earlier frames, anew where they have moved far."""
+    for _ in range(_ANEW):
+        found, surprise, lost = fit_wherever(solver, kept, start, own, cells, usual=usual)
+        fresh = far_moved(solver, kept, found)
+        if fresh is None or lost:
+            break
+        kept, start, own = fresh, found.frames[-1], found.own
+    return found, surprise, lost, kept
+
+
+def _start(
+    last: FrameState,
+    solver: Solver,
+    cells: CellLight,
+    point: Float[np.ndarray, "3"],
+    own: Float[np.ndarray, "q"],
+    sweep: Sweep | None,
+) -> FrameState | None:
+    """The last pose where the spot is now, at the distance that suits its light.
+
+    None if it lights nothing there that is seen.
+    """
+    prior = (last.log_ambient, _AMBIENT_STAYS)
+    found = []
+    for factor in _OTHER_DISTANCES:
+        axis = last.pose.axis
+        pose = solver.beam.pose(point - factor * last.pose.distance * axis, axis)
+        if pose is not None:
+            frame = replace(
+                last, cells=cells, pose=pose, direction=None, ambient_prior=prior, sweep=sweep
+            )
+            found.append(solver.model.scanned(frame, own))
+    best = min(filter(None, found), key=lambda one: one[1], default=None)
+    return None if best is None else replace(best[0], log_ambient=last.log_ambient)
+
+
+def _kept(
+    solver: Solver, solution: Solution, before: list[tuple[FrameState, Linear]]
+) -> list[tuple[FrameState, Linear]]:
+    """The kept frames, with the newest if it shows the wall in another light."""
+    *kept, newest = zip(solution.frames, solution.linear, strict=True)
+    # A fit that trusts them less does so for its own frame.
+    kept = [
+        (state, line._replace(weight=old.weight))
+        for (state, line), (_, old) in zip(kept, before, strict=True)
+    ]
+    pose = newest[0].pose
+    radius = 0.5 * COUNT * solver.model.side_mm / REACH[solver.beam.sharp]
+    apart = [
+        max(
+            float(np.linalg.norm(pose.spot - state.pose.spot)) / radius / _NEW,
+            abs(math.log(pose.distance / state.pose.distance)) / _GROWN,
+        )
+        for state, _ in kept
+    ]
+    if min(apart, default=math.inf) <= 1.0:
+        return kept
+    if len(kept) >= _KEPT:
+        # The first stays; of the others the one nearest to the newest goes.
+        kept.pop(1 + int(np.argmin(apart[1:])))
+    return [*kept, newest]

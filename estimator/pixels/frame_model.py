@@ -1,24 +1,484 @@
-"""The model of one frame: the light of a window's cells at a state, and what it weighs.
+"""The model of one frame: its states, its light on the cells of a window, and the priors.
 
-See `solver` for the formula.
+`solver` has the formula. The model is made from four parts, in this order:
+
+- The robot knows its own motion much better than where the eye is and how the fibre sits in the
+  tool. So the first frame of a wall may be anywhere, and the others are where the robot moved from
+  there.
+- Within a saturated spot every pixel is at full scale, whatever the light is. A cell at the sharp
+  edge of such a spot is as bright as the share of it that the spot covers. Pixels that the edge
+  cuts are at full scale as well if a part of them is enough for that, so the spot looks larger.
+- The wall's texture is a Gaussian process. The logarithm of the reflectance has the covariance
+  sum_j a_j k_j(h / l_j), h apart. The lengths l_j are fixed, a factor of three to four apart. The
+  variances a_j follow from the frames so far by restricted maximum likelihood (Patterson and
+  Thompson 1971), so that grain, vessels and slow shading each have their share. The grain is rough,
+  with k = exp(-x). Vessels and shading are smooth in small, with the k of Matern of the order 3/2
+  (Stein 1999). With all parts rough, the small cells say more of the large ones than they know: a
+  frame's light at its known pose is less likely by factors of 1e6 to 1e10 on drawn retinas, 3 to
+  2e5 on prints and up to 300 on a photograph.
+- The states of a frame are its pose, gain, ambient light and blur, each with its prior.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.linalg import cholesky, solve_triangular
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
+from scipy.optimize import minimize
+from scipy.special import logsumexp
 
-from estimator.pixels.beam import POSE, BeamLight
-from estimator.pixels.blur import blurred
-from estimator.pixels.cells import COUNT, SHADES, Window
-from estimator.pixels.frame_state import FrameState, Linear, prior_cost
-from estimator.pixels.saturation import CUT, covered
-from estimator.pixels.texture import Texture
+from estimator.pixels.beam import POSE, BeamLight, Pose, Sweep, blurred
+from estimator.pixels.cells import COUNT, SHADES, CellLight, Window, rolled
+
+_TURNED = 0.02
+"""Relative error of a motion in the eye's frame, for an `eye_from_robot` that is 1 degree off."""
+_TURN = math.radians(0.05)  # error of the robot's own turn
+_FREEDOM = 10.0  # of Student's distribution; a robot that is wrong loses its weight
+
+
+class RobotPose(NamedTuple):
+    """The tool, in the middle of an exposure.
+
+    Attributes:
+        tip: place of the tip, mm, in axes along the eye frame's.
+        axis: direction of the beam by the tool's, which may be off by some degrees, but always
+            alike as long as the tool does not roll.
+        sigma: standard deviation of `tip`, mm, by the robot and its clock.
+    """
+
+    tip: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    sigma: float
+
+
+class Motion(NamedTuple):
+    """What the robot says of two frames, less what is believed of them.
+
+    Attributes:
+        rest: of the change of the tip, mm, and of two turns of the axis, rad.
+        slopes: derivatives of what is believed by the later pose.
+        first_slopes: by the first pose.
+        precision: 1 over the variances of `rest`.
+    """
+
+    rest: Float[np.ndarray, "5"]
+    slopes: Float[np.ndarray, "5 5"]
+    first_slopes: Float[np.ndarray, "5 5"]
+    precision: Float[np.ndarray, "5"]
+
+    def after(self, by: Float[np.ndarray, "5"], by_first: Float[np.ndarray, "5"]) -> Motion:
+        """After small changes of the two poses."""
+        rest = self.rest - self.slopes @ by - self.first_slopes @ by_first
+        return self._replace(rest=rest)
+
+    @property
+    def cost(self) -> float:
+        """-2 log likelihood, up to a constant."""
+        return float(_FREEDOM * math.log1p(self._chi_squared / _FREEDOM))
+
+    @property
+    def weight(self) -> Float[np.ndarray, "5"]:
+        """`precision`, less where the robot is wrong."""
+        return self.precision / (1.0 + self._chi_squared / _FREEDOM)
+
+    @property
+    def _chi_squared(self) -> float:
+        return float(self.precision @ np.square(self.rest))
+
+
+def motion_between(
+    first: tuple[Pose, RobotPose | None], later: tuple[Pose, RobotPose | None]
+) -> Motion | None:
+    """The motion between two frames with their poses; None if the robot says nothing of one."""
+    (pose_0, robot_0), (pose, robot) = first, later
+    if robot_0 is None or robot is None:
+        return None
+    told, (turn, angle) = robot.tip - robot_0.tip, _turn(robot_0.axis, robot.axis)
+    across = np.stack([pose.first, pose.second])
+    rest = np.concatenate(
+        [told - (pose.tip - pose_0.tip), across @ (turn @ pose_0.axis - pose.axis)]
+    )
+    first_slopes = np.zeros((POSE, POSE))
+    first_slopes[:3] = -pose_0.slopes[:3]
+    first_slopes[3:, 3:] = -across @ turn @ np.stack([pose_0.first, pose_0.second], axis=-1)
+    place = math.hypot(robot.sigma, robot_0.sigma, _TURNED * float(np.linalg.norm(told)))
+    return Motion(
+        rest=rest,
+        slopes=pose.slopes,
+        first_slopes=first_slopes,
+        precision=np.repeat([place, math.hypot(_TURN, _TURNED * angle)], [3, 2]) ** -2.0,
+    )
+
+
+def _turn(first: np.ndarray, later: np.ndarray) -> tuple[Float[np.ndarray, "3 3"], float]:
+    """The least rotation from one unit vector to another, and its angle, rad."""
+    axis = np.cross(first, later)
+    cross = np.cross(np.eye(3), axis)  # rows: e_i x axis; as a matrix it turns about the axis
+    cosine = float(first @ later)
+    angle = math.atan2(float(np.linalg.norm(axis)), cosine)
+    return np.eye(3) + cross + cross @ cross / (1.0 + cosine), angle
+
+
+_BLOOM_PX, BLOOM_DOUBT_PX = 0.45, 0.1
+"""How far the edge of a saturated spot is outside of the spot's, px, and its standard deviation. An
+edge cuts 1.27 pixels per pixel of its length, in the mean over all directions. Light of r full
+scales fills each of them of which it covers 1/r, so that the edge is 0.64 (1 - 1/r) too far
+outside: between 0.3 and 0.6 for any r above 2."""
+CUT = 0.3  # error of a pixel that such an edge cuts, over the step: those of 0 and 1 are alike
+_WHOLE = 0.98  # of a cell, above which it is covered
+_LEAST = 1e-9  # 1/mm²
+
+
+class Covered(NamedTuple):
+    """What a saturated spot makes of the cells.
+
+    Attributes:
+        light: of the beam, per unit power, 1/mm², as far as the camera shows it.
+        over: whether a cell or one beside it is at full scale.
+        cover: share of such a cell that the spot covers; 0 for others.
+        slopes: derivatives of `light`.
+    """
+
+    light: Float[np.ndarray, "n"]
+    over: Bool[np.ndarray, "n"]
+    cover: Float[np.ndarray, "n"]
+    slopes: Float[np.ndarray, "k n"]
+
+    @property
+    def whole(self) -> Bool[np.ndarray, "n"]:
+        """Cells that are covered, which say no more than that."""
+        return self.over & (self.cover > _WHOLE)
+
+
+def covered(
+    light: Float[np.ndarray, "n"],
+    room: Float[np.ndarray, "n"],
+    slopes: Float[np.ndarray, "k n"] | None = None,
+    *,
+    pixel_mm: float = 0.0,
+) -> Covered:
+    """The light of a beam as far as a camera shows it.
+
+    Args:
+        light: per unit power, 1/mm².
+        room: light that takes a cell to full scale.
+        slopes: derivatives of the light, the first two by shifts of the spot along the wall, mm.
+            Without them, the edge is where the spot's is.
+        pixel_mm: side of a pixel on the wall.
+    """
+    brightest = _brightest_near(light)
+    full = np.maximum(light[brightest], _LEAST)
+    over = (full > room) & (room > 0)
+    cover = np.where(over, light / full, 0.0)
+    if slopes is None:
+        return Covered(np.where(over, room * cover, light), over, cover, np.zeros((0, light.size)))
+    by_state = (slopes - cover * slopes[:, brightest]) / full
+    bloom = _BLOOM_PX * pixel_mm * np.hypot(*by_state[:2])
+    cover = np.where(over, np.minimum(cover + bloom, 1.0), 0.0)
+    return Covered(
+        np.where(over, room * cover, light), over, cover, np.where(over, room * by_state, slopes)
+    )
+
+
+def _brightest_near(light: Float[np.ndarray, "n"]) -> np.ndarray:
+    """For each cell the number of the brightest of it and those around it."""
+    numbers = np.arange(light.size).reshape(COUNT, COUNT)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(numbers, 1, mode="edge"), (3, 3))
+    near = windows.reshape(light.size, 9)
+    return near[np.arange(light.size), np.argmax(light[near], axis=1)]
+
+
+def halo(light: Float[np.ndarray, "n"], lit: Bool[np.ndarray, "n"]) -> float:
+    """Light beside a spot over that farther away, in which no tool and no vessel counts.
+
+    Args:
+        light: of the cells.
+        lit: cells of the spot.
+    """
+    spot, grid = lit.reshape(COUNT, COUNT), light.reshape(COUNT, COUNT)
+    edge, beside = (binary_dilation(spot, iterations=cells) for cells in (1, 3))
+    near, far = grid[beside & ~edge], grid[~beside]
+    return float(np.median(near) / max(np.median(far), _LEAST)) if near.size and far.size else 1.0
+
+
+LENGTHS_MM = (0.08, 0.25, 1.0)
+"""Correlation lengths of grain, vessels and shading: from a few pixels to the size of a spot."""
+_USUAL = (0.02, 0.05, 0.07)
+"""Standard deviations of the parts before a frame was seen, relative: the order of a retina's."""
+_ANY, _ALIKE = 2.0 * math.log(30.0), 2.0 * math.log(10.0)
+"""Standard deviations of a variance's logarithm before a frame was seen, of all parts together and
+of each part by itself. Two thirds of all walls have a contrast within a factor of 30 of what is
+usual, so that a sheet of paper is no surprise, and parts within a factor of ten of each other: a
+print has no grain, and a photograph's grain is all that it has in small."""
+_RANK = 1e-9  # of the largest derivative
+_WITHIN = 0.52
+"""Mean distance of two points of a square, over its side."""
+_CONTRASTS = np.log(10.0) * np.arange(-5.0, 2.0)
+"""Logarithms of all variances over the usual ones, from which the estimate starts."""
+_NEAR = 0.1  # of the likeliest logarithms, or -2 log likelihoods: what the search stops at
+_STEP = 0.5  # of a logarithm, for second differences
+_NODES = np.linspace(-3.0, 3.0, 9)  # standard deviations, at which a mean is taken
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """Variances of the texture's parts.
+
+    Attributes:
+        variances: a_j, one for each of `LENGTHS_MM`.
+    """
+
+    variances: Float[np.ndarray, "parts"]
+
+    @classmethod
+    def usual(cls) -> Texture:
+        """Before a frame was seen."""
+        return cls(np.square(_USUAL))
+
+    def covariance(self, count: int, side_mm: float) -> Float[np.ndarray, "n n"]:
+        """Of the cells' means, for count x count cells of a side on the wall."""
+        return np.tensordot(self.variances, _kernels(count, side_mm), axes=1)
+
+    def variogram(self, apart_mm: Float[np.ndarray, "*n"] | float) -> Float[np.ndarray, "*n"]:
+        """Variance of the difference of two points that are some way apart."""
+        unlike = 1.0 - _alike(np.asarray(apart_mm))
+        return np.asarray(2.0 * np.tensordot(self.variances, unlike, axes=1))
+
+    @property
+    def variance(self) -> float:
+        """Of a point's log reflectance."""
+        return float(np.sum(self.variances))
+
+
+def texture_of(
+    residual: Float[np.ndarray, "n"],
+    weight: Float[np.ndarray, "n"],
+    slopes: Float[np.ndarray, "p n"],
+    *,
+    count: int,
+    side_mm: float,
+) -> Texture:
+    """The texture that explains the residuals of cells.
+
+    Args:
+        residual: log light less its model, of count x count cells.
+        weight: 1 over the variances of the residuals by the camera; 0 for cells that are not used.
+        slopes: derivatives of the model by what was fitted to these residuals.
+        count: cells along each side.
+        side_mm: of a cell on the wall.
+    """
+    chosen = np.flatnonzero(weight > 0)
+    kernels = _kernels(count, side_mm)[:, chosen[:, None], chosen]
+    noise = np.diag(1.0 / weight[chosen])
+    # Derivatives that are zero or sums of others would make the determinant zero.
+    fitted, sizes, _ = np.linalg.svd(slopes[:, chosen].T, full_matrices=False)
+    both = np.column_stack([fitted[:, sizes > _RANK * sizes[0]], residual[chosen]])
+    precision = np.linalg.inv(_ANY**2 + _ALIKE**2 * np.eye(len(kernels)))
+
+    def unlikelihood(off: Float[np.ndarray, "parts"]) -> float:
+        """-2 log of the probability of variances, by their logarithms over the usual ones."""
+        covariance = np.tensordot(np.square(_USUAL) * np.exp(off), kernels, axes=1) + noise
+        factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
+        white = solve_triangular(factor, both, lower=True, check_finite=False)
+        # The last column is what the fit leaves of the residual.
+        sizes = np.log(np.abs(np.diag(np.linalg.qr(white, mode="r"))))
+        determinants = np.sum(np.log(np.diag(factor))) + np.sum(sizes[:-1])
+        return float(2.0 * determinants + np.exp(2.0 * sizes[-1]) + off @ precision @ off)
+
+    parts = np.eye(len(kernels))
+    start = min((contrast * parts.sum(axis=0) for contrast in _CONTRASTS), key=unlikelihood)
+    near = {"initial_simplex": np.vstack([start, start + parts]), "xatol": _NEAR, "fatol": _NEAR}
+    off = minimize(unlikelihood, start, method="Nelder-Mead", options=near).x
+    return Texture(np.square(_USUAL) * _mean_exponential(unlikelihood, off))
+
+
+def _mean_exponential(
+    unlikelihood: Callable[[np.ndarray], float], likeliest: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """Mean of the exponentials of some numbers, by -2 log of their probability.
+
+    Along the principal axes of the probability's curvature the numbers count as independent. They
+    need not be normal: a wall may be as even as it likes, and one spot shows little of what is
+    larger than it.
+    """
+    steps = _STEP * np.eye(len(likeliest))
+    here = unlikelihood(likeliest)
+    there = np.array([unlikelihood(likeliest + step) for step in steps])
+    back = np.array([unlikelihood(likeliest - step) for step in steps])
+    curvature = np.diag(there + back - 2.0 * here)
+    for j, k in zip(*np.triu_indices(len(steps), 1), strict=True):
+        both = unlikelihood(likeliest + steps[j] + steps[k])
+        curvature[j, k] = curvature[k, j] = both - there[j] - there[k] + here
+    precisions, axes = np.linalg.eigh(0.5 * curvature / _STEP**2)
+    mean = np.exp(likeliest)
+    for precision, axis in zip(precisions, axes.T, strict=True):
+        ways = np.outer(_NODES / math.sqrt(max(precision, _ANY**-2)), axis)
+        likely = -0.5 * np.array([unlikelihood(likeliest + way) for way in ways])
+        mean *= np.exp(logsumexp(likely[:, None] + ways, axis=0) - logsumexp(likely))
+    return mean
+
+
+@functools.lru_cache(maxsize=4)
+def _kernels(count: int, side_mm: float) -> Float[np.ndarray, "parts n n"]:
+    place = np.arange(count)
+    square = (place[:, None] - place) ** 2
+    apart = np.add.outer(square, square).transpose(0, 2, 1, 3).reshape(count**2, count**2)
+    # Means over cells vary less than points do: even those of one cell are some way apart.
+    return _alike(side_mm * np.sqrt(apart + _WITHIN**2))
+
+
+def _alike(apart_mm: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "parts *n"]:
+    """Correlation of points that are some way apart, by each part."""
+    grain, *smooth = LENGTHS_MM
+    ways = [math.sqrt(3.0) * apart_mm / length for length in smooth]
+    return np.stack([np.exp(-apart_mm / grain), *((1.0 + way) * np.exp(-way) for way in ways)])
+
+
+GAIN, AMBIENT, SHADE, BLUR, TAILS = POSE, POSE + 1, slice(POSE + 2, POSE + 7), POSE + 7, POSE + 8
+SHIFT = slice(POSE + 9, POSE + 11)
+OWN = POSE + 11
+"""States of a frame: those of its pose, log gain, log ambient light and its shading by `SHADES`,
+the variance of the blur, px², its excess kurtosis, and how far the wall has moved to the right and
+downwards in the image, px."""
+_SHADE = np.array([0.5, 0.5, 0.3, 0.3, 0.3])
+"""Standard deviations. A film of water that reflects a lamp adds a bump to the ambient light."""
+_BLUR_PX2 = 2.0
+"""Half width of the Cauchy distribution of the blur's variance. Most images are in focus, at NA
+0.05 within 0.4 mm. Nobody knows how far the others are out of focus."""
+_SATURATED_PX2 = 0.02
+"""Standard deviation of that variance where the spot is saturated: its blur cannot be told from its
+size there, and counts as part of what makes it look larger (`covered`)."""
+_KURTOSIS = 1.0  # standard deviation of the blur's excess kurtosis; a disc has -1
+
+
+class Direction(NamedTuple):
+    """What the robot says about the beam: a unit vector and its standard deviation, rad."""
+
+    axis: Float[np.ndarray, "3"]
+    sigma: float
+
+
+class Linear(NamedTuple):
+    """A frame's model at its state on the cells of a window.
+
+    Attributes:
+        residual: log of the measured light, less its model.
+        slopes: derivatives of the model by the frame's states.
+        shared: derivatives by the beam's own parameters.
+        weight: 1 over the variance; 0 for cells that are not used.
+    """
+
+    residual: Float[np.ndarray, "n"]
+    slopes: Float[np.ndarray, "16 n"]
+    shared: Float[np.ndarray, "q n"]
+    weight: Float[np.ndarray, "n"]
+
+    def after(self, right: int, down: int) -> Linear:
+        """The model after the window has moved by some cells; new cells have no weight."""
+        return Linear(*(rolled(part, right, down) for part in self))
+
+
+@dataclass(frozen=True, eq=False)
+class FrameState:
+    """A frame with what is believed of it.
+
+    Attributes:
+        cells: its light.
+        pose: tip and axis.
+        log_gain: of full wells over irradiance per unit power, mm².
+        log_ambient: of the ambient light over the beam's power, 1/mm².
+        direction: of the beam by the robot, or None.
+        ambient_prior: mean and standard deviation of `log_ambient`.
+        sweep: motion during the exposure.
+        robot: where the robot says the tool is.
+        shade: logarithm of the ambient light less that in the middle, in terms of `SHADES`.
+        blur_px2: variance of the image's blur.
+        kurtosis: its excess kurtosis.
+        shift: of the wall since `cells` were cut, px.
+        shift_sigma: its standard deviation before the frame was seen, px. The map begins with the
+            first frame, so that hardly any is its own.
+    """
+
+    cells: CellLight
+    pose: Pose
+    log_gain: float
+    log_ambient: float
+    direction: Direction | None
+    ambient_prior: tuple[float, float]
+    sweep: Sweep | None = None
+    robot: RobotPose | None = None
+    shade: tuple[float, ...] = (0.0,) * len(SHADES)
+    blur_px2: float = 0.0
+    kurtosis: float = 0.0
+    shift: tuple[float, float] = (0.0, 0.0)
+    shift_sigma: float = 1e-3
+
+    @property
+    def saturated(self) -> bool:
+        """Whether the spot is at full scale."""
+        return self.cells.ceiling < math.inf
+
+    @property
+    def axis_off(self) -> float:
+        """How far the axis is from the robot's, in standard deviations; 0 if it says nothing."""
+        if self.direction is None:
+            return 0.0
+        return math.acos(min(1.0, float(self.pose.axis @ self.direction.axis))) / (
+            self.direction.sigma
+        )
+
+
+def prior_of(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
+    """Precision of a frame's states before it is seen, and the pull towards their means."""
+    precision, pull = np.zeros((OWN, OWN)), np.zeros(OWN)
+    mean, sigma = frame.ambient_prior
+    precision[AMBIENT, AMBIENT] = sigma**-2
+    pull[AMBIENT] = (mean - frame.log_ambient) / sigma**2
+    precision[SHADE, SHADE] = np.diag(_SHADE**-2)
+    pull[SHADE] = np.array(frame.shade) / -(_SHADE**2)
+    precision[BLUR, BLUR] = 1.0 / _blur_scale(frame) ** 2
+    pull[BLUR] = -precision[BLUR, BLUR] * frame.blur_px2
+    precision[TAILS, TAILS] = _KURTOSIS**-2
+    pull[TAILS] = -frame.kurtosis / _KURTOSIS**2
+    precision[SHIFT, SHIFT] = frame.shift_sigma**-2 * np.eye(2)
+    pull[SHIFT] = np.array(frame.shift) / -(frame.shift_sigma**2)
+    if frame.direction is not None:
+        across = np.stack([frame.pose.first, frame.pose.second])
+        weight = frame.direction.sigma**-2
+        precision[3:POSE, 3:POSE] = weight * np.eye(2)
+        pull[3:POSE] = weight * across @ frame.direction.axis
+    return precision, pull
+
+
+def prior_cost(frame: FrameState) -> float:
+    """-2 log of the probability of a frame's states before it is seen, up to a constant."""
+    mean, sigma = frame.ambient_prior
+    cost = ((frame.log_ambient - mean) / sigma) ** 2
+    cost += float(np.sum(np.square(frame.shade / _SHADE)))
+    cost += _blur_cost(frame) + (frame.kurtosis / _KURTOSIS) ** 2
+    cost += sum(x * x for x in frame.shift) / frame.shift_sigma**2
+    if frame.direction is not None:
+        off = np.cross(frame.pose.axis, frame.direction.axis)
+        cost += float(off @ off) / frame.direction.sigma**2
+    return cost
+
+
+def _blur_scale(frame: FrameState) -> float:
+    return _SATURATED_PX2 if frame.saturated else math.hypot(_BLUR_PX2, frame.blur_px2)
+
+
+def _blur_cost(frame: FrameState) -> float:
+    if frame.saturated:
+        return (frame.blur_px2 / _SATURATED_PX2) ** 2
+    return math.log1p((frame.blur_px2 / _BLUR_PX2) ** 2)
+
 
 _SHADED = 3.0  # largest logarithm of ambient light over that in the middle
 _SMEAR = 0.04

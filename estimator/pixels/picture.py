@@ -1,19 +1,245 @@
-"""The pixels of a frame: their light, and which of them show the wall."""
+"""The pixels of a frame: their light in a mixture of channels, and which of them show the wall.
+
+Vessels are dark in green and hardly visible in red. A mixture of channels has less texture than
+each of them, and the texture is what limits the pose of a first frame.
+
+A reference image shows the wall without the spot. Where its ambient light varies smoothly, the
+logarithm of the light is the logarithm of the reflectance, but for a smooth surface of the second
+degree.
+
+A cell in which the light of the spot ends at a tool, or at its shadow, says nothing of the spot's
+edge, and before a pose is known it cannot be distinguished from one at that edge. Pixels can: they
+are dark well within the spot.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.image import CameraNoise, Outline, clip_level
-from estimator.pixels.cells import CellLight
-from estimator.pixels.hidden import hidden_pixels
-from estimator.pixels.mix import Mix, plain_mix
-from estimator.pixels.wall_motion import STILL, WallMotion
+from estimator.image import GREY_WEIGHTS, CameraNoise, Outline, clip_level
+from estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, WallMotion, Window
+from estimator.pixels.solver import Solution
 from optics import InputError
+
+_LEAST = 1e-4  # full wells, of a channel
+_LIT = 0.25  # of the brightest cell; darker ones show the ambient light
+_FEWEST_LIT = 20  # cells from which a mixture is chosen
+_MOST = 2.0  # of a channel's weight; larger ones would only add noise
+_RIDGE = 1e-4  # of the mean variance
+
+
+@dataclass(frozen=True, eq=False)
+class Mix:
+    """A mixture of channels.
+
+    Attributes:
+        weights: of the channels' light; that of a grey spot of light 1 is 1.
+        shares: light of each channel over that of the mixture.
+    """
+
+    weights: Float[np.ndarray, "3"]
+    shares: Float[np.ndarray, "3"]
+
+    @classmethod
+    def of_shares(cls, parts: Float[np.ndarray, "3"], light: Float[np.ndarray, "3"]) -> Mix:
+        """Of parts that add up to 1, for channels with some mean light, full wells."""
+        level = float(np.mean(light))
+        return cls(weights=np.asarray(parts) * level / light, shares=light / level)
+
+    def light(self, channels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
+        """The mixture's light."""
+        return channels @ self.weights.astype(channels.dtype)
+
+    def variance(
+        self, noise: CameraNoise, light: Float[np.ndarray, "*n"]
+    ) -> Float[np.ndarray, "*n"]:
+        """Variance of a pixel's light in the mixture."""
+        return sum(
+            weight**2 * noise.channel_variance(share * light)
+            for weight, share in zip(self.weights, self.shares, strict=True)
+        )
+
+
+def plain_mix(light: Float[np.ndarray, "3"], saturated: Bool[np.ndarray, "3"]) -> Mix:
+    """The luminance, which JPEG keeps best, for light of some colour.
+
+    Args:
+        light: of the channels.
+        saturated: channels that do not count, unless all are.
+    """
+    light = np.maximum(light, _LEAST)
+    parts = np.array(GREY_WEIGHTS) * light
+    if not saturated.all():
+        parts[saturated] = 0.0
+    return Mix.of_shares(parts / parts.sum(), light)
+
+
+def evener_mix(
+    channels: Float[np.ndarray, "h w 3"],
+    usable: Bool[np.ndarray, "h w"],
+    window: Window,
+    solution: Solution,
+    mix: Mix,
+) -> Mix:
+    """The mixture of channels with the least texture in a fitted frame.
+
+    Args:
+        channels: light of the frame's channels.
+        usable: whether a pixel is neither saturated nor hidden.
+        window: of the solution.
+        solution: a fit of the frame alone.
+        mix: of that fit, which stays if a channel is dark.
+    """
+    line, frame = solution.linear[-1], solution.frames[-1]
+    light = frame.cells.means(window)[0].ravel()
+    parts, seen = zip(
+        *(
+            CellLight(np.ascontiguousarray(channels[..., c]), usable, np.zeros_like).means(window)
+            for c in range(channels.shape[-1])
+        ),
+        strict=True,
+    )
+    bright = (line.weight > 0) & seen[0].ravel() & (light > _LIT * light.max())
+    own = np.stack([part.ravel()[bright] for part in parts])
+    if np.count_nonzero(bright) < _FEWEST_LIT or not own.min() > 0:
+        return mix
+    residuals = np.log(own) - np.log(light[bright]) + line.residual[bright]
+    # What another pose would explain does not count: the fit has taken it from this mixture.
+    fitted = np.concatenate([line.slopes, line.shared])[:, bright].T
+    residuals -= (fitted @ np.linalg.lstsq(fitted, residuals.T, rcond=1e-9)[0]).T
+    return Mix.of_shares(_most_even(residuals), own.mean(axis=1))
+
+
+def _most_even(residuals: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3"]:
+    """Parts of the channels, which add up to 1, whose log light has the least variance."""
+    spread = np.cov(residuals)
+    spread += _RIDGE * np.trace(spread) * np.eye(len(spread))
+    parts = np.linalg.solve(spread, np.ones(len(spread)))
+    parts /= parts.sum()
+    if np.abs(parts).max() > _MOST:  # nearly equal channels: towards the plain mean
+        mean = 1.0 / len(parts)
+        parts = mean + (_MOST - mean) / (np.abs(parts).max() - mean) * (parts - mean)
+    return parts
+
+
+_CLEAR = 5.0  # standard deviations of the noise, above which a cell's logarithm is good
+_FEWEST_CLEAR = 50  # such cells
+
+_SMOOTH = np.stack([np.ones(COUNT**2), *SHADES])
+"""The ambient light's logarithm: any mixture of these."""
+
+
+class Reference:
+    """An image of the wall in the ambient light alone.
+
+    Args:
+        image: H x W x 3.
+        noise: of the camera.
+    """
+
+    def __init__(self, image: np.ndarray, noise: CameraNoise) -> None:
+        self._noise = noise
+        self._channels = noise.channels(image)
+        self._usable = np.all(image < noise.full_scale, axis=-1)
+
+    def seen_in(self, mix: Mix) -> ReferenceView:
+        """The image in a mixture of channels.
+
+        Ambient light has another colour than the spot, so that each channel counts as it does in
+        the spot.
+        """
+        mean = self._channels[self._usable].mean(axis=0)
+        parts = mix.weights * mix.shares / np.maximum(mean, 1e-6)
+        ambient = Mix(weights=parts, shares=mean)
+        return ReferenceView(
+            CellLight(
+                ambient.light(self._channels),
+                self._usable,
+                lambda light: ambient.variance(self._noise, light),
+            )
+        )
+
+
+class ReferenceView:
+    """A reference in one mixture of channels.
+
+    Args:
+        cells: its light.
+    """
+
+    def __init__(self, cells: CellLight) -> None:
+        self._cells = cells
+
+    def known(self, window: Window) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
+        """Information on the cells' log reflectance, and its product with the best guess of it."""
+        light, usable = (part.ravel() for part in self._cells.means(window))
+        sigma = np.sqrt(self._cells.variance(np.maximum(light, 0.0))) / window.side
+        clear = usable & (light > _CLEAR * sigma)
+        if np.count_nonzero(clear) < _FEWEST_CLEAR:
+            return np.zeros((COUNT**2, COUNT**2)), np.zeros(COUNT**2)
+        light = np.where(clear, light, 1.0)
+        weight = np.where(clear, np.square(light / sigma), 0.0)
+        weighted = _SMOOTH * weight
+        smooth = weighted.T @ np.linalg.pinv(weighted @ _SMOOTH.T, hermitian=True) @ weighted
+        information = np.diag(weight) - smooth
+        return information, information @ np.log(light)
+
+
+_DARK = 0.4
+"""Of the spot's light, below which a pixel is hidden. Vessels of a retina are half as bright as the
+rest at least, and a shadow has the ambient light alone."""
+_BRIGHT = 0.95  # quantile of the light within the spot, a tenth of which is seen at least
+_THIN = np.ones((5, 5), np.uint8)  # px, of dark lines that hide nothing
+_BORDER_PX = 7  # width of the border beside what hides the spot
+_BESIDE = 0.2
+"""Width of that border out of the spot, over its radius. What hides the spot goes on there, and
+differs less from the wall."""
+
+
+def hidden_pixels(
+    channels: Float[np.ndarray, "h w 3"], spot: Outline
+) -> Bool[np.ndarray, "h w"] | None:
+    """Pixels within a spot that do not show its light, with the border beside them.
+
+    Args:
+        channels: light of the frame's channels.
+        spot: its outline, with a sharp edge.
+
+    Returns:
+        The pixels, or None if the spot is seen as a whole.
+    """
+    reach = math.ceil(spot.semi_major_px)
+    left, top = max(round(spot.x_px) - reach, 0), max(round(spot.y_px) - reach, 0)
+    part = channels[top : round(spot.y_px) + reach + 1, left : round(spot.x_px) + reach + 1]
+    if not part.size:
+        return None
+    light = part.mean(axis=-1)
+    inside = np.zeros(light.shape, np.uint8)
+    inner = 2.0 * max(spot.semi_minor_px - spot.edge_width_px, 0.0)
+    outer = inner * spot.semi_major_px / spot.semi_minor_px
+    middle = spot.x_px - left, spot.y_px - top
+    cv2.ellipse(inside, (middle, (outer, inner), math.degrees(spot.angle_rad)), 1, cv2.FILLED)
+    if not inside.any():
+        return None
+    dark = inside & (light < _DARK * np.quantile(light[inside > 0], _BRIGHT))
+    dark = cv2.morphologyEx(dark.astype(np.uint8), cv2.MORPH_OPEN, _THIN)
+    if not dark.any():
+        return None
+    hidden = np.zeros(channels.shape[:2], np.uint8)
+    hidden[top : top + len(light), left : left + light.shape[1]] = dark
+    beside = cv2.dilate(hidden, _square(_BESIDE * spot.semi_minor_px))
+    beside[top : top + len(light), left : left + light.shape[1]][inside > 0] = 0
+    return np.logical_or(cv2.dilate(hidden, _square(_BORDER_PX)), beside)
+
+
+def _square(width_px: float) -> np.ndarray:
+    return np.ones((round(width_px), round(width_px)), np.uint8)
+
 
 _MIDDLE = 0.7  # half of the side of a square about the spot's middle, over its semi-minor axis
 _LEAST_PX = 2.0  # of that

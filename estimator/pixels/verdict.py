@@ -1,4 +1,26 @@
-"""Whether a pose explains its frame, and what is stated of it."""
+"""Whether a pose explains its frame, and what its stated error contains.
+
+Four covariances are added to the fit's own:
+
+- Ambient light. Its logarithm is a polynomial of the second degree over the window, and its texture
+  is that of the wall. The reflection of a lamp by a wet wall has a shape of its own and no texture.
+  What the polynomial lacks passes for the wall's texture, as long as the spot is as bright as in
+  the first frame; then it pulls the pose, in each frame alike.
+- Bend. Where only a part of the spot is seen, distant poses put its edge in the same place: as the
+  distance grows, the spot moves away from its visible side. To the second order they also turn.
+  Along a line of such poses, s standard deviations from the fit, the best one is off the line by
+  s^2 times a bend, and what the line states as well known is not.
+- Drift. The wall moves in the image when the eye turns or when the microscope drifts, and one spot
+  cannot show which. If it is the eye, the microscope file still says where the wall is. If it is
+  the microscope, each pixel sees another part of the wall than the file says, with another slope.
+  The pose is right in the first case and pulled in the second, so the pull belongs to its errors.
+- Shift of the edge. A blur moves the half maximum of a spot of radius R inwards by its variance
+  over 2 R. The blur that is fitted has a shape between a few usual ones and is the same all over
+  the window, and what is known of the wall is blurred as well. So this shift is known only about as
+  well as it is large, and its error is alike in all frames: it does not average out. Where the
+  wall's reflectance grows to one side, its blur brings light from there, and the edge moves that
+  way by the variance times the growth of the logarithm.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +31,225 @@ from jaxtyping import Float
 
 from estimator.distance import Range, RangeFlag, TipPose, WallMemory
 from estimator.image import Outline
-from estimator.pixels.ambient import ambient_covariance
-from estimator.pixels.belief import Belief
-from estimator.pixels.bend import bend_covariance
-from estimator.pixels.drift import drift_covariance
-from estimator.pixels.edge_shift import edge_covariance
-from estimator.pixels.frame_model import contrast, lit
-from estimator.pixels.saturation import halo
+from estimator.pixels.beam import POSE
+from estimator.pixels.cells import COUNT, SIDES, WallMotion
+from estimator.pixels.first_frame import Belief
+from estimator.pixels.frame_model import (
+    BLOOM_DOUBT_PX,
+    BLUR,
+    FrameState,
+    Texture,
+    contrast,
+    halo,
+    lit,
+)
+from estimator.pixels.solver import Solution, Solver
+
+_X, _Y = SIDES
+_CUBIC = np.stack([_X**3, _X**2 * _Y, _X * _Y**2, _Y**3]) - 0.6 * np.stack(
+    [_X, _Y / 1.8, _X / 1.8, _Y]
+)
+"""Terms of the third degree, without what terms of the first would explain."""
+_CUBIC_SHARE = 1.5  # of the third degree over those of the first and second
+_LEAST = 0.02  # of the shading's terms, below which the ambient light counts as even
+
+
+def ambient_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 5"]:
+    """What errors of the ambient light may have done to the newest pose, in the terms of `POSE`.
+
+    Args:
+        solver: of the solution.
+        solution: with the newest frame last.
+    """
+    size = float(np.linalg.norm(solution.frames[-1].shade))
+    if size < _LEAST:
+        return np.zeros((POSE, POSE))
+    shares = [_share(solver, solution, frame) for frame in solution.frames]
+    pulls = [
+        solution.answer([_CUBIC_SHARE * size * share * shape for share in shares])[:POSE]
+        for shape in _CUBIC
+    ]
+    return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
+
+
+def _share(solver: Solver, solution: Solution, frame: FrameState) -> Float[np.ndarray, "n"]:
+    """The ambient light's share of each cell's light."""
+    light = np.maximum(solver.model.light(frame, solution.own), 0.0)
+    ambient = np.exp(frame.log_ambient)
+    return ambient / (light + ambient)
+
+
+_SMALL = 0.01
+"""Standard deviation of the distance over it, or of a turn, below which nothing bends: a spot's
+edge moves by 1e-4 of its radius then."""
+_FOURTH = 3.0  # mean of the fourth power of a normal number
+
+
+def bend_covariance(
+    solver: Solver, solution: Solution, covariance: Float[np.ndarray, "5 5"]
+) -> Float[np.ndarray, "5 5"]:
+    """What the bend may do to the newest pose, in the terms of `POSE`.
+
+    Args:
+        solver: of the solution.
+        solution: with the newest frame last.
+        covariance: of the newest pose without the bend.
+    """
+    frame, fitted = solution.frames[-1], solution.newest_covariance
+    sigmas = np.sqrt(np.diag(covariance))
+    sizes = np.array([0.0, 0.0, sigmas[2] / frame.pose.distance, *sigmas[3:]])
+    earlier = [np.zeros(COUNT**2)] * (len(solution.frames) - 1)
+    found = np.zeros((POSE, POSE))
+    for k in np.flatnonzero(sizes > _SMALL):
+        evenly = _even_part(solver, frame, solution.own, covariance[:, k] / sigmas[k])
+        bend = solution.answer([*earlier, evenly])[:POSE]
+        bend -= fitted[:, k] / fitted[k, k] * bend[k]  # the best pose at this distance or turn
+        # Where the light says too little, the second order says nothing.
+        bend = np.clip(bend, -sigmas, sigmas)
+        found += _FOURTH * np.outer(bend, bend)
+    return found
+
+
+def _even_part(
+    solver: Solver, frame: FrameState, own: Float[np.ndarray, "q"], change: Float[np.ndarray, "5"]
+) -> Float[np.ndarray, "n"]:
+    """How the log light of a frame's cells changes by a change of its pose and by its opposite."""
+    model = solver.model
+    light = []
+    for way in (change, np.zeros(POSE), -change):
+        pose = solver.beam.pose(*frame.pose.moved(way))
+        if pose is None:
+            return np.zeros(COUNT**2)
+        lattice = model.lattice(frame.cells.motion)
+        light.append(model.log_light(frame, solver.beam.irradiance_alone(lattice, pose, own)))
+    ahead, here, back = light
+    return 0.5 * (ahead + back) - here
+
+
+_STEP_PX = 0.5  # of the numerical derivative
+_PULL_SHARE = 0.3
+"""Error of the pull, over its size: it is a linear forecast. On rendered drifts of up to 1.3 mm
+shifts and turns were within 10 to 30 % of it, mostly."""
+_TURN_PER_MM = 0.3  # most turn by a drift, rad/mm; the wall's slope changes by 0.09
+_PER_WAY = 0.03  # error of the distance's pull, over the drift
+
+
+def drift_covariance(
+    solver: Solver, solution: Solution, drifts_px: list[Float[np.ndarray, "2"]]
+) -> Float[np.ndarray, "5 5"]:
+    """What a drift of the view may have done to the newest pose, in the terms of `POSE`.
+
+    Args:
+        solver: of the solution.
+        solution: with the newest frame last.
+        drifts_px: shift of the image in each frame since the microscope file was right.
+    """
+    pull = _pulled(solver, solution, drifts_px)
+    way = float(np.linalg.norm(pull[:2]))
+    # Where the light hardly says anything, a linear forecast has no bound of its own.
+    pull[2] = np.clip(pull[2], -way, way)
+    pull[3:] *= min(1.0, _TURN_PER_MM * way / max(float(np.linalg.norm(pull[3:])), 1e-12))
+    turn = np.linalg.norm(pull[3:])
+    distance = np.hypot(pull[2], _PER_WAY / _PULL_SHARE * way)
+    return np.outer(pull, pull) + np.diag([way, way, distance, turn, turn]) ** 2 * _PULL_SHARE**2
+
+
+def shake_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 5"]:
+    """What a shake of the view by a pixel along each side does to all poses on a map, per px².
+
+    Args:
+        solver: of the solution.
+        solution: of the map's first frame, which nobody knows the shake of.
+    """
+    shaken = [drift_covariance(solver, solution, [way]) for way in np.eye(2)]
+    return np.sum(shaken, axis=0)
+
+
+def _pulled(
+    solver: Solver, solution: Solution, drifts_px: list[Float[np.ndarray, "2"]]
+) -> Float[np.ndarray, "5"]:
+    """How far the newest pose would be off."""
+    model, beam, own = solver.model, solver.beam, solution.own
+    changes, way = [], np.zeros(3)
+    for frame, drift in zip(solution.frames, drifts_px, strict=True):
+        length, motion = float(np.linalg.norm(drift)), frame.cells.motion
+        part = _STEP_PX / max(length, _STEP_PX)
+        middle = motion.image_px(solver.window.middle_px)
+        (here, there), _ = beam.wall_points(np.stack([middle, middle - part * drift]))
+        way = (there - here) / part
+        other = beam.pose(frame.pose.tip + there - here, frame.pose.axis)
+        if other is None:
+            return np.zeros(POSE)
+        right, down = (-part * drift).tolist()
+        drifted = WallMotion(right, down).after(motion)
+        seen, fitted = (
+            model.log_light(frame, beam.irradiance_alone(model.lattice(where), at, own))
+            for where, at in ((drifted, other), (motion, frame.pose))
+        )
+        changes.append((seen - fitted) / part)
+    pull = solution.answer(changes)[:POSE]
+    newest = solution.frames[-1].pose
+    pull[:2] -= way @ np.stack([newest.right, newest.down], axis=-1)
+    return pull
+
+
+_WIDE_PX2 = 0.5  # variance of a blur, below which its errors do not matter
+_SHIFT_SHARE = 2.0
+"""Error of the shift, over the shift. On rendered cones out of focus by 2 and 3 mm at NA 0.04 the
+distance was off by up to 0.5 of what the whole shift makes of it in first frames, by up to 1.1 on
+printed paper and by 1.5 to 2.6 on a retina in the frames that follow."""
+_ONE_WAY, _MOST_PX2 = 0.7, 4.0
+"""How much wider a blur is along one direction, over its variance, and up to which variance, px²:
+where the view moves during the exposure, by the whole of it. A motion by seven pixels has 4 px²; a
+wider blur is that of a camera out of focus."""
+
+
+def edge_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 5"]:
+    """What such errors may have done to the newest pose, in the terms of `POSE`.
+
+    Args:
+        solver: of the solution.
+        solution: with the newest frame last.
+    """
+    newest = solution.frames[-1]
+    if newest.blur_px2 < _WIDE_PX2 and not newest.saturated:
+        return np.zeros((POSE, POSE))
+    shifts = np.array([_changes(solver, solution, k) for k in range(len(solution.frames))])
+    # The edge may be shifted all round, by an oval, or to a side, or wider along one direction.
+    pulls = [solution.answer(list(shifts[:, k]))[:POSE] for k in range(shifts.shape[1])]
+    # Where the spot moves on, the wall grows otherwise.
+    still = [np.zeros_like(shifts[0, 0])] * (len(shifts) - 1)
+    pulls += [solution.answer([*still, shifts[-1, k]])[:POSE] for k in (3, 4)]
+    return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
+
+
+def _changes(solver: Solver, solution: Solution, k: int) -> Float[np.ndarray, "7 n"]:
+    """How frame k's log light changes by each of these errors."""
+    frame, by_blur = solution.frames[k], solution.linear[k].slopes[BLUR]
+    light = solver.model.light(frame, solution.own)
+    side, spot = solver.window.side, lit(light)
+    radius = side * math.sqrt(np.count_nonzero(spot) / math.pi)
+    light = np.exp(solver.model.log_light(frame, light))
+    steep = np.hypot(*np.gradient(light.reshape(COUNT, COUNT), side)).ravel()
+    shift = _SHIFT_SHARE * frame.blur_px2 / (2.0 * radius) + BLOOM_DOUBT_PX * frame.saturated
+    x, y = solver.window.centres().reshape(-1, 2).T
+    angle = np.arctan2(y - y[spot].mean(), x - x[spot].mean())
+    aside = frame.blur_px2 * _growth(solver.texture, radius, solver.beam.scale_mm_px)
+    outwards = steep / light
+    oval = np.stack([np.cos(2 * angle), np.sin(2 * angle)])
+    to_a_side = aside * np.stack([np.cos(angle), np.sin(angle)])
+    shifts = np.concatenate([shift * np.ones((1, angle.size)), shift * oval, to_a_side])
+    one_way = _ONE_WAY * min(frame.blur_px2, _MOST_PX2)
+    return np.concatenate([outwards * shifts, one_way * by_blur * oval])
+
+
+def _growth(texture: Texture, radius_px: float, scale_mm_px: float) -> float:
+    """Standard deviation of the growth of log reflectance across a spot, 1/px."""
+    across = 2.0 * radius_px
+    # A blurred wall looks more even than it is.
+    least = Texture.usual()
+    return math.sqrt(max(one.variogram(across * scale_mm_px) for one in (texture, least))) / across
+
 
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
 _SIZE = (1.5, 1.1)

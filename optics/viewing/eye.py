@@ -1,21 +1,173 @@
-"""Eyes: cornea, iris, crystalline lens and retina at one wavelength."""
+"""Eyes at one wavelength, and lenses that the surgeon puts on the cornea or holds above it.
+
+Both are read from files, those of the package and those of a user. An eye's file has its radii,
+asphericities, thicknesses and indices, with their source.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from optics import InputError, in_file, shortened
-from optics.viewing.conic import Conic
-from optics.viewing.data_file import names_in, read_data_file
-from optics.viewing.eye_file import EyeFile, Number
-from optics.viewing.medium import Medium
-from optics.viewing.trace import Refracting
+from optics import InputError, Strict, check_schema, in_file, read_toml, shortened, validated
+from optics.viewing.trace import Conic, Medium, Refracting
+
+_HISTORY = {1: "the first format"}
+_HERE = Path(__file__).parent
+
+_Format = TypeVar("_Format", bound=Strict)
+
+
+def names_in(folder: str) -> tuple[str, ...]:
+    """Names of the files that come with the package."""
+    return tuple(sorted(path.stem for path in (_HERE / folder).glob("*.toml")))
+
+
+def read_data_file(format_: type[_Format], folder: str, name_or_path: str | Path) -> _Format:
+    """Read a TOML file by the name that it has in the package, or by its path.
+
+    Args:
+        format_: of the content; `schema` and `provenance` are checked here.
+        folder: of the package's own files, "eyes" or "lenses".
+        name_or_path: a name of `names_in(folder)`, or the path of a `.toml` file.
+
+    Raises:
+        InputError: no such file, an unknown, missing or wrong key.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = _HERE / folder / f"{name_or_path}.toml"
+    with in_file(f"{folder[:-1]} {shortened(str(name_or_path))}"):
+        try:
+            content = read_toml(path)
+        except FileNotFoundError as error:
+            raise InputError(
+                f"no such file. Known names: {', '.join(names_in(folder))}; or give the path of a "
+                ".toml file."
+            ) from error
+        remedy = f"Compare the file with those in optics/viewing/{folder}."
+        check_schema(content.pop("schema", None), _HISTORY, remedy=remedy)
+        if not isinstance(content.pop("provenance", None), str):
+            raise InputError(f"`provenance`, the source of the numbers, is missing. {remedy}")
+        return validated(format_, content, remedy=remedy)
+
+
+_VISIBLE_NM = (400.0, 700.0)  # where a dispersion formula may be evaluated
+
+
+def _pair(value: object) -> object:
+    """A number alone does not depend on the refraction."""
+    return (value, 0.0) if isinstance(value, int | float) else _tuple(value)
+
+
+def _tuple(value: object) -> object:
+    """TOML's lists as the tuples of the models."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _not_flat(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] == 0.0:
+        raise InputError("a radius of curvature must not be 0 mm")
+    return value
+
+
+Number = Annotated[
+    tuple[float, float],
+    BeforeValidator(_pair, json_schema_input_type=float | tuple[float, float]),
+]
+"""A number, or [at 0 D, change per dioptre of refraction]."""
+
+Radius = Annotated[Number, AfterValidator(_not_flat)]
+Pair = Annotated[tuple[float, float], BeforeValidator(_tuple)]
+Terms = Annotated[tuple[float, float, float], BeforeValidator(_tuple)]
+Index = Annotated[float, Field(ge=1.0, le=4.0)]
+Layers = Annotated[list[float], Field(min_length=1)]
+
+
+class CorneaFile(Strict):
+    """The cornea's two surfaces."""
+
+    front_radius_mm: Radius
+    front_asphericity: Number
+    thickness_mm: Number
+    back_radius_mm: Radius
+    back_asphericity: Number
+
+
+class LensFile(Strict):
+    """The crystalline lens; layers of a gradient lens meet in planes."""
+
+    depth_mm: Number
+    front_radius_mm: Radius
+    front_asphericity: Number
+    thickness_mm: Layers
+    back_radius_mm: Radius
+    back_asphericity: Number
+    gradient: list[Terms] | None = None
+
+
+class IndicesFile(Strict):
+    """Indices at wavelengths, or at one wavelength with a dispersion common to all media."""
+
+    wavelength_nm: list[float] = Field(min_length=1)
+    dispersion: Pair = (0.0, 0.0)
+    cornea: list[Index]
+    aqueous: list[Index]
+    lens: list[list[Index]]
+    vitreous: list[Index]
+
+    @model_validator(mode="after")
+    def _one_index_a_wavelength(self) -> Self:
+        for indices in (self.cornea, self.aqueous, *self.lens, self.vitreous):
+            if len(indices) != len(self.wavelength_nm):
+                raise InputError("each medium needs one index for each wavelength")
+        return self
+
+    def at(self, indices: list[float], wavelength_nm: float) -> float:
+        """Index at a wavelength: the polynomial through the table, or with the dispersion.
+
+        Raises:
+            InputError: the wavelength lies outside the table, or outside the visible.
+        """
+        known = np.asarray(self.wavelength_nm)
+        shortest, longest = (known.min(), known.max()) if len(known) > 1 else _VISIBLE_NM
+        if not shortest <= wavelength_nm <= longest:
+            raise InputError(
+                f"the indices are known from {shortest:g} to {longest:g} nm; got wavelength_nm="
+                f"{wavelength_nm:g} nm. Choose another wavelength or another eye."
+            )
+        first, here = known[0] * 1e-3, wavelength_nm * 1e-3
+        if len(known) == 1:
+            linear, square = self.dispersion
+            return float(indices[0] + linear * (here - first) + square * (here**2 - first**2))
+        polynomial = np.polyfit(known * 1e-3 - first, indices, len(known) - 1)
+        return float(np.polyval(polynomial, here - first))
+
+
+class EyeFile(Strict):
+    """An eye; lengths in mm, depths from the cornea's vertex."""
+
+    refractions_d: Pair = (0.0, 0.0)
+    axial_length_mm: Number
+    retina_semi_axes_mm: Annotated[tuple[Number, Number, Number], BeforeValidator(_tuple)]
+    cornea: CorneaFile
+    lens: LensFile
+    indices: IndicesFile
+
+    @model_validator(mode="after")
+    def _one_entry_a_layer(self) -> Self:
+        gradients = self.lens.gradient or self.lens.thickness_mm
+        if not len(self.lens.thickness_mm) == len(gradients) == len(self.indices.lens):
+            raise InputError(
+                "lens.thickness_mm, lens.gradient and indices.lens need one entry for each layer"
+            )
+        return self
 
 
 class Eye(eqx.Module):
@@ -117,4 +269,86 @@ def _eye(file: EyeFile, wavelength_nm: float, refraction_d: float) -> Eye:
         lens=tuple(map(Refracting, surfaces, media)),
         axial_length=jnp.asarray(axial_length, float),
         retina_semi_axes=jnp.asarray([number(axis) for axis in file.retina_semi_axes_mm], float),
+    )
+
+
+class ContactLens(eqx.Module):
+    """A lens on the cornea; its back fits the cornea's front without a gap.
+
+    Attributes:
+        front_curvature: 1/R, 1/mm; positive if it converges, 0 for a plane.
+        thickness: on the axis, mm.
+        index: of its material.
+    """
+
+    front_curvature: Float[Array, ""]
+    thickness: Float[Array, ""]
+    index: Float[Array, ""]
+
+    @property
+    def above_cornea(self) -> Float[Array, ""]:
+        """Height of its front above the cornea's vertex, mm."""
+        return self.thickness
+
+
+class WideFieldLens(eqx.Module):
+    """An ideal thin lens above the cornea; it inverts the image.
+
+    Attributes:
+        power: 1/f, 1/mm.
+        height: above the cornea's vertex, mm.
+    """
+
+    power: Float[Array, ""]
+    height: Float[Array, ""]
+
+    @property
+    def above_cornea(self) -> Float[Array, ""]:
+        """Height above the cornea's vertex, mm."""
+        return self.height
+
+
+ViewingLens = ContactLens | WideFieldLens
+
+
+class _ContactLensFile(Strict):
+    kind: Literal["contact"]
+    front_curvature_per_mm: float = Field(ge=-0.5, le=0.5)
+    thickness_mm: float = Field(gt=0.0, le=50.0)
+    index: float = Field(ge=1.0, le=4.0)
+
+
+class _WideFieldFile(Strict):
+    kind: Literal["wide-field"]
+    power_d: float = Field(ge=20.0, le=300.0)
+
+
+class _LensFile(Strict):
+    lens: _ContactLensFile | _WideFieldFile = Field(discriminator="kind")
+
+
+def viewing_lens_names() -> tuple[str, ...]:
+    """Names of the viewing lenses that come with the package."""
+    return names_in("lenses")
+
+
+def load_viewing_lens(name_or_path: str | Path) -> ViewingLens:
+    """Read a viewing lens from its name or from a TOML file in the same format.
+
+    A wide-field lens is held one focal length above the cornea.
+
+    Args:
+        name_or_path: one of `viewing_lens_names()`, or the path of a `.toml` file.
+
+    Raises:
+        InputError: no such lens, or an unknown, missing or wrong key.
+    """
+    file = read_data_file(_LensFile, "lenses", name_or_path).lens
+    if isinstance(file, _WideFieldFile):
+        power = file.power_d / 1000.0
+        return WideFieldLens(power=jnp.asarray(power), height=jnp.asarray(1.0 / power))
+    return ContactLens(
+        front_curvature=jnp.asarray(file.front_curvature_per_mm),
+        thickness=jnp.asarray(file.thickness_mm),
+        index=jnp.asarray(file.index),
     )

@@ -1,16 +1,522 @@
-"""Light of a glue lens on the wall behind pixels, from a table."""
+r"""Light of a glue lens on the wall behind pixels, from a table to first order in its parameters.
+
+The vector irradiance V has no sources between the lens and the wall, and it is symmetric about the
+beam. So the light through any patch is a line integral around its border (Stokes' stream function),
+
+$$ \Phi = \tfrac12 \oint M(\rho, s)\,\mathbf u \cdot (\boldsymbol\rho \times d\mathbf l),
+   \qquad M = \frac{1}{\pi\rho^2} \int_0^\rho V_s\,2\pi\rho'\,d\rho', $$
+
+with the mean M of V_s over the disc of radius rho around the beam u. M is continuous where V jumps,
+as at a sharp image of the core, and no light is lost between patches.
+
+Quadrature at every pixel would take minutes per frame. A grid over the visible distances and radii
+takes seconds, including the derivatives with respect to the lens's parameters. Its samples are
+denser at edges of the light, as in `optics.irradiance_table`: in its focal plane a lens makes a
+sharp image of its core.
+"""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, ScalarLike
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 import optics
-from optics.wall_light.pixel_light import WallPixels
-from optics.wall_light.table import LensTable
+from optics import InputError
+from optics.wall_light.cells import Sides, WallPixels, off_axis_part
+
+PARAMETERS = (
+    "core_radius",
+    "aperture_radius",
+    "rim_height",
+    "sag",
+    "glue_index",
+    "numerical_aperture",
+)
+"""A lens's shape and light. `rim_height` is the height of the cap's rim over the core, mm. It
+replaces the glue's length, so that a change of the sag alone keeps the lens possible."""
+
+
+def lens_of(values: Mapping[str, ScalarLike]) -> optics.GlueLens:
+    """The lens with the given `PARAMETERS` (may be traced) and a uniform launch."""
+    length = jnp.asarray(values["rim_height"], float) + values["sag"]
+    fields = {name: jnp.asarray(values[name], float) for name in PARAMETERS if name != "rim_height"}
+    return optics.GlueLens(**fields, glue_length=length, launch_radius=None, launch_aperture=None)
+
+
+def lens_parameters(lens: optics.GlueLens) -> dict[str, float]:
+    """`PARAMETERS` of a lens.
+
+    Raises:
+        InputError: a Gaussian launch, which the image fit does not support.
+    """
+    if lens.launch_radius is not None or lens.launch_aperture is not None:
+        raise InputError(
+            "the image fit supports uniformly filled cores only; this lens has a launch_radius or "
+            "a launch_aperture. Leave them out."
+        )
+    fields = {name: getattr(lens, name) for name in PARAMETERS if name != "rim_height"}
+    fields["rim_height"] = lens.glue_length - lens.sag
+    return {name: float(fields[name]) for name in PARAMETERS}
+
+
+class Grid(NamedTuple):
+    """Positions of a table's samples.
+
+    Attributes:
+        contact_radius, slope: envelope of the light, mm and 1.
+        nearest, farthest: distances from the tip of its first and last row, mm.
+    """
+
+    contact_radius: ScalarLike
+    slope: ScalarLike
+    nearest: ScalarLike
+    farthest: ScalarLike
+
+
+class LensTable(eqx.Module):
+    """Mean light within a radius, to first order in the lens's parameters, cubic between samples.
+
+    Rows are uniform in ln s, columns in rho / e(s), with the envelope e(s); samples are M e(s)².
+
+    Attributes:
+        values: samples at the parameters `at`.
+        slopes: derivatives of the samples with respect to each parameter.
+        transmitted_value: fraction of the power that leaves the cap.
+        transmitted_slopes: its derivatives.
+        at: parameters for which the table was computed.
+        moved: difference of the current parameters from `at`.
+        grid: positions of the samples.
+    """
+
+    values: Float[Array, "rows columns"]
+    slopes: Float[Array, "p rows columns"]
+    transmitted_value: Float[Array, ""]
+    transmitted_slopes: Float[Array, "p"]
+    at: Float[Array, "p"]
+    moved: Float[Array, "p"]
+    grid: Grid
+
+    def __call__(
+        self, *, radius: Float[Array, "*n"], distance: Float[Array, "*n"]
+    ) -> Float[Array, "*n"]:
+        """M, 1/mm² per unit power; 0 behind the tip."""
+        rows, columns = self.values.shape
+        envelope = self.grid.contact_radius + self.grid.slope * distance
+        x = radius / envelope
+        reached = jnp.clip(distance, self.grid.nearest, self.grid.farthest)
+        y = jnp.log(reached / self.grid.nearest) / jnp.log(self.grid.farthest / self.grid.nearest)
+        column = jnp.clip(x, 0.0, 1.0) * (columns - 1)
+        mean = _interpolated(self.values, self.slopes, self.moved, y * (rows - 1), column)
+        # A disc that is larger than the envelope has all the light too.
+        scale = jnp.square(envelope * jnp.maximum(x, 1.0))
+        return jnp.where(distance > 0.0, mean / scale, 0.0)
+
+    def through(
+        self, sides: Sides, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
+    ) -> Float[Array, "..."]:
+        """Light between each side and the axis, per unit power."""
+        return jnp.sum(self.passing(sides.node, sides.step, tip=tip, axis=axis), axis=-1)
+
+    def passing(
+        self,
+        point: Float[Array, "... 3"],
+        step: Float[Array, "... 3"],
+        *,
+        tip: Float[Array, "3"],
+        axis: Float[Array, "3"],
+    ) -> Float[Array, "..."]:
+        """The line integral's part of a step at a point of the wall, both mm, per unit power."""
+        offset = point - tip
+        lateral = off_axis_part(offset, axis)
+        radius = jnp.sqrt(optics.dot(lateral, lateral) + 1e-24)
+        swept = optics.dot(jnp.cross(axis, lateral), step)
+        return 0.5 * self(radius=radius, distance=optics.dot(offset, axis)) * swept
+
+    def changed(self, by: Float[Array, "p"]) -> LensTable:
+        """The table with the lens's parameters changed."""
+        return eqx.tree_at(lambda table: table.moved, self, self.moved + by)
+
+    def arrays(self) -> dict[str, Any]:
+        """All that `of_arrays` needs, by name."""
+        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "grid"}
+        return {name: np.asarray(part) for name, part in (own | self.grid._asdict()).items()}
+
+    @classmethod
+    def of_arrays(cls, kept: Mapping[str, ArrayLike]) -> LensTable:
+        """A table from its `arrays`."""
+        arrays = {name: jnp.asarray(part) for name, part in kept.items()}
+        grid = Grid(*(arrays.pop(name) for name in Grid._fields))
+        return cls(**arrays, grid=grid)
+
+    def transmitted(self) -> Float[Array, ""]:
+        """Fraction of the power that leaves the cap."""
+        return self.transmitted_value + jnp.dot(self.moved, self.transmitted_slopes)
+
+
+@jax.custom_jvp
+def _interpolated(
+    values: Float[Array, "rows columns"],
+    slopes: Float[Array, "p rows columns"],
+    moved: Float[Array, "p"],
+    row: Float[Array, "*n"],
+    column: Float[Array, "*n"],
+) -> Float[Array, "*n"]:
+    """The mean light at positions between samples."""
+    return _at(values, slopes, moved, row, column, gradient=False)[0]
+
+
+@_interpolated.defjvp
+def _interpolated_slope(primals, tangents):
+    """Derivative for constant samples.
+
+    By JAX's own rules each direction would interpolate again, which is four times as slow.
+    """
+    value, by_row, by_column, *by_moved = _at(*primals, gradient=True)
+    _, _, moved, row, column = tangents
+    slope = by_row * row + by_column * column
+    return value, slope + sum(moved[k] * field for k, field in enumerate(by_moved))
+
+
+def _at(
+    values: Array, slopes: Array, moved: Array, row: Array, column: Array, *, gradient: bool
+) -> list[Float[Array, "*n"]]:
+    """The mean light, and with `gradient` its derivatives by row, column and `moved`."""
+    rows, columns = values.shape
+    i, down, steps_down = _taps(row, rows)
+    j, across, steps_across = _taps(column, columns)
+    samples = values + jnp.tensordot(moved, slopes, 1)
+    found: list[Any] = [0.0] * (3 + len(slopes))
+    for r in range(4):
+        for c in range(4):
+            at = (i + r) * columns + j + c
+            light, weight = samples.ravel()[at], down[r] * across[c]
+            added = [weight * light]
+            if gradient:
+                added += [steps_down[r] * across[c] * light, down[r] * steps_across[c] * light]
+                added += [weight * field.ravel()[at] for field in slopes]
+            found = [old + new for old, new in zip(found, added, strict=False)]
+    return found
+
+
+def _taps(place: Array, count: int) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
+    """First of the four samples around a position; weights of their cubic and of its slope."""
+    first = jnp.clip(place.astype(int) - 1, 0, count - 4)
+    t = place - first
+    weights = (
+        (t - 1) * (t - 2) * (t - 3) / -6,
+        t * (t - 2) * (t - 3) / 2,
+        t * (t - 1) * (t - 3) / -2,
+        t * (t - 1) * (t - 2) / 6,
+    )
+    slopes = (
+        (3 * t * t - 12 * t + 11) / -6,
+        (3 * t * t - 10 * t + 6) / 2,
+        (3 * t * t - 8 * t + 3) / -2,
+        (3 * t * t - 6 * t + 2) / 6,
+    )
+    return first, weights, slopes
+
+
+_ROWS, _COLUMNS = 6, 12  # cells of the first grid
+_WHOLE = {True: 1, False: 2}
+"""How often all cells are halved by quadrature, for coarse and for exact tables."""
+TABLE_ERROR = 2e-3
+"""Error of the spline that an exact table accepts, of a row's peak."""
+_OF_CHANGE = 1e-4
+"""The same for a table that is computed from one of a near lens. What it lacks has one sign over
+wide parts of the light, unlike the error of a spline, so it biases a fit more."""
+_CHANGE = _OF_CHANGE**0.5
+"""Change of the light, of a row's peak, whose square, which a table of first order lacks, is as
+large as that error. Where a table's light changes by more, quadrature replaces its samples."""
+_STEP, _STILL = 0.1, 0.1
+"""Difference of neighbouring samples, of a row's peak, that counts as a step; and how far steps may
+move, in cells, before their samples are computed anew."""
+_TOLERANCE = {True: 1e-2, False: TABLE_ERROR}
+"""Of a row's peak, for coarse and for exact tables; cells with a larger error of the spline are
+halved again."""
+_COARSE_LEVELS = 2
+"""How often a coarse table's cells are halved by quadrature; then the spline gives all samples."""
+_MOST_HALVINGS = 7
+_BATCH = 64  # points per call, few enough to stay in the cache, as in optics.irradiance
+
+
+def halvings_for(
+    values: Mapping[str, float], *, medium_index: float, farthest: float, finest: float
+) -> int:
+    """How often the first grid's cells must be halved to be no wider than `finest` everywhere.
+
+    Args:
+        values: all `PARAMETERS`.
+        medium_index: n0.
+        farthest: largest visible distance, mm. There the cells are widest.
+        finest: mm on the wall. What is smaller than a pixel's part is not visible.
+    """
+    envelope = float(optics.LensField(lens_of(values), medium_index).envelope(farthest))
+    return int(np.clip(math.ceil(math.log2(envelope / _COLUMNS / finest)), 3, _MOST_HALVINGS))
+
+
+def lens_samples(
+    values: Mapping[str, float],
+    free: Sequence[str],
+    *,
+    medium_index: float,
+    nearest: float,
+    farthest: float,
+    reach: float,
+    halvings: int,
+    finest: float,
+    coarse: bool = False,
+    near: LensSamples | None = None,
+) -> LensSamples:
+    """Sample the light of a lens and its derivatives with respect to the free parameters.
+
+    Quadrature gives all samples of a first grid. Then each grid has cells of half the size, and
+    quadrature only near samples for which the cubic spline through the previous grid is wrong, if
+    the cells there are still too wide. The spline gives the others. The samples follow the light's
+    edges, so a table serves its own lens and small changes only.
+
+    With the samples of a lens `near`, the same is done with the difference from their light to
+    first order. Most of it is so small and smooth that few samples are needed.
+
+    Args:
+        values: all `PARAMETERS`.
+        free: names of the parameters to differentiate with respect to.
+        medium_index: n0.
+        nearest: least visible distance, mm.
+        farthest: largest visible distance, mm.
+        reach: size of the envelope relative to that of the given lens.
+        halvings: how often the first grid's cells are halved.
+        finest: width below which cells are not halved by quadrature, mm on the wall. The envelope
+            grows with the distance, so near cells reach it before far ones.
+        coarse: whether errors of a hundredth of the peak are small enough. Coarse and exact tables
+            have the same shape, so that the image model is compiled once.
+        near: samples of nearly the same lens. Their grid is kept if it is wide enough; `nearest`,
+            `farthest` and `reach` are then not used.
+    """
+    envelope = optics.LensField(lens_of(values), medium_index).envelope
+    contact_radius = float(envelope(0.0))
+    slope = float(envelope(1.0)) - contact_radius
+    grid = Grid(reach * contact_radius, reach * slope, nearest, farthest)
+    if near is not None and np.less(np.array(near.grid[:2]), (contact_radius, slope)).any():
+        near = None  # some of the light lies outside its grid
+    if near is not None:
+        grid = near.grid
+    field = _Field(values, tuple(free), medium_index, grid)
+    first, changed = _first_order(near, field.at, halvings)
+    missed = np.ones((_ROWS + 1, _COLUMNS + 1), bool)
+    samples = field(missed, np.zeros((1 + len(free), *missed.shape)))
+    for level in range(halvings):
+        stride = 2 ** (halvings - level - 1)
+        known = first[:, ::stride, ::stride]
+        guess = _halved(samples - known[:, ::2, ::2]) + known
+        wide = 2.0 * field.widths(known.shape[1:])[:, None] > finest
+        wanted = changed[::stride, ::stride] & wide
+        if coarse and level == _COARSE_LEVELS:
+            missed[:] = False
+        if missed.any():
+            close = binary_dilation(missed, np.ones((3, 3)))
+            wanted |= np.kron(close, np.ones((2, 2), bool))[:-1, :-1]
+        wanted[::2, ::2] = False
+        samples = field(wanted, guess)
+        error = np.abs(samples - guess)[0]
+        tolerance = _TOLERANCE[coarse] if near is None else _OF_CHANGE
+        missed = error > tolerance * samples[0].max(axis=1, keepdims=True)
+        missed &= field.widths(samples.shape[1:])[:, None] > finest
+        missed |= near is None and level + 1 < _WHOLE[coarse]
+    return LensSamples(
+        values=samples, transmitted=field.transmitted(), at=np.asarray(field.at), grid=grid
+    )
+
+
+def lens_table(values: Mapping[str, float], free: Sequence[str], **settings: Any) -> LensTable:
+    """The table of `lens_samples` with the same arguments."""
+    return lens_samples(values, free, **settings).table()
+
+
+def dark_table(parameters: int, halvings: int) -> LensTable:
+    """A table without light, of the shape that tables with so many parameters and halvings have."""
+    shape = _ROWS * 2**halvings + 1, _COLUMNS * 2**halvings + 1
+    none = np.zeros(1 + parameters)
+    grid = Grid(1.0, 1.0, 1.0, 2.0)
+    return LensSamples(np.zeros((1 + parameters, *shape)), none, none[1:], grid).table()
+
+
+def _first_order(
+    near: LensSamples | None, at: Array, halvings: int
+) -> tuple[Float[np.ndarray, "p+1 rows columns"], Bool[np.ndarray, "rows columns"]]:
+    """The light of a lens near a known one, and where it has changed too much for this."""
+    if near is None:
+        shape = _ROWS * 2**halvings + 1, _COLUMNS * 2**halvings + 1
+        return np.zeros((1 + at.size, *shape)), np.zeros(shape, bool)
+    light, *slopes = near.values
+    change = np.tensordot(np.asarray(at) - near.at, np.array(slopes), axes=1)
+    peak = light.max(axis=1, keepdims=True)
+    moved = maximum_filter(np.abs(change), 3) > _CHANGE * peak
+    # A step between two samples moves, although both have no derivative: about as many cells as
+    # the lens's relative change of all columns, and at most twice as many.
+    relative = np.max(np.abs(np.asarray(at) / near.at - 1.0), initial=0.0)
+    cells = 2.0 * relative * light.shape[1]
+    if cells > _STILL:
+        step = maximum_filter(light, 3) - minimum_filter(light, 3) > _STEP * peak
+        moved |= maximum_filter(step, 2 * math.ceil(cells) + 1)
+    return np.array([light + change, *slopes]), moved
+
+
+class LensSamples(NamedTuple):
+    """V_s e² of a lens on a grid.
+
+    Attributes:
+        values: the samples, followed by their derivatives with respect to each free parameter.
+        transmitted: fraction of the power that leaves the cap, and its derivatives.
+        at: values of the free parameters.
+        grid: positions of the samples.
+    """
+
+    values: Float[np.ndarray, "p+1 rows columns"]
+    transmitted: Float[np.ndarray, "p+1"]
+    at: Float[np.ndarray, "p"]
+    grid: Grid
+
+    def table(self) -> LensTable:
+        """The table of these samples."""
+        means = _means_within(self.values, self.transmitted)
+        return LensTable(
+            values=jnp.asarray(means[0]),
+            slopes=jnp.asarray(means[1:]),
+            transmitted_value=jnp.asarray(self.transmitted[0]),
+            transmitted_slopes=jnp.asarray(self.transmitted[1:]),
+            at=jnp.asarray(self.at),
+            moved=jnp.zeros(len(self.at)),
+            grid=jax.tree.map(jnp.asarray, self.grid),
+        )
+
+
+class _Field:
+    """V_s e² of a lens on a grid, and its derivatives with respect to some parameters."""
+
+    def __init__(
+        self, values: Mapping[str, float], names: tuple[str, ...], medium_index: float, grid: Grid
+    ) -> None:
+        self.names, self.grid = names, grid
+        self.at = jnp.array([values[name] for name in names])
+        self.fixed = {name: jnp.asarray(value, float) for name, value in values.items()}
+        self.medium_index = jnp.asarray(medium_index, float)
+
+    def __call__(
+        self,
+        wanted: Bool[np.ndarray, "rows columns"],
+        known: Float[np.ndarray, "p+1 rows columns"],
+    ) -> Float[np.ndarray, "p+1 rows columns"]:
+        """The known samples, with the wanted ones computed."""
+        if not wanted.any():
+            return known
+        samples = known.copy()
+        row, column = np.nonzero(wanted)
+        rows, columns = wanted.shape
+        s, envelope = self._envelope(row, rows)
+        points = np.stack([envelope * column / (columns - 1), s])
+        points = np.pad(points, ((0, 0), (0, -row.size % _BATCH)), mode="edge")
+        batches = points.reshape(2, -1, _BATCH).transpose(1, 0, 2)
+
+        def evaluate(batch: np.ndarray) -> np.ndarray:
+            own = (self.names, self.at, self.fixed, self.medium_index)
+            return np.asarray(_with_slopes(*own, *batch))
+
+        # A batch is too small for several cores. The first batch runs alone, to compile only once.
+        with ThreadPoolExecutor() as pool:
+            parts = [evaluate(batches[0]), *pool.map(evaluate, batches[1:])]
+        samples[..., row, column] = np.concatenate(parts, axis=-1)[..., : row.size] * envelope**2
+        return samples
+
+    def _envelope(self, row: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of rows from the tip, and the envelope's radius there, mm."""
+        grid = self.grid
+        s = np.asarray(grid.nearest * (grid.farthest / grid.nearest) ** (row / (rows - 1)))
+        return s, np.asarray(grid.contact_radius + grid.slope * s)
+
+    def widths(self, shape: tuple[int, int]) -> Float[np.ndarray, "rows"]:
+        """Width of a cell in each row of a grid of this shape, mm."""
+        return self._envelope(np.arange(shape[0]), shape[0])[1] / (shape[1] - 1)
+
+    def transmitted(self) -> Float[np.ndarray, "p+1"]:
+        """Fraction of the power that leaves the cap, and its derivatives."""
+        return np.asarray(_transmitted(self.names, self.at, self.fixed, self.medium_index))
+
+
+def _means_within(
+    samples: Float[np.ndarray, "p+1 rows columns"], transmitted: Float[np.ndarray, "p+1"]
+) -> Float[np.ndarray, "p+1 rows columns"]:
+    """Means of V_s e² over the discs within each column's radius.
+
+    The integral over all columns is known: it is the transmitted power. What a row lacks of it is
+    given to the cells in which the spline and the trapezoidal rule disagree. These are cells with a
+    step, and the samples show its place only to a part of the cell.
+    """
+    x = np.linspace(0.0, 1.0, samples.shape[-1])
+    rings = 2.0 * x * samples
+    parts = np.diff(CubicSpline(x, rings, axis=-1).antiderivative()(x), axis=-1)
+    doubt = np.abs(parts - 0.5 * (rings[..., 1:] + rings[..., :-1]) * x[1]) + 1e-300
+    rest = transmitted[:, None, None] / np.pi - parts.sum(axis=-1, keepdims=True)
+    parts += rest * doubt / doubt.sum(axis=-1, keepdims=True)
+    return np.concatenate([samples[..., :1], np.cumsum(parts, axis=-1) / x[1:] ** 2], axis=-1)
+
+
+def _halved(samples: Float[np.ndarray, "p n m"]) -> Float[np.ndarray, "p 2n-1 2m-1"]:
+    """Samples of a cubic spline through the given ones, at half their spacing."""
+    for axis in (1, 2):
+        count = samples.shape[axis]
+        samples = CubicSpline(np.arange(count), samples, axis=axis)(np.arange(2 * count - 1) / 2)
+    return samples
+
+
+@eqx.filter_jit
+def _with_slopes(
+    names: tuple[str, ...],
+    at: Float[Array, "p"],
+    fixed: dict[str, Array],
+    medium_index: Float[Array, ""],
+    radius: Float[Array, "n"],
+    distance: Float[Array, "n"],
+) -> Float[Array, "p+1 n"]:
+    """V_s at some points, followed by its derivatives."""
+
+    def field(free: Array) -> Array:
+        lens = lens_of(fixed | dict(zip(names, free, strict=True)))
+        return optics.vector_irradiance(
+            lens, medium_index=medium_index, radius=radius, distance=distance
+        )[1]
+
+    return _value_and_slopes(field, at)
+
+
+@eqx.filter_jit
+def _transmitted(names, at, fixed, medium_index) -> Float[Array, "p+1"]:
+    def share(free: Array) -> Array:
+        lens = lens_of(fixed | dict(zip(names, free, strict=True)))
+        return optics.transmitted_power(lens, medium_index=medium_index)
+
+    return _value_and_slopes(share, at)
+
+
+def _value_and_slopes(function: Callable[[Array], Array], at: Float[Array, "p"]) -> Array:
+    if not at.size:
+        return function(at)[None]
+    value, slopes = jax.vmap(
+        lambda direction: jax.jvp(function, (at,), (direction,)), out_axes=(None, 0)
+    )(jnp.eye(at.size))
+    return jnp.concatenate([value[None], slopes])
+
 
 _GAUSS = 3
 """Gauss nodes on each side of a pixel. With two, the mean of a pixel that a sharp edge cuts is off
@@ -23,7 +529,7 @@ class Lens(eqx.Module):
 
     Attributes:
         table: the lens's light near the parameters for which the table was computed.
-        spread: L of the light's spread in the wall (`optics.wall_spread`), mm, or None.
+        spread: L of the light's spread in the wall (`optics.truth`), mm, or None.
     """
 
     table: LensTable
@@ -50,7 +556,7 @@ class Lens(eqx.Module):
     def _direct(
         self, wall: WallPixels, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "n"]:
-        """The line integral around each patch (see `table`)."""
+        """The line integral around each patch (see `LensTable`)."""
         u, v, du, dv = (part[:, None, None] for part in _border())
         point = wall.point + u * wall.right + v * wall.down
         step = du * wall.right + dv * wall.down

@@ -1,9 +1,8 @@
 """Camera model: from linear frames to digital numbers.
 
-camera       Camera: exposes linear frames with the sensor of a scene
+camera       Camera: exposes linear frames with the sensor of a scene, and meters the exposure time
 exposure     Sensor model (EMVA 1288, release 4.0, linear): light in, digital numbers out
 information  Fisher information of the sensor about the light of a pixel
-metering     Exposure time from the brightness of a frame
 output       Bayer mosaic, demosaicing and JPEG
 response     Response curves: from light to digital numbers and back, without noise
 """

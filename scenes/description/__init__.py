@@ -3,10 +3,9 @@
 camera_settings   The table [camera]
 command           The commands `eyespot scene init` and `scene schema`, and options for scenes
 motion_settings   The tables [motion] and [clocks]
-scene             A whole scene, and the rules that its tables must meet together
+scene             A whole scene with its table [unrest], and the rules that its tables must meet
 scene_file        Scene files (TOML): reading, changing, writing, template and JSON schema
 settings          All other tables
-unrest_settings   The table [unrest]
 viewing_settings  The table [viewing]
 """
 

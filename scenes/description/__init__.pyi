@@ -8,6 +8,7 @@ from .motion_settings import Recorded as Recorded
 from .motion_settings import Scan as Scan
 from .motion_settings import Withdrawal as Withdrawal
 from .scene import Scene as Scene
+from .scene import Unrest as Unrest
 from .scene_file import changed as changed
 from .scene_file import load_scene as load_scene
 from .scene_file import parsed_change as parsed_change
@@ -19,5 +20,4 @@ from .settings import GAUGE_DIAMETER_MM as GAUGE_DIAMETER_MM
 from .settings import MicroscopeSettings as MicroscopeSettings
 from .settings import Phantom as Phantom
 from .settings import SceneError as SceneError
-from .unrest_settings import Unrest as Unrest
 from .viewing_settings import Viewing as Viewing

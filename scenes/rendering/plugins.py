@@ -179,7 +179,7 @@ class SpotIntegrator(mi.SamplingIntegrator):
     the wall.
 
     If the wall spreads light, the light that a matt wall radiates at a point arrives at points
-    round it (`optics.wall_spread`). Those are drawn for each camera ray with a seed from the point
+    round it (`optics.spread_nodes`). Those are drawn for each camera ray with a seed from the point
     itself, so that an image has the same small noise whenever it is rendered.
     """
 

@@ -1,9 +1,8 @@
 """Pictures on the wall.
 
 fundus_image  A drawn fundus: reflectance of disc, macula, vessels and choroid from a random seed
-image_file    A picture from an image file
 landmarks     Coordinates of the map; positions and sizes of fovea and optic disc
-picture       The picture that a scene selects, and its mean colour
+picture       The picture that a scene selects, also from an image file, and its mean colour
 spread        How far walls scatter light sideways: lengths for each colour, with their sources
 vessels       The vessel tree of the drawn fundus
 """

@@ -1,4 +1,4 @@
-"""The picture that a scene selects for its wall, and its mean colour."""
+"""The picture that a scene selects for its wall, also from an image file, and its mean colour."""
 
 from __future__ import annotations
 
@@ -6,11 +6,72 @@ import functools
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from scenes.description import Phantom
+from estimator.files import read_image
+from optics import InputError, shortened
+from scenes.description import Phantom, SceneError
 from scenes.walls.fundus_image import fundus
-from scenes.walls.image_file import wall_image
+
+
+def wall_image(
+    path: Path, *, width_mm: float, white: float, extent_mm: float, pixels: int
+) -> NDArray[np.float32]:
+    """Reflectance on a square map about the pole, from an image of 8 or 16 bits in sRGB.
+
+    The centres of image and map coincide; the image's right is +X, its top +Y, as its rows are
+    stored (an Exif orientation is not applied). The edge of the image is repeated outside it.
+
+    Args:
+        path: path of the image.
+        width_mm: the image's width on the map, mm; pixels are square.
+        white: reflectance of white in the image.
+        extent_mm: width and height of the map, mm.
+        pixels: width and height of the map, px.
+
+    Returns:
+        Linear reflectance, pixels x pixels x 3 (R, G, B).
+
+    Raises:
+        SceneError: the file is missing or not an image.
+    """
+    image, full_scale = _image(path)
+    coded = np.atleast_3d(image).astype(np.float32) / full_scale
+    # IEC 61966-2-1.
+    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+    ratio = (width_mm / linear.shape[1]) / (extent_mm / pixels)
+    if ratio < 1:  # finer than the map: average, so that no pixel is skipped
+        size = [max(1, round(side * ratio)) for side in linear.shape[1::-1]]
+        linear = np.asarray(cv2.resize(linear, size, interpolation=cv2.INTER_AREA))
+    height, width = linear.shape[:2]
+    across = (np.arange(pixels, dtype=np.float32) + 0.5) / pixels - 0.5
+    steps = across * np.float32(extent_mm * width / width_mm)  # image pixels from its centre
+    columns, rows = np.meshgrid(steps + (width - 1) / 2, steps + (height - 1) / 2)
+    mapped = cv2.remap(linear, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(white * mapped, np.float32)
+
+
+def _image(path: Path) -> tuple[NDArray, float]:
+    """The image and its full scale."""
+    try:
+        image, full_scale, _ = read_image(path)
+        if image.dtype.kind != "u":
+            raise InputError("is not an image of 8 or 16 bits")
+    except OSError as error:
+        raise _wrong(path, f"cannot be read ({error.strerror})") from error
+    except InputError as error:
+        raise _wrong(path, str(error).rstrip(".")) from error
+    return image, full_scale or float(np.iinfo(image.dtype).max)
+
+
+def _wrong(path: Path, fault: str) -> SceneError:
+    return SceneError(
+        f"phantom.wall_image = {shortened(str(path))} {fault}. Give a PNG, JPEG or TIFF file; a "
+        "relative path starts at the current folder."
+    )
+
 
 PICTURE_MM, PICTURE_PX = 24.0, 2048
 """Width and height of the picture, in mm along the wall and in pixels."""
