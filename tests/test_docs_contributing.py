@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -65,3 +66,15 @@ def test_the_change_of_an_example_works_and_keeps_the_rules(name: str, tmp_path:
         )
         assert done.returncode == 0, done.stdout[-3000:]
         assert " passed" in done.stdout
+
+
+def test_the_calls_on_a_frame_s_way_stand_in_the_files_beside_them():
+    page = (HOME / "docs" / "contributing" / "one_frame.md").read_text(encoding="utf-8")
+    rows = [row.split("|") for row in page.splitlines() if row.count("|") == 5 and "`" in row]
+    assert len(rows) > 15
+    for _, _, calls, files, *_ in rows:
+        paths = [HOME / path for path in re.findall(r"`([\w/]+\.py)`", files)]
+        paths = [p if p.parent != HOME else HOME / "estimator" / "pixels" / p.name for p in paths]
+        text = "".join(path.read_text(encoding="utf-8") for path in paths)
+        for call in re.findall(r"`([\w.]+)`", calls):
+            assert re.search(rf"(def|class) {call.rpartition('.')[2]}\b", text), call
