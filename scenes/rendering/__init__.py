@@ -2,7 +2,6 @@
 
 build           The Mitsuba dictionary of a scene, and how the tip is moved in it
 differentiable  Images by photons, with derivatives by the lens and its pose
-ellipsoid       A stretched eyeball as a mesh
 fine_light      Light of the beam and reflectance of the wall, finer than pixels
 glass           Images by photons through the lens as glass, without its irradiance table
 images          Noise-free images for any pose of the tip
@@ -17,7 +16,7 @@ render          Linear frames: sharp ones, and the mean over an exposure (motion
 sensor          Mitsuba plugin: the microscope
 smooth_lens     Photons behind the lens, as a smooth function of its parameters
 unrest          Moves the view and the eyeball, and changes the source's power
-wall            The wall: its shape and the picture on it
+wall            The wall for Mitsuba: its shape, an ellipsoid as a mesh, and the picture on it
 """
 
 import lazy_loader
