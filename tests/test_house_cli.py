@@ -80,15 +80,14 @@ def test_version_is_that_of_the_distribution(run):
     assert run("version").out.strip() == importlib.metadata.version("eyespot")
 
 
-def test_the_list_of_commands_is_read_without_importing_any(run, monkeypatch):
+def test_the_list_of_commands_is_read_without_importing_any(monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    root = run_process("--help")
-    assert root.code == 0
     for group, functions in eyespot.COMMANDS.items():
-        listed = run(*filter(None, [group, "--help"])).out
+        ended = run_process(*filter(None, [group, "--help"]))
+        assert ended.code == 0
         for function, about in functions.items():
-            assert function.rpartition(":")[2].replace("_", "-") in listed
-            assert about in listed
+            assert function.rpartition(":")[2].replace("_", "-") in ended.out
+            assert about in ended.out
 
 
 @pytest.mark.parametrize("words", WORDS)
