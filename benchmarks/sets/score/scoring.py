@@ -79,7 +79,9 @@ def run(
         require_space(out, _LEAST_BYTES)
         result, measured, found = _scored(folder, given, modes, beam, against, split)
         write_json(whole / "score.json", _summary(result, folder))
-        result.table.to_csv(whole / "score.csv", index=False, lineterminator="\n")
+        result.table.to_csv(
+            whole / "score.csv", index=False, lineterminator="\n", errors="backslashreplace"
+        )
         for name, records in measured.items():
             write_spots(whole / f"{name}.csv", records)
         words = ["eyespot", "score", folder, *spots_files]
