@@ -69,8 +69,10 @@ def test_a_terminal_without_greek_letters_ends_nothing(tmp_path, png):
     assert read_spots(out)[0].file_name == "é σ.png"
 
 
-def test_a_score_is_printed_where_there_is_no_sigma(tmp_path):
-    stack = write_set(tmp_path / os.fsdecode(b"\xe9t\xe9"))
-    ended = eyespot("score", stack, "--mode", "subpixel", "--out", tmp_path / "out", **ASCII)
+@pytest.mark.parametrize("part", ["", "train/a"])
+def test_a_score_is_printed_where_there_is_no_sigma(tmp_path, part):
+    whole = write_set(tmp_path / "set")
+    strange = (whole / part).rename(tmp_path / os.fsdecode(b"\xe9t\xe9"))
+    ended = eyespot("score", strange, "--mode", "subpixel", "--out", tmp_path / "out", **ASCII)
     assert ended.returncode == 0, ended.stderr
     assert b"Wrote" in ended.stdout

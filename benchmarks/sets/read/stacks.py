@@ -22,7 +22,7 @@ from estimator import (
     Stack,
     SubpixelSettings,
 )
-from estimator.files import inside
+from estimator.files import in_utf8, inside
 from optics import InputError
 
 _DESCRIPTION = ("stack.toml", "metadata.jsonl", "microscope.json", "kinematics.csv")
@@ -41,7 +41,8 @@ def stacks_of(folder: str | Path) -> list[SetStack]:
     folder = Path(folder)
     if (folder / "stack.toml").is_file():
         place = folder.resolve()
-        return [SetStack(split="", name=place.name, condition=None, parameters={}, folder=place)]
+        name = in_utf8(place.name)  # of a set's stacks, set.json has it as text
+        return [SetStack(split="", name=name, condition=None, parameters={}, folder=place)]
     if not (folder / "set.json").is_file():
         raise SetError(
             f"{folder} is neither a set (set.json is missing) nor a stack (stack.toml is missing). "

@@ -28,7 +28,7 @@ from benchmarks.sets.score.images import ALL, CONDITIONS
 from benchmarks.sets.score.judging import Score
 from benchmarks.sets.score.standings import standings
 from benchmarks.sets.score.views import score_figure
-from estimator.files import in_figure, in_utf8
+from estimator.files import in_figure
 
 _WIDTH_IN, _LINE_IN, _FRAME_IN = 9.0, 0.32, 1.1
 _ONE, _WIDE = 0.683, 0.950  # parts of normal errors within 1 and 1.96 sigma
@@ -81,7 +81,7 @@ def leaderboard(result: Score, entries: Mapping[str, Entry], *, name: str) -> Re
         {
             "entry": entry.name,
             "ms_per_frame": math.nan if entry.ms_per_frame is None else entry.ms_per_frame,
-            "command": in_utf8(entry.command),
+            "command": entry.command,
             "versions": entry.versions,
             "seed": entry.seed,
         }

@@ -24,7 +24,7 @@ from benchmarks.sets.score.sample import sample_folder
 from benchmarks.sets.score.spots_of_set import read_set_spots, track_set
 from benchmarks.sets.score.views import tables
 from estimator import Calibration, SpotRecord, read_calibration, write_spots
-from estimator.files import fingerprint, require_space, written_whole
+from estimator.files import fingerprint, in_utf8, require_space, written_whole
 from estimator.run import progress
 from optics import InputError
 
@@ -79,9 +79,7 @@ def run(
         require_space(out, _LEAST_BYTES)
         result, measured, found = _scored(folder, given, modes, beam, against, split)
         write_json(whole / "score.json", _summary(result, folder))
-        result.table.to_csv(
-            whole / "score.csv", index=False, lineterminator="\n", errors="backslashreplace"
-        )
+        result.table.to_csv(whole / "score.csv", index=False, lineterminator="\n")
         for name, records in measured.items():
             write_spots(whole / f"{name}.csv", records)
         words = ["eyespot", "score", folder, *spots_files]
@@ -155,7 +153,7 @@ def _own_entry(mode: Mode, folder: Path, ms_per_frame: float) -> Entry:
 def _named(folder: Path) -> str:
     """How a command names a set; the path on this machine means nothing to others."""
     is_sample = folder.resolve() == sample_folder().resolve()
-    return "--sample" if is_sample else folder.resolve().name
+    return "--sample" if is_sample else in_utf8(folder.resolve().name)
 
 
 def _check(names: Sequence[str]) -> None:
