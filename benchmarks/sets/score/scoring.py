@@ -90,7 +90,7 @@ def run(
         with matplotlib.rc_context(STYLE):
             write_page(
                 whole,
-                leaderboard(result, found, name=folder.resolve().name),
+                leaderboard(result, found, name=in_utf8(folder.resolve().name)),
                 command=shlex.join(map(str, words)),
                 versions=versions(),
                 summary_file="score.json",
