@@ -13,10 +13,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-import eyespot
 from docs.cited import source_page, test_page
 from docs.messages import errors_page, reasons_page
 from docs.schemas import KINDS, FileKind, rows_of, schema_of
+from eyespot import command_line
 from scenes import Scene
 
 _PICTURES = {
@@ -83,10 +83,10 @@ def _write(path: Path, text: str) -> None:
 
 
 def _commands() -> str:
-    for group in eyespot.groups.values():
+    for group in command_line.groups.values():
         for command in group.resolved_commands().values():
-            eyespot.show_docstring(command)
-    return eyespot.app.generate_docs().replace("# eyespot", "# Commands", 1)
+            command_line.show_docstring(command)
+    return command_line.app.generate_docs().replace("# eyespot", "# Commands", 1)
 
 
 def _scene_keys() -> Iterator[str]:

@@ -65,7 +65,7 @@ def main() -> None:
 
 
 def _eyespot(*words: str, folder: Path) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, HERE.parent / "eyespot.py", *words], cwd=folder)
+    return subprocess.Popen([sys.executable, "-m", "eyespot", *words], cwd=folder)
 
 
 def _photograph() -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from cyclopts import App, Argument
 
-import eyespot
+from eyespot import command_line as eyespot
 
 WORDS = [
     "version",

@@ -42,7 +42,7 @@ def rendered_stack(folder: Path) -> Path:
     """A tip that withdraws: the instrument hides the first spots, so some frames have none."""
     (folder / "scene.toml").write_text(SCENE)
     scene, made = str(folder / "scene.toml"), str(folder / "stack")
-    command = [sys.executable, "eyespot.py", "render", scene, "--out", made]
+    command = [sys.executable, "-m", "eyespot", "render", scene, "--out", made]
     subprocess.run(command, cwd=HOME, check=True)
     return folder / "stack"
 

@@ -163,7 +163,7 @@ def test_the_accepted_chi_squared_depends_on_the_degrees_of_freedom(degrees, noi
     found = good(chi_squared_per_degree=1.4, degrees_of_freedom=degrees)
     assert (found == []) == noise_explains
     if found:
-        assert verdict(found).startswith("A good fit with a stated misfit: chi squared")
+        assert verdict(found).startswith("Accepted, with enlarged standard errors: chi squared")
         assert "enlarged 1.18 times" in found[0].reason
 
 
@@ -183,7 +183,7 @@ def test_a_small_misfit_of_pixels_is_stated_with_its_place_and_its_effect():
     assert doubt.harmless
     for words in ("0.9 %", "the core is 1.1 % darker", "enlarged up to 17 times"):
         assert words in doubt.reason
-    assert verdict(found).startswith("A good fit with a stated misfit")
+    assert verdict(found).startswith("Accepted, with enlarged standard errors")
     # Residuals with structure count even where chi squared does not show them.
     assert len(pixels(0.001, True, 1.0)) == 1
 

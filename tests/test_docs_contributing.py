@@ -13,7 +13,7 @@ import pytest
 
 HOME = Path(__file__).resolve().parents[1]
 EXAMPLES = HOME / "docs" / "contributing" / "examples"
-PARTS = ("optics", "scenes", "estimator", "calibration", "benchmarks", "tests", "docs")
+PARTS = ("optics", "eyespot", "scenes", "estimator", "calibration", "benchmarks", "tests", "docs")
 
 # What each change adds a test to, and the house's rules that it must keep.
 CHECKS = {
@@ -36,8 +36,7 @@ def changed_copy(name: str, folder: Path) -> Path:
     for part in PARTS:
         ignored = shutil.ignore_patterns("__pycache__", "auto_gallery", "generated", "sample-v2")
         shutil.copytree(HOME / part, copy / part, ignore=ignored)
-    for file in ("eyespot.py", "pyproject.toml"):
-        shutil.copy(HOME / file, copy)
+    shutil.copy(HOME / "pyproject.toml", copy)
     subprocess.run(["git", "apply", str(EXAMPLES / f"{name}.diff")], cwd=copy, check=True)
     return copy
 

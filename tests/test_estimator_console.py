@@ -370,7 +370,7 @@ def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(
     browser: Any, stack: Path, tmp_path: Path
 ) -> None:
     calibration = str(calibrated(tmp_path, "exact"))
-    command = ["eyespot.py", "console", str(stack), "--calibration", calibration]
+    command = ["-m", "eyespot", "console", str(stack), "--calibration", calibration]
     command += ["--poses", str(stack / "kinematics.csv"), "--eye-from-robot", "0,0,0,1"]
     command += ["--folder", str(tmp_path), "--port", "{port}"]
     with console(*command, log=tmp_path / "log") as address:
@@ -420,7 +420,7 @@ def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(
 
 @pytest.mark.slow
 def test_a_calibration_is_guided_to_its_report(browser: Any, stack: Path, tmp_path: Path) -> None:
-    command = ["eyespot.py", "console", str(stack), "--poses", str(stack / "kinematics.csv")]
+    command = ["-m", "eyespot", "console", str(stack), "--poses", str(stack / "kinematics.csv")]
     command += ["--folder", str(tmp_path), "--port", "{port}"]
     with console(*command, log=tmp_path / "log") as address:
         page = browser.new_page()
@@ -511,7 +511,7 @@ def frame_number(page: Any) -> int:
 def test_beyond_this_machine_the_page_asks_for_a_token(
     browser: Any, stack: Path, tmp_path: Path
 ) -> None:
-    command = ["eyespot.py", "console", str(stack), "--host", "0.0.0.0", "--port", "{port}"]
+    command = ["-m", "eyespot", "console", str(stack), "--host", "0.0.0.0", "--port", "{port}"]
     log = tmp_path / "log"
     with console(*command, log=log) as address:
         token = log.read_text().rpartition("token: ")[2].strip()

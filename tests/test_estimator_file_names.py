@@ -26,9 +26,8 @@ def png() -> bytes:
 
 
 def eyespot(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[bytes]:
-    program = Path(__file__).parents[1] / "eyespot.py"
     return subprocess.run(
-        [sys.executable, program, *arguments],
+        [sys.executable, "-m", "eyespot", *arguments],
         capture_output=True,
         check=False,
         env=os.environ | environment,

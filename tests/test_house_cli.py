@@ -14,6 +14,7 @@ import pydantic
 import pytest
 
 import eyespot
+from eyespot.command_line import COMMANDS
 from optics import InputError
 from scenes.machine import doctor
 from scenes.machine.llvm import ENVIRONMENT_VARIABLE
@@ -82,7 +83,7 @@ def test_version_is_that_of_the_distribution(run):
 
 def test_the_list_of_commands_is_read_without_importing_any(monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    for group, functions in eyespot.COMMANDS.items():
+    for group, functions in COMMANDS.items():
         ended = run_process(*filter(None, [group, "--help"]))
         assert ended.code == 0
         for function, about in functions.items():

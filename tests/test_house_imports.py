@@ -164,7 +164,8 @@ def test_scenes_take_file_formats_progress_and_recordings_from_the_estimator_and
     ("module", "unwanted"),
     [
         ("estimator", ["jax", "mitsuba", "drjit", "optics", "skimage"]),
-        ("eyespot", ["jax", "mitsuba", "drjit", "cv2", "numpy", "matplotlib", "pydantic"]),
+        ("eyespot", ["jax", "mitsuba", "cv2", "numpy", "matplotlib", "pydantic", "cyclopts"]),
+        ("eyespot.command_line", ["jax", "mitsuba", "cv2", "numpy", "matplotlib", "pydantic"]),
         ("optics", ["jax", "mitsuba", "drjit", "cv2"]),
         ("optics.models", ["jax", "mitsuba", "drjit", "cv2"]),
         ("scenes", ["mitsuba", "drjit"]),
@@ -217,8 +218,8 @@ def test_a_command_loads_only_what_it_uses(words, allowed, tmp_path):
 
 def test_no_help_loads_a_heavy_library():
     code = (
-        "import sys, eyespot\n"
-        "for group in eyespot.groups.values(): group.resolved_commands()\n"
+        "import sys, eyespot.command_line\n"
+        "for group in eyespot.command_line.groups.values(): group.resolved_commands()\n"
         "print(*sys.modules)"
     )
     child = subprocess.run(

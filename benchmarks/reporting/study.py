@@ -35,7 +35,7 @@ from estimator.files import (
     sweep,
     written_whole,
 )
-from estimator.run import progress
+from estimator.run import progress, say
 from optics import InputError, in_file, read_text, shortened
 from scenes import Scene
 
@@ -180,7 +180,7 @@ class Study:
         """
         with matplotlib.rc_context(STYLE), published(self.folder) as folder:
             self._write(report(findings), folder)
-        print(f"Wrote {self.folder / 'report.html'}.")
+        say(f"Wrote {self.folder / 'report.html'}.", result=True)
 
     def _write(self, report: Report, folder: Path) -> None:
         scene_toml = scenes.scene_toml(self.scene)

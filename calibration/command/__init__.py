@@ -10,3 +10,7 @@ pixel_models  Models image and lens, fitted to every pixel of one stack
 report        The report: one HTML page with its pictures inside
 verdict       The verdict on a fit, and what to try if it is not good
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

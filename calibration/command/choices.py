@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from cyclopts import Parameter
 
-from estimator.run import Exposure, Options
+from estimator.run import Exposure, Given, Options
 from optics import InputError, shortened
 
 if TYPE_CHECKING:
@@ -27,8 +26,7 @@ _ELSEWHERE = Parameter(group="Sources other than stacks")
 
 
 @Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
-class Choices:
+class Choices(Given):
     """What is fitted, and where sources other than stacks were recorded."""
 
     model: Literal["auto", "cone", "eye", "plane", "sphere", "image", "lens"] = "auto"

@@ -10,12 +10,15 @@ import importlib.metadata
 import json
 import math
 import operator
-import sys
+import shlex
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
@@ -26,7 +29,7 @@ from calibration.command.cone_models import EYE, fit_cone_to_spots, fit_eye
 from calibration.command.fitted import Fitted
 from calibration.command.paper_models import fit_planes, fit_sphere
 from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_lens
-from calibration.command.verdict import doubts, refusal, verdict
+from calibration.command.verdict import Doubt, doubts, refusal, verdict
 from calibration.pixels import CONE, FREE, NUISANCES, known_names
 from calibration.recordings import Recording, is_stack, read_recording
 from calibration.solvers import correlations
@@ -40,7 +43,7 @@ from estimator.files import (
     write_calibration,
     written_whole,
 )
-from estimator.run import progress
+from estimator.run import progress, say
 from estimator.sources import open_source
 from estimator.viewer import check_recording_path, recording_of
 from optics import InputError
@@ -48,15 +51,9 @@ from optics import InputError
 _SPOTS_FILES = (".csv", ".parquet")
 
 
-def record_fit(
-    target: str,
-    fitted: Fitted,
-    recordings: Sequence[Recording],
-    calibration: Calibration,
-    *,
-    exposure: str | None,
-) -> None:
+def record_fit(target: str, fit: Fit) -> None:
     """Record the frames of a fit, one recording after the other on the timeline `frame`."""
+    fitted, recordings, calibration = fit.fitted, fit.recordings, fit.calibration
     name = ", ".join(recording.name for recording in recordings)
     touches = {row[0].removeprefix("touch of "): row[1] for row in fitted.others}
     residuals = _residuals(fitted, recordings)
@@ -69,7 +66,7 @@ def record_fit(
             numbers = [record.frame for record in recording.records]
             seen = zip(recording.records, trial.readings, strict=True)
             spots = dict(zip(numbers, seen, strict=True))
-            for number, time_s, image in _frames(recording, exposure):
+            for number, time_s, image in _frames(recording, fit.exposure):
                 recorded.add_frame(first + number, time_s, image)
                 if number not in spots:
                     continue
@@ -173,7 +170,126 @@ def chosen_model(recordings: Sequence[Recording]) -> tuple[str, str]:
     return ("lens", seen.format("soft"))
 
 
-def run(sources: Sequence[Path], out: Path, choices: Choices, rerun: str | None = None) -> None:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """A fitted model with its covariance, and what speaks against it.
+
+    Attributes:
+        model: that was fitted, by its name on the command line.
+        fitted: everything that was fitted.
+        recordings: what it was fitted to.
+        doubts: reasons why it may be wrong; empty for a good fit.
+        exposure: which of a stack's exposures was used.
+    """
+
+    model: str
+    fitted: Fitted
+    recordings: Sequence[Recording]
+    doubts: Sequence[Doubt]
+    exposure: str | None = None
+
+    @property
+    def good(self) -> bool:
+        """Whether the values are right within their standard errors, and so may be saved."""
+        return all(doubt.harmless for doubt in self.doubts)
+
+    @property
+    def verdict(self) -> str:
+        """What the fit is worth, in a sentence; if it is not good, what to try."""
+        return verdict(self.doubts) if self.good else refusal(self.doubts, model=self.model)
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Value, standard deviation and unit of each parameter."""
+        columns = ["parameter", "value", "sigma", "unit"]
+        return pd.DataFrame(self.fitted.rows, columns=columns).set_index("parameter")
+
+    @property
+    def covariance(self) -> pd.DataFrame:
+        """Of the calibration's parameters, in products of their units."""
+        names = list(self.fitted.values)
+        return pd.DataFrame(self.fitted.covariance, names, names)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration, with which spots become distances."""
+        names = ", ".join(recording.name for recording in self.recordings)
+        medium = self.recordings[0].medium
+        return Calibration(
+            model=self.fitted.calibration_model,
+            values=self.fitted.values,
+            covariance=self.fitted.covariance,
+            medium=medium,
+            medium_index=optics.MEDIA[medium],
+            fitted_on=f"{self.fitted.used} {self.fitted.unit} of {names}",
+            sigma_inflation=self.fitted.inflation,
+            **self._origin,
+        )
+
+    @property
+    def _origin(self) -> dict[str, str]:
+        checksums = json.dumps([recording.sha256 for recording in self.recordings])
+        packages = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
+        return {
+            "data_sha256": hashlib.sha256(checksums.encode()).hexdigest(),
+            "software": ", ".join(packages),
+        }
+
+    def plot(self) -> Figure:
+        """The residuals over their standard deviations."""
+        return fit_report.residuals_figure(self.fitted)
+
+    def save(self, path: Path | str, *, overwrite: bool = False) -> None:
+        """Write the calibration file for `track`.
+
+        Raises:
+            InputError: the fit is not good, or the file exists.
+        """
+        if not self.good:
+            raise InputError(self.verdict)
+        with written_whole(Path(path), replace=overwrite) as partial:
+            write_calibration(partial, self.calibration)
+
+    def page(self) -> str:
+        """The report as an HTML page."""
+        return fit_report.render(
+            self.fitted, self.doubts, self.model, self.recordings, **self._origin
+        )
+
+
+def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
+    """Fit a model to recordings of withdrawals.
+
+    Raises:
+        InputError: wrong input; a fit that is not good is no error.
+    """
+    model: str = "lens" if choices.model == "auto" and choices.lens else choices.model
+    others = [source for source in sources if not is_stack(source)]
+    if model != "auto":
+        _check(model, choices, sources=len(sources), others=len(others))
+    recordings = _recordings(sources, others, choices)
+    if model == "auto":
+        model, reason = chosen_model(recordings)
+        say(f"Model {model}: {reason}.")
+        _check(model, choices, sources=len(sources), others=len(others))
+    fitted = MODELS[model].fit(recordings, choices)
+    return Fit(
+        model=model,
+        fitted=fitted,
+        recordings=recordings,
+        doubts=doubts(fitted),
+        exposure=choices.exposure,
+    )
+
+
+def run(
+    sources: Sequence[Path],
+    out: Path,
+    choices: Choices,
+    rerun: str | None = None,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Fit a model to withdrawals and write a report, and a calibration file if the fit is good.
 
     Raises:
@@ -188,47 +304,19 @@ def run(sources: Sequence[Path], out: Path, choices: Choices, rerun: str | None 
     if rerun is not None:
         check_recording_path(rerun)
     # Entered before the fit, so that a name that is taken or a full disk does not cost its result.
-    with written_whole(out) as partial:
-        with written_whole(report) as page:
+    with written_whole(out, replace=overwrite) as partial:
+        with written_whole(report, replace=overwrite) as page:
             require_space(out, _MOST_BYTES)
-            lens = choices.model == "auto" and choices.lens
-            model: str = "lens" if lens else choices.model
-            others = [source for source in sources if not is_stack(source)]
-            if model != "auto":
-                _check(model, choices, sources=len(sources), others=len(others))
-            recordings = _recordings(sources, others, choices)
-            if model == "auto":
-                model, reason = chosen_model(recordings)
-                print(f"Model {model}: {reason}.", file=sys.stderr, flush=True)
-                _check(model, choices, sources=len(sources), others=len(others))
-            fitted = MODELS[model].fit(recordings, choices)
-            found = doubts(fitted)
-            checksums = json.dumps([recording.sha256 for recording in recordings])
-            packages = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
-            origin = {
-                "data_sha256": hashlib.sha256(checksums.encode()).hexdigest(),
-                "software": ", ".join(packages),
-            }
-            Console().print(_table(fitted, recordings))
-            text = fit_report.render(fitted, found, model, recordings, **origin)
-            page.write_text(text, encoding="utf-8", errors="backslashreplace")
-        if not all(doubt.harmless for doubt in found):
-            raise InputError(refusal(found, model=model, report=report))
-        names = ", ".join(recording.name for recording in recordings)
-        calibration = Calibration(
-            model=fitted.calibration_model,
-            values=fitted.values,
-            covariance=fitted.covariance,
-            medium=recordings[0].medium,
-            medium_index=optics.MEDIA[recordings[0].medium],
-            fitted_on=f"{fitted.used} {fitted.unit} of {names}",
-            sigma_inflation=fitted.inflation,
-            **origin,
-        )
-        write_calibration(partial, calibration)
+            fit = fit_recordings(sources, choices)
+            Console().print(_table(fit.fitted, fit.recordings))
+            page.write_text(fit.page(), encoding="utf-8", errors="backslashreplace")
+        if not fit.good:
+            raise InputError(refusal(fit.doubts, model=fit.model, report=report))
+        write_calibration(partial, fit.calibration)
     if rerun is not None:
-        record_fit(rerun, fitted, recordings, calibration, exposure=choices.exposure)
-    print(f"{verdict(found)}. Wrote {out} and {report}.")
+        record_fit(rerun, fit)
+    print(f"{fit.verdict}. Wrote {out} and {report}.")
+    print(f"Next: eyespot track SOURCE --calibration {shlex.quote(str(out))} --out spots.csv")
 
 
 def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:

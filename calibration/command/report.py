@@ -58,8 +58,7 @@ def render(
         lstrip_blocks=True,
     )
     with matplotlib.rc_context(_STYLE):
-        residuals = _residuals(fitted) if fitted.pixels is None else _pixels(fitted.pixels)
-        figures = {"residuals": _svg(residuals)}
+        figures = {"residuals": _svg(residuals_figure(fitted))}
         if fitted.lines:
             figures["lines"] = _svg(_lines(fitted))
     return environment.get_template("fit.html.j2").render(
@@ -87,6 +86,12 @@ def _number(value: float, digits: int = 6) -> str:
     if math.isnan(value):
         return ""
     return "not determined" if math.isinf(value) else f"{value:.{digits}g}"
+
+
+def residuals_figure(fitted: Fitted) -> Figure:
+    """The residuals of spots, or those of pixels, over their standard deviations."""
+    with matplotlib.rc_context(_STYLE):
+        return _residuals(fitted) if fitted.pixels is None else _pixels(fitted.pixels)
 
 
 def _residuals(fitted: Fitted) -> Figure:

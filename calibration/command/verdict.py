@@ -161,10 +161,11 @@ def of_chi_squared(value: float, degrees: int, misfit: Misfit | None) -> list[Do
     """Doubts about the size of the residuals, and for pixels about their structure."""
     low, high = accepted_range(degrees)
     said = f"chi squared per degree of freedom is {value:.3g}"
+    of = f"({degrees} degrees of freedom)"
     if value < min(low, 1 - _KNOWN_VARIANCE):
-        why = f"{said}, below the {low:.3g} of {degrees} degrees: the noise is lower than assumed"
+        why = f"{said}, below the {low:.3g} expected {of}: the noise is lower than assumed"
         return [Doubt(Fault.OVERSTATED_NOISE, why)]
-    beyond = f"{said}, above the {high:.3g} that noise explains with {degrees} degrees"
+    beyond = f"{said}, above the {high:.3g} expected from noise alone {of}"
     if misfit is None:
         if value <= high:
             return []
@@ -189,21 +190,19 @@ def verdict(found: Sequence[Doubt]) -> str:
     if not found:
         return "A good fit"
     if any(doubt.fault is Fault.STATED_MISFIT for doubt in found):
-        return f"A good fit with a stated misfit: {reasons}"
-    return f"A good fit with too wide standard errors: {reasons}"
+        return f"Accepted, with enlarged standard errors: {reasons}"
+    return f"Accepted, with too wide standard errors: {reasons}"
 
 
-def refusal(found: Sequence[Doubt], *, model: str, report: Path) -> str:
-    """The error message, in three lines: what is wrong, what to try, where the details are."""
+def refusal(found: Sequence[Doubt], *, model: str, report: Path | None = None) -> str:
+    """The error message: what is wrong, what to try, and where the details are."""
     reasons = [doubt.reason for doubt in found]
     more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
     remedies = (remedy(doubt.fault, model=model) for doubt in found if not doubt.harmless)
     tries = "; ".join(list(dict.fromkeys(filter(None, remedies)))[:_SHOWN])
-    return (
-        f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}.\n"
-        f"Try {tries}.\n"
-        f"No calibration was written; {report} shows the residuals."
-    )
+    said = f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}.\nTry {tries}."
+    details = f"\nNo calibration was written; {report} shows the residuals."
+    return said if report is None else said + details
 
 
 def runs_probability(values: Float[np.ndarray, "n"]) -> float:

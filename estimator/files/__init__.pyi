@@ -47,6 +47,7 @@ from .spots import BeamPose as BeamPose
 from .spots import SpotRecord as SpotRecord
 from .spots import pyarrow as pyarrow
 from .spots import read_spots as read_spots
+from .spots import spots_table as spots_table
 from .spots import write_spots as write_spots
 from .spots_stream import spots_stream as spots_stream
 from .stack import FrameLabels as FrameLabels

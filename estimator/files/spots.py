@@ -14,7 +14,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from estimator.files.csv_files import MOST_ROWS, csv_rows, number_in
 from estimator.files.whole_files import damage_reported, written_whole
 from estimator.image import PARAMETERS, NoSpot, Reason, Spot
 from optics import InputError, check_regular, check_schema, in_file, shortened
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SCHEMA_VERSION = 3
 HISTORY = {
@@ -71,6 +74,11 @@ COLUMNS = (
     *_LATER,
     "schema_version",
 )
+FIRST_COLUMNS = (
+    *("frame", "file_name", "time_s", "distance_mm", *_INTERVAL),
+    *(*_VALUES[:5], "reason"),
+)
+"""The columns that people look at, in front in `spots_table`."""
 _KINDS: dict[str, type] = {
     **dict.fromkeys(("frame", "schema_version"), int),
     **dict.fromkeys(("file_name", "mode", "status", "reason", "largest_cause", "wall_memory"), str),
@@ -161,6 +169,22 @@ def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
     write = _write_parquet if is_parquet(path) else _write_csv
     with written_whole(Path(path), replace=True) as partial:
         write(partial, records)
+
+
+def spots_table(records: Iterable[SpotRecord]) -> pd.DataFrame:
+    """The records as a table with the columns of a spots file, what is looked at first in front."""
+    import pandas as pd
+
+    lines = "".join(map(csv_line, [None, *records]))
+    texts = {name for name, kind in _KINDS.items() if kind is str}
+    table = pd.read_csv(
+        io.StringIO(lines),
+        dtype={name: _KINDS.get(name, float) for name in COLUMNS},
+        keep_default_na=False,
+        na_values={name: [""] for name in COLUMNS if name not in texts},
+        float_precision="round_trip",
+    )
+    return table[[*FIRST_COLUMNS, *(name for name in COLUMNS if name not in FIRST_COLUMNS)]]
 
 
 def read_spots(path: str | Path) -> list[SpotRecord]:

@@ -8,12 +8,17 @@ from io import FileIO
 from pathlib import Path
 
 from estimator.files.spots import SpotRecord, csv_line, is_parquet, parquet_of_csv, pyarrow
-from estimator.files.whole_files import give_name, refuse_existing, written_whole
+from estimator.files.whole_files import (
+    give_name,
+    refuse_existing,
+    refuse_foreign,
+    written_whole,
+)
 from optics import InputError
 
 
 @contextmanager
-def spots_stream(path: Path) -> Iterator[Callable[[SpotRecord], None]]:
+def spots_stream(path: Path, *, replace: bool = False) -> Iterator[Callable[[SpotRecord], None]]:
     """Write a spots file record by record; it gets its name when the block ends, also by an error.
 
     Until then its lines are in a CSV file beside it, `NAME.partial.csv`. It is left behind only by
@@ -22,7 +27,8 @@ def spots_stream(path: Path) -> Iterator[Callable[[SpotRecord], None]]:
     the only ones.
 
     Args:
-        path: of the spots file, .csv or .parquet; must not exist.
+        path: of the spots file, .csv or .parquet.
+        replace: whether it may exist; it is then replaced at the end.
 
     Yields:
         A function that writes a record. It raises OSError if the disk is full; the lines before
@@ -34,7 +40,7 @@ def spots_stream(path: Path) -> Iterator[Callable[[SpotRecord], None]]:
     """
     if is_parquet(path):
         pyarrow()
-    refuse_existing(path)
+    (refuse_foreign if replace else refuse_existing)(path)
     partial = path.with_name(f"{path.stem}.partial.csv")
     try:
         file = partial.open("xb", buffering=0)
@@ -56,7 +62,7 @@ def spots_stream(path: Path) -> Iterator[Callable[[SpotRecord], None]]:
             yield write
     finally:
         if written:
-            _finish(partial, path)
+            _finish(partial, path, replace=replace)
         else:
             partial.unlink()
 
@@ -75,15 +81,15 @@ def _append(file: FileIO, line: str, path: Path) -> None:
         raise
 
 
-def _finish(partial: Path, path: Path) -> None:
+def _finish(partial: Path, path: Path, *, replace: bool) -> None:
     """Make the spots file of the partial one."""
     kept = f"What was measured is in {partial}"
     try:
         if is_parquet(path):
-            with written_whole(path) as whole:
+            with written_whole(path, replace=replace) as whole:
                 parquet_of_csv(partial, whole)
         else:
-            give_name(partial, path)
+            give_name(partial, path, replace=replace)
     except InputError as error:
         raise InputError(f"{error} {kept}.") from error
     except OSError as error:

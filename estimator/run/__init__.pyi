@@ -1,4 +1,5 @@
 from . import internal_errors as internal_errors
+from .command import tracked as tracked
 from .exit_codes import run_command as run_command
 from .interrupt import end_now as end_now
 from .interrupt import ending_on_ctrl_c as ending_on_ctrl_c
@@ -8,11 +9,15 @@ from .offline import Tracking as Tracking
 from .offline import record_of as record_of
 from .offline import track_source as track_source
 from .offline import track_whole_source as track_whole_source
+from .options import OUTPUT as OUTPUT
 from .options import Exposure as Exposure
+from .options import Given as Given
 from .options import Options as Options
 from .options import Recorded as Recorded
 from .options import Rerun as Rerun
 from .progress_bar import Advance as Advance
 from .progress_bar import progress as progress
+from .progress_bar import quiet as quiet
+from .progress_bar import say as say
 from .reader import Reader as Reader
 from .reader import Reading as Reading

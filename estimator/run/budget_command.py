@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from estimator.run.options import Options, Recorded
+from estimator.run.options import OUTPUT, Options, Recorded
 from estimator.run.progress_bar import progress
 from optics import InputError
 
@@ -27,7 +27,7 @@ def budget(
     frame: int | None = None,
     options: Options = Options(),
     recorded: Recorded = Recorded(),
-    as_json: Annotated[bool, Parameter("--json")] = False,
+    as_json: Annotated[bool, OUTPUT, Parameter("--json")] = False,
 ) -> None:
     """Say how uncertain a distance is, why, and what would halve the largest part.
 
@@ -47,10 +47,9 @@ def budget(
         raise InputError(
             "a budget is of a distance, which needs a calibration. Give --calibration."
         )
-    poses = recorded.pose_track(options)
-    frames = recorded.source(source)
+    frames, options, poses = recorded.opened(source, options)
     with Console(stderr=True).status("Preparing"):
-        reader = options.of_source(frames).reader()
+        reader = options.reader()
     found: dict[int, Budget] = {}
     with progress("Measuring", total=frames.length) as advance:
         tracking = track_source(

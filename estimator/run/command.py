@@ -10,13 +10,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from estimator.run.options import Options, Recorded, Rerun
+from estimator.run.options import OUTPUT, Options, Recorded, Rerun
 from estimator.run.progress_bar import progress
 from optics import InputError
 
@@ -39,9 +38,10 @@ def track(
     unrelated: Annotated[bool | None, Parameter(negative="--sequence")] = None,
     options: Options = Options(),
     recorded: Recorded = Recorded(),
-    overlay: Annotated[Path | None, Parameter(metavar="VIDEO|DIR", group="Output")] = None,
+    overwrite: Annotated[bool, OUTPUT] = False,
+    overlay: Annotated[Path | None, OUTPUT, Parameter(metavar="VIDEO|DIR")] = None,
     rerun: Rerun = None,
-    as_json: Annotated[bool, Parameter("--json", group="Output")] = False,
+    as_json: Annotated[bool, OUTPUT, Parameter("--json")] = False,
 ) -> None:
     """Measure the spot in every frame and write a spots file.
 
@@ -50,9 +50,10 @@ def track(
 
     Args:
         source: Stack, folder of images, TIFF, video, ROS bag, number of a camera, or genicam:NAME.
-        out: Spots file to write, .csv or .parquet; must not exist.
+        out: Spots file to write, .csv or .parquet.
         unrelated: Measure every image by itself, or follow the spot from image to image (default:
             follow it, except in a folder whose images are not numbered one by one).
+        overwrite: Replace OUT if it exists.
         overlay: Draw the spots into a video (.mp4, .avi) or a folder; must not exist.
         rerun: Record frames, spots, beams and distances for the viewer rerun (.rrd), or show them
             in it at once.
@@ -63,20 +64,18 @@ def track(
     from estimator.files import require_space, spots_stream
     from estimator.run.summary import summary_of, table_of
 
-    _check_results(out, overlay, rerun)
-    poses = recorded.pose_track(options)
-    frames = recorded.source(source)
-    if unrelated is not None:
-        frames = replace(frames, unrelated=unrelated)
-    options = options.of_source(frames)
+    _check_results(out, overlay, rerun, overwrite=overwrite)
+    frames, options, poses = recorded.opened(source, options, unrelated=unrelated)
     require_space(out, _LEAST_LINE_BYTES * (frames.length or 0))
-    with spots_stream(out) as write:
+    with spots_stream(out, replace=overwrite) as write:
         # Compiling the model `exact`, or tracing the lens of the model `lens`, takes time.
         with Console(stderr=True).status("Preparing"):
             reader = options.reader()
         began = time.perf_counter()
         with _shown(rerun, frames, options) as show:
-            tracking, drawn = _tracked(frames, reader, poses, overlay, show, write)
+            tracking, drawn = tracked(
+                frames, reader, poses, overlay=overlay, show=show, write=write
+            )
     summary = summary_of(tracking, frames, options.mode, time.perf_counter() - began) | {
         "out": str(out),
         "overlay": str(drawn) if drawn else None,
@@ -89,15 +88,19 @@ def track(
     _report_early_end(tracking, frames, out, drawn)
 
 
-def _tracked(
+def tracked(
     frames: Source,
     reader: Reader,
-    poses: PoseTrack | None,
-    overlay: Path | None,
-    show: Callable[[Frame, Reading], None] | None,
-    write: Callable[[SpotRecord], None],
+    poses: PoseTrack | None = None,
+    *,
+    overlay: Path | None = None,
+    show: Callable[[Frame, Reading], None] | None = None,
+    write: Callable[[SpotRecord], None] | None = None,
 ) -> tuple[Tracking, Path | None]:
-    """What was measured, and the overlay; None without one or if it could not be finished."""
+    """What was measured, and the overlay; None without one or if it could not be finished.
+
+    As `track_source`, with a progress bar.
+    """
     from estimator.run.offline import track_source
 
     tracking, spots = None, 0
@@ -123,7 +126,7 @@ def _tracked(
     return tracking, overlay
 
 
-def _check_results(out: Path, overlay: Path | None, rerun: str | None) -> None:
+def _check_results(out: Path, overlay: Path | None, rerun: str | None, *, overwrite: bool) -> None:
     """Find out before the run what would fail after it."""
     from estimator.files import in_utf8, refuse_existing
     from estimator.run.overlay import check_overlay_path
@@ -137,7 +140,8 @@ def _check_results(out: Path, overlay: Path | None, rerun: str | None) -> None:
         check_overlay_path(overlay)
     recording = None if rerun in (None, "live") else Path(rerun)
     for path in filter(None, (out, overlay, recording)):
-        refuse_existing(path)
+        if path != out or not overwrite:
+            refuse_existing(path)
         if path.suffix and path != out and in_utf8(path) != str(path):
             raise InputError(f"{path}: the name of a video or recording must be UTF-8. Choose one.")
         if not path.parent.is_dir():

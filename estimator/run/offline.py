@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import math
-import sys
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING
 from estimator.files import BeamPose, PoseTrack, SpotRecord
 from estimator.image import NoSpot, Reason
 from estimator.run.interrupt import finish_first
+from estimator.run.progress_bar import say
 from estimator.run.reader import Reader, Reading
 from estimator.sources import Frame, Source
 from optics import InputError
@@ -135,7 +135,7 @@ def track_source(
         KeyboardInterrupt: stopped before the first frame was measured.
     """
     for note in source.notes:
-        print(note, file=sys.stderr, flush=True)
+        say(note)
     tracking = Tracking()
     write = write or tracking.records.append
     try:

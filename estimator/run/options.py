@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -39,11 +39,11 @@ Exposure = Annotated[
     Literal["paper", "metered"] | None,
     Parameter(help="Which exposure to use if a stack has two (default: metered)."),
 ]
-Rerun = Annotated[str | None, Parameter(metavar="FILE|live", group="Output")]
-
-_CALIBRATION, _MICROSCOPE, _POSES = (
-    Parameter(group=name) for name in ("Calibration", "Microscope", "Poses")
+_CALIBRATION, _MICROSCOPE, _POSES, OUTPUT = (
+    Parameter(group=Group.create_ordered(name))
+    for name in ("Calibration", "Microscope", "Poses", "Output")
 )
+Rerun = Annotated[str | None, OUTPUT, Parameter(metavar="FILE|live")]
 _POINT = TypeAdapter(tuple[FiniteFloat, FiniteFloat])
 _QUATERNION = TypeAdapter(Quaternion)
 
@@ -79,15 +79,39 @@ def _text(form: str) -> Parameter:
     return Parameter(metavar=form, n_tokens=1, allow_leading_hyphen=True)
 
 
+class Given(BaseModel):
+    """Options by their names: of a command, of a function, or of the rig's node."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> Self:
+        """The given options, and the defaults of the others.
+
+        Raises:
+            InputError: an unknown option, or a value of the wrong kind.
+        """
+        try:
+            return cls.model_validate(given)
+        except ValidationError as error:
+            problem = error.errors()[0]
+            name = problem["loc"][0]
+            if name not in cls.model_fields:
+                known = ", ".join(cls.model_fields)
+                raise InputError(
+                    f"{shortened(name)[1:-1]} is unknown; known are {known}."
+                ) from error
+            rule = problem.get("ctx", {}).get("error", problem["msg"])
+            raise InputError(f"{name}: {rule}; got {shortened(given[str(name)])}.") from error
+
+
 @Parameter(name="*")
-class Options(BaseModel):
+class Options(Given):
     """How frames are measured, and how spots become distances.
 
     The one definition of these options: its fields are options of the commands and parameters of
     the rig's node.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     mode: Literal["subpixel", "literal", "pixels"] = "subpixel"
     """Measure the half-maximum contour, repeat the paper's algorithm step by step, or find the pose
@@ -129,26 +153,6 @@ class Options(BaseModel):
     """Rotation (unit quaternion) from the poses' frame to the eye's. The models exact and area and
     the mode pixels then take the beam's axis from the tool's +z axis, or from beam_x and beam_y of
     the calibration."""
-
-    @classmethod
-    def of(cls, given: Mapping[str, Any]) -> Self:
-        """The given options, and the defaults of the others.
-
-        Raises:
-            InputError: an unknown option, or a value of the wrong kind.
-        """
-        try:
-            return cls.model_validate(given)
-        except ValidationError as error:
-            problem = error.errors()[0]
-            name = problem["loc"][0]
-            if name not in cls.model_fields:
-                known = ", ".join(cls.model_fields)
-                raise InputError(
-                    f"{shortened(name)[1:-1]} is unknown; known are {known}."
-                ) from error
-            rule = problem.get("ctx", {}).get("error", problem["msg"])
-            raise InputError(f"{name}: {rule}; got {shortened(given[str(name)])}.") from error
 
     def of_source(self, source: Source) -> Self:
         """These options with the source's own microscope file, if none is given."""
@@ -309,6 +313,20 @@ class Recorded:
         from estimator.sources import open_source
 
         return open_source(name, exposure=self.exposure, image_topic=self.image_topic)
+
+    def opened(
+        self, name: str, options: Options, *, unrelated: bool | None = None
+    ) -> tuple[Source, Options, PoseTrack | None]:
+        """Open a recording: its frames, the options with its microscope file, and the poses.
+
+        Args:
+            name: see `open_source`.
+            unrelated: measure every image by itself, or not; None leaves it to the source.
+        """
+        poses, frames = self.pose_track(options), self.source(name)
+        if unrelated is not None:
+            frames = replace(frames, unrelated=unrelated)
+        return frames, options.of_source(frames), poses
 
     def pose_track(self, options: Options) -> PoseTrack | None:
         """Read the poses; None if none are given.

@@ -6,11 +6,32 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from datetime import timedelta
 from typing import Protocol
 
 SECONDS_BETWEEN_LINES = 30.0
 """Without a terminal, so that a log stays short and still shows that the command is alive."""
+
+
+_BARS, _WORDS = (ContextVar(name, default=True) for name in ("bars", "words"))
+
+
+@contextmanager
+def quiet(*, bars: bool = False) -> Iterator[None]:
+    """Let commands that are called as functions print nothing, or progress only."""
+    shown = _BARS.set(bars), _WORDS.set(False)
+    try:
+        yield
+    finally:
+        _BARS.reset(shown[0])
+        _WORDS.reset(shown[1])
+
+
+def say(text: str, *, result: bool = False) -> None:
+    """Print what a command says, results on stdout; a function called from Python says nothing."""
+    if _WORDS.get():
+        print(text, file=sys.stdout if result else sys.stderr, flush=True)
 
 
 class Advance(Protocol):
@@ -36,9 +57,14 @@ def progress(what: str, *, total: int | None) -> Iterator[Advance]:
     Yields:
         A function to call after each step.
     """
-    shown = _bar if sys.stderr.isatty() else _lines
+    shown = (_bar if sys.stderr.isatty() else _lines) if _BARS.get() else _nothing
     with shown(what, total) as advance:
         yield advance
+
+
+@contextmanager
+def _nothing(what: str, total: int | None) -> Iterator[Advance]:
+    yield lambda steps=1, *, note="": None
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
@@ -47,7 +48,10 @@ def render(
         return
     with progress("Rendering", total=frame_count(settings)) as advance:
         render_stack(settings, out, variant=variant, progress=advance)
-    print(f"Wrote the stack {out}.")
+    frames, kinds = frame_count(settings), settings.exposures.kinds
+    exposures = f"{len(kinds)} exposures" if len(kinds) > 1 else f"1 exposure, {kinds[0]}"
+    print(f"Wrote {frames * len(kinds)} images ({frames} frames × {exposures}) to {out}.")
+    print(f"Next: eyespot fit {shlex.quote(str(out))} --out beam.json")
     if rerun is not None:
         record_stack(out, rerun)
 

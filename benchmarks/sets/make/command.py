@@ -44,9 +44,8 @@ def make(
     """
     from benchmarks.sets.make import cluster
     from benchmarks.sets.make.estimate import estimate
-    from benchmarks.sets.make.generate import make_set
+    from benchmarks.sets.make.generate import rendered_set
     from benchmarks.sets.spec import load_spec, plan
-    from estimator.run import progress
 
     settings, part = load_spec(spec, changes), _shard(shard)
     with in_file(shortened(spec)[1:-1]):
@@ -67,19 +66,11 @@ def make(
         if scheduler is not None
         else cluster.local_workers(count, first_core=(part.part - 1) * count)
     )
-    finished = 0
-    with progress("Rendering stacks", total=len(planned)) as advance:
-
-        def show(done: int, _: int) -> None:
-            nonlocal finished
-            advance(done - finished)
-            finished = done
-
-        labelled = make_set(settings, out, workers=hired, shard=part, progress=show)
+    labelled = rendered_set(settings, out, workers=hired, shard=part, total=len(planned))
     if labelled.missing:
         print(f"Shard {shard} of {out} is done; {len(labelled.missing)} stacks are still missing.")
     else:
-        print(f"Wrote the set {out}: {len(labelled.stacks)} stacks.")
+        print(f"Wrote the set {out}: {len(labelled.stacks)} stacks. Next: eyespot score {out}")
 
 
 def verify(folder: Path, /) -> None:

@@ -113,5 +113,6 @@ def image_counts(planned: Sequence[PlannedStack]) -> dict[tuple[str, str], int]:
         exposures = len(stack.scene.exposures.kinds)
         found[stack.split, stack.name] = world.times.size * exposures
     if problems:
+        problems.append("Nothing was rendered. Narrow the distributions, or change the seed.")
         raise SetError("\n".join(problems))
     return found

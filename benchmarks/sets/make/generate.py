@@ -11,7 +11,6 @@ import errno
 import fcntl
 import json
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import scenes
 from benchmarks.sets.make import card
+from benchmarks.sets.make.estimate import image_counts
 from benchmarks.sets.make.manifest import write_set_manifest
 from benchmarks.sets.make.worker import render_planned, versions
 from benchmarks.sets.read import SCHEMA, LabelledSet, SetError, SetStack, read_set
@@ -33,6 +33,8 @@ from estimator.files import (
     sweep,
     written_whole,
 )
+from estimator.run import progress as bar
+from estimator.run import say
 from optics import in_file, read_text, shortened
 
 if TYPE_CHECKING:
@@ -77,17 +79,17 @@ def make_set(
         The set. It is complete unless stacks of other shards are missing (`LabelledSet.missing`).
 
     Raises:
-        SetError: `out` contains something else, or some scenes cannot be rendered (the others have
-            been rendered).
+        SetError: `out` contains something else, or some scenes cannot be rendered; then none is.
         InputError: the disk has too little space.
         OSError: the disk is full or cannot be written; what is done is kept.
         SceneError: a scene key is unknown or a drawn value impossible; nothing is rendered.
     """
     out = Path(out).absolute()
     planned = plan(spec)
-    _claim(out, spec, planned)
     share = shard.of(planned)
     missing = [stack for stack in share if not _folder(out, stack).is_dir()]
+    image_counts(missing)  # before anything is written: a set without some of its stacks is no use
+    _claim(out, spec, planned)
     progress(len(share) - len(missing), len(share))
     if missing:
         new = [stack for stack in missing if not StackWriter(_folder(out, stack)).has_begun]
@@ -98,6 +100,21 @@ def make_set(
     if not labelled.missing:
         _finish(labelled)
     return labelled
+
+
+def rendered_set(
+    spec: SetSpec, out: Path, *, workers: AbstractContextManager[Client], shard: Shard, total: int
+) -> LabelledSet:
+    """As `make_set`, with a bar of `total` stacks."""
+    finished = 0
+    with bar("Rendering stacks", total=total) as advance:
+
+        def show(done: int, _: int) -> None:
+            nonlocal finished
+            advance(done - finished)
+            finished = done
+
+        return make_set(spec, out, workers=workers, shard=shard, progress=show)
 
 
 def _render(
@@ -119,7 +136,7 @@ def _render(
             done += 1
             report(len(missing) - done)
         if busy and len(left) > len(busy):
-            print(f"Waiting for {len(busy)} stacks that other runs render.", file=sys.stderr)
+            say(f"Waiting for {len(busy)} stacks that other runs render.")
         left = busy
         if busy:
             time.sleep(_BETWEEN_TRIES_S)

@@ -37,8 +37,11 @@ def score(
         split: Score only this split, such as test (default: all that have spots).
         out: Folder for the page report.html, tables and figures; it must not exist yet.
     """
+    from rich.console import Console
+
     from benchmarks.sets.score.sample import sample_folder
     from benchmarks.sets.score.scoring import run
+    from benchmarks.sets.score.views import tables
 
     if sample:
         # The first argument is then a spots file, too.
@@ -46,7 +49,7 @@ def score(
         mode = mode or (None if spots or entries else "subpixel")
     if folder is None:
         raise InputError("FOLDER is missing: the set or stack to score on. Or give --sample.")
-    run(
+    result = run(
         folder,
         spots,
         entries=entries,
@@ -56,3 +59,5 @@ def score(
         split=split,
         out=out,
     )
+    for table in tables(result):
+        Console().print(table)

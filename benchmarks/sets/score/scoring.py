@@ -1,4 +1,4 @@
-"""The whole run: reads or measures spots, scores them, prints and writes tables."""
+"""The whole run: reads or measures spots, scores them, writes tables and the page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Literal
 
 import matplotlib
-from rich.console import Console
 
 from benchmarks.evaluation import VISIBLE_ENOUGH
 from benchmarks.reporting import STYLE, versions, write_json, write_page
@@ -22,10 +21,9 @@ from benchmarks.sets.score.judging import Against, Outcome, Score, score
 from benchmarks.sets.score.leaderboard import leaderboard
 from benchmarks.sets.score.sample import sample_folder
 from benchmarks.sets.score.spots_of_set import read_set_spots, track_set
-from benchmarks.sets.score.views import tables
 from estimator import Calibration, SpotRecord, read_calibration, write_spots
 from estimator.files import fingerprint, in_utf8, require_space, written_whole
-from estimator.run import progress
+from estimator.run import progress, say
 from optics import InputError
 
 _SCHEMA = 1
@@ -43,7 +41,7 @@ def run(
     against: Against = "half_max",
     split: str | None = None,
     out: Path | None = None,
-) -> None:
+) -> Score:
     """Score spots files, entries of a leaderboard and modes of our estimator on a set.
 
     Args:
@@ -56,8 +54,8 @@ def run(
         against: which of the two ellipses is the truth.
         split: the only split to score; None: all splits.
         out: new folder for report.html with leaderboard.csv and leaderboard_by_condition.csv,
-            score.json, score.csv, figures, and MODE.csv with the measured spots; None: only print
-            the tables.
+            score.json, score.csv, figures, and MODE.csv with the measured spots; None: only return
+            the score.
 
     Raises:
         InputError: the input is invalid, or `out` exists.
@@ -72,8 +70,7 @@ def run(
         raise InputError("calibration has no effect without --mode pixels. Give both, or neither.")
     beam = None if calibration is None else read_calibration(calibration)
     if out is None:
-        _scored(folder, given, modes, beam, against, split)
-        return
+        return _scored(folder, given, modes, beam, against, split)[0]
     with written_whole(out) as whole:
         whole.mkdir()
         require_space(out, _LEAST_BYTES)
@@ -95,7 +92,8 @@ def run(
                 versions=versions(),
                 summary_file="score.json",
             )
-    print(f"Wrote {out / 'report.html'}.")
+    say(f"Wrote {out / 'report.html'}.", result=True)
+    return result
 
 
 def _scored(
@@ -106,7 +104,7 @@ def _scored(
     against: Against,
     split: str | None,
 ) -> tuple[Score, dict[str, list[SpotRecord]], dict[str, Entry]]:
-    """Measure, score and print; returns also the measured spots by mode, and all entries."""
+    """Measure and score; returns also the measured spots by mode, and all entries."""
     stacks = stacks_of(folder)
     chosen = [entry for entry in stacks if split in (None, entry.split)]
     if not chosen:
@@ -135,8 +133,6 @@ def _scored(
     if empty := [name for name, records in kept.items() if not records]:
         raise InputError(f"{empty[0]} has no spots of the split {split}. Give another --split.")
     result = score(scored, kept, against=against)
-    for table in tables(result):
-        Console().print(table)
     return result, measured, found
 
 

@@ -7,17 +7,15 @@ when that command runs. How a command ends is decided in `estimator.run.exit_cod
 
 from __future__ import annotations
 
-import importlib.metadata
 import importlib.util
 import io
-import os
 import sys
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import App, Parameter
 
-HOME = Path(__file__).resolve().parent
+HOME = Path(__file__).resolve().parents[1]
 PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
 
 COMMANDS = {
@@ -68,11 +66,10 @@ _PLAIN = Parameter(negative=(), allow_repeating=True)
 
 app = App(
     name="eyespot",
-    help="How far can a distance be trusted that was read off a spot of light in a microscope "
-    "image?",
+    help="How far can you trust a distance measured from a spot of light in a microscope image?",
     help_epilogue="Set EYESPOT_TRACEBACK=1 in the environment to see where an error comes from.",
     help_format="plaintext",  # importing a markdown parser would double the time of --help
-    version=lambda: importlib.metadata.version("eyespot"),
+    version=lambda: _version(),
     default_parameter=_PLAIN,
     # What these would do, `run_command` does.
     exit_on_error=False,
@@ -99,7 +96,13 @@ for _name, _group in groups.items():
 @app.command
 def version() -> None:
     """Print the version of eyespot."""
-    print(importlib.metadata.version("eyespot"))
+    print(_version())
+
+
+def _version() -> str:
+    from importlib import metadata  # 0.05 s
+
+    return metadata.version("eyespot")
 
 
 @groups["dataset"].default
@@ -129,13 +132,6 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # Compilation is half of a short run; the next run takes it from this cache.
-    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(caches / "eyespot" / "jax"))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
-    # OpenCV and FFmpeg would print their own account of an error that we report once.
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     if message := _foreign_package():
         print(f"eyespot: {message}", file=sys.stderr)
         sys.exit(2)
@@ -152,14 +148,12 @@ def _foreign_package() -> str | None:
             return f"eyespot's package {name} is missing in {HOME}. Install it again."
         found = Path(spec.origin).resolve().parent
         if found != HOME / name:
-            owners = importlib.metadata.packages_distributions().get(name, [])
+            from importlib import metadata
+
+            owners = metadata.packages_distributions().get(name, [])
             owner = next((owner for owner in owners if owner != "eyespot"), "its distribution")
             return (
                 f"the package {name} that Python finds is {found}, not eyespot's. Uninstall "
                 f"{owner}, or give eyespot an environment of its own (`make setup`)."
             )
     return None
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,29 @@
+"""How far can you trust a distance measured from a spot of light in a microscope image?
+
+    import eyespot
+    eyespot.render(eyespot.Scene(), "stack", {"source.kind": "cone"})
+    fit = eyespot.fit("stack")
+    fit.save("beam.json")
+    spots = eyespot.track("stack", calibration="beam.json")
+
+Each function is also a command (`eyespot render`, …). From Python nothing is printed;
+`progress=True` shows a bar.
+
+command_line  The command `eyespot`: finds the command that was called
+functions     render, track, fit, score, dataset
+studies       The studies, each a function
+"""
+
+import os
+
+import lazy_loader
+
+# Compilation is half of a short run; the next run takes it from this cache.
+_caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", f"{_caches}/eyespot/jax")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+# OpenCV and FFmpeg would print their own account of an error that we report once.
+os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

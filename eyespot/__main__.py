@@ -1,0 +1,5 @@
+"""`python -m eyespot`."""
+
+from eyespot.command_line import main
+
+main()

@@ -1,0 +1,191 @@
+"""The functions of `import eyespot`; a command prints what its function returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from calibration.command import Fit as Fit
+from estimator.files import Stack as Stack
+from estimator.run import quiet
+from scenes import Scene as Scene
+from scenes import load_scene as load_scene
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from benchmarks.sets.read import LabelledSet
+    from benchmarks.sets.score import Score
+
+File = str | Path
+
+
+def render(
+    scene: Scene | File,
+    out: File,
+    changes: Mapping[str, Any] | None = None,
+    *,
+    variant: Literal["llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb"] = "llvm_ad_rgb",
+    progress: bool = False,
+) -> Stack:
+    """Render a scene to an image stack with labels, as `eyespot render`.
+
+    Args:
+        scene: a scene, or a scene file (TOML).
+        out: the stack's folder; it must not exist.
+        changes: values of the scene to change, such as {"source.kind": "cone"}.
+        variant: of Mitsuba; cuda_ad_rgb renders on an NVIDIA GPU.
+        progress: show a bar.
+
+    Raises:
+        InputError: the scene is impossible, or `out` exists.
+    """
+    from estimator.run import progress as bar
+    from scenes import changed, render_stack
+    from scenes.world import frame_count
+
+    scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
+    scene = changed(scene, changes) if changes else scene
+    with quiet(bars=progress), bar("Rendering", total=frame_count(scene)) as advance:
+        return render_stack(scene, Path(out), variant=variant, progress=advance)
+
+
+def track(
+    source: File | int,
+    *,
+    calibration: File | None = None,
+    microscope: File | None = None,
+    poses: File | None = None,
+    mode: Literal["subpixel", "literal", "pixels"] = "subpixel",
+    exposure: Literal["metered", "paper"] = "metered",
+    unrelated: bool | None = None,
+    progress: bool = False,
+    **options: Any,
+) -> pd.DataFrame:
+    """Measure the spot in every frame, as `eyespot track`.
+
+    Args:
+        source: stack, folder of images, TIFF, video, ROS bag, or number of a camera, which Ctrl-C
+            stops.
+        calibration: file of a fit; without it there are no distances.
+        microscope: microscope file; None for the stack's own.
+        poses: file with the robot's poses.
+        mode: measure the half-maximum contour, repeat the paper's algorithm, or find the beam's
+            pose from all pixels.
+        exposure: of a stack that has two.
+        unrelated: measure every image by itself; None if the images are not numbered one by one.
+        progress: show a bar.
+        options: the other options of `eyespot track`, such as `stated="lab.toml"`.
+
+    Returns:
+        A row a frame, units in the columns' names; the first twelve are what one looks at. `reason`
+        says why there is no spot. `attrs` has microscope, calibration, and how the run ended.
+
+    Raises:
+        InputError: wrong options or files.
+    """
+    from estimator.files import read_calibration, spots_table
+    from estimator.run import Options, Recorded, tracked
+
+    files = {"calibration": calibration, "microscope": microscope}
+    given = {name: Path(file) for name, file in files.items() if file is not None}
+    asked = Options.of({"mode": mode, **given, **options})
+    recorded = Recorded(exposure=exposure, poses=None if poses is None else Path(poses))
+    with quiet(bars=progress):
+        frames, asked, track_of_poses = recorded.opened(str(source), asked, unrelated=unrelated)
+        tracking, _ = tracked(frames, asked.reader(), track_of_poses)
+    table = spots_table(tracking.records)
+    table.attrs = {"source": str(source), "ended": tracking.ended.value, "fault": tracking.fault}
+    if (file := asked.microscope_file()) is not None:
+        names = ("width_px", "height_px", "scale_mm_px", "pinhole_height_mm", "eye_radius_mm")
+        table.attrs["microscope"] = {name: getattr(file, name) for name in names}
+    if asked.calibration is not None:
+        beam = read_calibration(asked.calibration)
+        table.attrs["calibration"] = {"model": beam.model, "medium": beam.medium, **beam.values}
+    return table
+
+
+def fit(sources: File | Sequence[File], *, progress: bool = False, **choices: Any) -> Fit:
+    """Fit the beam to recordings of withdrawals from contact, as `eyespot fit`.
+
+    A fit that is not good is returned, too: `good` is then false, and `verdict` says why.
+
+    Args:
+        sources: stacks, spots files or ROS bags, all with one microscope.
+        progress: show a bar.
+        choices: options of `eyespot fit`, such as `model="cone"`, `free="half_angle,b,scale"`, or
+            `prior=["touch=0,0.02"]`.
+
+    Raises:
+        InputError: wrong options or files.
+    """
+    from calibration.command import Choices, fit_recordings
+
+    several = [sources] if isinstance(sources, str | Path) else sources
+    with quiet(bars=progress):
+        return fit_recordings([Path(source) for source in several], Choices.of(choices))
+
+
+def score(
+    folder: File | None = None,
+    spots: Sequence[File] = (),
+    *,
+    mode: Literal["literal", "subpixel", "pixels", "both"] | None = None,
+    against: Literal["half_max", "cone"] = "half_max",
+    split: str | None = None,
+    out: File | None = None,
+    progress: bool = False,
+) -> Score:
+    """Compare spots with the labels of a set, as `eyespot score`; tables with one row a group.
+
+    Args:
+        folder: a labelled set or a stack; None for the sample set that comes with eyespot.
+        spots: spots files with image names relative to the set.
+        mode: also measure the images with our estimator.
+        against: true ellipse to compare with.
+        split: the only split to score.
+        out: new folder for the page, its tables and figures.
+        progress: show a bar.
+
+    Raises:
+        InputError: wrong files, or nothing to score.
+    """
+    from benchmarks.sets.score import run, sample_folder
+
+    with quiet(bars=progress):
+        return run(
+            sample_folder() if folder is None else Path(folder),
+            [Path(file) for file in spots],
+            mode=mode,
+            against=against,
+            split=split,
+            out=None if out is None else Path(out),
+        )
+
+
+def dataset(
+    spec: File, out: File, changes: Sequence[str] = (), *, progress: bool = False
+) -> LabelledSet:
+    """Render a labelled set with one worker a core, as `eyespot dataset make`.
+
+    Args:
+        spec: spec file (TOML), or the name of a set, such as "static-v2".
+        out: the set's folder; a run that was stopped is continued.
+        changes: "key=value" of the spec.
+        progress: show a bar.
+
+    Raises:
+        InputError: the spec is wrong.
+    """
+    from benchmarks.sets.make import WHOLE, cores, local_workers, rendered_set
+    from benchmarks.sets.spec import load_spec, plan
+
+    settings = load_spec(str(spec), tuple(changes))
+    with quiet(bars=progress):
+        return rendered_set(
+            *(settings, Path(out)),
+            workers=local_workers(cores()),
+            shard=WHOLE,
+            total=len(plan(settings)),
+        )

@@ -1,0 +1,82 @@
+"""The studies, each a function: `eyespot.studies.static(out="static", quick=True)`.
+
+The arguments are the options of `eyespot study NAME`. A study that was stopped continues in the
+same folder. It returns its tables, its figures and its page.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec
+
+from benchmarks.studies.dynamic.command import dynamic as _dynamic
+from benchmarks.studies.eccentricity.command import eccentricity as _eccentricity
+from benchmarks.studies.eye.command import eye as _eye
+from benchmarks.studies.medium.command import medium as _medium
+from benchmarks.studies.pose.command import pose as _pose
+from benchmarks.studies.rivals.command import rivals as _rivals
+from benchmarks.studies.static.command import static as _static
+from benchmarks.studies.table_one.command import table_one as _table_one
+from benchmarks.studies.validate.command import validate as _validate
+from estimator.run import quiet
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+P = ParamSpec("P")
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a study has written into its folder."""
+
+    folder: Path
+
+    @property
+    def page(self) -> Path:
+        """The page with text, tables and figures."""
+        return self.folder / "report.html"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Claims, numbers, versions and times."""
+        content: dict[str, Any] = json.loads((self.folder / "summary.json").read_text())
+        return content
+
+    @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """The tables by the names of their CSV files."""
+        import pandas as pd
+
+        return {file.stem: pd.read_csv(file) for file in sorted(self.folder.glob("*.csv"))}
+
+    @property
+    def figures(self) -> dict[str, Path]:
+        """The figures' files by name."""
+        return {file.stem: file for file in sorted(self.folder.rglob("*.svg"))}
+
+
+def _study(command: Callable[P, None]) -> Callable[P, Findings]:
+    @functools.wraps(command)
+    def study(*args: P.args, **kwargs: P.kwargs) -> Findings:
+        folder = Path(str(kwargs["out"]))
+        with quiet():
+            command(*args, **{**kwargs, "out": folder})  # type: ignore[arg-type]
+        return Findings(folder)
+
+    return study
+
+
+dynamic = _study(_dynamic)
+eccentricity = _study(_eccentricity)
+eye = _study(_eye)
+medium = _study(_medium)
+pose = _study(_pose)
+rivals = _study(_rivals)
+static = _study(_static)
+table_one = _study(_table_one)
+validate = _study(_validate)
