@@ -33,7 +33,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "sphinx-mathjax-offline",
 ]
-exclude_patterns = ["gallery/**", "auto_gallery/**/*.ipynb", "jupyter_execute", "optics"]
+exclude_patterns = ["gallery/**", "auto_gallery/**/*.ipynb", "jupyter_execute"]
 html_theme = "furo"
 html_title = "eyespot"
 html_static_path = ["static"]

@@ -56,7 +56,7 @@ def reasons_page() -> Iterator[str]:
     yield from _rows({memory.value: memory.meaning for memory in WallMemory if memory.value})
     yield "\n## What makes a distance uncertain\n"
     yield "The column `largest_cause` of a spots file, and the node's diagnostics. `eyespot budget`"
-    yield "says what halves it; [the budget](../../theory/budget.md), how each is computed.\n"
+    yield "says what halves it; [the budget](../../worth.md#the-formulas), how each is computed.\n"
     yield from _rows({cause.value: cause.meaning for cause in Cause})
     yield "\n## Why a fit is not good\n"
     yield "What `eyespot fit` says to try, by the model that was fitted.\n"

@@ -68,7 +68,7 @@ def test_the_change_of_an_example_works_and_keeps_the_rules(name: str, tmp_path:
 
 
 def test_the_calls_on_a_frame_s_way_stand_in_the_files_beside_them():
-    page = (HOME / "docs" / "contributing" / "one_frame.md").read_text(encoding="utf-8")
+    page = (HOME / "docs" / "contributing" / "index.md").read_text(encoding="utf-8")
     rows = [row.split("|") for row in page.splitlines() if row.count("|") == 5 and "`" in row]
     assert len(rows) > 15
     for _, _, calls, files, *_ in rows:

@@ -25,7 +25,7 @@ from scenes import Scene, load_mitsuba
 _LENS = "dome"
 _FRAMES, _HEIGHT, _WIDTH = 2, 48, 64
 _DATA_SEEDS, _PHOTONS_PER_PIXEL = 64, 8
-# With more light, approximations of the model would be visible (docs/bridge.md).
+# With more light, approximations of the model would be visible (docs/python.md).
 _MODEL_SEEDS, _MODEL_PHOTONS = 8, 1 << 20
 _FREE = ("sag", "glue_length", "numerical_aperture", "tip_z", "power")
 _NAMES = ("sag, mm", "numerical aperture", "tip height, mm", "power, mW")

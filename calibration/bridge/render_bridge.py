@@ -1,6 +1,6 @@
 """A renderer as a JAX function of its parameters, with derivatives.
 
-Wraps functions of NumPy arrays, so it works for any renderer. docs/bridge.md lists what these
+Wraps functions of NumPy arrays, so it works for any renderer. docs/python.md lists what these
 functions may contain.
 """
 
