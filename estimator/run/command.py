@@ -43,21 +43,18 @@ def track(
     rerun: Rerun = None,
     as_json: Annotated[bool, OUTPUT, Parameter("--json")] = False,
 ) -> None:
-    """Measure the spot in every frame and write a spots file.
+    """Measure the spot in every frame and write a spots file; about 100 frames a second.
 
-    Ctrl-C ends the run and keeps the frames measured so far. Use it to stop a camera. A killed run
-    leaves them in NAME.partial.csv.
+    Ctrl-C ends the run, or a camera, and keeps the frames measured so far.
 
     Args:
-        source: Stack, folder of images, TIFF, video, ROS bag, number of a camera, or genicam:NAME.
+        source: Stack, folder of images, TIFF, video, ROS bag, camera's number, or genicam:NAME.
         out: Spots file to write, .csv or .parquet.
-        unrelated: Measure every image by itself, or follow the spot from image to image (default:
-            follow it, except in a folder whose images are not numbered one by one).
+        unrelated: Measure each image by itself (default: if names do not count up).
         overwrite: Replace OUT if it exists.
-        overlay: Draw the spots into a video (.mp4, .avi) or a folder; must not exist.
-        rerun: Record frames, spots, beams and distances for the viewer rerun (.rrd), or show them
-            in it at once.
-        as_json: Print the summary as one JSON object, and nothing else.
+        overlay: Draw the spots into a new video (.mp4, .avi) or folder.
+        rerun: Record for the viewer rerun (.rrd), or show it there.
+        as_json: Print the summary as one JSON object.
     """
     from rich.console import Console
 

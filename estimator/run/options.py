@@ -37,7 +37,7 @@ _NEEDS = {
 
 Exposure = Annotated[
     Literal["paper", "metered"] | None,
-    Parameter(help="Which exposure to use if a stack has two (default: metered)."),
+    Parameter(help="Of a stack that has two (default: metered)."),
 ]
 _CALIBRATION, _MICROSCOPE, _POSES, OUTPUT = (
     Parameter(group=Group.create_ordered(name))
@@ -114,45 +114,37 @@ class Options(Given):
     """
 
     mode: Literal["subpixel", "literal", "pixels"] = "subpixel"
-    """Measure the half-maximum contour, repeat the paper's algorithm step by step, or find the pose
-    of the beam from all pixels, with a calibration."""
+    """The half-maximum contour, the paper's algorithm, or the pose from all pixels."""
     settings: Annotated[dict[str, float | str], Parameter(parse=False)] = {}
     """Values that differ from the defaults of `SubpixelSettings` or `LiteralSettings`."""
     start: Annotated[tuple[float, float] | None, BeforeValidator(_point), _text("X,Y|auto")] = None
-    """Position of the spot in the first frame, px (default: search for it)."""
+    """Position of the spot in the first frame, px (default: auto)."""
     calibration: Path | None = None
-    """Calibration file of `eyespot fit`; without it there are no distances."""
+    """File of `eyespot fit`; without it there are no distances."""
     microscope: Annotated[Path | None, _MICROSCOPE] = None
-    """microscope.json or an OpenCV calibration (default: the stack's)."""
+    """microscope.json, or a camera calibration (default: the stack's)."""
     pinhole_height_mm: Annotated[float | None, _MICROSCOPE] = None
-    """Height of the pinhole above the eyeball's centre, for OpenCV calibrations."""
+    """Pinhole above the eyeball's centre; a camera calibration has none."""
     eye_radius_mm: Annotated[float | None, _MICROSCOPE] = None
-    """Radius of the eyeball, for OpenCV calibrations."""
+    """Radius of the eyeball; a camera calibration has none."""
     wall: Annotated[Literal["plane"] | None, _MICROSCOPE] = None
-    """The wall is a plane square to the microscope's axis, for microscope files that do not say
-    (default: the file's, or the eyeball)."""
+    """The wall is a plane square to the microscope's axis (default: the file's)."""
     full_scale: Annotated[float | None, Field(gt=0), _MICROSCOPE] = None
-    """Value of the brightest light that the camera measures, such as 4095 of 12 bits in 16
-    (default: the microscope file's, the image file's, or that of the type)."""
+    """Value of the brightest light, such as 4095 (default: the file's)."""
     model: Annotated[str | None, _CALIBRATION] = None
     """Distance model (default: the calibration file's)."""
     eccentricity_mm: Annotated[float | None, _CALIBRATION] = None
-    """Eccentricity of the spots (default: computed from their positions)."""
+    """Eccentricity of the spots (default: from their positions)."""
     exposure_s: Annotated[float | None, Field(gt=0), _CALIBRATION] = None
     """Exposure time, for the model lens (default: the frame's own)."""
     reference: Annotated[Path | None, _CALIBRATION] = None
-    """Image of the same wall by the same camera with the beam switched off: the mode pixels then
-    knows the wall before it sees the spot."""
+    """Image of the wall with the beam switched off, for the mode pixels."""
     stated: Annotated[Path | None, _CALIBRATION] = None
-    """Stated uncertainties (TOML) of eye radius, pinhole, touch, axis and clocks, for the interval
-    of each distance (default: known exactly, but for an axis within 1 deg or up to 32 deg of
-    tilt)."""
+    """Uncertainties (TOML) of eye, touch, axis and clocks; see docs/worth.md."""
     eye_from_robot: Annotated[
         Quaternion | None, BeforeValidator(_turn), _text("QX,QY,QZ,QW"), _POSES
     ] = None
-    """Rotation (unit quaternion) from the poses' frame to the eye's. The models exact and area and
-    the mode pixels then take the beam's axis from the tool's +z axis, or from beam_x and beam_y of
-    the calibration."""
+    """Unit quaternion from the poses' frame to the eye's; gives the beam's axis."""
 
     def of_source(self, source: Source) -> Self:
         """These options with the source's own microscope file, if none is given."""
@@ -302,11 +294,11 @@ class Recorded:
 
     exposure: Exposure = None
     poses: Annotated[Path | None, _POSES] = None
-    """Robot poses (CSV or ROS bag), on the clock of SOURCE."""
+    """Robot's poses (CSV or ROS bag), on the clock of SOURCE."""
     image_topic: Annotated[str | None, _POSES] = None
-    """Image topic of a bag that has several, none of them the rig's."""
+    """Image topic of a bag (default: the rig's, or the only one)."""
     pose_topic: Annotated[str | None, _POSES] = None
-    """Pose topic of a bag or of a running ROS that has several, none of them the rig's."""
+    """Pose topic of a bag or a running ROS (default: as above)."""
 
     def source(self, name: str) -> Source:
         """Open a recording, as `open_source`."""
