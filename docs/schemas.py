@@ -309,6 +309,7 @@ def _budget() -> dict[str, Any]:
             "frame": {**_WHOLE, "description": "Index of the frame."},
             "distance_mm": {**_NUMBER, "description": "The reading, by the model in use."},
             "correction_mm": _NUMBER,
+            "corrected_mm": {**_NUMBER, "description": "Reading plus correction."},
             "sigma_mm": {**number, "description": "Combined standard uncertainty."},
             "degrees_of_freedom": {**number, "description": "null: infinitely many."},
             "coverage_factor": {**number, "description": "Student's, of the 95 % interval."},

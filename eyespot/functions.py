@@ -132,6 +132,7 @@ def score(
     spots: Sequence[File] = (),
     *,
     mode: Literal["literal", "subpixel", "pixels", "both"] | None = None,
+    unrelated: bool = False,
     against: Literal["half_max", "cone"] = "half_max",
     split: str | None = None,
     out: File | None = None,
@@ -143,6 +144,7 @@ def score(
         folder: a labelled set or a stack; None for the sample set that comes with eyespot.
         spots: spots files with image names relative to the set.
         mode: also measure the images with our estimator.
+        unrelated: let `mode` measure every image by itself.
         against: true ellipse to compare with.
         split: the only split to score.
         out: new folder for the page, its tables and figures.
@@ -158,6 +160,7 @@ def score(
             sample_folder() if folder is None else Path(folder),
             [Path(file) for file in spots],
             mode=mode,
+            unrelated=unrelated,
             against=against,
             split=split,
             out=None if out is None else Path(out),

@@ -320,7 +320,7 @@ def stack(tmp_path_factory) -> Path:
 def run(*arguments: object) -> str:
     done = call([str(argument) for argument in arguments])
     assert done.exit_code == 0, done.output
-    return done.output
+    return done.stdout
 
 
 def options(stack: Path) -> list[object]:
@@ -342,6 +342,21 @@ def test_the_command_names_the_largest_cause_and_what_halves_it(stack):
     text = run("budget", *options(stack))
     assert "pose age and clock" in text
     assert "95 % interval" in text
+
+
+def test_what_is_stated_twice_or_without_effect_is_said(stack):
+    # The fit of a cone has the touch among its parameters, and without poses no clock matters.
+    without_poses = options(stack)[:-4]
+    said = call([str(word) for word in ("budget", *without_poses)]).stderr
+    assert "touch_sigma_mm" in said and "twice" in said
+    assert "clock_sigma_s" in said and "--poses" in said
+
+
+def test_the_budget_of_a_biased_model_begins_with_the_corrected_distance_inside_its_interval(stack):
+    text = run("budget", *options(stack), "--frame", 2)
+    content = json.loads(run("budget", *options(stack), "--frame", 2, "--json"))
+    assert content["low_mm"] < content["corrected_mm"] < content["high_mm"]
+    assert f"Distance: {content['corrected_mm']:.3f} mm." in text
 
 
 def test_a_spots_file_has_the_interval_which_contains_the_truth_where_the_model_errs(stack):

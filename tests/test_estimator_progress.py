@@ -26,9 +26,9 @@ def test_without_a_terminal_a_line_comes_now_and_then_and_says_what_is_left(cloc
     assert out == ""
     # 100 s at a line every 30 s; a step takes 1 s, so 370, 340 and 310 s are left.
     assert err.splitlines() == [
-        "Rendering: 30 of 400 done, 0:06:10 left, 2 spots.",
-        "Rendering: 60 of 400 done, 0:05:40 left, 2 spots.",
-        "Rendering: 90 of 400 done, 0:05:10 left, 2 spots.",
+        "Rendering: 30 of 400 done, 6 min left, 2 spots.",
+        "Rendering: 60 of 400 done, 6 min left, 2 spots.",
+        "Rendering: 90 of 400 done, 5 min left, 2 spots.",
     ]
 
 

@@ -155,6 +155,7 @@ def test_scenes_take_file_formats_progress_and_recordings_from_the_estimator_and
     assert taken == {
         ("estimator.files", ""),
         ("estimator.run", "progress"),
+        ("estimator.run", "say"),
         ("estimator.viewer", "check_recording_path"),
         ("estimator.viewer", "record_stack"),
     }

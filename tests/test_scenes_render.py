@@ -209,7 +209,7 @@ def test_a_stack_of_a_usb_camera_is_that_of_its_sensor_after_jpeg(tmp_path):
     assert sensor.labels[0].saturated_fraction == usb.labels[0].saturated_fraction
 
 
-def test_the_preview_is_the_middle_frame_in_a_quarter_of_its_size(tmp_path):
+def test_the_preview_is_the_middle_frame_in_half_of_its_size(tmp_path):
     settings = scene(
         motion={"start_mm": 1.0, "travel_mm": 4.0, "frames": 3},
         microscope={"illumination_mw_mm2": 0.05, "width_px": 656, "height_px": 488},
@@ -217,7 +217,7 @@ def test_the_preview_is_the_middle_frame_in_a_quarter_of_its_size(tmp_path):
     )
     write_preview(settings, tmp_path / "preview.png")
     small = np.asarray(cv2.imread(str(tmp_path / "preview.png")))[..., 1].astype(float)
-    assert small.shape == (488 // 4, 656 // 4)
+    assert small.shape == (488 // 2, 656 // 2)
     linear = Renderer(settings).render(1).radiance[..., 1].astype(float)
     blocks = linear.reshape(122, 4, 164, 4).mean(axis=(1, 3))
     flat = np.abs(np.gradient(blocks)).max(axis=0) < 0.01 * blocks.max()

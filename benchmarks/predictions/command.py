@@ -41,7 +41,7 @@ def preregister(
             Repeatable.
         calibration: Calibration file with which distances will be read.
         model: Distance model (default: the calibration file's).
-        exposure: Kind of the images (default: the scene's first).
+        exposure: Kind of the images (default: metered, if the scene has it).
     """
     from benchmarks.predictions.plan import write_plan
     from benchmarks.predictions.predicting import predicted
@@ -77,7 +77,7 @@ def adjudicate(
         str, Parameter(metavar="QX,QY,QZ,QW", allow_leading_hyphen=True)
     ] = "0,0,0,1",
     microscope: Path | None = None,
-    start_s: Annotated[float, Parameter("--start")] = 0.0,
+    start_s: Annotated[float, Parameter("--begin")] = 0.0,
     as_json: Annotated[bool, Parameter("--json")] = False,
 ) -> None:
     """Say which predictions of a plan held, and what explains those that did not.

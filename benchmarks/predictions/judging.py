@@ -97,7 +97,7 @@ def judged(plan: Plan, seen: Observed) -> Judgement:
     if np.isnan(expected).all():
         raise InputError(
             f"no frame has a time from {plan.times_s[0]:g} to {plan.times_s[-1]:g} s, for which the"
-            " plan has predictions. --start says when the motion begins."
+            " plan has predictions. --begin says when the motion begins."
         )
     sigma = np.sqrt(noise**2 + np.sum(moved**2, axis=0))
     pulls = (seen.values - expected) / sigma

@@ -42,15 +42,16 @@ def predicted(
         uncertain: keys of the scene and their standard uncertainties, {"phantom.radius_mm": 0.2}.
         calibration: file, for the distances; None for none.
         model: of the distances; by default the calibration's.
-        exposure: kind of the images; by default the first of the scene.
+        exposure: kind of the images; by default metered, if the scene has it.
         progress: is called after each frame of the rehearsal.
 
     Raises:
         InputError: a key is unknown or no number, or a scene beside the planned one is impossible.
     """
-    kind = scene.exposures.kinds[0] if exposure is None else exposure
-    if kind not in scene.exposures.kinds:
-        known = ", ".join(scene.exposures.kinds)
+    kinds = scene.exposures.kinds
+    kind = exposure or ("metered" if "metered" in kinds else kinds[0])
+    if kind not in kinds:
+        known = ", ".join(kinds)
         raise InputError(f"exposure = {kind!r} is none of the scene's: {known}.")
     for key, sigma in uncertain.items():
         _check(scene, key, sigma)

@@ -29,8 +29,11 @@ class Cause(Enum):
 
     @property
     def kind(self) -> str:
-        """Type of evaluation: A from repeated observations, B from what was stated."""
-        return "A" if self in (Cause.IMAGE, Cause.CALIBRATION) else "B"
+        """Type of evaluation: A from repeated observations, B from what was stated.
+
+        A fit contains both: its priors, such as the touch, are stated.
+        """
+        return {Cause.IMAGE: "A", Cause.CALIBRATION: "A, B"}.get(self, "B")
 
 
 _MEANINGS = {
@@ -66,11 +69,16 @@ class Part(NamedTuple):
     @property
     def remedy(self) -> str:
         """What halves it."""
-        return _REMEDIES[self.cause].format(
+        remedy = _TOUCH_REMEDY if self.source == "b" else _REMEDIES[self.cause]
+        return remedy.format(
             source=self.source, half=f"{self.source_sigma / 2:.3g} {self.unit}".strip()
         )
 
 
+_TOUCH_REMEDY = (
+    "Know b to ± {half}: measure the touch better (--prior touch=MEAN,SIGMA), or fit more "
+    "withdrawals; more frames of the same ones do not help where the touch decides."
+)
 _REMEDIES = {
     Cause.IMAGE: "Average four readings: of a tip at rest if the noise counts, of several places "
     "if the wall's texture does.",

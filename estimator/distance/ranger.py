@@ -125,12 +125,10 @@ class Ranger:
     def _check(self) -> None:
         model, c, radius = self.model, self.eccentricity_mm, self.microscope.eye_radius_mm
         if model not in MODELS:
-            raise InputError(
-                f"Ranger(model=...) must be one of {', '.join(MODELS)}; got {model!r}."
-            )
+            raise InputError(f"model must be one of {', '.join(MODELS)}; got {model!r}.")
         if (model in CONE_MODELS) != (self.calibration.model in CONE_MODELS):
             raise InputError(
-                f"Ranger(model={model!r}) does not fit a calibration of the model "
+                f"model {model!r} does not fit a calibration of the model "
                 f"{self.calibration.model!r}: one is a cone, the other a lens. Leave model out, or "
                 f"calibrate {model}."
             )
@@ -142,7 +140,7 @@ class Ranger:
         height = self.microscope.pinhole_height_mm
         if model == "stereographic" and not math.isclose(height, radius, rel_tol=1e-3):
             raise InputError(
-                f"Ranger(model='stereographic') needs the pinhole on the sphere, at {radius:g} mm; "
+                f"model 'stereographic' needs the pinhole on the sphere, at {radius:g} mm; "
                 f"this microscope has it at {height:g} mm. Take model='corrected'."
             )
 

@@ -16,6 +16,7 @@ from .options import Options as Options
 from .options import Recorded as Recorded
 from .options import Rerun as Rerun
 from .progress_bar import Advance as Advance
+from .progress_bar import duration as duration
 from .progress_bar import progress as progress
 from .progress_bar import quiet as quiet
 from .progress_bar import say as say

@@ -120,11 +120,11 @@ def _table(budget: Budget, frame: int) -> Table:
 
 def _sentences(budget: Budget) -> list[str]:
     low, high = budget.interval_mm
-    lines = [f"Distance: {budget.reading_mm:.3f} mm by the model in use."]
+    lines = [f"Distance: {budget.corrected_mm:.3f} mm."]
     if budget.correction_mm:
         lines.append(
-            f"Correction for the model's error at this place, distance and tilt: "
-            f"{budget.correction_mm:+.3f} mm."
+            f"The model in use reads {budget.reading_mm:.3f} mm; its error at this place, distance "
+            f"and tilt is {-budget.correction_mm:+.3f} mm."
         )
     lines.append(
         f"95 % interval: {low:.3f} to {high:.3f} mm (coverage factor {budget.coverage_factor:.2f})."
@@ -141,6 +141,7 @@ def _content(budget: Budget) -> dict[str, Any]:
     return {
         "distance_mm": budget.reading_mm,
         "correction_mm": budget.correction_mm,
+        "corrected_mm": budget.corrected_mm,
         "sigma_mm": _number(budget.sigma_mm),
         "degrees_of_freedom": _number(budget.freedom),
         "coverage_factor": _number(budget.coverage_factor),

@@ -20,11 +20,12 @@ from pydantic import (
 )
 
 from estimator.files import Quaternion, unit_quaternion
+from estimator.run.progress_bar import say
 from optics import InputError, shortened
 
 if TYPE_CHECKING:
     from estimator.detector import LiteralSettings, SubpixelSettings
-    from estimator.files import MicroscopeFile, PoseTrack
+    from estimator.files import Calibration, MicroscopeFile, PoseTrack, Stated
     from estimator.run.reader import Reader
     from estimator.sources import Source
 
@@ -73,6 +74,11 @@ def _parts(given: Any) -> Any:
     """The parts of 320,240 (from a command line, in a list) or [320, 240] (from a launch file)."""
     (text,) = given if isinstance(given, list) and len(given) == 1 else (given,)
     return text.split(",") if isinstance(text, str) else given
+
+
+def option(name: str) -> str:
+    """How a field is written on the command line."""
+    return f"--{name.replace('_', '-')}"
 
 
 def _text(form: str) -> Parameter:
@@ -158,18 +164,20 @@ class Options(Given):
             OSError: a file cannot be read.
         """
         from estimator.distance import Ranger
-        from estimator.files import read_calibration, read_stated
+        from estimator.files import read_calibration
         from estimator.run.reader import Reader
 
         for name, other in _NEEDS.items():
             if getattr(self, name) is not None and getattr(self, other) is None:
-                raise InputError(f"{name} has no effect without {other}. Give both, or neither.")
+                raise InputError(
+                    f"{option(name)} needs {option(other)} for this source. Give both, or neither."
+                )
         microscope, ranger = self.microscope_file(), None
         settings = self._settings(microscope)
         if self.reference is not None and self.mode != "pixels":
             raise InputError(
-                f"reference has no effect in the mode {self.mode}. Leave it out, or take the mode "
-                "pixels."
+                f"--reference has no effect in the mode {self.mode}. Leave it out, or take the "
+                "mode pixels."
             )
         if self.mode == "pixels":
             return self._pixels_reader(settings, microscope)
@@ -193,13 +201,13 @@ class Options(Given):
             ranger=ranger,
             exposure_s=self.exposure_s,
             eye_from_robot=self.eye_from_robot,
-            stated=read_stated(self.stated) if self.stated else None,
+            stated=self._stated(ranger.calibration if ranger else None),
         )
 
     def _pixels_reader(
         self, settings: LiteralSettings | SubpixelSettings, microscope: MicroscopeFile | None
     ) -> Reader:
-        from estimator.files import Stated, read_calibration, read_stated
+        from estimator.files import read_calibration
         from estimator.pixels import PixelRanger
         from estimator.run.reader import Reader
 
@@ -208,10 +216,10 @@ class Options(Given):
         for name in ("model", "eccentricity_mm"):
             if getattr(self, name) is not None:
                 raise InputError(
-                    f"{name} has no effect in the mode pixels, whose geometry is exact. Leave it "
-                    "out, or take the sub-pixel mode."
+                    f"{option(name)} has no effect in the mode pixels, whose geometry is exact. "
+                    "Leave it out, or take the sub-pixel mode."
                 )
-        stated = read_stated(self.stated) if self.stated else Stated()
+        stated = self._stated(None)
         return Reader(
             settings,
             start=self.start,
@@ -226,6 +234,20 @@ class Options(Given):
                 shake_px=stated.shake_px,
             ),
         )
+
+    def _stated(self, calibration: Calibration | None) -> Stated:
+        from estimator.files import Stated, read_stated
+
+        if self.stated is None:
+            return Stated()
+        stated = read_stated(self.stated)
+        # The fit of a cone, whose model is exact, has each trial's touch among its parameters.
+        if stated.touch_sigma_mm and calibration is not None and calibration.model == "exact":
+            say(
+                f"touch_sigma_mm of {self.stated} is counted twice: the standard errors of "
+                f"{self.calibration} contain that of the touch. Leave it out."
+            )
+        return stated
 
     def _reference_image(self, microscope: MicroscopeFile) -> np.ndarray | None:
         from estimator.sources import open_source
@@ -315,7 +337,11 @@ class Recorded:
             name: see `open_source`.
             unrelated: measure every image by itself, or not; None leaves it to the source.
         """
+        from estimator.files import read_stated
+
         poses, frames = self.pose_track(options), self.source(name)
+        if poses is None and options.stated and read_stated(options.stated).clock_sigma_s:
+            say(f"clock_sigma_s of {options.stated} has no effect without --poses.")
         if unrelated is not None:
             frames = replace(frames, unrelated=unrelated)
         return frames, options.of_source(frames), poses
@@ -334,5 +360,5 @@ class Recorded:
         needs = {"pose_topic": self.pose_topic, "eye_from_robot": options.eye_from_robot}
         for name, value in needs.items():
             if value is not None:
-                raise InputError(f"{name} has no effect without poses. Give both, or neither.")
+                raise InputError(f"{option(name)} needs --poses. Give both, or neither.")
         return None

@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from datetime import timedelta
 from typing import Protocol
 
 SECONDS_BETWEEN_LINES = 30.0
@@ -109,11 +108,14 @@ def _lines(what: str, total: int | None) -> Iterator[Advance]:
         said = f"{what}: {done} done"
         if total is not None:
             left = (total - done) / done * (now - began) if done else 0.0
-            said = f"{what}: {done} of {total} done, {_clock(left)} left"
+            said = f"{what}: {done} of {total} done, {duration(left)} left"
         print(f"{said}{', ' if note else ''}{note}.", file=sys.stderr, flush=True)
 
     yield advance
 
 
-def _clock(seconds: float) -> str:
-    return str(timedelta(seconds=round(max(seconds, 0.0))))
+def duration(seconds: float) -> str:
+    """A time in words: 44 s, 12 min, 3.4 h."""
+    if seconds < 100:
+        return f"{max(seconds, 0.0):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"

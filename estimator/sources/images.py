@@ -109,7 +109,7 @@ def open_tiff(path: Path) -> Source:
                     found = image_of_page(file.pages[number].aspage())
                 yield Frame(
                     index=index,
-                    file_name="",
+                    file_name=f"{in_utf8(path.name)}#{number}",
                     time_s=math.nan,
                     image=found.image,
                     full_scale=found.full_scale,

@@ -33,7 +33,8 @@ class Frame:
 
     Attributes:
         index: number of the frame in its source, from 0.
-        file_name: of the image, relative to its source; empty where frames are no files.
+        file_name: of the image, relative to its source; FILE#N for a page or a frame of a video;
+            empty where frames are no files.
         time_s: when it was taken, on the source's clock; NaN if unknown.
         image: (H, W) or RGB (H, W, 3); uint8, uint16, float32 or float64.
         exposure_s: exposure time; NaN if unknown.

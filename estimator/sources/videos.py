@@ -59,7 +59,8 @@ def open_video(path: Path) -> Source:
                 if not seen:
                     break
                 time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-                yield Frame(index=index, file_name="", time_s=time_s, image=_rgb(image))
+                name = f"{in_utf8(path.name)}#{index}"
+                yield Frame(index=index, file_name=name, time_s=time_s, image=_rgb(image))
                 index += 1
         # Some containers state only a duration, and the frame rate may vary: a video is truncated
         # if both its frames and its time are fewer than announced.

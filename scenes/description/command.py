@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -28,18 +28,29 @@ SCHEMA_FILE = "scene.schema.json"
 """File name under which `eyespot scene init` looks for the JSON schema."""
 
 
-def init(path: Path = Path("scene.toml"), /) -> None:
+def init(
+    path: Path = Path("scene.toml"),
+    /,
+    *,
+    microscope: Literal["paper", "real"] = "paper",
+    overwrite: bool = False,
+) -> None:
     """Write a scene file with every key, its unit and its default.
 
     Args:
-        path: File to write; it must not exist yet.
+        path: File to write.
+        microscope: Pinhole on the eye's sphere as in the paper's equation, or 200 mm above the eye.
+        overwrite: Replace the file if it exists.
     """
     from estimator.files import written_whole
     from scenes.description.scene_file import scene_template
 
     schema_file = f"./{SCHEMA_FILE}" if path.with_name(SCHEMA_FILE).exists() else None
-    with written_whole(path) as partial:
-        partial.write_text(scene_template(schema_file=schema_file), encoding="utf-8")
+    template = scene_template(schema_file=schema_file)
+    if microscope == "real":
+        template = template.replace("pinhole_height_mm = 11.5 ", "pinhole_height_mm = 200.0 ")
+    with written_whole(path, replace=overwrite) as partial:
+        partial.write_text(template, encoding="utf-8")
     print(f"Wrote {path}. Edit it, then: eyespot scene check {path}")
 
 

@@ -74,6 +74,19 @@ class Unrest(BaseModel):
         return not (self.turns or self.shifts or self.power_swing)
 
 
+_EFFECTIVE: tuple[tuple[str, str, str, tuple[object, ...]], ...] = (
+    ("lens", "source", "kind", ("lens", "photons")),
+    ("cone_k cone_apex_offset_mm", "source", "kind", ("cone",)),
+    ("photons_per_pixel", "source", "kind", ("photons",)),
+    ("wall_image wall_image_mm", "phantom", "wall", ("image",)),
+    ("spread_mm", "phantom", "spread", ("own",)),
+    ("gauge tip_mm trocar_azimuth_deg trocar_polar_deg", "second_tool", "visible", (True,)),
+    ("paper_level paper_distance_mm", "exposures", "kinds", ("paper",)),
+    ("metered_peak", "exposures", "kinds", ("metered",)),
+)
+"""Keys of a table, and the values of another of its keys with which they have an effect."""
+
+
 class Scene(BaseModel):
     """One trial: all settings that an image stack depends on."""
 
@@ -109,6 +122,22 @@ class Scene(BaseModel):
             found.append("all colours are seen along green's lines of sight")
         if self.viewing.reflexes:
             found.append("reflexes are those of a round lamp, reflected once")
+        return found
+
+    @property
+    def without_effect(self) -> list[str]:
+        """Keys that differ from their defaults but change nothing, one sentence each."""
+        found = []
+        for keys, table, switch, choices in _EFFECTIVE:
+            value = getattr(getattr(self, table), switch)
+            chosen = value if isinstance(value, tuple) else (value,)
+            if not {*choices} & {*chosen}:
+                for key in keys.split():
+                    field = type(getattr(self, table)).model_fields[key]
+                    if getattr(getattr(self, table), key) != field.default:
+                        found.append(
+                            f"{table}.{key} has no effect with {table}.{switch} = {value!r}"
+                        )
         return found
 
     @model_validator(mode="before")

@@ -192,8 +192,10 @@ class MicroscopeSettings(_Settings):
     pinhole_height_mm: Annotated[float, AllowInfNan()] = Field(
         11.5,
         gt=-1e4,
-        description="z_F, height of the pinhole above the eye's centre; inf: telecentric. With a "
-        "pinhole below the retina, magnification grows with depth, as through a contact lens.",
+        description="z_F, height of the pinhole above the eye's centre. 11.5, on the eye's sphere, "
+        "is the paper's equation; a real microscope is at about 200 (`scene init --microscope "
+        "real`). inf: telecentric. Below the retina, magnification grows with depth, as through a "
+        "contact lens.",
     )
     scale_mm_px: float = Field(
         0.0067, ge=1e-6, le=10, description="Size of a pixel on the wall at the pole."
@@ -202,8 +204,8 @@ class MicroscopeSettings(_Settings):
     height_px: int = Field(480, ge=16, le=8192, description="Height of the images.")
     window_offset_px: tuple[Pixels, Pixels] = Field(
         (0.0, 0.0),
-        description="Shift of the window in x and y. If it is not zero, the border of the image "
-        "may cut the spot.",
+        description="Shift of the window in x and y. The principal point shifts with it, so a "
+        "camera calibration with a centred one is wrong. The border may cut the spot.",
     )
     light: Literal["coaxial", "ambient"] = Field(
         "coaxial",

@@ -30,7 +30,7 @@ def render(
         variant: Mitsuba variant: for the CPU (llvm_ad_rgb), for an NVIDIA GPU (cuda_ad_rgb), or
             for a CPU without LLVM (scalar_rgb; ideal cones only, a minute per frame).
     """
-    from estimator.run import progress
+    from estimator.run import progress, say
     from estimator.viewer import check_recording_path, record_stack
     from scenes.description import load_scene
     from scenes.stacks.preview import write_preview
@@ -38,6 +38,8 @@ def render(
     from scenes.world import frame_count
 
     settings = load_scene(scene, changes)
+    for remark in settings.without_effect:
+        say(f"{remark}.")
     if rerun is not None:
         check_recording_path(rerun)
     if preview:
@@ -64,6 +66,8 @@ def check(scene: SceneFile, /, *, changes: Changes = ()) -> None:
     settings = load_scene(scene, changes)
     # Each key may be valid, but the spot may still leave the window.
     check_scene(settings)
-    print(f"{scene}: fine.")
+    print(f"{scene}: fine. Next: eyespot render {shlex.quote(str(scene))} --out stack")
+    for remark in settings.without_effect:
+        print(f"{remark}.")
     for approximation in settings.approximations:
         print(f"Approximate: {approximation}.")

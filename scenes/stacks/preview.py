@@ -13,7 +13,7 @@ from scenes.description import Scene
 from scenes.rendering import images_of
 from scenes.world import World, paper_exposure
 
-_SHRINK = 4
+_SHRINK = 2
 
 
 def write_preview(scene: Scene, path: Path, *, variant: str = "llvm_ad_rgb") -> None:
@@ -25,7 +25,7 @@ def write_preview(scene: Scene, path: Path, *, variant: str = "llvm_ad_rgb") -> 
 
 
 def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
-    """The frame in the middle of the motion at a quarter of its size, with one sample per pixel.
+    """The frame in the middle of the motion at half of its size, with one sample per pixel.
 
     It has the fixed exposure of the `paper` frames and the sensor's noise, but no motion blur and
     no JPEG. The spot may leave the window, unlike in a stack.
@@ -35,7 +35,7 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
         variant: Mitsuba's variant.
 
     Returns:
-        H/4 x W/4 x 3 (R, G, B), uint8 or uint16.
+        H/2 x W/2 x 3 (R, G, B), uint8 or uint16.
 
     Raises:
         SceneError: the tip touches the wall, or the exposure is longer than a frame.

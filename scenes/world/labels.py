@@ -27,7 +27,7 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
     c = at(spots.eccentricity)
     labels: dict[str, Any] = {
         "frame": frame,
-        "time_s": at(world.times),
+        "time_s": round(at(world.times), 9),  # as people write times
         "d_mm": at(spots.distance),
         "nearest_mm": at(spots.nearest),
         "c_mm": c,
@@ -47,7 +47,7 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
             x, y = shift.tolist()
             labels |= {f"{colour}_shift_x_px": x, f"{colour}_shift_y_px": y}
     unrest = scene.unrest
-    moment = world.unrest.at(frame, labels["time_s"])
+    moment = world.unrest.at(frame, at(world.times))
     if unrest.shifts:
         labels["view_x_px"], labels["view_y_px"] = moment.view_px.tolist()
     if unrest.turns:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -120,12 +119,11 @@ def _shard(text: str | None) -> Shard:
 def _print(found: Estimate, *, workers: int) -> None:
     from rich.filesize import decimal
 
-    processor, wall = (
-        timedelta(seconds=round(seconds))
-        for seconds in (found.processor_s, found.processor_s / workers)
-    )
+    from estimator.run import duration
+
+    processor, wall = duration(found.processor_s), duration(found.processor_s / workers)
     print(
         f"{found.images:,} images in {found.stacks:,} stacks, {decimal(round(found.size_bytes))}, "
-        f"{processor} h of processor time, {wall} h with {workers} workers on one core each. "
+        f"about {processor} of processor time, {wall} with {workers} workers on one core each. "
         f"Estimated from {found.tried} images."
     )

@@ -17,6 +17,7 @@ def score(
     mode: Literal["literal", "subpixel", "pixels", "both"] | None = None,
     calibration: Path | None = None,
     sample: bool = False,
+    unrelated: bool = False,
     against: Literal["half_max", "cone"] = "half_max",
     split: str | None = None,
     out: Path | None = None,
@@ -33,6 +34,7 @@ def score(
         calibration: The beam of --mode pixels, from `eyespot fit` (default: each stack's true one).
         sample: Score on the small set that comes with eyespot: spots files, --mode, or our
             sub-pixel mode if no spots are given.
+        unrelated: Let --mode measure every image by itself, for stacks that are no sequences.
         against: True ellipse to compare with: the half-maximum contour, or the edge of the cone.
         split: Score only this split, such as test (default: all that have spots).
         out: Folder for the page report.html, tables and figures; it must not exist yet.
@@ -55,6 +57,7 @@ def score(
         entries=entries,
         mode=mode,
         calibration=calibration,
+        unrelated=unrelated,
         against=against,
         split=split,
         out=out,

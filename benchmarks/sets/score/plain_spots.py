@@ -31,6 +31,7 @@ COLUMNS = ("file_name", *ELLIPSE, _ANGLE, *_SIGMAS, *_DISTANCE)
 """All columns that a plain spots file may have."""
 
 _LARGEST_PX = 1e6
+_LARGEST_RAD = 4.0  # an angle of 0 to pi is accepted, too
 
 
 def read_any_spots(path: Path) -> list[SpotRecord]:
@@ -114,6 +115,10 @@ def _spot(values: Mapping[str, float]) -> Spot | NoSpot:
         raise InputError(
             f"semi_major_px must be at least semi_minor_px; got {values['semi_major_px']} and "
             f"{values['semi_minor_px']} px. Swap them; they are halves of the axes."
+        )
+    if abs(values[_ANGLE]) > _LARGEST_RAD:
+        raise InputError(
+            f"{_ANGLE} must lie in (-pi/2, pi/2]; got {values[_ANGLE]}. Write radians, not degrees."
         )
     unmeasured = dict.fromkeys(
         ("edge_width_px", "coverage", "inlier_fraction", "saturated"), math.nan

@@ -38,6 +38,7 @@ def run(
     entries: Path | None = None,
     mode: Mode | Literal["both"] | None = None,
     calibration: Path | None = None,
+    unrelated: bool = False,
     against: Against = "half_max",
     split: str | None = None,
     out: Path | None = None,
@@ -51,6 +52,7 @@ def run(
         mode: mode of our estimator that measures the images first; "both" are the literal and the
             sub-pixel mode.
         calibration: of the beam, for the mode pixels; None for each stack's true one.
+        unrelated: let our estimator measure every image by itself.
         against: which of the two ellipses is the truth.
         split: the only split to score; None: all splits.
         out: new folder for report.html with leaderboard.csv and leaderboard_by_condition.csv,
@@ -70,11 +72,11 @@ def run(
         raise InputError("calibration has no effect without --mode pixels. Give both, or neither.")
     beam = None if calibration is None else read_calibration(calibration)
     if out is None:
-        return _scored(folder, given, modes, beam, against, split)[0]
+        return _scored(folder, given, modes, beam, unrelated, against, split)[0]
     with written_whole(out) as whole:
         whole.mkdir()
         require_space(out, _LEAST_BYTES)
-        result, measured, found = _scored(folder, given, modes, beam, against, split)
+        result, measured, found = _scored(folder, given, modes, beam, unrelated, against, split)
         write_json(whole / "score.json", _summary(result, folder))
         result.table.to_csv(whole / "score.csv", index=False, lineterminator="\n")
         for name, records in measured.items():
@@ -82,6 +84,7 @@ def run(
         words = ["eyespot", "score", folder, *spots_files]
         options = {"entries": entries, "mode": mode, "calibration": calibration, "split": split}
         options |= {"out": out}
+        words += ["--unrelated"] * unrelated
         given_options = [[f"--{name}", value] for name, value in options.items() if value]
         words += [*chain(*given_options), "--against", against]
         with matplotlib.rc_context(STYLE):
@@ -101,6 +104,7 @@ def _scored(
     given: Sequence[Entry],
     modes: Sequence[Mode],
     beam: Calibration | None,
+    unrelated: bool,
     against: Against,
     split: str | None,
 ) -> tuple[Score, dict[str, list[SpotRecord]], dict[str, Entry]]:
@@ -122,7 +126,9 @@ def _scored(
     with progress("Tracking", total=len(scored) * len(modes)) as advance:
         for mode in modes:
             begin = time.perf_counter()
-            measured[mode] = track_set(chosen, mode, calibration=beam, progress=advance)
+            measured[mode] = track_set(
+                *(chosen, mode), calibration=beam, unrelated=unrelated, progress=advance
+            )
             passed = time.perf_counter() - begin
             spots[mode] = {record.file_name: record for record in measured[mode]}
             found[mode] = _own_entry(mode, folder, 1000 * passed / len(scored))

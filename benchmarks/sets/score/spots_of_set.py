@@ -64,6 +64,7 @@ def track_set(
     mode: Mode,
     *,
     calibration: Calibration | None = None,
+    unrelated: bool = False,
     progress: Callable[[], None] = lambda: None,
 ) -> list[SpotRecord]:
     """Measure every frame of a set; each stack and exposure is one recording.
@@ -76,6 +77,7 @@ def track_set(
     Args:
         mode: mode of the estimator, with its default settings.
         calibration: of the beam, for the mode pixels; None for each stack's true one.
+        unrelated: measure every image by itself, without following the spot.
 
     Returns:
         Records with image names relative to the set.
@@ -87,7 +89,7 @@ def track_set(
         replace(record, file_name=image_name(entry, record.file_name))
         for entry in stacks
         for exposure in exposures_of(entry.open())
-        for record in _track(entry, exposure, mode, calibration, progress)
+        for record in _track(entry, exposure, mode, calibration, unrelated, progress)
     ]
 
 
@@ -96,6 +98,7 @@ def _track(
     exposure: str,
     mode: Mode,
     calibration: Calibration | None,
+    unrelated: bool,
     progress: Callable[[], None],
 ) -> list[SpotRecord]:
     opened = entry.open()
@@ -106,7 +109,7 @@ def _track(
         click=(first.half_max_x_px, first.half_max_y_px),
         beam=(calibration or true_beam(opened)) if mode == "pixels" else None,
     )
-    source = open_source(entry.folder, exposure=exposure)
+    source = replace(open_source(entry.folder, exposure=exposure), unrelated=unrelated)
     return track_whole_source(source, reader, progress=lambda record: progress())
 
 

@@ -24,7 +24,7 @@ from benchmarks.reporting import (
     rows_of,
 )
 from benchmarks.sets.score.images import ALL, CONDITIONS
-from benchmarks.sets.score.judging import MAIN, Score, z_scores
+from benchmarks.sets.score.judging import MAIN, Outcome, Score, z_scores
 from estimator.files import in_figure, in_terminal
 
 # Tables on the terminal.
@@ -73,8 +73,22 @@ def tables(result: Score) -> list[Table]:
                 _part(row.within_1_sigma, row.within_1_low, row.within_1_high),
                 _part(row.within_2_sigma, row.within_2_low, row.within_2_high),
             )
-    found = [images, sizes, sigmas]
+    found = [images, *_reasons(result), sizes, *([sigmas] if sigmas.row_count else [])]
     return [*found, _conditions(result)] if len(result.judged) <= _MOST_ESTIMATORS else found
+
+
+def _reasons(result: Score) -> list[Table]:
+    """Why spots that are visible were missed; no table if none was."""
+    table = _table("Reasons of missed spots", "estimator", "reason", "images", left=2)
+    for name, judged in result.judged.items():
+        missed = judged[judged.outcome == Outcome.MISSED]
+        for reason, count in missed.reason.value_counts().items():
+            table.add_row(in_terminal(name), str(reason).replace("_", " "), str(count))
+    if "ambiguous" in [cell for column in table.columns[1:2] for cell in column.cells]:
+        table.caption = (
+            "after a jump a spot is ambiguous; --unrelated measures each image by itself"
+        )
+    return [table] if table.row_count else []
 
 
 def _conditions(result: Score) -> Table:
@@ -103,7 +117,7 @@ def _group_cells(row: Any) -> tuple[str, str]:
 def _table(title: str, *columns: str, left: int = 1) -> Table:
     table = Table(title=title, title_justify="left", title_style="bold")
     for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index < left else "right")
+        table.add_column(column, justify="left" if index < left else "right", overflow="fold")
     return table
 
 

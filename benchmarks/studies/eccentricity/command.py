@@ -7,6 +7,7 @@ from cyclopts.types import PositiveInt
 from benchmarks.reporting import Changes, OutputFolder, Quick, Seed, StartingScene
 
 _GEOMETRIES, _GEOMETRIES_IF_QUICK = 1 << 17, 1 << 14
+_FEWEST = 512
 
 
 def eccentricity(
@@ -28,7 +29,16 @@ def eccentricity(
     """
     from benchmarks.reporting import Request
     from benchmarks.studies.eccentricity.run import run
+    from optics import InputError
 
+    if geometries is not None and geometries < _FEWEST:
+        raise InputError(
+            f"--geometries must be at least {_FEWEST}, to fill each range of c; got {geometries}."
+        )
+    if any(change.partition("=")[0].strip() == "spot.eccentricity_mm" for change in changes):
+        raise InputError(
+            "spot.eccentricity_mm has no effect in this study, which varies c. Leave it out."
+        )
     count = geometries or (_GEOMETRIES_IF_QUICK if quick else _GEOMETRIES)
     run(
         Request(
