@@ -80,6 +80,22 @@ def test_the_command_of_the_wheel_runs(fresh_python):
     assert "validate" in run_away_from_the_checkout(fresh_python, command, "--help")
 
 
+def test_the_functions_have_their_types(fresh_python):
+    script = fresh_python.parent / "typed.py"
+    script.write_text(
+        "import eyespot\n"
+        "reveal_type(eyespot.fit('stack').parameters)\n"
+        "eyespot.track('stack', calibration=3)\n"
+    )
+    command = [sys.executable, "-m", "mypy", "--python-executable", fresh_python, script]
+    told = subprocess.run(
+        command, cwd=fresh_python.parent, capture_output=True, text=True, check=False
+    ).stdout
+    assert "py.typed" not in told
+    assert "DataFrame" in told
+    assert 'Argument "calibration" to "track" has incompatible type "int"' in told
+
+
 def test_the_sample_set_is_scored_from_the_wheel(fresh_python):
     command = fresh_python.with_name("eyespot")
     assert "40" in run_away_from_the_checkout(fresh_python, command, "score", "--sample")

@@ -175,15 +175,10 @@ def spots_table(records: Iterable[SpotRecord]) -> pd.DataFrame:
     """The records as a table with the columns of a spots file, what is looked at first in front."""
     import pandas as pd
 
-    lines = "".join(map(csv_line, [None, *records]))
-    texts = {name for name, kind in _KINDS.items() if kind is str}
-    table = pd.read_csv(
-        io.StringIO(lines),
-        dtype={name: _KINDS.get(name, float) for name in COLUMNS},
-        keep_default_na=False,
-        na_values={name: [""] for name in COLUMNS if name not in texts},
-        float_precision="round_trip",
-    )
+    table = pd.DataFrame(map(_line, records), columns=[*COLUMNS])
+    for name in COLUMNS:
+        if (kind := _KINDS.get(name, float)) is not str:
+            table[name] = table[name].replace("", "nan").astype(float).astype(kind)
     return table[[*FIRST_COLUMNS, *(name for name in COLUMNS if name not in FIRST_COLUMNS)]]
 
 

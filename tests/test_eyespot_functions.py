@@ -1,0 +1,110 @@
+"""`import eyespot`: the functions return what the commands write, and print nothing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import eyespot
+from estimator import read_calibration, read_spots
+from optics import InputError
+from tests.command_line import call
+
+HOME = Path(__file__).resolve().parents[1]
+TABLE = {
+    "source.kind": "cone",
+    "phantom.kind": "plane",
+    "phantom.wall": "uniform",
+    "motion.frames": 9,
+    "spot.eccentricity_mm": 1,
+    "exposures.kinds": ["metered"],
+    "microscope.width_px": 320,
+    "microscope.height_px": 240,
+    "microscope.scale_mm_px": 0.0134,
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a stack, and the fit of its beam."""
+    folder = tmp_path_factory.mktemp("made")
+    eyespot.render(eyespot.Scene(), folder / "stack", TABLE)
+    eyespot.fit(folder / "stack", model="cone").save(folder / "beam.json")
+    return folder
+
+
+def test_nothing_is_printed(tmp_path: Path) -> None:
+    code = (
+        "import eyespot\n"
+        f"eyespot.render(eyespot.Scene(), 'stack', {TABLE | {'motion.frames': 5}})\n"
+        "fit = eyespot.fit('stack')\n"
+        "fit.save('beam.json')\n"
+        "eyespot.track('stack', calibration='beam.json')\n"
+        "eyespot.score('stack', mode='subpixel')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert (done.stdout, done.stderr) == ("", "")
+
+
+def test_track_returns_what_the_command_writes(made: Path) -> None:
+    spots = eyespot.track(made / "stack", calibration=made / "beam.json")
+    out = made / "spots.csv"
+    words = ["track", made / "stack", "--calibration", made / "beam.json", "--out", out]
+    for again in ([], ["--overwrite"]):
+        assert call([str(word) for word in [*words, *again]]).exit_code == 0
+    written = pd.read_csv(out)
+    numbers = written.select_dtypes("number").dropna(axis=1, how="all")
+    assert len(numbers.columns) > 30
+    pd.testing.assert_frame_equal(spots[numbers.columns], numbers, check_dtype=False, rtol=1e-12)
+    spots.to_csv(made / "own.csv", index=False)
+    assert read_spots(made / "own.csv")[1].result
+
+
+def test_a_table_of_spots_begins_with_what_one_looks_at(made: Path) -> None:
+    spots = eyespot.track(made / "stack", calibration=made / "beam.json")
+    assert [*spots.columns[:9]] == [
+        *("frame", "file_name", "time_s", "distance_mm", "distance_low_mm", "distance_high_mm"),
+        *("x_px", "y_px", "semi_major_px"),
+    ]
+    assert spots.attrs["microscope"]["scale_mm_px"] == 0.0134
+    assert spots.attrs["calibration"]["half_angle"] == pytest.approx(0.05, rel=0.01)
+    assert spots.attrs["ended"] == "complete"
+
+
+def test_a_fit_has_its_parameters_with_standard_deviations(made: Path) -> None:
+    fit = eyespot.fit(made / "stack", model="cone")
+    calibration = read_calibration(made / "beam.json")
+    for name, value in calibration.values.items():
+        assert fit.parameters.value[name] == pytest.approx(value, rel=1e-9)
+        assert fit.parameters.sigma[name] == pytest.approx(calibration.sigma(name), rel=1e-9)
+    assert fit.covariance.loc["b", "b"] == pytest.approx(fit.parameters.sigma["b"] ** 2)
+    assert fit.plot().axes
+    with pytest.raises(InputError, match=r"beam\.json"):
+        fit.save(made / "beam.json")
+
+
+def test_wrong_options_are_named(made: Path) -> None:
+    with pytest.raises(InputError, match="colour is unknown; known are mode"):
+        eyespot.track(made / "stack", colour="red")
+    with pytest.raises(InputError, match=r"model: .*got 'disc'"):
+        eyespot.fit(made / "stack", model="disc")
+
+
+def test_a_study_has_its_commands_options() -> None:
+    import inspect
+
+    parameters = inspect.signature(eyespot.studies.eccentricity).parameters
+    assert {"out", "quick", "seed", "geometries"} <= {*parameters}
+    with pytest.raises(InputError, match="at least 512"):
+        eyespot.studies.eccentricity(out=Path("never"), geometries=64)
+
+
+def test_setting_what_the_study_varies_is_refused() -> None:
+    with pytest.raises(InputError, match="no effect in this study"):
+        eyespot.studies.eccentricity(out=Path("never"), changes=("spot.eccentricity_mm=6",))
