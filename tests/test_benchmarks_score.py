@@ -20,11 +20,20 @@ from rich.console import Console
 
 from benchmarks.reporting import rows_of
 from benchmarks.sets.read.stacks import stacks_of
+from benchmarks.sets.score import spots_of_set
 from benchmarks.sets.score.images import images_of, with_derived
 from benchmarks.sets.score.judging import Score, score
 from benchmarks.sets.score.spots_of_set import read_set_spots
 from benchmarks.sets.score.views import score_figure, tables
-from estimator import NoSpot, Reason, Spot, SpotRecord, write_spots
+from estimator import (
+    NoSpot,
+    Reason,
+    Source,
+    Spot,
+    SpotRecord,
+    track_whole_source,
+    write_spots,
+)
 from tests.command_line import call
 from tests.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of, write_set
 from tests.pixel_stacks import calibration_in, cone_stack
@@ -255,6 +264,39 @@ def test_names_with_markup_are_shown_as_they_are() -> None:
     for text in (name, medium, exposure):
         assert text in printed
         assert text in drawn
+
+
+def test_why_spots_were_missed_is_shown_and_a_table_without_rows_is_not() -> None:
+    images = in_memory(4)
+    no_spot = NoSpot(Reason.AMBIGUOUS)
+    records = {
+        name: SpotRecord(frame=0, file_name=str(name), time_s=0.0, mode="", result=no_spot)
+        for name in images.index
+    }
+    printed = io.StringIO()
+    console = Console(file=printed, width=80)
+    for table in tables(score(images, {"theirs": records}, against="half_max")):
+        console.print(table)
+    assert "ambiguous" in printed.getvalue()
+    assert "--unrelated" in printed.getvalue()
+    assert "within σ" not in printed.getvalue()
+    assert "…" not in printed.getvalue()
+
+
+def test_images_that_are_no_sequence_are_measured_each_by_itself(
+    drawn: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    followed = []
+
+    def spied(source: Source, reader: object, **given: object) -> list[SpotRecord]:
+        followed.append(not source.unrelated)
+        return track_whole_source(source, reader, **given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(spots_of_set, "track_whole_source", spied)
+    for words, follows in (([], True), (["--unrelated"], False)):
+        followed.clear()
+        assert call(["score", str(drawn), "--mode", "subpixel", *words]).exit_code == 0
+        assert set(followed) == {follows}
 
 
 def per_stack(drawn: Path, folder: Path) -> Path:

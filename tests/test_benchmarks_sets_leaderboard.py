@@ -229,6 +229,7 @@ HEADER = "file_name,x_px,y_px,semi_major_px,semi_minor_px"
         (f"{HEADER}\na.png,one,2,3,4\n", "x_px must be a finite number; got 'one'"),
         (f"{HEADER},sigma_x_px\na.png,1,2,4,3,-1\n", "sigma_x_px must not be negative"),
         (f"{HEADER}\n,1,2,4,3\n", "file_name is empty"),
+        (f"{HEADER},angle_rad\na.png,1,2,4,3,37\n", "angle_rad .* radians, not degrees"),
     ],
 )
 def test_what_is_wrong_in_a_plain_file_is_named(text: str, words: str, tmp_path: Path) -> None:

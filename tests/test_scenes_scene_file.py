@@ -90,6 +90,30 @@ def test_a_change_on_the_command_line_is_the_same_as_in_the_file(tmp_path):
     ) == (by_option)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("source.lens=dome", "source.lens has no effect with source.kind = 'cone'"),
+        ("phantom.wall_image=a.png", "phantom.wall_image has no effect with phantom.wall"),
+        ("second_tool.gauge=25", "second_tool.gauge has no effect with second_tool.visible"),
+    ],
+)
+def test_what_is_set_without_effect_is_said_and_a_default_in_a_file_is_not(tmp_path, change, said):
+    file = tmp_path / "scene.toml"
+    file.write_text(scene_template())
+    assert load_scene(file, ["source.kind=cone"]).without_effect == []
+    (found,) = load_scene(file, ["source.kind=cone", change]).without_effect
+    assert found.startswith(said)
+
+
+def test_the_real_microscope_has_a_name(monkeypatch, tmp_path):
+    file = tmp_path / "scene.toml"
+    run(monkeypatch, "scene", "init", file, "--microscope", "real")
+    assert load_scene(file).microscope.pinhole_height_mm == 200.0
+    run(monkeypatch, "scene", "init", file, "--overwrite")
+    assert load_scene(file) == Scene()
+
+
 def test_a_change_leaves_all_other_keys_alone():
     scene = load_scene(None, ["motion.travel_mm=3", "spot.eccentricity_mm=2"])
     assert scene.motion == Scene().motion.model_copy(update={"travel_mm": 3.0})
