@@ -296,7 +296,7 @@ def _budget() -> dict[str, Any]:
     part = _object(
         {
             "cause": {"enum": causes},
-            "type": {"enum": ["A", "B"], "description": "Of evaluation, by the GUM."},
+            "type": {"enum": ["A", "B", "A, B"], "description": "Of evaluation, by the GUM."},
             "sigma_mm": number,
             "degrees_of_freedom": {**number, "description": "null: infinitely many."},
             "source": _TEXT,

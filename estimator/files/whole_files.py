@@ -261,7 +261,7 @@ def damage_reported(where: str, remedy: str) -> Iterator[None]:
 
 def _taken(path: Path) -> InputError:
     return InputError(
-        f"{path} already exists. Choose another name; existing files are never replaced."
+        f"{path} already exists. Choose another name, or --overwrite if the command has it."
     )
 
 

@@ -82,6 +82,8 @@ def track(
     else:
         Console().print(table_of(summary))
         print(f"Wrote {out}" + (f" and {drawn}." if drawn else "."))
+        if options.calibration:
+            print(f"Next: eyespot budget {source} --calibration {options.calibration}")
     _report_early_end(tracking, frames, out, drawn)
 
 

@@ -138,7 +138,7 @@ class Options(Given):
     full_scale: Annotated[float | None, Field(gt=0), _MICROSCOPE] = None
     """Value of the brightest light, such as 4095 (default: the file's)."""
     model: Annotated[str | None, _CALIBRATION] = None
-    """Distance model (default: the calibration file's)."""
+    """Distance model, such as exact or corrected (default: the calibration's)."""
     eccentricity_mm: Annotated[float | None, _CALIBRATION] = None
     """Eccentricity of the spots (default: from their positions)."""
     exposure_s: Annotated[float | None, Field(gt=0), _CALIBRATION] = None

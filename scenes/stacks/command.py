@@ -20,7 +20,7 @@ def render(
     rerun: Annotated[str | None, Parameter(metavar="FILE|live")] = None,
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb"] = "llvm_ad_rgb",
 ) -> None:
-    """Render a scene file to an image stack with labels.
+    """Render a scene file to an image stack with labels; a frame takes 0.1 to 1 s.
 
     If a run was stopped, the same command continues it.
 
