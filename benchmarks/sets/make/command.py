@@ -69,7 +69,9 @@ def make(
     if labelled.missing:
         print(f"Shard {shard} of {out} is done; {len(labelled.missing)} stacks are still missing.")
     else:
-        print(f"Wrote the set {out}: {len(labelled.stacks)} stacks. Next: eyespot score {out}")
+        print(
+            f"Wrote the set {out}: {len(labelled.stacks)} stacks. Next: eyespot score {out} --mode subpixel"
+        )
 
 
 def verify(folder: Path, /) -> None:
