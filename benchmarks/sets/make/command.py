@@ -69,9 +69,8 @@ def make(
     if labelled.missing:
         print(f"Shard {shard} of {out} is done; {len(labelled.missing)} stacks are still missing.")
     else:
-        print(
-            f"Wrote the set {out}: {len(labelled.stacks)} stacks. Next: eyespot score {out} --mode subpixel"
-        )
+        print(f"Wrote the set {out}: {len(labelled.stacks)} stacks.")
+        print(f"Next: eyespot score {out} --mode subpixel")
 
 
 def verify(folder: Path, /) -> None:
