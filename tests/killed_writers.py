@@ -6,7 +6,7 @@ first write or its end. At the chosen step the child ends at once, as a killed p
 Python has buffered is lost, and of a file that was being closed the first half is on the disk. A
 full disk is a limit on the size of files (RLIMIT_FSIZE), which needs no rights.
 
-Stubs: Mitsuba and Dask, which render, and the data card's figures.
+Stubs: Mitsuba and Dask, which render, the check of a set's scenes, and the data card's figures.
 """
 
 from __future__ import annotations
@@ -310,6 +310,7 @@ def main(*, quick: bool) -> None:
         (scenes, "load_mitsuba", lambda: None),
         (scenes, "render_stack", render_stub),
         (generate, "_render", render_set_stub),
+        (generate, "image_counts", lambda missing: {}),  # JAX does not survive a fork
         (card.pictures, "histograms", picture_stub),
         (card.pictures, "samples", picture_stub),
     ]
