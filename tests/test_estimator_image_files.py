@@ -289,7 +289,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
     ),
     "sizes.tif": (
         written(np.zeros((8, 9), np.uint8), np.zeros((4, 9), np.uint8)),
-        "frame 1 has 9x4 px, but frame 0 9x8 px",
+        "sizes.tif#1 has 9x4 px, but sizes.tif#0 9x8 px",
     ),
     "lab.tif": (tiff(8, grey_as_rgb, photometric="cielab"), "8 bits as CIELAB"),
     "ycbcr.tif": (tiff(8, grey_as_rgb, photometric="ycbcr"), "8 bits as YCBCR"),
