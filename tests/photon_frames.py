@@ -267,7 +267,6 @@ def footage_of(recording: Recording, frames: Frames) -> Footage:
         microscope=file,
         instrument=Instrument(TUBE, 6.0),
         in_view=False,
-        edge_variance=0.0,
         kind=own.wall,
         medium_index=INDEX[own.medium],
     )

@@ -50,7 +50,6 @@ def saturated_footage() -> Footage:
         microscope=microscope,
         instrument=Instrument(0.25, 6.0),
         in_view=False,
-        edge_variance=0.0,
         kind="plane",
         medium_index=1.0,
     )
@@ -59,7 +58,7 @@ def saturated_footage() -> Footage:
 def test_frames_without_usable_pixels_are_refused_with_their_number():
     start = {"half_angle": 0.05, "b": -5.0}
     with pytest.raises(
-        InputError, match=r"0 pixels .* are usable; .* parameters needs more"
+        InputError, match=r"0 cells .* are usable; .* parameters .* needs more"
     ) as told:
         fit_footage(saturated_footage(), source="cone", start=start)
     assert "Change the exposure" in str(told.value)

@@ -1,22 +1,25 @@
 """The pixel fit on a wall that spreads light: its image is a spread disc, its fit finds L."""
 
+import dataclasses
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import calibration
-import optics
+from calibration.pixels.light import Cells, Light
+from calibration.pixels.parameters import POSE
 from calibration.spots import Prior
 from estimator import Stack
-from optics.wall_light import Cone, Lens, wall_pixels
 from optics.wall_light.lens import Grid, LensTable
 from scenes import Scene, render_stack
-from scenes.world import World
 from tests.spread_disc import lit_by_disc, radii
+from tests.test_calibration_few_pixels import saturated_footage
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -41,31 +44,49 @@ def scene(**tables: Any) -> Scene:
     )
 
 
-@pytest.mark.parametrize(("length", "limit"), [(0.02, 0.002), (0.05, 0.0008), (0.1, 0.0002)])
-def test_the_image_of_a_cone_is_a_spread_disc(length, limit):
-    world = World(scene())
-    beam = optics.beam_at_spot(
-        world.wall, eccentricity=0.0, distance=3.0, half_angle=HALF_ANGLE, apex_offset=B
+def of_one_frame(length: float, *, radius_px: float, table: LensTable | None) -> np.ndarray:
+    """Irradiance of a plane 3 mm before the tip, square to the beam, rows x columns of cells."""
+    known = saturated_footage()
+    file = dataclasses.replace(
+        known.microscope, scale_mm_px=0.015, principal_point_px=(47.5, 47.5), pinhole_height_mm=11.5
     )
-    # One row of pixels through the spot's middle.
-    u = jnp.arange(0.0, 96.0)
-    pixels = jnp.stack([u, jnp.full(96, 47.5)], axis=-1)
-    assert isinstance(world.microscope, optics.Microscope)
-    wall = wall_pixels(pixels, microscope=world.microscope, surface=world.wall)
-    cone = Cone(jnp.asarray(HALF_ANGLE), jnp.asarray(B), None, jnp.asarray(length))
-    found = np.asarray(cone.irradiance(wall, tip=beam.tip, axis=beam.axis))
+    down = np.array([0.0, 0.0, -1.0])
+    footage = dataclasses.replace(
+        known, microscope=file, readings=np.zeros(1), exposure_s=np.ones(1), motion=down, axis=down
+    )
+    lens: Any = None
+    if table is not None:
+        lens = SimpleNamespace(at=lambda values: table, reach_mm=lambda distance: 2.0, free=())
+    cells = Cells.over((96, 96), max(1, round(radius_px / 16)), beyond=True)
+    values = dict.fromkeys(POSE, 0.0) | {"half_angle": HALF_ANGLE, "b": B, "spread": length}
+    values |= {"touch": 3.0, "u": 47.5, "v": 47.5, "scale": 0.015, "eye_radius": 11.5}
+    values |= {"sensitivity": 1.0, "power": 1.0, "reflectance": 0.5, "illumination": 0.0}
+    light = Light(footage, cells, (), lens)
+    (frame,) = light.frames(values, np.zeros((1, 7)), [0], slopes=False)
+    seen = np.zeros(cells.count**2)
+    seen[frame.cells] = frame.direct * math.pi / 0.5
+    return seen.reshape(cells.count, cells.count)[16:-16, 16:-16]
+
+
+@pytest.mark.parametrize("length", [0.02, 0.05, 0.1])
+def test_the_image_of_a_cone_is_a_spread_disc(length):
+    radius = (3.0 - B) / 20
+    found = of_one_frame(length, radius_px=radius / 0.015, table=None)
+    side = 2  # px, of cells of a sixteenth of the spot's radius
+    # One row of cells, in which the middle of the spot lies half a cell higher.
+    at = side * (np.arange(found.shape[0]) + 0.5) - 0.5 - 47.5
+    row = int(np.argmin(np.abs(at)))
+    parts = side * (np.arange(8) - 3.5) / 8
+    x, y = 0.015 * (at[:, None] + parts), 0.015 * (at[row] + parts)
+    apart = np.hypot(x[:, :, None], y)
+    disc = np.vectorize(lambda r: lit_by_disc(r + 1e-9, radius, length))(apart)
     # A wall point without spread sees I/(distance to the apex)^2 times the cosine, as the disc did.
-    cosine = math.cos(HALF_ANGLE)
-    offset = np.asarray(wall.point - beam.apex)
-    even = -offset[:, 2] / np.linalg.norm(offset, axis=1) ** 3 / (2 * math.pi * (1 - cosine))
-    x = np.asarray(wall.point)[:, 0]
-    # A pixel's mean; it is nearly as wide as the smaller length.
-    parts = 0.015 * (np.arange(10) - 4.5) / 10
-    disc = [[lit_by_disc(abs(r) + 1e-9, (3.0 - B) / 20, length) for r in x + s] for s in parts]
-    disc_mean = np.mean(disc, axis=0)
-    # Sixteen lines a point, and 2 x 2 nodes for the mean over a pixel, 0.75 to 0.15 L
-    # wide: 0.2 % to 0.02 % of the plateau, where the kernel's cusp is at the edge.
-    np.testing.assert_allclose(found / even.max(), even / even.max() * disc_mean, atol=limit)
+    far = np.hypot(apart, 3.0 - B)
+    even = (3.0 - B) / far**3 / (2 * math.pi * (1 - math.cos(HALF_ANGLE)))
+    expected = (even * disc).mean(axis=(1, 2))
+    # Light spreads between means of cells, 1.5 to 0.3 L wide, which show edges less than sharply.
+    np.testing.assert_allclose(found[row] / even.max(), expected / even.max(), atol=0.012)
+    assert np.sqrt(np.mean((found[row] - expected) ** 2)) < 0.004 * even.max()
 
 
 def test_the_image_of_a_lens_is_its_light_averaged_over_the_wall():
@@ -80,24 +101,20 @@ def test_the_image_of_a_lens_is_its_light_averaged_over_the_wall():
         moved=jnp.zeros(0),
         grid=Grid(jnp.array(0.5), jnp.array(0.2), jnp.array(0.5), jnp.array(8.0)),
     )
-    world, length = World(scene()), 0.05
-    beam = optics.beam_at_spot(
-        world.wall, eccentricity=0.0, distance=2.0, incidence=0.5, half_angle=0.05, apex_offset=B
-    )
-    pixels = jnp.array([[47.5, 47.5], [59.0, 54.0], [69.0, 44.0], [79.0, 48.0]])
-    assert isinstance(world.microscope, optics.Microscope)
-    wall = wall_pixels(pixels, microscope=world.microscope, surface=world.wall)
-    pose = {"tip": beam.tip, "axis": beam.axis}
-    found = Lens(table, jnp.asarray(length)).irradiance(wall, **pose)
-    total = np.zeros(len(pixels))
+    length = 0.05
+    found, sharp = (of_one_frame(own, radius_px=36.0, table=table) for own in (length, 1e-9))
+    # The kernel's rings, on the image without spread between its cells.
     ring, turn = np.meshgrid(radii(length, 100), np.arange(16) * (2 * np.pi / 16))
-    asides = np.stack([ring * np.cos(turn), ring * np.sin(turn), 0 * ring], axis=-1).reshape(-1, 3)
-    sharp = Lens(table)
-    points = jnp.asarray(np.asarray(wall.point)[:, None] + asides).reshape(-1, 3)
-    many = type(wall)(points, *(jnp.repeat(leaf, len(asides), axis=0) for leaf in wall[1:]))
-    total = np.asarray(sharp.irradiance(many, **pose)).reshape(len(pixels), -1).mean(axis=1)
-    # 100 rings by the midpoint rule end at 7.4 L; 4 x 8 nodes for a bell some L wide.
-    np.testing.assert_allclose(found, total, atol=0.004 * float(total.max()))
+    rows, columns = np.mgrid[: found.shape[0], : found.shape[1]]
+    total = np.zeros(found.shape)
+    for right, down in zip(
+        (ring * np.cos(turn)).ravel(), (ring * np.sin(turn)).ravel(), strict=True
+    ):
+        at = np.stack([rows + down / 0.03, columns + right / 0.03])
+        total += ndimage.map_coordinates(sharp, at, order=3, mode="nearest") / ring.size
+    inside = np.hypot(rows - 23.5, columns - 23.5) < 18
+    # 100 rings by the midpoint rule end at 7.4 L.
+    np.testing.assert_allclose(found[inside], total[inside], atol=0.004 * float(total.max()))
 
 
 @pytest.mark.slow  # a minute to render and fit

@@ -109,7 +109,7 @@ def bounds_hit(values: Mapping[str, float]) -> tuple[str, ...]:
     """Parameters outside their physical range, in words."""
     found = []
     for name, value in values.items():
-        unit, low, high, _ = QUANTITIES[name]
-        if not low < value < high:
+        unit, low, high, low_included = QUANTITIES[name]
+        if not low < value < high and not (low_included and value == low):
             found.append(f"{name} = {value:.6g} {unit}, outside of ({low:g}, {high:g})")
     return tuple(found)

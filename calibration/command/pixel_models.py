@@ -9,7 +9,7 @@ import itertools
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -21,16 +21,16 @@ import optics
 from calibration.command.choices import Choices
 from calibration.command.cone_models import cone_start
 from calibration.command.fitted import Fitted, PixelResiduals, bounds_hit
-from calibration.pixels import LENS, UNITS, ImageFit, fit_footage, lens_start, read_footage
+from calibration.pixels import FREE, LENS, UNITS, ImageFit, fit_footage, lens_start, read_footage
 from calibration.recordings import Recording
+from calibration.spots import Prior
 from estimator import read_stack
 from estimator.files import BEAM, LENS_PARAMETERS
 from estimator.run import progress
 from optics import InputError
+from optics.wall_light import TABLE_ERROR
 
-FLATTEST = 0.02
-"""Height of the flattest start cap over the core's radius; a sag of 0 cannot be fitted."""
-_SAGS = (FLATTEST, 0.08, 0.25, 0.5)
+_SAGS = (0.02, 0.08, 0.25, 0.5)
 """Heights of the cap over the core's radius: nearly flat to a round drop."""
 _APERTURES = (0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4)
 """Numerical apertures. Neighbours differ by a third, so one is within the 30 % that a start may
@@ -128,6 +128,12 @@ _STATED = 1.05
 """Factor above which the report says that numerical errors enlarge the standard errors."""
 _MAPS, _SMOOTHING = 6, 0.03
 """Number of the maps of residuals, and the sigma of their smoothing over the lit part's size."""
+_WIDTHS = ("core_radius", "aperture_radius")
+_CORE, _CAP = (0.9, 0.15), (1.06, 0.12)
+"""Radii of a fibre's core and of a drop's rim over the fibre's radius, and their standard
+deviations: cladding and jacket take up to a quarter of it, and glue may run over the edge."""
+_HOLLOW_MM = 1e-4
+"""Depth of a hollow end that counts as flat: a fifth of a wavelength, which no light shows."""
 _BRIGHTNESS = ("sensitivity", "power", "reflectance")
 """Factors of a calibration file's brightness; it is their product over pi."""
 
@@ -144,22 +150,20 @@ def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitt
 def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit shape, aperture and brightness of a glue lens to pixels.
 
-    Starts from the lens that was chosen, or else from one guessed from the spots.
+    Starts from the lens that was chosen, or else from one guessed from the spots. If that lens
+    misses light, its core and its cap may be narrower or wider than the fibre, so they are free.
     """
     (recording,) = recordings
     if choices.lens:
-        start = lens_start(optics.load_lens(choices.lens))
-        # A flat end is at the bound of the fit, so start next to it.
-        start["sag"] = max(start["sag"], FLATTEST * start["core_radius"])
-    else:
-        start = lens_start(guessed_lens(recording))
-        print(
-            f"Starting from a lens with sag {start['sag']:.3g} mm and numerical aperture "
-            f"{start['numerical_aperture']:.3g}, guessed from the spots.",
-            file=sys.stderr,
-            flush=True,
-        )
-    return _fitted(recording, choices, "lens", start)
+        return _fitted(recording, choices, "lens", lens_start(optics.load_lens(choices.lens)))
+    start = lens_start(guessed_lens(recording))
+    print(
+        f"Starting from a lens with sag {start['sag']:.3g} mm and numerical aperture "
+        f"{start['numerical_aperture']:.3g}, guessed from the spots.",
+        file=sys.stderr,
+        flush=True,
+    )
+    return _fitted(recording, choices, "lens", start, widths=not choices.names)
 
 
 def _fitted(
@@ -167,8 +171,18 @@ def _fitted(
     choices: Choices,
     source: Literal["cone", "lens"],
     start: dict[str, float],
+    *,
+    widths: bool = False,
 ) -> Fitted:
-    """Fit, and bring the result into the form that all models share."""
+    """Fit, and bring the result into the form that all models share.
+
+    Args:
+        recording: the stack with its measured spots.
+        choices: what was asked for.
+        source: kind of the light source.
+        start: start values.
+        widths: whether the radii of core and cap may be fitted too, if the light asks for it.
+    """
     if "spread" in choices.names:
         start["spread"] = _SPREAD_MM
     if any(recording.tilt):
@@ -186,14 +200,28 @@ def _fitted(
         flush=True,
     )
     with progress("Fitting", total=None) as advance:
+        told: dict[str, Any] = {
+            "source": source,
+            "progress": lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
+        }
         fit = fit_footage(
-            footage,
-            source=source,
-            start=start,
-            free=choices.names or None,
-            priors=choices.priors,
-            progress=lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
+            footage, start=start, free=choices.names or None, priors=choices.priors, **told
         )
+        radii = {
+            name: Prior(share * recording.fibre_radius_mm, sigma * recording.fibre_radius_mm)
+            for name, (share, sigma) in zip(_WIDTHS, (_CORE, _CAP), strict=True)
+        }
+        if widths and (fit.failed or fit.misfit.share > TABLE_ERROR):
+            wider = fit_footage(
+                footage,
+                start={name: fit.values[name] for name in LENS}
+                | {name: prior.mean for name, prior in radii.items()},
+                free=(*_WIDTHS, *FREE["lens"]),
+                priors=radii | choices.priors,
+                **told,
+            )
+            if not wider.failed and wider.misfit.share < fit.misfit.share:
+                fit = wider
 
     def in_file(fitted: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """The calibration's parameters; with the beam's direction, if it is determined."""
@@ -218,6 +246,9 @@ def _fitted(
 
     fitted = {name: value for name, (value, _) in fit.parameters.items()}
     values = {name: float(value) for name, value in in_file(fitted).items()}
+    if -_HOLLOW_MM < values.get("sag", 0.0) < 0.0:
+        values["glue_length"] = max(values["glue_length"] - values["sag"], 0.0)
+        values["sag"] = 0.0
     slopes = jax.jacfwd(in_file)(fitted)
     follows = np.array([[slopes[name][own] for own in fitted] for name in values])
     numbers, of_frames = _of_frames(fit)
@@ -247,18 +278,18 @@ def _fitted(
 
 def _notes(fit: ImageFit) -> list[str]:
     """What was fitted, and what enlarged the standard errors."""
-    sides, pixels = np.unique(fit.sides[fit.sides > 0], return_counts=True)
-    squares = (pixels // sides.astype(int) ** 2).tolist()
-    found = f"{pixels.sum():,} pixels were fitted"
-    if sides.size and sides[-1] > 1:
-        sizes = ", ".join(
-            f"{count:,} of {side} x {side} px" for side, count in zip(sides, squares, strict=True)
+    cells = np.count_nonzero(np.isfinite(fit.residuals)) // fit.side**2
+    wall = (
+        "The wall's texture was learnt from all frames, cell by cell"
+        if fit.textured
+        else "The wall is even: a texture would not explain the frames better than chance"
+    )
+    notes = [f"{cells:,} cells of {fit.side} x {fit.side} pixels were fitted. {wall}."]
+    if fit.misfit.share > 0:
+        notes.append(
+            f"The model misses {100 * fit.misfit.share:.2g} % of the light (RMS), such as texture "
+            "within the cells; the standard errors contain it."
         )
-        found += (
-            f" as {sum(squares):,} means over squares: {sizes}. Large squares are where the light "
-            "is smooth, so they lose no information"
-        )
-    notes = [f"{found}."]
     if fit.numerical_inflation > _STATED:
         notes.append(
             "Numerical errors of the lens's light enlarge the standard errors by a factor of up to "
@@ -294,10 +325,10 @@ def _maps(fit: ImageFit) -> tuple[np.ndarray, list[tuple[int, int]]]:
 def _single(fit: ImageFit) -> tuple[np.ndarray, np.ndarray]:
     """Which pixels were fitted, and residuals whose sums over squares of pixels have unit noise.
 
-    All k x k pixels of a square have the residual of its mean, so each counts as 1/k of it.
+    All k x k pixels of a cell have the residual of its mean, so each counts as 1/k of it.
     """
     known = np.isfinite(fit.residuals)
-    return known, np.where(known, fit.residuals, 0.0) / np.maximum(fit.sides, 1)
+    return known, np.where(known, fit.residuals, 0.0) / fit.side
 
 
 def _propagated(

@@ -26,6 +26,7 @@ MOST_CHI_SQUARED = 2.0
 MOST_MISFIT = 0.02
 """Largest misfit of a fit to pixels, as a part of the light. With more, a parameter's bias can be
 several times its enlarged standard error (docs/fitting.md has departures of both kinds)."""
+_FELT = 1.2  # enlargement of the standard errors by a misfit that is worth a word
 _KNOWN_VARIANCE = 0.1
 """Relative accuracy of a camera's data sheet. Residuals that are smaller by less say nothing."""
 SIGNIFICANCE = 0.01
@@ -174,12 +175,12 @@ def of_chi_squared(value: float, degrees: int, misfit: Misfit | None) -> list[Do
             return [Doubt(Fault.LARGE_RESIDUALS, f"{why}: the residuals are larger than the noise")]
         why = f"{beyond}, so the standard errors are enlarged {math.sqrt(value):.3g} times"
         return [Doubt(Fault.STATED_MISFIT, why)]
-    if not misfit.structured and value <= max(high, 1 + _KNOWN_VARIANCE):
-        return []
     why = f"the model misses the light by {100 * misfit.share:.2g} % (RMS; {said})"
     why += f"; {misfit.where}" if misfit.where else "; the residuals have no structure"
     if misfit.share > MOST_MISFIT:
         return [Doubt(Fault.MISFIT, f"{why}; the limit is {100 * MOST_MISFIT:g} %")]
+    if not misfit.structured or misfit.inflation < _FELT:
+        return []
     why += f"; the standard errors are enlarged up to {misfit.inflation:.3g} times"
     return [Doubt(Fault.STATED_MISFIT, why)]
 

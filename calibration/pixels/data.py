@@ -86,7 +86,6 @@ class Footage:
         microscope: the stack's microscope file.
         instrument: the tool, which can hide the wall and touches it in the first frame.
         in_view: whether the instrument is visible.
-        edge_variance: variance of a cut pixel's lit fraction, caused by the renderer's sampling.
         kind: kind of the wall, "eyeball" or "plane".
         medium_index: n0.
     """
@@ -101,7 +100,6 @@ class Footage:
     microscope: MicroscopeFile
     instrument: Instrument
     in_view: bool
-    edge_variance: float
     kind: str
     medium_index: float
 
@@ -144,8 +142,6 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
             number("instrument.fibre_diameter_mm") / 2, number("instrument.fibre_length_mm")
         ),
         in_view=stack.described("scene.instrument.visible", bool),
-        # Each of n rows of n samples has an error that is uniform over 1/n.
-        edge_variance=1 / (12 * stack.described("scene.microscope.samples", int) ** 1.5),
         kind=stack.described("scene.phantom.kind", str),
         medium_index=optics.MEDIA[medium],
     )

@@ -1,27 +1,55 @@
-"""Fit of source, brightness and pose to all pixels of a withdrawal at once."""
+"""Fit of a beam, its brightness and its pose to all pixels of a withdrawal, whatever the wall."""
 
 from __future__ import annotations
 
-import contextlib
+import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, cast
+from typing import Literal, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 import optics
 from calibration.pixels.data import Footage, read_footage
-from calibration.pixels.image_fit import ImageFit
-from calibration.pixels.parameters import FREE, check_names
-from calibration.pixels.solver import Solver
-from calibration.spots import BORESIGHT_SIGMA, Prior
+from calibration.pixels.image_fit import Criterion, Failure, ImageFit
+from calibration.pixels.lens_light import LensLight
+from calibration.pixels.light import STATES, Cells
+from calibration.pixels.misfit import Pixels, found_misfit
+from calibration.pixels.parameters import DEFAULTS, FREE, NUISANCES, check_names
+from calibration.pixels.solver import Point, Solver
+from calibration.solvers import covariance_and_lost
+from calibration.spots import BORESIGHT_SIGMA, Prior, phantom_wall
 from estimator import Stack
 from optics import InputError
 from optics.wall_light import TABLE_ERROR, lens_parameters
 
-_OTHER_SAGS = (0.5, 2.0)
+_TOUCH_SIGMA_MM = 0.02
+_CELL, _SPREAD_CELL, _COARSE_CELL = 1 / 8, 1 / 16, 1 / 2.2
+"""Sides of cells over the spot's radius: of a fit, of one whose light spreads from cell to cell,
+and of a first fit. Means over wide cells change smoothly even where a sharp edge moves, so a start
+that is far off still leads to the minimum."""
+_WIDEST_PX = {False: 8, True: 24}  # cells of a fit and of a first fit
+_SOME = {False: 24, True: 16}
+"""Frames of the first rounds, evenly over the withdrawal: in small and in large cells."""
+_TOLERANCE = {True: 0.5, False: 0.04}
+"""A fit ends if a step would lower chi squared by less, in the first rounds and in the last. The
+root is the step in standard errors."""
+_OTHER_SAGS = (0.3, 3.0)
 """Factors of the sag for further starts, if the first fit misses more light than a table's error.
 Two drops can have nearly the same light, and a drop that focuses it near the tip is found from
 flatter ones only (numbers 42 and 41 of `tests.photon_fits coverage`)."""
+_HOPELESS = 0.04
+"""Part of the light, RMS, that a beam may miss after the first round: no later step mends that."""
+_ROUNDS = 2  # of the last fit, each with weights and variances learnt from the one before
+_NEAR = 1.0
+"""Step, in standard errors, after which a lens's table is as good as one computed at its end: what
+the table leaves out is of second order in a step far smaller than the lens."""
+_MOST_OF_TABLE = 10.0
+"""Largest difference of two tables' results, in standard errors. The covariance contains it, but a
+larger one is not only noise."""
+_MOST_TABLES = 6
+_NAMED = 10  # frames that an error message names
 
 
 def fit_image(
@@ -32,38 +60,37 @@ def fit_image(
     free: Sequence[str] | None = None,
     priors: Mapping[str, Prior] | None = None,
     exposure: str | None = None,
-    exposures: Literal["reported", "fitted"] = "reported",
     lean_sigma: float = np.radians(1.0),
     boresight_sigma: float = BORESIGHT_SIGMA,
 ) -> ImageFit:
     """Fit the light of a cone or of a glue lens to all pixels that the beam reaches.
 
+    The wall may have any texture, which is learnt cell by cell from all frames. Of an even wall it
+    is learnt that it has none.
+
     Args:
-        stack: a withdrawal from contact, on an even wall; its labels are not read. The more samples
-            per pixel the stack was rendered with, the larger the weight of pixels on the edge.
+        stack: a withdrawal from contact; its labels are not read.
         source: kind of the light source.
         start: start values of free parameters, within 30 %, and values of the others: `half_angle`
             and `b` for a cone, `lens_start` for a lens. `reflectance` and `power` (default 0.5 and
             1 mW) affect the light that the eye scatters back.
         free: names from `UNITS`; by default the cone's half_angle and b, or the lens's sag and
-            numerical_aperture. The pose, sensitivity and illumination are always free.
+            numerical_aperture. The pose, sensitivity and illumination are always free, and each
+            frame's power, exposure, place and shake, whose sizes are learnt.
         priors: priors of free parameters.
         exposure: see `open_source`.
-        exposures: use the reported exposure times, or also fit each frame's as a multiple of it.
         lean_sigma: standard deviation of the robot's directions, rad.
         boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.
 
     Raises:
         InputError: an unknown name, a missing start value, or a stack that cannot be fitted.
     """
-    footage = read_footage(stack, exposure=exposure)
     return fit_footage(
-        footage,
+        read_footage(stack, exposure=exposure),
         source=source,
         start=start,
         free=free,
         priors=priors,
-        exposures=exposures,
         lean_sigma=lean_sigma,
         boresight_sigma=boresight_sigma,
     )
@@ -81,38 +108,266 @@ def fit_footage(
     start: Mapping[str, float],
     free: Sequence[str] | None = None,
     priors: Mapping[str, Prior] | None = None,
-    exposures: Literal["reported", "fitted"] = "reported",
     lean_sigma: float = np.radians(1.0),
     boresight_sigma: float = BORESIGHT_SIGMA,
     progress: Callable[[float], None] = lambda chi_squared: None,
 ) -> ImageFit:
     """`fit_image` for frames in memory; calls `progress` with chi squared at every step."""
-    if free is None:
-        free = FREE[source]
+    free = FREE[source] if free is None else tuple(free)
     check_names(source, start, free, priors or {})
-
-    def fitted(start: Mapping[str, float], known: ImageFit | None = None) -> ImageFit | None:
-        solver = Solver(
-            footage,
-            source,
-            start,
-            tuple(free),
-            priors or {},
-            exposures == "fitted",
-            lean_sigma,
-            boresight_sigma,
-            progress,
+    place, radius = bright_spot(footage)
+    known = _known(footage, place, lean_sigma, boresight_sigma) | dict(priors or {})
+    names = (*free, *(name for name in NUISANCES if name not in free))
+    lens = LensLight(footage, names) if source == "lens" else None
+    run = _Run(footage, names, known, lens, radius, progress)
+    at_start = {
+        **dict.fromkeys(NUISANCES, 0.0),
+        **DEFAULTS,
+        "scale": footage.microscope.scale_mm_px,
+        "eye_radius": footage.microscope.eye_radius_mm,
+        "u": float(place[0]),
+        "v": float(place[1]),
+        **{name: prior.mean for name, prior in known.items()},
+        **start,
+    }
+    solver = run.first_fit(at_start, vary="sag" in free)
+    if solver.share > _HOPELESS:
+        why = (
+            f"after the first round the {source} misses {100 * solver.share:.2g} % of the light; "
+            f"{100 * _HOPELESS:g} % are allowed"
         )
-        return solver.run(known)
+        solver.learn()
+        return _result(solver, Failure(Criterion.FIRST_ROUND, why), None)
+    return run.whole_fit(solver.point)
 
-    best = cast(ImageFit, fitted(start))
-    for factor in _OTHER_SAGS if "sag" in free else ():
-        if not (best.failed or (best.misfit.structured and best.misfit.share > TABLE_ERROR)):
-            break
-        # A half ball is the highest drop; a fit that starts there cannot move.
-        sag = min(factor * start["sag"], (start["sag"] + start["aperture_radius"]) / 2)
-        with contextlib.suppress(InputError):  # no drop at all from there
-            other = fitted({**start, "sag": sag}, best)
-            if other is not None and other.chi_squared_per_dof < best.chi_squared_per_dof:
+
+def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
+    """Centre (px) and typical radius (px) of the pixels much brighter than the frame's median.
+
+    Raises:
+        InputError: a frame has no such pixels.
+    """
+    dark = np.median(footage.light, axis=(1, 2), keepdims=True)
+    excess = np.maximum(footage.light - dark, 0)
+    peak = np.quantile(excess, 0.999, axis=(1, 2), keepdims=True)
+    excess = np.where(excess > peak / 2, excess, 0)
+    faint = peak.ravel() <= 4 * np.sqrt(footage.noise.variance(dark.min()))
+    if faint.any():
+        frames = ", ".join(map(str, np.flatnonzero(faint)[:_NAMED]))
+        more = f" and {faint.sum() - _NAMED} more" if faint.sum() > _NAMED else ""
+        raise InputError(
+            f"the frames {frames}{more} show no spot. Leave them out of the image fit."
+        )
+    weight = excess.sum(axis=0)
+    v, u = np.mgrid[: weight.shape[0], : weight.shape[1]]
+    centre = np.array([np.sum(u * weight), np.sum(v * weight)]) / np.sum(weight)
+    areas = np.count_nonzero(excess, axis=(1, 2))
+    return centre, float(np.sqrt(np.median(areas) / np.pi))
+
+
+def _known(
+    footage: Footage, place: Float[np.ndarray, "2"], lean_sigma: float, boresight_sigma: float
+) -> dict[str, Prior]:
+    """What the robot and the touch say of the pose."""
+    file = footage.microscope
+    microscope = optics.microscope(
+        scale=file.scale_mm_px,
+        pinhole_height=file.pinhole_height_mm,
+        eye_radius=file.eye_radius_mm,
+        principal_point=file.principal_point_px,
+        distortion=tuple(file.distortion),
+    )
+    surface = phantom_wall(footage.kind, eye_radius=file.eye_radius_mm)
+    normal = surface.intersect(*microscope.ray(place)).normal
+    # The rim of a tilted tip touches the wall before the centre does.
+    touch = optics.contact_distance(
+        surface,
+        incidence=jnp.arccos(-normal @ footage.axis),
+        rim_radius=footage.instrument.fibre_radius,
+    )
+    lean, boresight = Prior(0.0, lean_sigma), Prior(0.0, boresight_sigma)
+    return {
+        "touch": Prior(float(touch), _TOUCH_SIGMA_MM),
+        "lean": lean,
+        "lean_sideways": lean,
+        "boresight": boresight,
+        "boresight_sideways": boresight,
+    }
+
+
+class _Run(NamedTuple):
+    """What all rounds of a fit share."""
+
+    footage: Footage
+    names: tuple[str, ...]
+    priors: dict[str, Prior]
+    lens: LensLight | None
+    radius_px: float
+    progress: Callable[[float], None]
+
+    def solver(self, point: Point, *, first: bool, every: bool = False) -> Solver:
+        """A solver on some or all frames, in cells of a first fit or small ones."""
+        spreads = "blur" in point.values or "spread" in point.values
+        share = _COARSE_CELL if first else _SPREAD_CELL if spreads else _CELL
+        side = int(np.clip(round(share * self.radius_px), 1, _WIDEST_PX[first]))
+        frames = len(self.footage.readings)
+        count = frames if every else min(frames, _SOME[first])
+        return Solver(
+            self.footage,
+            Cells.over(self.footage.light.shape[1:], side, beyond=spreads),
+            [int(k) for k in np.linspace(0, frames - 1, count).round()],
+            point,
+            names=self.names,
+            priors=self.priors,
+            lens=self.lens,
+            progress=self.progress,
+        )
+
+    def first_fit(self, start: dict[str, float], *, vary: bool) -> Solver:
+        """The best of the fits in wide cells, from the start and if need be from other sags."""
+
+        def fitted(values: dict[str, float]) -> Solver:
+            states = np.zeros((len(self.footage.readings), len(STATES)))
+            solver = self.solver(Point(dict(values), states), first=True)
+            if self.lens is not None:
+                self.lens.tabulate(values, coarse=True)
+            solver.choose(guess=True)
+            solver.brighten()
+            solver.minimise(_TOLERANCE[True], follow=True)
+            return solver
+
+        best = fitted(start)
+        for factor in _OTHER_SAGS if vary else ():
+            if best.equations.cost < best.data * (TABLE_ERROR / 0.01) ** 2:
+                break
+            # A half ball is the highest drop; a fit that starts there cannot move.
+            highest = 0.5 * (start["sag"] + start["aperture_radius"])
+            other = fitted({**start, "sag": min(factor * max(start["sag"], 0.01), highest)})
+            if other.equations.cost < best.equations.cost:
                 best = other
-    return best
+        return best
+
+    def whole_fit(self, point: Point) -> ImageFit:
+        """The fit in small cells: of some frames, and then of all."""
+        solver = self.solver(point, first=False)
+        self._tabulate(solver)
+        solver.choose(guess=True)
+        solver.minimise(_TOLERANCE[True], follow=True)
+        solver.learn()
+        spread, error = solver.spread, solver.error
+        solver = self.solver(solver.point, first=False, every=True)
+        solver.spread, solver.error = spread, error
+        self._tabulate(solver)
+        for number in range(_ROUNDS):
+            solver.choose(guess=number == 0)
+            solver.minimise(_TOLERANCE[False], follow=False)
+            solver.learn()
+        if not solver.surely_textured:
+            solver.flatten()
+        failed, of_table = self._settled(solver)
+        return _result(solver, failed, of_table)
+
+    def _tabulate(self, solver: Solver) -> None:
+        if self.lens is not None:
+            self.lens.tabulate(solver.point.values, coarse=False)
+
+    def _settled(self, solver: Solver) -> tuple[Failure | None, np.ndarray | None]:
+        """Iterate until a lens's table is exact at the minimum; say why if it never is.
+
+        Within a minimisation the table is linear in the lens's parameters. Each new table corrects
+        the terms of second order, and brings new errors of its quadrature, which finds or misses
+        arcs. If a step is not half as long as the one before, these errors are what remains. Their
+        effect on the parameters is then known from the steps, and becomes part of the covariance.
+        """
+        steps: list[np.ndarray] = []
+        while True:
+            before = np.array([solver.point.values[name] for name in self.names])
+            self._tabulate(solver)
+            found = solver.minimise(_TOLERANCE[False], follow=False)
+            if not found.converged:
+                why = (
+                    f"after {found.steps} steps another one would lower chi squared by "
+                    f"{found.gain:.2g}; {_TOLERANCE[False]:g} is allowed"
+                )
+                return Failure(Criterion.STEPS, why), None
+            after = np.array([solver.point.values[name] for name in self.names])
+            steps.append((after - before) / solver.sizes)
+            information, _ = solver.effective()
+            lengths = [math.sqrt(float(step @ information @ step)) for step in steps[-2:]]
+            if self.lens is None or lengths[-1] < _NEAR:
+                return None, None
+            if (len(steps) > 2 and lengths[1] > lengths[0] / 2) or len(steps) >= _MOST_TABLES:
+                last = np.stack(steps[-2:])
+                of_table = last.T @ last / 2
+                if max(lengths) < _MOST_OF_TABLE:
+                    return None, of_table
+                why = (
+                    f"the last two tables of the lens's light differ by {max(lengths):.1f} "
+                    f"standard errors of the result; {_MOST_OF_TABLE:g} are allowed"
+                )
+                return Failure(Criterion.TABLES, why), of_table
+
+
+def _result(solver: Solver, failed: Failure | None, of_table: np.ndarray | None) -> ImageFit:
+    values, names = solver.point.values, solver.names
+    information, slopes_of = solver.effective()
+    covariance, lost = covariance_and_lost(information, names, [values[name] for name in names])
+    frames = solver.now.frames
+    places = solver.cells.centres()
+
+    def pixels(k: int) -> Pixels:
+        own, rest = frames[k], solver.now.rest[k]
+        weight = np.sqrt(solver.weight[k, own.cells])
+        used = weight > 0
+        u, v = places[own.cells[used]].T
+        light = (solver.map[own.cells] * own.light)[used]
+        slopes = slopes_of(k)[:, used]
+        off = -(weight * rest)[used]
+        number = solver.numbers[k]
+        return Pixels(number, u, v, own.direct[used], light, weight[used], off, slopes)
+
+    degrees = solver.degrees_of_freedom
+    misfit, covariance = found_misfit(
+        (pixels(k) for k in range(len(frames))),
+        covariance,
+        share=solver.error,
+    )
+    inflation = 1.0
+    if of_table is not None:
+        known = np.isfinite(np.diag(covariance))
+        grown = np.diag(of_table)[known] / np.diag(covariance)[known]
+        inflation = float(np.sqrt(1 + np.max(grown)))
+        covariance = covariance + of_table
+    covariance = covariance * np.outer(solver.sizes, solver.sizes)
+    errors = np.sqrt(np.diag(covariance)).tolist()
+    residuals = np.full(solver.footage.light.shape, np.nan, np.float32)
+    cells = solver.cells
+    side, count = cells.side, cells.count
+    height, width = residuals.shape[1:]
+    for k, own in enumerate(frames):
+        off = np.full(count**2, np.nan, np.float32)
+        weight = np.sqrt(solver.weight[k, own.cells])
+        off[own.cells] = np.where(weight > 0, weight * solver.now.rest[k], np.nan)
+        whole = np.kron(off.reshape(count, count), np.ones((side, side), np.float32))
+        rows, columns = (
+            slice(-cells.top, height - cells.top),
+            slice(-cells.left, width - cells.left),
+        )
+        residuals[solver.numbers[k]] = whole[rows, columns]
+    return ImageFit(
+        parameters={n: (values[n], error) for n, error in zip(names, errors, strict=True)},
+        values=values,
+        covariance=covariance,
+        chi_squared=solver.chi_squared,
+        degrees_of_freedom=degrees,
+        misfit=misfit,
+        tips=np.array([own.tip for own in frames]),
+        axis=frames[0].axis,
+        undetermined=lost,
+        failed=failed,
+        textured=solver.textured,
+        states=solver.states,
+        residuals=residuals,
+        numerical_inflation=inflation,
+        side=side,
+    )

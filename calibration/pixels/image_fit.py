@@ -7,7 +7,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from calibration.pixels.misfit import Misfit
 
@@ -47,9 +47,12 @@ class ImageFit:
         failed: the criterion of convergence that the fit does not meet; None if it converged.
         numerical_inflation: largest factor by which numerical errors of the lens's light enlarge a
             standard error; contained in `covariance`.
-        residuals: light minus model over sigma, frames x h x w; NaN for pixels not fitted. Pixels
-            that were fitted as one square all have the residual of its mean.
-        sides: side of the square that each pixel belongs to, px; 0 for pixels not fitted.
+        textured: whether the wall's texture was learnt; otherwise the wall is even.
+        states: standard deviations of what each frame has of its own, learnt from the frames: the
+            logarithms of power and exposure, the tip's place, mm, and the image's shift, px.
+        residuals: light minus model over sigma, frames x h x w; NaN for pixels not fitted. The
+            pixels of a cell all have the residual of its mean.
+        side: of the cells, px.
     """
 
     parameters: dict[str, tuple[float, float]]
@@ -63,8 +66,10 @@ class ImageFit:
     undetermined: tuple[str, ...]
     failed: Failure | None
     numerical_inflation: float
+    textured: bool
+    states: dict[str, float]
     residuals: Float[np.ndarray, "frames h w"]
-    sides: UInt8[np.ndarray, "frames h w"]
+    side: int
 
     @property
     def converged(self) -> bool:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from calibration.pixels.data import Footage
 from calibration.pixels.parameters import LENS
-from optics.wall_light import LensSamples, LensTable, dark_table, halvings_for, lens_samples
+from optics.wall_light import LensSamples, LensTable, halvings_for, lens_samples
 
 NEAREST_MM = 0.3
 """Least distance from the tip's plane at which a table is valid."""
@@ -30,6 +32,10 @@ a fit is on its way. Its result is confirmed with a table that is much nearer.""
 _NEAR_BY = 0.002
 """Relative change up to which a table is computed from the last one. Up to 5 % the fit of a sharp
 image of the core (`tests.photon_fits examples`) had a sag ten sigma of the noise off."""
+FLATTEST = 0.02
+"""Sag over the aperture's radius below which the end is nearly flat, and changes of the sag count
+as parts of this. The light is then linear in the sag, through zero, where the cap turns hollow."""
+_FLAT_MM = 1e-5  # least sag of a table
 
 
 class LensLight:
@@ -43,7 +49,7 @@ class LensLight:
     def __init__(self, footage: Footage, names: tuple[str, ...]) -> None:
         self.footage = footage
         self.free = tuple(name for name in names if name in LENS)
-        self.table: LensTable | None = None
+        self._table: LensTable | None = None
         self._samples: LensSamples | None = None
         self._coarse = True
         self._at: dict[str, float] = {}
@@ -52,50 +58,42 @@ class LensLight:
     def tabulate(self, values: Mapping[str, float], *, coarse: bool) -> None:
         """Compute the table at these values of all parameters, unless it is the last one."""
         at = {name: values[name] for name in (*LENS, "touch")}
+        at["sag"] = max(at["sag"], _FLAT_MM)
         if (at, coarse) == (self._at, self._coarse):
             return
         anew = coarse or self._coarse or self._is_beyond(_NEAR_BY, values)
+        lens = {name: at[name] for name in LENS}
+        farthest = float(self.footage.readings.max() + values["touch"]) + _MARGIN_MM
+        least = float(self.footage.readings.min() + values["touch"])
+        finest = _FINEST_PX * self.footage.microscope.scale_mm_px
+        medium = self.footage.medium_index
+        if self._halvings is None:
+            # The same for the whole fit: tables of one shape need one compilation.
+            needed = halvings_for(lens, medium_index=medium, farthest=farthest, finest=finest)
+            self._halvings = max(_HALVINGS, needed)
         self._samples = lens_samples(
-            {name: values[name] for name in LENS},
+            lens,
             self.free,
-            medium_index=self.footage.medium_index,
-            nearest=self._nearest(values),
-            farthest=self._farthest(values),
+            medium_index=medium,
+            nearest=max(NEAREST_MM, least - _MARGIN_MM),
+            farthest=farthest,
             reach=_REACH[coarse],
-            halvings=self._halvings_for(values),
-            finest=self._finest,
+            halvings=self._halvings,
+            finest=finest,
             coarse=coarse,
             near=None if anew else self._samples,
         )
-        self.table = self._samples.table()
+        self._table = self._samples.table()
         self._at, self._coarse = at, coarse
 
-    def blank(self, values: Mapping[str, float]) -> LensTable:
-        """A dark table of the shape of all tables of this fit."""
-        return dark_table(len(self.free), self._halvings_for(values))
+    def at(self, values: Mapping[str, float]) -> LensTable:
+        """The light of a lens near the table's."""
+        return eqx.tree_at(lambda table: table.moved, self._table, jnp.asarray(self.moved(values)))
 
-    @property
-    def _finest(self) -> float:
-        return _FINEST_PX * self.footage.microscope.scale_mm_px
-
-    def _nearest(self, values: Mapping[str, float]) -> float:
-        least = float(self.footage.readings.min() + values["touch"])
-        return max(NEAREST_MM, least - _MARGIN_MM)
-
-    def _farthest(self, values: Mapping[str, float]) -> float:
-        return float(self.footage.readings.max() + values["touch"]) + _MARGIN_MM
-
-    def _halvings_for(self, values: Mapping[str, float]) -> int:
-        """The same for the whole fit: tables of one shape need one compilation."""
-        if self._halvings is None:
-            needed = halvings_for(
-                {name: values[name] for name in LENS},
-                medium_index=self.footage.medium_index,
-                farthest=self._farthest(values),
-                finest=self._finest,
-            )
-            self._halvings = max(_HALVINGS, needed)
-        return self._halvings
+    def reach_mm(self, distance: float) -> float:
+        """Radius within which all light is, at a distance from the tip."""
+        assert self._table is not None
+        return float(self._table.grid.contact_radius + self._table.grid.slope * distance)
 
     def follow(self, values: Mapping[str, float]) -> None:
         """Compute the table anew if a free parameter of the lens has changed by much."""
@@ -103,8 +101,9 @@ class LensLight:
             self.tabulate(values, coarse=self._coarse)
 
     def _is_beyond(self, change: float, values: Mapping[str, float]) -> bool:
-        at = np.array([self._at[name] for name in self.free])
-        return bool(np.any(np.abs(self.moved(values)) > change * np.abs(at)))
+        least = {"sag": FLATTEST * values["aperture_radius"]}
+        at = np.array([max(abs(self._at[name]), least.get(name, 0.0)) for name in self.free])
+        return bool(np.any(np.abs(self.moved(values)) > change * at))
 
     def moved(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:
         """Differences of the lens's free parameters from those of the table."""

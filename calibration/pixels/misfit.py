@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from calibration.solvers import CHANCE, excess_variance
+from calibration.solvers import CHANCE
 
 _ZONES = (0.02, 0.2, 0.8)
 """Brightness over the frame's peak that separates dark, tail, edge and core."""
@@ -92,16 +92,14 @@ def found_misfit(
     frames: Iterable[Pixels],
     covariance: Float[np.ndarray, "p p"],
     *,
-    chi_squared: float,
-    degrees_of_freedom: int,
+    share: float,
 ) -> tuple[Misfit, Float[np.ndarray, "p p"]]:
     """Test residuals for structure, and enlarge the covariance by what it may cause.
 
     Args:
         frames: all pixels of the fit, one entry a frame, in order.
         covariance: covariance from noise and priors; infinite for undetermined parameters.
-        chi_squared: of the fit.
-        degrees_of_freedom: of the fit.
+        share: part of the light, RMS, that the model misses; the weights contain it.
 
     Returns:
         The misfit, and the covariance with noise and misfit.
@@ -121,9 +119,7 @@ def found_misfit(
         root = _root(own)
         extra = root @ excess[inside] @ root
         own = own + _HIDDEN * root @ _positive(extra) @ root
-    enlarged[inside] = own * excess_variance(chi_squared / degrees_of_freedom, degrees_of_freedom)
-    signal = float(tone[..., 1].sum())
-    share = math.sqrt(max(chi_squared - degrees_of_freedom, 0.0) / signal)
+    enlarged[inside] = own
     errors, first = np.diag(enlarged)[known], np.diag(covariance)[known]
     inflation = math.sqrt(float(np.max(errors / first, initial=1.0)))
     where = _sentence(tone) if structured else ""

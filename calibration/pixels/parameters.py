@@ -43,11 +43,19 @@ beam from the tool's axis, along the same vectors. `spread`: L of the light's sp
 CONE = ("half_angle", "b")
 FREE = {"cone": CONE, "lens": ("sag", "numerical_aperture")}
 """Parameters that are free by default."""
+POSE = ("touch", "u", "v", "lean", "lean_sideways", "boresight", "boresight_sideways")
+"""Parameters of the frames' poses."""
 _ANGLES = ("lean", "lean_sideways", "boresight", "boresight_sideways")
 NUISANCES = ("sensitivity", "illumination", "touch", "u", "v", *_ANGLES)
 """Parameters that are free in every fit, because no log book contains them accurately enough."""
 DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0}
-_MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", *_ANGLES, "rim_height"}
+_MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", *_ANGLES, "rim_height", "sag"}
+_HOLLOW = 0.01  # depth of a hollow end over its radius up to which the light is linear in it
+
+
+def beam_names(lens: bool) -> tuple[str, ...]:
+    """Names of a beam's own parameters, which its light takes."""
+    return LENS if lens else CONE
 
 
 def known_names(source: str) -> tuple[str, ...]:
@@ -78,10 +86,14 @@ def check_names(
 
 
 def possible(values: Mapping[str, float]) -> bool:
-    """Whether the parameters are physically possible; the solver rejects steps that are not."""
+    """Whether the parameters are physically possible; the solver rejects steps that are not.
+
+    A flat end may seem hollow by the noise.
+    """
     positive = all(value > 0 for name, value in values.items() if name not in _MAY_BE_NEGATIVE)
     lens = "sag" not in values or (
-        values["sag"] <= values["aperture_radius"] >= values["core_radius"]
+        -_HOLLOW <= values["sag"] / values["aperture_radius"] <= 1.0
+        and values["aperture_radius"] >= values["core_radius"]
         and values["rim_height"] >= 0
     )
     return positive and lens and values["reflectance"] < 1

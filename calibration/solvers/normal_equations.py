@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 _MOST_STEPS = 40
 _DAMPING, _MOST_DAMPING = 1e-6, 1e8
+_RIDGE, _NOTHING = 1e-12, 1e-300  # of a parameter's information
 
 
 class NormalEquations(NamedTuple):
@@ -72,7 +73,7 @@ def minimise(
         if gain < tolerance:
             return Minimum(x, at, gain, steps, True)
         damped = at.information + damping * np.diag(np.diag(at.information))
-        step = -np.linalg.lstsq(damped, at.gradient, rcond=None)[0]
+        step = -_solved(damped, at.gradient)
         tried = evaluate(x + step)
         expected = -(2 * at.gradient + at.information @ step) @ step
         ratio = (at.cost - tried.cost) / expected
@@ -88,5 +89,14 @@ def minimise(
 
 def expected_gain(at: NormalEquations) -> float:
     """By how much an undamped step would lower the cost, to first order."""
-    # If the residuals do not determine a parameter, take the minimum-norm step.
-    return float(at.gradient @ np.linalg.pinv(at.information, rcond=1e-12) @ at.gradient)
+    return float(at.gradient @ _solved(at.information, at.gradient))
+
+
+def _solved(
+    information: Float[np.ndarray, "p p"], gradient: Float[np.ndarray, "p"]
+) -> Float[np.ndarray, "p"]:
+    """A^-1 g; directions that the residuals do not determine stay as they are."""
+    size = np.sqrt(np.maximum(np.diag(information), _NOTHING))
+    scaled = information / np.outer(size, size)
+    scaled[np.diag_indices_from(scaled)] += _RIDGE
+    return np.asarray(np.linalg.solve(scaled, gradient / size) / size)

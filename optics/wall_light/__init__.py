@@ -1,8 +1,8 @@
-"""Light of the wall behind pixels: the image model of the fits and of the pixels mode.
+"""Light of the wall on cells of the image: the image model of the fits and of the mode pixels.
 
-cells       Wall points behind pixels and their radiance, and light on a lattice of square cells
-cone        Light of a uniform cone: on pixels, exact at the edge or spread by the wall; on cells
-lens        Light of a glue lens, as line integrals around pixels, from a table
+cells       Light on a lattice of square cells
+cone        Light of a uniform cone, exact at the edge
+lens        Light of a glue lens, as line integrals around cells, from a table
 pose_light  Light on a lattice by a beam whose pose is sought, compiled for the rig
 """
 

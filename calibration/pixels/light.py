@@ -1,0 +1,422 @@
+"""The light of a withdrawal on square cells of its frames, with all derivatives.
+
+The mean light of a cell is exact, however sharp its edges are (see `optics.wall_light`). The light
+is evaluated on tiles of cells that a frame's beam can reach, so that one compilation serves all
+frames and no time is spent on the dark.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+import optics
+from calibration.pixels.data import Footage
+from calibration.pixels.lens_light import LensLight
+from calibration.pixels.parameters import CONE, POSE, beam_names
+from calibration.spots import beam_directions, phantom_wall
+from estimator.pixels.beam import blurred, blurred_with_growth
+from optics.wall_light import (
+    BeamFrame,
+    CellBeam,
+    UniformCone,
+    beam_meets,
+    irradiance_alone,
+    irradiance_and_slopes,
+    pixels_see,
+    square_lattice,
+)
+
+TILE = 16  # cells along a tile's side
+STATES = ("power", "exposure", "x", "y", "z", "right", "down")
+"""What each frame has of its own: logarithms of the source's power and of the exposure over what
+is reported, the tip's place less the robot's, mm, and the shift of the image, px."""
+TIP, SHIFT = slice(2, 5), slice(5, 7)
+_AHEAD_MM = 0.3  # farther along the beam than the axis meets the wall: an oblique wall is lit there
+_STEP = 1e-4  # relative, of differences by the scale and by the eye's radius
+
+
+class Cells(NamedTuple):
+    """Square cells of an image.
+
+    Attributes:
+        left, top: first pixel.
+        side: of a cell, px.
+        tiles: number of tiles along each side.
+    """
+
+    left: int
+    top: int
+    side: int
+    tiles: int
+
+    @classmethod
+    def over(cls, shape: tuple[int, int], side: int, *, beyond: bool = False) -> Cells:
+        """Cells over a whole image of height x width, and one tile beyond it on each side."""
+        tiles = math.ceil(max(shape) / (side * TILE)) + 2 * beyond
+        top, left = ((length - tiles * TILE * side) // 2 for length in shape)
+        return cls(left, top, side, tiles)
+
+    @property
+    def count(self) -> int:
+        """Cells along each side."""
+        return self.tiles * TILE
+
+    def centres(self) -> Float[np.ndarray, "n 2"]:
+        """(u, v) of the cells' centres, px."""
+        along = (np.arange(self.count) + 0.5) * self.side - 0.5
+        u, v = np.meshgrid(along + self.left, along + self.top)
+        return np.stack([u.ravel(), v.ravel()], axis=-1)
+
+    def means(
+        self, image: Float[np.ndarray, "h w"], clear: Bool[np.ndarray, "h w"]
+    ) -> tuple[Float[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+        """Mean of each cell, and whether all of its pixels are inside the image and clear."""
+        size = self.count * self.side
+        begins = -self.top, -self.left
+        room = [(at, size - at - length) for at, length in zip(begins, image.shape, strict=True)]
+
+        def in_cells(values: np.ndarray) -> np.ndarray:
+            padded = np.pad(values, room)
+            return padded.reshape(self.count, self.side, self.count, self.side)
+
+        mean = in_cells(image).mean(axis=(1, 3), dtype=float)
+        return mean.ravel(), in_cells(clear).all(axis=(1, 3)).ravel()
+
+    def tile(self, row: int, column: int) -> Int[np.ndarray, "m"]:
+        """Numbers of a tile's cells."""
+        rows, columns = (at * TILE + np.arange(TILE) for at in (row, column))
+        return np.asarray((rows[:, None] * self.count + columns).ravel())
+
+    def tiles_near(self, at_px: Float[np.ndarray, "2"], reach_px: float) -> list[tuple[int, int]]:
+        """Rows and columns of the tiles within some distance of a point."""
+        size = TILE * self.side
+        found = []
+        for row, column in itertools.product(range(self.tiles), repeat=2):
+            corner = np.array([self.left + column * size, self.top + row * size]) - 0.5
+            aside = np.maximum(np.maximum(corner - at_px, at_px - corner - size), 0.0)
+            if math.hypot(*aside) <= reach_px:
+                found.append((row, column))
+        return found
+
+
+class FrameLight(NamedTuple):
+    """The model of one frame on the n cells of the tiles near its beam, full wells.
+
+    Attributes:
+        cells: their numbers.
+        light: all light of an even wall.
+        direct: the beam's part of it.
+        along: distance of the wall from the tip's plane, mm.
+        tip, axis: the tip, mm, and the beam.
+        slopes: of `light`, by the free parameters.
+        by_state: of `light`, by the frame's power, exposure and tip.
+    """
+
+    cells: Int[np.ndarray, "n"]
+    light: Float[np.ndarray, "n"]
+    direct: Float[np.ndarray, "n"]
+    along: Float[np.ndarray, "n"]
+    tip: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    slopes: Float[np.ndarray, "p n"]
+    by_state: Float[np.ndarray, "5 n"]
+
+
+class Light:
+    """The light of all frames of a withdrawal on one lattice of cells.
+
+    Args:
+        footage: the frames.
+        cells: the cells.
+        names: names of the free parameters.
+        lens: the light of a fit's lens; None for a cone.
+    """
+
+    def __init__(
+        self, footage: Footage, cells: Cells, names: tuple[str, ...], lens: LensLight | None
+    ) -> None:
+        self.footage, self.cells, self.names, self.lens = footage, cells, names, lens
+        self.own = tuple(name for name in names if name in beam_names(lens is not None))
+        self.differences = [name for name in ("scale", "eye_radius") if name in names]
+        self._view = functools.lru_cache(maxsize=8)(functools.partial(_View, footage, cells))
+
+    def view(self, values: Mapping[str, float]) -> _View:
+        """The wall as the microscope sees it."""
+        return self._view(values["scale"], values["eye_radius"])
+
+    def frames(
+        self,
+        values: Mapping[str, float],
+        states: Float[np.ndarray, "frames 7"],
+        numbers: Sequence[int],
+        *,
+        slopes: bool = True,
+    ) -> list[FrameLight] | None:
+        """The model of some frames; None if a beam meets no wall.
+
+        Args:
+            values: of all parameters.
+            states: of all frames, see `STATES`.
+            numbers: of the frames.
+            slopes: whether to compute the derivatives, which are empty otherwise.
+        """
+        found = self._frames(values, states, numbers, slopes)
+        if found is None or not slopes:
+            return found
+        for name in self.differences:
+            step = _STEP * values[name]
+            ends = []
+            for off in (-step, step):
+                end = self._frames({**values, name: values[name] + off}, states, numbers, False)
+                if end is None:
+                    return None
+                ends.append(end)
+            at = self.names.index(name)
+            for own, low, high in zip(found, *ends, strict=True):
+                own.slopes[at] = (high.light - low.light) / (2.0 * step)
+        return found
+
+    def _frames(
+        self,
+        values: Mapping[str, float],
+        states: np.ndarray,
+        numbers: Sequence[int],
+        slopes: bool,
+    ) -> list[FrameLight] | None:
+        footage, view = self.footage, self.view(values)
+        readings = footage.readings[list(numbers)]
+        poses, turns = map(
+            np.asarray,
+            _poses(
+                jnp.array([values[name] for name in POSE]),
+                jnp.asarray(readings),
+                jnp.asarray(footage.motion),
+                jnp.asarray(footage.axis),
+                view.camera,
+                view.wall,
+            ),
+        )
+        source: Any
+        if self.lens is None:
+            source, emitted = UniformCone.of(values["half_angle"], values["b"]), 1.0
+        else:
+            source = self.lens.at(values)
+            emitted = float(source.transmitted())
+        every = zip(numbers, poses, turns, strict=True)
+
+        def one(frame: tuple[int, np.ndarray, np.ndarray]) -> FrameLight | None:
+            return self._frame(values, states[frame[0]], *frame, view, source, emitted, slopes)
+
+        with ThreadPoolExecutor(2) as pool:
+            # The first frame runs alone, so that only one thread compiles.
+            first = one(next(every))
+            found = [first, *pool.map(one, every)]
+        return None if any(own is None for own in found) else found  # type: ignore[return-value]
+
+    def _frame(
+        self,
+        values: Mapping[str, float],
+        state: Float[np.ndarray, "7"],
+        number: int,
+        pose: Float[np.ndarray, "6"],
+        turn: Float[np.ndarray, "6 7"],
+        view: _View,
+        source: CellBeam,
+        emitted: float,
+        slopes: bool,
+    ) -> FrameLight | None:
+        tip, axis = pose[:3] + state[TIP], pose[3:]
+        beam = BeamFrame(*map(np.asarray, _beam(view.wall, tip, axis)))
+        if not beam.distance > 0:
+            return None
+        cells, shine = self._shine(values, view, source, beam, slopes)
+        # The light by a change of the tip and of the axis, through the five numbers of a pose.
+        log_power, log_exposure = state[:2]
+        rho = values["reflectance"]
+        gain = values["sensitivity"] * self.footage.exposure_s[number] * math.exp(log_exposure)
+        gain *= rho / math.pi
+        power = gain * values["power"] * math.exp(log_power)
+        sphere = 4.0 * math.pi * values["eye_radius"] ** 2
+        closed = emitted / sphere if self.footage.kind == "eyeball" else 0.0
+        direct, coaxial = power * shine[0], gain * view.coaxial[cells]
+        glow = direct + power * closed * rho / (1.0 - rho)
+        light = glow + values["illumination"] * coaxial
+        along = (view.point[cells] - tip) @ axis
+        if not slopes:
+            none = np.zeros((0, cells.size))
+            return FrameLight(cells, light, direct, along, tip, axis, none, none)
+        by_pose, by_tip = _through(beam, turn, power * shine[1:6])
+        own = power * shine[6:]
+        by_name = dict(zip(POSE, by_pose, strict=True)) | {
+            "sensitivity": light / values["sensitivity"],
+            "illumination": coaxial,
+            "power": glow / values["power"],
+            "reflectance": light / rho + power * closed / (1.0 - rho) ** 2,
+            **dict(zip((*self.own, *self._spreads(values)), own, strict=True)),
+        }
+        zero = np.zeros(cells.size)
+        by_parameter = np.array([by_name.get(name, zero) for name in self.names])
+        by_state = np.concatenate([[glow, light], by_tip])
+        return FrameLight(cells, light, direct, along, tip, axis, by_parameter, by_state)
+
+    def _shine(
+        self,
+        values: Mapping[str, float],
+        view: _View,
+        source: CellBeam,
+        beam: BeamFrame,
+        slopes: bool,
+    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "k n"]]:
+        """Irradiance per unit power, 1/mm², by five changes of the pose and by the beam's own."""
+        at_px = np.asarray(view.camera.project(beam.tip + beam.distance * beam.axis))
+        reach = self._reach_mm(values, float(beam.distance) + _AHEAD_MM) / values["scale"]
+        near = self.cells.tiles_near(at_px, reach + 2 * self.cells.side)
+        if not near:
+            near = self.cells.tiles_near(at_px, math.inf)[:1]
+        every = CONE if self.lens is None else self.lens.free
+        own = {
+            "own": np.zeros(len(self.own)),
+            "spread": np.array([[name == free for free in self.own] for name in every], float),
+        }
+        own["spread"] = own["spread"].reshape(len(every), len(self.own))
+        parts = []
+        for tile in near:
+            given = view.lattice(*tile), source, beam
+            if slopes:
+                value, change = irradiance_and_slopes(*given, **own)
+                parts.append(np.concatenate([np.asarray(value)[None], change]))
+            else:
+                value = irradiance_alone(*given, **own)
+                parts.append(np.asarray(value)[None])
+        numbers = np.concatenate([self.cells.tile(*tile) for tile in near])
+        shine = np.concatenate(parts, axis=1)
+        spreads = self._spreads(values)
+        if spreads:
+            shine = self._spread(values, spreads, numbers, shine)
+        return numbers, shine
+
+    def _reach_mm(self, values: Mapping[str, float], distance: float) -> float:
+        if self.lens is not None:
+            return self.lens.reach_mm(distance)
+        return math.tan(values["half_angle"]) * (distance - values["b"])
+
+    @staticmethod
+    def _spreads(values: Mapping[str, float]) -> list[str]:
+        """Names of the parameters that say how the light spreads from cell to cell."""
+        return [name for name in ("blur", "spread") if name in values]
+
+    def _spread(
+        self,
+        values: Mapping[str, float],
+        names: Sequence[str],
+        numbers: Int[np.ndarray, "n"],
+        shine: Float[np.ndarray, "k n"],
+    ) -> Float[np.ndarray, "k+m n"]:
+        """Light after a Gaussian blur by the camera and the spread in the wall, exp(-r/L).
+
+        Each is followed by a derivative. The variance of exp(-r/L) is 3 L² along each side.
+        """
+        whole = np.zeros((len(shine), self.cells.count**2))
+        whole[:, numbers] = shine
+        growths: list[np.ndarray] = []
+        for name in names:
+            wide, kurtosis = (1.0, 0.0) if name == "blur" else (3.0**0.5 / values["scale"], 2.0)
+            wide /= self.cells.side
+            variance = (wide * values[name]) ** 2
+            growths = [blurred(growth, variance, kurtosis) for growth in growths]
+            grown = blurred_with_growth(whole[0], variance, kurtosis).by_variance
+            growths.append(2.0 * wide**2 * values[name] * grown)
+            whole = blurred(whole, variance, kurtosis)
+        if len(shine) > 1:
+            whole = np.concatenate([whole, np.array(growths)])
+        return whole[:, numbers]
+
+
+class _View:
+    """The wall behind the cells, for one scale and radius of the eye."""
+
+    def __init__(self, footage: Footage, cells: Cells, scale: float, eye_radius: float) -> None:
+        file = footage.microscope
+        self.camera = optics.microscope(
+            scale=scale,
+            pinhole_height=file.pinhole_height_mm,
+            eye_radius=eye_radius,
+            principal_point=file.principal_point_px,
+            distortion=tuple(file.distortion),
+        )
+        self.wall = phantom_wall(footage.kind, eye_radius=eye_radius)
+        self.cells = cells
+        centres = cells.centres()
+        self.point, normal = map(np.asarray, pixels_see(self.camera, self.wall, centres))
+        self.sight = np.asarray(self.camera.ray(jnp.asarray(centres))[1])
+        across = float(self.camera.inverse_working_distance) ** 2
+        aside = np.sum(np.square(self.point[:, :2]), axis=-1)
+        depth = np.asarray(self.camera.depth(jnp.asarray(self.point)))
+        self.coaxial = -np.sum(normal * self.sight, axis=-1) / (across * aside + depth**2)
+        self.lattice = functools.cache(self._lattice)
+
+    def _lattice(self, row: int, column: int) -> Any:
+        size = TILE * self.cells.side
+        corner = np.array([self.cells.left + column * size, self.cells.top + row * size]) - 0.5
+        right = np.array([self.cells.side, 0.0])
+        return square_lattice(self.camera, self.wall, corner=corner, right=right, count=TILE)
+
+
+@eqx.filter_jit
+def _poses(
+    at: Float[Array, "7"],
+    readings: Float[Array, "frames"],
+    motion: Float[Array, "3"],
+    axis: Float[Array, "3"],
+    camera: optics.Microscope,
+    wall: optics.Surface,
+) -> tuple[Float[Array, "frames 6"], Float[Array, "frames 6 7"]]:
+    """Tip and axis of frames by the parameters `POSE`, and their derivatives."""
+
+    def pose(at: Array, reading: Array) -> Array:
+        touch, u, v, lean, lean_sideways, boresight, boresight_sideways = at
+        spot = wall.intersect(*camera.ray(jnp.stack([u, v]))).point
+        way, beam = beam_directions(
+            motion=motion,
+            axis=axis,
+            lean=jnp.stack([lean, lean_sideways]),
+            boresight=jnp.stack([boresight, boresight_sideways]),
+        )
+        return jnp.concatenate([spot - touch * beam - reading * way, beam])
+
+    return jax.vmap(lambda reading: (pose(at, reading), jax.jacfwd(pose)(at, reading)))(readings)
+
+
+@eqx.filter_jit
+def _beam(wall: optics.Surface, tip: Float[Array, "3"], axis: Float[Array, "3"]) -> BeamFrame:
+    """A beam's frame; its distance is NaN if it meets no wall."""
+    point, normal, distance = beam_meets(wall, tip, axis)
+    met = jnp.where(jnp.isfinite(point).all(), distance, jnp.nan)
+    across = (*optics.perpendicular_frame(normal), *optics.perpendicular_frame(axis))
+    return BeamFrame(jnp.asarray(tip), jnp.asarray(axis), met, *across)
+
+
+def _through(
+    beam: BeamFrame, turn: Float[np.ndarray, "6 7"], slopes: Float[np.ndarray, "5 n"]
+) -> tuple[Float[np.ndarray, "7 n"], Float[np.ndarray, "3 n"]]:
+    """Derivatives by the parameters of a pose and by the tip, of those by its five changes."""
+    across = np.stack([np.asarray(beam.first), np.asarray(beam.second)])
+    of_change = np.zeros((5, 5))
+    # The tip moves with the spot, along the axis, and with the turns about the spot.
+    ways = [beam.right, beam.down, -np.asarray(beam.axis), *(-np.asarray(beam.distance) * across)]
+    of_change[:3] = np.stack(ways, axis=-1)
+    of_change[3, 3] = of_change[4, 4] = 1.0
+    change = np.linalg.inv(of_change)
+    of_turn = np.concatenate([turn[:3], across @ turn[3:]])
+    return (change @ of_turn).T @ slopes, change[:, :3].T @ slopes
