@@ -21,7 +21,7 @@ from matplotlib.patches import Patch
 from PIL import Image
 
 import optics
-from benchmarks.evaluation import MODEL_COLOURS, Geometry, estimates
+from benchmarks.model_error import MODEL_COLOURS, Geometry, estimates
 from benchmarks.reporting import BLACK, BLUE, GREY, ORANGE, SKY, STYLE, VERMILION
 
 _FOLDER = Path(__file__).resolve().parent / "optics"

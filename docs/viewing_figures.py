@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from benchmarks.reporting import BLACK, BLUE, GREY, SKY, STYLE, VERMILION
-from benchmarks.studies.eye.errors import fields, path_errors
-from benchmarks.studies.eye.geometry import PATHS, PINHOLE_ABOVE_MM, grid
-from benchmarks.studies.eye.recipes import Recipe
+from benchmarks.studies.eye import fields, path_errors
+from benchmarks.studies.eye_paths import PATHS, PINHOLE_ABOVE_MM, Recipe, grid
 from optics import viewing
 
 _FILE = Path(__file__).resolve().parent / "viewing_paths.png"

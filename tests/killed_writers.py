@@ -31,12 +31,13 @@ from matplotlib.figure import Figure
 
 import scenes
 import scenes.world.world
-from benchmarks.reporting import Picture, Report, Request, Section, Study
+from benchmarks.reporting import Picture, Report, Section
 from benchmarks.sets.formats.export import export
 from benchmarks.sets.make import card, generate
 from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.spec import PlannedStack
+from benchmarks.sets.spec.planning import PlannedStack
 from benchmarks.sets.spec.spec import SetSpec
+from benchmarks.study import Study
 from estimator import NoSpot, Reason, SpotRecord, Stack, StackWriter, read_stack, write_spots
 from estimator.files import is_unfinished, written_whole
 from optics import InputError
@@ -140,7 +141,7 @@ def check_set(folder: Path) -> None:
 
 def write_run(folder: Path) -> None:
     os.chdir(folder)
-    study = Study("static", Request(out=Path("run"), quick=True))
+    study = Study("static", out=Path("run"), quick=True)
     spots = study.folder / "spots"
     spots.mkdir(exist_ok=True)
 

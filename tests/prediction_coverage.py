@@ -15,7 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.predictions import SURE, Judgement, Plan, judged, measured_as_planned, predicted
+from benchmarks.predictions.judging import SURE, Judgement, judged
+from benchmarks.predictions.observing import measured_as_planned
+from benchmarks.predictions.plan import Plan
+from benchmarks.predictions.predicting import predicted
 from estimator import write_calibration
 from scenes import Scene, changed, load_scene, render_stack
 from scenes.world import true_calibration

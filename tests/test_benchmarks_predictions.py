@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from benchmarks.predictions import SURE, Judgement, Plan, predicted, read_plan, write_plan
+from benchmarks.predictions.judging import SURE, Judgement
+from benchmarks.predictions.plan import Plan, read_plan, write_plan
+from benchmarks.predictions.predicting import predicted
 from optics import InputError
 from scenes import Scene, changed, render_stack, scene_toml
 from tests.command_line import call

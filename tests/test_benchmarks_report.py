@@ -17,23 +17,24 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.evaluation.model_error import COMPARED, MODEL_ERROR, limit_eccentricity
-from benchmarks.evaluation.model_figures import CHOSEN_DISTANCES_MM
-from benchmarks.evaluation.paper import TABLE_II, Criterion
-from benchmarks.evaluation.tracking import (
+from benchmarks.model_error import CHOSEN_DISTANCES_MM, COMPARED, MODEL_ERROR, limit_eccentricity
+from benchmarks.paper import (
     LITERAL,
     LITERAL_METERED,
     SUBPIXEL,
+    TABLE_II,
     WAYS,
+    Criterion,
+    StaticTrial,
     Tracked,
     Way,
+    grid_trials,
+    paper_trials,
 )
-from benchmarks.evaluation.trials import StaticTrial, grid_trials, paper_trials
-from benchmarks.reporting.report import Claim, number
-from benchmarks.reporting.study import Request, Study
-from benchmarks.studies.validate import tables
-from benchmarks.studies.validate.run import claims, report
-from benchmarks.studies.validate.tables import ValidateFindings
+from benchmarks.reporting import Claim, number
+from benchmarks.studies import validate
+from benchmarks.studies.validate import ValidateFindings, claims, report
+from benchmarks.study import Study
 from calibration import PlaneFit, SphereFit
 from estimator import FrameLabels, NoSpot, Reason, Spot, StackError, StackWriter
 from scenes.description.motion_settings import Withdrawal
@@ -208,7 +209,7 @@ def write_stacks(findings: ValidateFindings) -> None:
 
 
 def study_in(out: Path) -> Study:
-    return Study("validate", Request(out=out, quick=True), command=("eyespot", "validate"))
+    return Study("validate", out=out, quick=True, command="eyespot validate")
 
 
 @pytest.fixture(scope="module")
@@ -415,7 +416,7 @@ def test_the_part_of_the_range_that_reproduces_table_one_is_found() -> None:
         return (min(travel, 4.0) + 0.07 * (-1) ** frame - B) / (K * SCALE)
 
     bent(findings, "lens", axis_px)
-    part = tables.nearest_reproduction(findings, source="lens", way=LITERAL)
+    part = validate.nearest_reproduction(findings, source="lens", way=LITERAL)
     assert part is not None
     assert part.met == len(Criterion)
     assert part.low == 0.0
@@ -443,8 +444,8 @@ def test_half_maximum_verdict_follows_the_labels() -> None:
 def test_ambiguous_range_of_a_waist_is_where_its_mirror_is_in_reach() -> None:
     d = np.linspace(0.0, 6.0, 601)
     # (d - 2)² has its mirror at 4 - d, in reach from 0 to 4.
-    assert tables.ambiguous_range(d, (d - 2) ** 2) == pytest.approx((0.0, 4.0), abs=0.01)
-    assert tables.ambiguous_range(d, 0.25 + 0.05 * d) is None
+    assert validate.ambiguous_range(d, (d - 2) ** 2) == pytest.approx((0.0, 4.0), abs=0.01)
+    assert validate.ambiguous_range(d, 0.25 + 0.05 * d) is None
 
 
 def test_limit_eccentricity_is_where_the_largest_error_crosses() -> None:

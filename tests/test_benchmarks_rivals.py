@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.rivals.entries import KINDS
 from benchmarks.rivals.entry import Entry, Recording, plain_spot
-from benchmarks.rivals.learned import WEIGHTS
+from benchmarks.rivals.learned.estimator import WEIGHTS
 from benchmarks.rivals.pupil import why_unavailable
 from benchmarks.rivals.running import read_constants, run_entries
 from benchmarks.rivals.tuning import tune

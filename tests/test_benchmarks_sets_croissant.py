@@ -13,7 +13,8 @@ import pytest
 
 from benchmarks.sets.make.card import write_card
 from benchmarks.sets.make.croissant import meaning
-from benchmarks.sets.read import read_set, rows
+from benchmarks.sets.read.labelled_set import read_set
+from benchmarks.sets.read.stacks import rows
 from tests.drawn_sets import write_set
 
 READ = """

@@ -20,7 +20,7 @@ from rich.table import Table
 import calibration
 import optics
 from benchmarks.bench.output import show, table
-from benchmarks.evaluation import rms
+from benchmarks.paper import rms
 from benchmarks.studies.pose import PRIOR_DEG, REPORTED, angle_deg, drawn_prior
 from calibration import Prior
 from calibration.pixels import Footage, fit_footage, read_footage

@@ -28,7 +28,7 @@ from benchmarks.bench.pixel_frames import (
     prepare,
     sizes,
 )
-from benchmarks.evaluation import largest, rms
+from benchmarks.paper import largest, rms
 from benchmarks.reporting import grouped, rows_of
 from estimator.files import Stack
 from scenes import Scene

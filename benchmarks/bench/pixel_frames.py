@@ -20,8 +20,8 @@ import numpy as np
 import pandas as pd
 
 import optics
-from benchmarks.evaluation import rms
-from benchmarks.sets.read import own_reader
+from benchmarks.paper import rms
+from benchmarks.sets.read.stacks import own_reader
 from benchmarks.studies.pose import PRIOR_DEG, drawn_prior
 from estimator.distance import RangeFlag, TipPose
 from estimator.files import (

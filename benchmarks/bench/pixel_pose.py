@@ -22,7 +22,7 @@ from benchmarks.bench.pixel_frames import (
     prepare,
     sizes,
 )
-from benchmarks.evaluation import rms
+from benchmarks.paper import rms
 from benchmarks.studies.pose import PRIOR_DEG
 
 _FRAMES, _LATER = 12, 4  # frames from the fifth on have numbers from 4

@@ -22,8 +22,9 @@ from scipy.stats import chi2
 from benchmarks.bench.output import add_line, lines_in, rows_table, show
 from benchmarks.bench.pixel_frames import Row, as_table, frame_errors, prepare, sizes
 from benchmarks.reporting import grouped
-from benchmarks.sets.read import true_beam
-from benchmarks.sets.spec import PlannedStack, SetSpec, load_spec, plan
+from benchmarks.sets.read.stacks import true_beam
+from benchmarks.sets.spec.planning import PlannedStack, plan
+from benchmarks.sets.spec.spec import SetSpec, load_spec
 from scenes import render_stack
 
 _SPEC = "adverse-v2"

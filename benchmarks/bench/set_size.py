@@ -19,8 +19,12 @@ from distributed import Client, as_completed
 from distributed.scheduler import heartbeat_interval
 
 from benchmarks.bench.output import show, table
-from benchmarks.sets.make import Shard, local_workers, make_set, verify_set, versions
-from benchmarks.sets.spec import SetSpec, load_spec, plan
+from benchmarks.sets.make.cluster import local_workers
+from benchmarks.sets.make.generate import Shard, make_set
+from benchmarks.sets.make.manifest import verify_set
+from benchmarks.sets.make.worker import versions
+from benchmarks.sets.spec.planning import plan
+from benchmarks.sets.spec.spec import SetSpec, load_spec
 from scenes import changed, render_stack
 
 _SIZES = (1000, 3000, 10000)

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.rivals.entry import NO_SPOT, Answer, Entry, Recording, plain_spot
-from benchmarks.rivals.learned import LearnedEstimator
+from benchmarks.rivals.learned.estimator import LearnedEstimator
 from benchmarks.rivals.opencv import OpenCV
 from benchmarks.rivals.pupil import why_unavailable
 from benchmarks.rivals.pupil_entry import Pupil
 from benchmarks.rivals.scikit_image import Ransac
-from benchmarks.sets.read import Mode, own_reader
+from benchmarks.sets.read.stacks import Mode, own_reader
 from estimator import Frame, Range
 from optics import InputError
 

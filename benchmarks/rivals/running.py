@@ -16,10 +16,11 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.reporting import versions, write_json
 from benchmarks.rivals.entries import KINDS, unavailable
 from benchmarks.rivals.entry import Answer, Entry, Recording
-from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of, true_beam
+from benchmarks.sets.read.labelled_set import SetStack
+from benchmarks.sets.read.stacks import exposures_of, qualified_name, stacks_of, true_beam
+from benchmarks.study import versions, write_json
 from estimator import (
     Frame,
     Range,

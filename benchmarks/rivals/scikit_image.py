@@ -13,7 +13,7 @@ from skimage.filters import gaussian
 from skimage.measure import EllipseModel, find_contours, ransac
 
 from benchmarks.rivals.entry import NO_SPOT, Answer, Entry, plain_spot
-from benchmarks.rivals.learned import Window, blob_in
+from benchmarks.rivals.learned.crops import Window, blob_in
 from estimator import Frame
 
 _SAMPLE = 6  # points of a trial; five determine an ellipse, one more steadies it

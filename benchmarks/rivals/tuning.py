@@ -19,12 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.evaluation import VISIBLE_ENOUGH
-from benchmarks.reporting import versions
+from benchmarks.paper import VISIBLE_ENOUGH
 from benchmarks.rivals.entries import KINDS, unavailable
 from benchmarks.rivals.entry import Entry
 from benchmarks.rivals.running import measure_stack, write_constants
-from benchmarks.sets.read import SetStack, stacks_of
+from benchmarks.sets.read.labelled_set import SetStack
+from benchmarks.sets.read.stacks import stacks_of
+from benchmarks.study import versions
 from estimator import Frame, Spot, open_source
 from estimator.files import fingerprint, written_whole
 from estimator.run import progress

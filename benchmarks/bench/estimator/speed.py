@@ -7,7 +7,7 @@ import time
 import cv2
 import numpy as np
 
-from benchmarks.bench import show, table
+from benchmarks.bench.output import show, table
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.bench import show
+from benchmarks.bench.output import show
 from estimator import NoSpot, Reason, Spot, SubpixelSettings, TrackState, measure
 from scenes.drawn import (
     SHAPE,

@@ -21,10 +21,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import binom
 
-from benchmarks.bench import show, table
 from benchmarks.bench.estimator import own_frames
 from benchmarks.bench.estimator.lookalikes import LOOKALIKES, taken_for_spots
 from benchmarks.bench.estimator.own_frames import Ellipse, OwnFrame
+from benchmarks.bench.output import show, table
 from estimator import Spot, SubpixelSettings, TrackState, measure
 from scenes.description import Phantom
 from scenes.drawn import any_wall

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.bench import show, table
 from benchmarks.bench.estimator.frame_kinds import frame_kinds
 from benchmarks.bench.estimator.spotless import spotless_frame
+from benchmarks.bench.output import show, table
 from estimator import NoSpot, SubpixelSettings, TrackState, measure
 from estimator.detector import tuning
 from scenes.drawn import frame_of

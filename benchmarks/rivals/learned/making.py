@@ -16,12 +16,13 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.evaluation import VISIBLE_ENOUGH
-from benchmarks.reporting import BLUE, STYLE, VERMILION, save_figure, versions, write_json
+from benchmarks.paper import VISIBLE_ENOUGH
+from benchmarks.reporting import BLUE, STYLE, VERMILION, save_figure
 from benchmarks.rivals.learned.estimator import SCALED, Learned, LearnedEstimator, Trust
 from benchmarks.rivals.learned.network import SpotNetwork
 from benchmarks.rivals.learned.training import Epoch, kept_network, read_curve, samples_of, train
-from benchmarks.sets.read import SetStack, read_set
+from benchmarks.sets.read.labelled_set import SetStack, read_set
+from benchmarks.study import versions, write_json
 from estimator import FrameLabels, read_microscope
 from estimator.files import MANIFEST, written_whole
 from estimator.run import progress

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from benchmarks.evaluation import VISIBLE_ENOUGH
+from benchmarks.paper import VISIBLE_ENOUGH
 from benchmarks.rivals.learned.crops import (
     CELLS,
     NUMBERS,
@@ -34,7 +34,7 @@ from benchmarks.rivals.learned.crops import (
     targets_of,
 )
 from benchmarks.rivals.learned.network import SpotNetwork, loss
-from benchmarks.sets.read import SetStack
+from benchmarks.sets.read.labelled_set import SetStack
 from estimator import FrameLabels, read_microscope
 from estimator.files import written_whole
 

@@ -14,7 +14,8 @@ import numpy as np
 import tomli_w
 
 from benchmarks.sets.make import croissant, pictures
-from benchmarks.sets.read import LabelledSet, Row, rows
+from benchmarks.sets.read.labelled_set import LabelledSet
+from benchmarks.sets.read.stacks import Row, rows
 from estimator.files import written_whole
 
 _LICENCES = {

@@ -45,7 +45,8 @@ def make(
     from benchmarks.sets.make import cluster
     from benchmarks.sets.make.estimate import estimate
     from benchmarks.sets.make.generate import make_set
-    from benchmarks.sets.spec import load_spec, plan
+    from benchmarks.sets.spec.planning import plan
+    from benchmarks.sets.spec.spec import load_spec
     from estimator.run import progress
 
     settings, part = load_spec(spec, changes), _shard(shard)

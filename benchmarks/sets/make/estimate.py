@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import scenes
-from benchmarks.sets.read import SetError
-from benchmarks.sets.spec import PlannedStack
+from benchmarks.sets.read.labelled_set import SetError
+from benchmarks.sets.spec.planning import PlannedStack
 from scenes.world import World
 
 _TIMED = 5  # frames rendered of a stack

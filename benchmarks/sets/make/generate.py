@@ -22,8 +22,9 @@ import scenes
 from benchmarks.sets.make import card
 from benchmarks.sets.make.manifest import write_set_manifest
 from benchmarks.sets.make.worker import render_planned, versions
-from benchmarks.sets.read import SCHEMA, LabelledSet, SetError, SetStack, read_set
-from benchmarks.sets.spec import PlannedStack, SetSpec, plan
+from benchmarks.sets.read.labelled_set import SCHEMA, LabelledSet, SetError, SetStack, read_set
+from benchmarks.sets.spec.planning import PlannedStack, plan
+from benchmarks.sets.spec.spec import SetSpec
 from estimator.files import (
     MANIFEST,
     BeingWrittenError,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.sets.read import SCHEMA, LabelledSet, SetError, read_set
+from benchmarks.sets.read.labelled_set import SCHEMA, LabelledSet, SetError, read_set
 from estimator.files import (
     MANIFEST,
     differences,

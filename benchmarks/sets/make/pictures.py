@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from benchmarks.reporting import BLUE, GREEN, ORANGE, PURPLE, STYLE, VERMILION
-from benchmarks.sets.read import Row
+from benchmarks.sets.read.stacks import Row
 from estimator.files import written_whole
 
 _COLOURS = {

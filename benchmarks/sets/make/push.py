@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.read import read_set
+from benchmarks.sets.read.labelled_set import read_set
 from optics import InputError
 
 

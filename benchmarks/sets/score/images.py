@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from benchmarks.sets.read import SetStack, image_name, qualified_name
+from benchmarks.sets.read.labelled_set import SetStack
+from benchmarks.sets.read.stacks import image_name, qualified_name
 from estimator import Stack, read_microscope
 
 ALL = "all"

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from benchmarks.evaluation import VISIBLE_ENOUGH
+from benchmarks.paper import VISIBLE_ENOUGH
 from benchmarks.sets.score.images import ALL, CONDITIONS, groups
 from estimator import Spot, SpotRecord
 

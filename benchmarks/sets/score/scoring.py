@@ -13,9 +13,9 @@ from typing import Literal
 import matplotlib
 from rich.console import Console
 
-from benchmarks.evaluation import VISIBLE_ENOUGH
-from benchmarks.reporting import STYLE, versions, write_json, write_page
-from benchmarks.sets.read import Mode, stacks_of
+from benchmarks.paper import VISIBLE_ENOUGH
+from benchmarks.reporting import STYLE, write_page
+from benchmarks.sets.read.stacks import Mode, stacks_of
 from benchmarks.sets.score.entries import Entry, entries_in, entry_of
 from benchmarks.sets.score.images import images_of
 from benchmarks.sets.score.judging import Against, Outcome, Score, score
@@ -23,6 +23,7 @@ from benchmarks.sets.score.leaderboard import leaderboard
 from benchmarks.sets.score.sample import sample_folder
 from benchmarks.sets.score.spots_of_set import read_set_spots, track_set
 from benchmarks.sets.score.views import tables
+from benchmarks.study import versions, write_json
 from estimator import Calibration, SpotRecord, read_calibration, write_spots
 from estimator.files import fingerprint, in_utf8, require_space, written_whole
 from estimator.run import progress

@@ -6,9 +6,9 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.sets.read import (
+from benchmarks.sets.read.labelled_set import SetStack
+from benchmarks.sets.read.stacks import (
     Mode,
-    SetStack,
     exposures_of,
     image_name,
     own_reader,

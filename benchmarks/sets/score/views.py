@@ -12,17 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from rich.table import Table
 
-from benchmarks.reporting import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILION,
-    grouped,
-    rows_of,
-)
+from benchmarks.reporting import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, grouped, rows_of
 from benchmarks.sets.score.images import ALL, CONDITIONS
 from benchmarks.sets.score.judging import MAIN, Score, z_scores
 from estimator.files import in_figure, in_terminal
