@@ -1,4 +1,4 @@
-"""Whether the errors lie within the stated standard deviations, and what is taken for a spot.
+"""Kinds of frames with known ellipses, and what the sub-pixel mode makes of them.
 
 Each frame is independent: another wall, another ellipse, other noise, no tracking. The frames are
 drawn by `own_frames`, whose formulas are not those of `scenes`, or rendered. The constants of the
@@ -10,34 +10,22 @@ from __future__ import annotations
 
 import functools
 import math
-import multiprocessing
-import os
 import tempfile
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binom
 
-from benchmarks.bench.estimator import own_frames
-from benchmarks.bench.estimator.lookalikes import LOOKALIKES, taken_for_spots
-from benchmarks.bench.estimator.own_frames import Ellipse, OwnFrame
-from benchmarks.bench.output import show, table
 from estimator import Spot, SubpixelSettings, TrackState, measure
 from scenes.description import Phantom
 from scenes.drawn import any_wall
 from scenes.walls import PICTURE_MM, PICTURE_PX, wall_picture
+from tests import own_frames
+from tests.own_frames import Ellipse, OwnFrame
 
-_FRAMES, _FRAMES_FULL = 60, 500
-_RENDERED, _RENDERED_FULL = 6, 500
-_LOOKALIKES = 200
 _SCALE_MM_PX = 0.0067
 _PHOTOGRAPH_MM = 4.5, 8.3  # a little less than what the picture shows of it
-_GOALS = ((1.0, 0.62, 0.74), (1.96, 0.92, 0.98))  # sigmas, least and largest share within them
-_SURE = 0.99
-_WIDTH = 150
 
 
 class Kind(NamedTuple):
@@ -190,65 +178,3 @@ def measured(name: str, number: int, seed: int) -> Measured:
         else:
             missed += 1
     return Measured(np.reshape(errors, (-1, 4)), np.reshape(sigmas, (-1, 4)), missed)
-
-
-def covered(errors: np.ndarray, sigmas: np.ndarray) -> tuple[list[float], bool]:
-    """Shares of errors within 1 and 1.96 sigma, and whether both meet their goals.
-
-    A share meets its goal inside the goal's limits, or inside those of 99 % of binomial samples
-    with the nominal probability.
-    """
-    shares, met = [], True
-    for width, least, largest in _GOALS:
-        within = np.abs(errors) < width * sigmas
-        number, share = within.size, float(within.mean()) if within.size else math.nan
-        nominal = math.erf(width / math.sqrt(2))
-        low, high = np.array(binom.interval(_SURE, number, nominal)) / max(number, 1)
-        met &= min(least, low) <= share <= max(largest, high)
-        shares.append(share)
-    return shares, met
-
-
-def _row(name: str, goal_px: float, found: Measured) -> list[str]:
-    b = found.errors[:, 3]
-    rmse = math.sqrt(float(np.mean(b * b))) if b.size else math.nan
-    cells = [name, f"{b.size}", f"{found.missed}", f"{rmse:.3f}"]
-    cells.append(f"{goal_px:g}" if math.isfinite(goal_px) else "")
-    all_met = rmse <= goal_px and not (math.isfinite(goal_px) and found.missed)
-    for column in range(4):
-        shares, met = covered(found.errors[:, column], found.sigmas[:, column])
-        cells.append(" ".join(f"{share:.0%}" for share in shares) + ("" if met else " !"))
-        all_met &= met
-    return [*cells, "yes" if all_met else "NO"]
-
-
-def run(*, full: bool, seed: int) -> None:
-    """Print both tables.
-
-    Args:
-        full: 500 frames of each kind, rendered ones, too.
-        seed: of all that is random.
-    """
-    # One thread per worker; workers read these variables when they start.
-    os.environ |= {"OPENCV_FOR_THREADS_NUM": "1", "OMP_NUM_THREADS": "1"}
-    goals = {name: kind.goal_px for name, kind in kinds().items()}
-    goals |= dict.fromkeys(RENDERS, math.inf)
-    drawn, of_renders = (_FRAMES_FULL, _RENDERED_FULL) if full else (_FRAMES, _RENDERED)
-    numbers = [of_renders if name in RENDERS else drawn for name in goals]
-    shown = table(
-        f"stated errors, seed {seed}: share of the errors within 1 σ and 1.96 σ\n"
-        "(goals 62-74 % and 92-98 %, or the 99 % limits of so few frames; ! marks others)",
-        *("frames", "spots", "missed", "RMSE of b, px", "goal"),
-        *("x", "y", "a", "b", "met"),
-    )
-    others = table("taken for a spot", "frames", "number", "spots", "goal", "met")
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=spawn) as pool:
-        results = pool.map(measured, goals, numbers, [seed] * len(goals))
-        for (name, goal), found in zip(goals.items(), results, strict=True):
-            shown.add_row(*_row(name, goal, found))
-        count = len(LOOKALIKES)
-        spots = pool.map(taken_for_spots, LOOKALIKES, [_LOOKALIKES] * count, [seed] * count)
-        for name, number in zip(LOOKALIKES, spots, strict=True):
-            others.add_row(name, f"{_LOOKALIKES}", f"{number}", "0", "NO" if number else "yes")
-    show(shown, others, width=_WIDTH)

@@ -11,7 +11,8 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter
 from scipy.special import erfc
 
-from benchmarks.bench.estimator.own_frames import (
+from estimator import Spot, SubpixelSettings, TrackState, measure
+from tests.own_frames import (
     AMBIENT,
     SHAPE,
     STEP,
@@ -21,7 +22,6 @@ from benchmarks.bench.estimator.own_frames import (
     places_of,
     textured_wall,
 )
-from estimator import Spot, SubpixelSettings, TrackState, measure
 
 _LETTERS = list("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghklmnopqrstuvwxyz0123456789@&")
 """No dots, not even those of i and j: thick ones are discs."""
