@@ -307,6 +307,9 @@ def _at_geometry(
 CHOSEN_DISTANCES_MM = (0.5, 2.0, 4.0, 6.0)
 """Distances that tables and error curves show."""
 
+SHOWN = ("small_plane", "corrected", "exact")
+"""Models of figures that have a panel for each; the CSV files have all."""
+
 MODEL_COLOURS = dict(zip(COMPARED, (VERMILION, BLUE, GREEN, BLACK), strict=True))
 TRIAL_COLOURS = (BLUE, ORANGE, GREEN)
 """Of the paper's three trials."""
@@ -328,15 +331,20 @@ def model_error_figure(
     analytic: pd.DataFrame,
     rendered: pd.DataFrame,
     *,
-    models: Sequence[str] = COMPARED,
+    azimuth_deg: float | None = None,
 ) -> Figure:
-    """Signed error against c: a row for each pinhole and azimuth, a column for each model."""
+    """Signed error against c: a row for each pinhole, a column for each of the models `SHOWN`.
+
+    Args:
+        azimuth_deg: of the beam's tilt (default: the first one).
+    """
     tilted = analytic.incidence_deg.max()
     leaning = analytic[analytic.incidence_deg == tilted]
     square = analytic[analytic.incidence_deg != tilted]
 
-    def draw(axes: Axes, view: tuple[float, float], model: str) -> None:
-        height, azimuth = view
+    azimuth = leaning.azimuth_deg.iloc[0] if azimuth_deg is None else azimuth_deg
+
+    def draw(axes: Axes, height: float, model: str) -> None:
         limit_lines(axes, ACCEPTABLE_ERROR_MM)
         for d, colour in _SHADES.items():
             for errors, style in (
@@ -352,9 +360,9 @@ def model_error_figure(
 
     return small_multiples(
         draw,
-        rows=list(dict.fromkeys(zip(leaning.z_f_mm, leaning.azimuth_deg, strict=True))),
-        columns=models,
-        title=lambda view, model: f"{model}\n{pinhole_title(view[0])}, azimuth {view[1]:g}°",
+        rows=rendered.z_f_mm.unique().tolist() or leaning.z_f_mm.unique().tolist()[:2],
+        columns=SHOWN,
+        title=lambda height, model: f"{model}\n{pinhole_title(height)}, azimuth {azimuth:g}°",
         x=ECCENTRICITY,
         y="estimate − $d$ (mm)",
         sharex=True,

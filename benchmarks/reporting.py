@@ -259,16 +259,29 @@ class Picture(NamedTuple):
     """A figure of the report; written as figures/NAME.png and .svg.
 
     Attributes:
-        caption: description; "z_F" and "d_r" get their subscripts.
+        figure: or several, which stand one below the other on a narrow screen.
+        caption: its message first; "z_F" and "d_r" get their subscripts.
         data: CSV file with the data.
         inline: format in the page; frames with a camera's noise are ten times smaller as JPEG.
     """
 
     name: str
-    figure: Figure
+    figure: Figure | Sequence[Figure]
     caption: str
     data: str = ""
     inline: Literal["svg", "jpeg"] = "svg"
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The figures by the names of their files."""
+        if isinstance(self.figure, Figure):
+            return {self.name: self.figure}
+        return {f"{self.name}_{n}": figure for n, figure in enumerate(self.figure, 1)}
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the files of figures."""
+        return list(self.figures)
 
 
 class Section:
@@ -283,14 +296,19 @@ class Report:
     """The report of a study.
 
     Attributes:
+        answer: to the title's question, in a sentence.
         lead: the method, in a sentence or two.
-        claims: the answers, computed in this run.
+        first: what people look at first: a strip of frames if there is one, a figure of at most
+            four panels, a table of at most eight rows.
+        claims: checks and further results, computed in this run; a table at the end.
         data: CSV files to write, by name, with units in the columns' names; None is a file that the
             study has already written.
     """
 
     title: str
+    answer: str = ""
     lead: str
+    first: Sequence[str | Table | Picture] = ()
     claims: Sequence[Claim]
     sections: Sequence[Section]
     data: Mapping[str, pd.DataFrame | None] = field(default_factory=dict)
@@ -309,6 +327,25 @@ def grouped(frame: pd.DataFrame, *columns: str) -> list[tuple[Any, pd.DataFrame]
 
 # The page.
 
+_MOST_ROWS = 8
+"""Rows of a table in the page; its CSV file has all."""
+
+
+def environment() -> jinja2.Environment:
+    """The templates of pages and cards."""
+    made = jinja2.Environment(
+        loader=jinja2.PackageLoader("benchmarks"),
+        autoescape=lambda name: name is not None and ".html" in name,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    made.globals |= {"number": number, "most_rows": _MOST_ROWS}
+    made.tests["table"] = lambda part: isinstance(part, Table)
+    made.tests["picture"] = lambda part: isinstance(part, Picture)
+    return made
+
 
 def write_page(
     folder: Path,
@@ -317,8 +354,8 @@ def write_page(
     command: str,
     versions: Mapping[str, str],
     summary_file: str = "summary.json",
-    template: str = "page.html.j2",
-    **content: Any,
+    study: Any = None,
+    scene_toml: str = "",
 ) -> None:
     """Write report.html, the report's CSV files, and its figures in figures/.
 
@@ -328,36 +365,31 @@ def write_page(
         command: command line that repeats the run.
         versions: versions of the packages that the results depend on.
         summary_file: file for programs, which the caller writes.
-        template: page.html.j2, or a template that extends it.
-        content: what else the template needs.
+        study: the run, if it is one of a study, and the scene that it starts from.
+        scene_toml: likewise.
     """
     for name, frame in report.data.items():
         if frame is not None:
             frame.to_csv(folder / name, index=False, lineterminator="\n", errors="backslashreplace")
     (folder / "figures").mkdir()
-    pictures = [p for section in report.sections for p in section.parts if isinstance(p, Picture)]
+    parts = [*report.first, *(part for section in report.sections for part in section.parts)]
     images = {
-        picture.name: save_figure(
-            picture.figure, folder / "figures" / picture.name, inline=picture.inline
-        )
-        for picture in pictures
+        name: save_figure(figure, folder / "figures" / name, inline=picture.inline)
+        for picture in parts
+        if isinstance(picture, Picture)
+        for name, figure in picture.figures.items()
     }
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("benchmarks"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.globals["number"] = number
-    environment.tests["table"] = lambda part: isinstance(part, Table)
-    environment.tests["picture"] = lambda part: isinstance(part, Picture)
-    html = environment.get_template(template).render(
-        report=report,
-        images=images,
-        command=command,
-        versions=versions,
-        summary_file=summary_file,
-        **content,
+    html = (
+        environment()
+        .get_template("page.html.j2")
+        .render(
+            report=report,
+            images=images,
+            command=command,
+            versions=versions,
+            summary_file=summary_file,
+            study=study,
+            scene_toml=scene_toml,
+        )
     )
     (folder / "report.html").write_text(html, encoding="utf-8", errors="backslashreplace")

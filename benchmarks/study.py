@@ -200,7 +200,6 @@ class Study:
             report,
             command=self.command,
             versions=used,
-            template="report.html.j2",
             study=self,
             scene_toml=scene_toml,
         )

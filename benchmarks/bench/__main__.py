@@ -14,6 +14,7 @@ import os
 import resource
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -51,7 +52,7 @@ def table(kind: type[Any]) -> pd.DataFrame:
         for name in _methods(kind):
             what, _, about = name.partition("_")
             call = getattr(one, name)
-            row |= _MEASURES[what](about, lambda call=call, v=values: call(*cached, *v))
+            row |= _MEASURES[what](about, partial(call, *cached, *values))
         rows.append(row)
     return pd.DataFrame(rows)
 

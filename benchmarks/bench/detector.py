@@ -14,7 +14,10 @@ _WARM, _FRAMES = 20, 400
 _JUMP_EVERY = 50  # frames; a jump loses the spot, which is then found again
 _JUMP_PX = 150.0
 _STEPS_PX = [(1.6 * k, 1.2 * k) for k in range(6)]  # 2 px per frame, there and back
-_MODES = SubpixelSettings(), LiteralSettings(threshold=90)  # these frames are darker than the paper
+_MODES: tuple[SubpixelSettings | LiteralSettings, ...] = (
+    SubpixelSettings(),
+    LiteralSettings(threshold=90),
+)  # these frames are darker than the paper
 
 
 class Speed:

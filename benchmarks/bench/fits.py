@@ -350,8 +350,8 @@ class PhotonFit:
 
     def track_off_in_sigmas(self, fits: dict[str, pd.DataFrame], medium: str, name: str) -> float:
         """Its error in standard errors."""
-        row = fits[medium].loc[name]
-        return float((row.fitted - row.truth) / row.sigma)
+        fit = fits[medium]
+        return float((fit.fitted[name] - fit.truth[name]) / fit.sigma[name])
 
     def track_chi_squared_over_expected(
         self, fits: dict[str, pd.DataFrame], medium: str, name: str

@@ -50,6 +50,7 @@ from benchmarks.reporting import (
     Section,
     Table,
     grouped,
+    number,
     rows_of,
     small_multiples,
 )
@@ -544,7 +545,7 @@ _LEAST_MM = 1e-3
 """Smaller errors are drawn at the foot of a logarithmic axis."""
 
 
-def errors_by_speed(findings: DynamicFindings) -> Figure:
+def errors_by_speed(findings: DynamicFindings, sources: Sequence[str]) -> Figure:
     """RMS error against speed: a row for each source, a column for each motion."""
 
     def draw(axes: Axes, source: str, motion: str) -> None:
@@ -556,7 +557,7 @@ def errors_by_speed(findings: DynamicFindings) -> Figure:
                 label = f"{way.name}, {1000 * latency:g} ms late"
                 axes.plot(x, y, color=colour, ls=dashes, marker="o", ms=3, label=label)
 
-    return _by_source_and_motion(findings, draw, y="RMS error (mm)")
+    return _by_source_and_motion(findings, draw, y="RMS error (mm)", sources=sources)
 
 
 def parts_by_speed(findings: DynamicFindings, *, way: str) -> Figure:
@@ -591,7 +592,11 @@ def frame_by_frame(findings: DynamicFindings) -> Figure:
 
 
 def _by_source_and_motion(
-    findings: DynamicFindings, draw: Callable[[Axes, str, str], None], *, y: str
+    findings: DynamicFindings,
+    draw: Callable[[Axes, str, str], None],
+    *,
+    y: str,
+    sources: Sequence[str] = (),
 ) -> Figure:
     speeds = sorted(set(findings.spreads.speed_mm_s))
 
@@ -603,7 +608,7 @@ def _by_source_and_motion(
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter("{x:g}")
 
-    rows, columns = findings.sources, list(MOTIONS)
+    rows, columns = sources or findings.sources, list(MOTIONS)
     return small_multiples(
         drawn, rows=rows, columns=columns, x=_SPEED, y=y, sharex=True, sharey=True
     )
@@ -622,8 +627,10 @@ def report(findings: DynamicFindings) -> Report:
     """The report of a run."""
     return Report(
         title="How wrong is the distance while the tip moves, and why?",
+        answer=_answer(findings),
         lead=f"Estimates from frames of {findings.exposure_ms:g} ms while the tip moves along "
         "the beam, across the wall and as a hand moves it, against the robot's readings.",
+        first=_first(findings),
         claims=list(_claims(findings)),
         sections=[_speeds(findings), _parts(findings), _frames(findings)],
         data={
@@ -735,6 +742,46 @@ def _papers_speed(findings: DynamicFindings, source: str) -> Iterator[Claim]:
     )
 
 
+def _answer(findings: DynamicFindings) -> str:
+    source = findings.sources[-1]
+    used = _stamped(findings, source, SUBPIXEL.name)
+    own = largest(used.error_mm[used.doubt == ""])
+    late = findings.by_speed(source, "withdrawal", SUBPIXEL.name, LATENCIES_S[-1])
+    last = late[late.speed_mm_s == findings.speeds[-1]]
+    return (
+        f"Up to {findings.speeds[-1]:g} mm/s the distance from the {source}'s spot is off by "
+        f"{number(own, 3)} mm at most in sub-pixel mode if the robot's poses are stamped; poses "
+        f"{1000 * LATENCIES_S[-1]:g} ms late make it {number(rms(last.rms_error_mm), 2)} mm (rms, "
+        "along the beam, at that speed)."
+    )
+
+
+def _first(findings: DynamicFindings) -> list[Picture | Table]:
+    source = findings.sources[-1]
+    rows = [
+        (MOTIONS[motion], way.name, *findings.speed_limits(source, motion, way.name))
+        for motion in MOTIONS
+        for way in COMPARED
+    ]
+    latencies = [Column(f"{1000 * latency:g} ms late", 2) for latency in LATENCIES_S]
+    return [
+        Picture(
+            "errors",
+            errors_by_speed(findings, [source]),
+            f"A late pose costs more than blur. RMS error of the estimates that count, {source}; "
+            "dotted: the error that the paper accepts.",
+            data="dynamic_spread.csv",
+        ),
+        Table(
+            [Column("motion"), Column("way"), *latencies],
+            rows,
+            f"Speed in mm/s at which the RMS error reaches {ACCEPTABLE_ERROR_MM:g} mm, {source}. A "
+            f"dash: not up to {findings.speeds[-1]:g} mm/s, or there is no estimate.",
+            data="dynamic_spread.csv",
+        ),
+    ]
+
+
 def _speeds(findings: DynamicFindings) -> Section:
     rows = [
         (source, motion, way.name, *findings.speed_limits(source, motion, way.name))
@@ -749,12 +796,6 @@ def _speeds(findings: DynamicFindings) -> Section:
         "slow motion with the tremor that remains on a robot. Each frame counts for the listed "
         "speed that is nearest to the tip's own. Literal mode has the paper's model with k and b "
         "from a withdrawal at rest; sub-pixel mode has the true source.",
-        Picture(
-            "errors",
-            errors_by_speed(findings),
-            "RMS error of the estimates that count; dotted: the error that the paper accepts.",
-            data="dynamic_spread.csv",
-        ),
         Table(
             [Column("source"), Column("motion"), Column("way"), *latencies],
             rows,

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jinja2
 import numpy as np
 import tomli_w
 
+from benchmarks.reporting import environment
 from benchmarks.sets.make import croissant, pictures
 from benchmarks.sets.read.labelled_set import LabelledSet
 from benchmarks.sets.read.stacks import Row, rows
@@ -61,16 +61,20 @@ def write_card(labelled: LabelledSet) -> None:
     _write(labelled.folder / "spec.toml", tomli_w.dumps(labelled.description["spec"]))
     pictures.histograms(images, labelled.folder / "histograms.png")
     pictures.samples(images, labelled.folder / "samples.png")
-    text = _template("dataset_card.md.j2").render(
-        set=labelled,
-        about=labelled.description,
-        # `load_dataset(DIR)` loads all splits, `load_dataset(DIR, NAME)` one.
-        configs={"default": labelled.splits} | {split: [split] for split in labelled.splits},
-        counts=_counts(images),
-        images=len(images),
-        ranges=_ranges(images),
-        bounded=any("bound_semi_minor_px" in row.line() for row in images),
-        varied=sorted(labelled.stacks[0].parameters),
+    text = (
+        environment()
+        .get_template("dataset_card.md.j2")
+        .render(
+            set=labelled,
+            about=labelled.description,
+            # `load_dataset(DIR)` loads all splits, `load_dataset(DIR, NAME)` one.
+            configs={"default": labelled.splits} | {split: [split] for split in labelled.splits},
+            counts=_counts(images),
+            images=len(images),
+            ranges=_ranges(images),
+            bounded=any("bound_semi_minor_px" in row.line() for row in images),
+            varied=sorted(labelled.stacks[0].parameters),
+        )
     )
     _write(labelled.folder / "README.md", text)
 
@@ -105,17 +109,6 @@ def _ranges(images: Sequence[Row]) -> list[Range]:
         Range(quantity.name, quantity.unit, *np.quantile(quantity.of(images), [0.0, 0.5, 1.0]))
         for quantity in pictures.QUANTITIES
     ]
-
-
-def _template(name: str) -> jinja2.Template:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("benchmarks.sets.make"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.get_template(name)
 
 
 def _write(path: Path, text: str) -> None:
