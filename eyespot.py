@@ -41,9 +41,9 @@ COMMANDS = {
         "scenes.stacks.command:check": "Check whether a scene file can be rendered.",
     },
     "dataset": {
-        "benchmarks.sets.make.command:make": "Render a labelled set.",
-        "benchmarks.sets.make.command:verify": "List every file that is missing or changed.",
-        "benchmarks.sets.make.command:push": "Upload a complete set to the Hugging Face Hub.",
+        "benchmarks.sets.commands:make": "Render a labelled set.",
+        "benchmarks.sets.commands:verify": "List every file that is missing or changed.",
+        "benchmarks.sets.commands:push": "Upload a complete set to the Hugging Face Hub.",
     },
     "rivals": {
         "benchmarks.rivals.command:run": "Measure the images of a set with all entries.",

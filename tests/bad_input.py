@@ -27,11 +27,8 @@ import numpy as np
 import tomli_w
 
 from benchmarks import study
-from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.read.labelled_set import read_set
-from benchmarks.sets.read.stacks import rows, stacks_of
-from benchmarks.sets.spec.planning import plan
-from benchmarks.sets.spec.spec import load_spec
+from benchmarks.sets.read import read_set, rows, stacks_of, verify_set
+from benchmarks.sets.spec import load_spec, plan
 from calibration.command.choices import Choices
 from estimator import Frame, Pose
 from estimator.distance import Ranger

@@ -19,11 +19,10 @@ import pytest
 from rich.console import Console
 
 from benchmarks.reporting import rows_of
-from benchmarks.sets.read.stacks import stacks_of
-from benchmarks.sets.score.images import images_of, with_derived
-from benchmarks.sets.score.judging import Score, score
-from benchmarks.sets.score.spots_of_set import read_set_spots
-from benchmarks.sets.score.views import score_figure, tables
+from benchmarks.sets.read import stacks_of
+from benchmarks.sets.score.judging import Score, images_of, score, with_derived
+from benchmarks.sets.score.pages import score_figure, tables
+from benchmarks.sets.score.spots import read_set_spots
 from estimator import NoSpot, Reason, Spot, SpotRecord, write_spots
 from tests.command_line import call
 from tests.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of, write_set

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.sets.read.labelled_set import read_set
-from benchmarks.sets.read.stacks import rows
-from benchmarks.sets.score.sample import sample_folder
+from benchmarks.sets.read import read_set, rows
+from benchmarks.sets.score.spots import sample_folder
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "datasets.md"
 

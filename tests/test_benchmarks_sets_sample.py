@@ -8,12 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.read.labelled_set import read_set
-from benchmarks.sets.read.stacks import rows
-from benchmarks.sets.score.sample import NAME, sample_folder
-from benchmarks.sets.spec.planning import plan
-from benchmarks.sets.spec.spec import load_spec
+from benchmarks.sets.read import read_set, rows, verify_set
+from benchmarks.sets.score.spots import NAME, sample_folder
+from benchmarks.sets.spec import load_spec, plan
 from tests.command_line import call
 
 

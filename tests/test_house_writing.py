@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from benchmarks.sets.formats.export import export
-from benchmarks.sets.score.scoring import run as score
+from benchmarks.sets.score.pages import run as score
 from benchmarks.study import Study
 from calibration.command.choices import Choices
 from calibration.command.fitting import run as fit

@@ -23,12 +23,9 @@ from distributed import Client, as_completed
 from distributed.scheduler import heartbeat_interval
 from skimage.io import imsave
 
-from benchmarks.sets.make.cluster import local_workers
-from benchmarks.sets.make.generate import Shard, make_set
-from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.make.worker import versions
-from benchmarks.sets.spec.planning import plan
-from benchmarks.sets.spec.spec import SetSpec, load_spec
+from benchmarks.sets.make import Shard, local_workers, make_set, versions
+from benchmarks.sets.read import verify_set
+from benchmarks.sets.spec import SetSpec, load_spec, plan
 from estimator import Reader, Spot, SubpixelSettings
 from scenes import changed, render_stack
 from scenes.drawn import Drawing, any_truth, any_wall, frame_of

@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial, partialmethod
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,8 @@ from scipy.stats import chi2
 import optics
 from benchmarks.bench.load import memory_mb
 from benchmarks.paper import largest, rms
-from benchmarks.sets.read.stacks import own_reader, true_beam
-from benchmarks.sets.spec.planning import plan
-from benchmarks.sets.spec.spec import SetSpec, load_spec
+from benchmarks.sets.read import own_reader, true_beam
+from benchmarks.sets.spec import SetSpec, load_spec, plan
 from benchmarks.studies.pose import PRIOR_DEG, drawn_prior
 from estimator.distance import RangeFlag, TipPose
 from estimator.files import (
@@ -60,8 +60,12 @@ that the two other modes measure, all less the true one.
 def as_table(rows: Iterable[Row]) -> pd.DataFrame:
     """Frames with `posed`, a pose without a doubt, and `found`, a spot in the sub-pixel mode."""
     frames = pd.DataFrame(list(rows))
-    posed = frames.distance_mm.notna() & (frames.doubt == "")
-    return frames.assign(posed=posed, found=frames.subpixel_px.notna())
+    return frames.assign(
+        posed=frames.distance_mm.notna() & (frames.doubt == ""),
+        found=frames.subpixel_px.notna(),
+        d_chi_squared=(frames.distance_mm / frames.sigma_mm) ** 2,
+        pose_chi_squared=frames.chi_squared,
+    )
 
 
 def frame_errors(
@@ -375,50 +379,6 @@ class _Read:
         """Those whose spot the sub-pixel mode measures."""
         return int(self.select(*row).found.sum())
 
-    def track_d_um(self, *row: Any) -> float:
-        """Error of the distance."""
-        return 1e3 * rms(self._posed(*row).distance_mm)
-
-    def track_d_stated_um(self, *row: Any) -> float:
-        """What the mode states for it."""
-        return 1e3 * rms(self._posed(*row).sigma_mm)
-
-    def track_d_largest_um(self, *row: Any) -> float:
-        """The largest error of a distance."""
-        return 1e3 * largest(self._posed(*row).distance_mm)
-
-    def track_tip_um(self, *row: Any) -> float:
-        """Error of the tip."""
-        return 1e3 * rms(self._posed(*row).tip_mm)
-
-    def track_axis_deg(self, *row: Any) -> float:
-        """Error of the axis."""
-        return rms(self._posed(*row).axis_deg)
-
-    def track_axis_stated_deg(self, *row: Any) -> float:
-        """What the mode states for it."""
-        return rms(self._posed(*row).sigma_axis_deg)
-
-    def track_half_maximum_px(self, *row: Any) -> float:
-        """Error of the semi-minor axis of the half-maximum ellipse at the pose."""
-        return rms(self._posed(*row).half_maximum_px)
-
-    def track_subpixel_px(self, *row: Any) -> float:
-        """Error of the sub-pixel mode."""
-        return rms(self._posed(*row).subpixel_px)
-
-    def track_literal_px(self, *row: Any) -> float:
-        """Error of the literal mode, whose threshold is for the paper's exposure."""
-        return rms(self._posed(*row).literal_px)
-
-    def track_chi_squared_over_5(self, *row: Any) -> float:
-        """Mean chi squared of the pose over its five numbers."""
-        return float(self._posed(*row).chi_squared.mean() / 5)
-
-    def track_largest_chi_squared(self, *row: Any) -> float:
-        """The largest one."""
-        return float(self._posed(*row).chi_squared.max())
-
     def track_silently_wrong(self, frames: pd.DataFrame, *which: Any) -> int:
         """Poses whose chi squared no honest estimator has in so many frames."""
         limit = chi2.isf(_WRONG / len(frames), 5)
@@ -427,6 +387,24 @@ class _Read:
     def track_median_ms(self, *row: Any) -> float:
         """Time of a frame."""
         return float(1e3 * self.select(*row).seconds.median())
+
+
+_SUMMARIES: dict[str, Callable[[pd.DataFrame], float]] = {
+    "d_um": lambda posed: 1e3 * rms(posed.distance_mm),
+    "d_stated_um": lambda posed: 1e3 * rms(posed.sigma_mm),
+    "d_largest_um": lambda posed: 1e3 * largest(posed.distance_mm),
+    "tip_um": lambda posed: 1e3 * rms(posed.tip_mm),
+    "axis_deg": lambda posed: rms(posed.axis_deg),
+    "axis_stated_deg": lambda posed: rms(posed.sigma_axis_deg),
+    # Semi-minor axes: of the half-maximum ellipse at the pose, and as the other modes measure it.
+    "half_maximum_px": lambda posed: rms(posed.half_maximum_px),
+    "subpixel_px": lambda posed: rms(posed.subpixel_px),
+    "literal_px": lambda posed: rms(posed.literal_px),
+    "chi_squared_over_5": lambda posed: float(posed.chi_squared.mean() / 5),
+    "largest_chi_squared": lambda posed: float(posed.chi_squared.max()),
+}
+for _name, _summary in _SUMMARIES.items():
+    setattr(_Read, f"track_{_name}", lambda self, *row, of=_summary: of(self._posed(*row)))
 
 
 def _drawn(rows: Iterable[tuple[dict[str, Any], Circumstances]], rng: Any) -> pd.DataFrame:
@@ -606,42 +584,16 @@ class Coverage(_Read):
             lambda of: np.random.default_rng([20261212, WALLS.index(of["wall"]), of["number"]]),
         )
 
-    def _share(self, column: str, numbers: int, level: float, *row: Any) -> float:
-        posed = self._posed(*row)
-        square = posed[column] if column != "d" else (posed.distance_mm / posed.sigma_mm) ** 2
-        return float((square < chi2.ppf(level, numbers)).mean())
 
-    def track_d_in_68(self, *row: Any) -> float:
-        """Distances."""
-        return self._share("d", 1, 0.6827, *row)
+def _inside(self: _Read, *row: Any, square: str, numbers: int, level: float) -> float:
+    """Share of squares of Mahalanobis distances in the region of a level."""
+    return float((self._posed(*row)[square] < chi2.ppf(level, numbers)).mean())
 
-    def track_d_in_95(self, *row: Any) -> float:
-        """Distances."""
-        return self._share("d", 1, 0.95, *row)
 
-    def track_tip_in_68(self, *row: Any) -> float:
-        """Tips."""
-        return self._share("tip_chi_squared", 3, 0.6827, *row)
-
-    def track_tip_in_95(self, *row: Any) -> float:
-        """Tips."""
-        return self._share("tip_chi_squared", 3, 0.95, *row)
-
-    def track_axis_in_68(self, *row: Any) -> float:
-        """Axes."""
-        return self._share("axis_chi_squared", 2, 0.6827, *row)
-
-    def track_axis_in_95(self, *row: Any) -> float:
-        """Axes."""
-        return self._share("axis_chi_squared", 2, 0.95, *row)
-
-    def track_pose_in_68(self, *row: Any) -> float:
-        """Poses."""
-        return self._share("chi_squared", 5, 0.6827, *row)
-
-    def track_pose_in_95(self, *row: Any) -> float:
-        """Poses."""
-        return self._share("chi_squared", 5, 0.95, *row)
+for _square, _numbers in (("d", 1), ("tip", 3), ("axis", 2), ("pose", 5)):
+    for _level in (0.68, 0.95):
+        _method = partial(_inside, square=f"{_square}_chi_squared", numbers=_numbers, level=_level)
+        setattr(Coverage, f"track_{_square}_in_{100 * _level:.0f}", partialmethod(_method))
 
 
 _CONDITIONS = "occlusion shadow glints saturation blur defocus clipped unrest spread camera".split()

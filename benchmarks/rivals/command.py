@@ -42,9 +42,9 @@ def run(
         workers: Worker processes on this machine (default: one per core).
     """
     from benchmarks.rivals.entries import chosen
-    from benchmarks.rivals.learned.estimator import WEIGHTS
+    from benchmarks.rivals.learned.network import WEIGHTS
     from benchmarks.rivals.running import CONSTANTS, run_entries
-    from benchmarks.sets.make.cluster import cores
+    from benchmarks.sets.make import cores
 
     run_entries(
         folder,
@@ -75,8 +75,8 @@ def tune(
         workers: Worker processes on this machine (default: one per core).
     """
     from benchmarks.rivals.entries import chosen
-    from benchmarks.rivals.tuning import tune as choose
-    from benchmarks.sets.make.cluster import cores
+    from benchmarks.rivals.running import tune as choose
+    from benchmarks.sets.make import cores
 
     choose(folder, out, entries=chosen([*names]), every=every, workers=workers or cores())
 
@@ -101,6 +101,6 @@ def train(
         stop: Stop after so many epochs (default: all).
         seed: Random seed.
     """
-    from benchmarks.rivals.learned.making import make_weights
+    from benchmarks.rivals.learned.training import make_weights
 
     make_weights(folder, out, epochs=epochs, stop=stop or epochs, seed=seed)

@@ -54,15 +54,7 @@ from benchmarks.reporting import (
     rows_of,
     small_multiples,
 )
-from benchmarks.study import (
-    Changes,
-    LightSource,
-    OutputFolder,
-    Quick,
-    Seed,
-    StartingScene,
-    Study,
-)
+from benchmarks.study import Changes, LightSource, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
 from estimator import (
     MicroscopeFile,

@@ -500,7 +500,7 @@ def report(findings: EyeFindings) -> Report:
                 data="eye_errors.csv",
             ),
             Table.of(
-                _first_path(findings),
+                _first_path(findings)[::-1],
                 {
                     "recipe": Column("recipe"),
                     "within_0_1_mm": Column("c for 0.1 mm", 1),

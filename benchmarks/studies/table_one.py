@@ -824,7 +824,6 @@ _ROUNDED = PlaneRow(delta_k=0.0005, b=0.02, r_squared=0.002, rmse=0.005)
 """Distances from the printed pooled row that count as one."""
 _LEAST_SHARE = 0.1
 _LONGER_MM = (4.5, 6.0)
-_NEAREST_LENSES = 16
 
 
 _LENS = {"numerical_aperture": Column("NA", 2), "sag_mm": Column("sag, mm")}

@@ -1044,8 +1044,7 @@ def report(findings: ValidateFindings) -> Report:
             ),
             _measured(findings, drawn),
             _fits(findings, planes, spheres, drawn),
-            _frames_used(findings),
-            _trials(findings),
+            _frames_used(frames),
         ],
         data={
             "model_error.csv": pd.concat([findings.analytic, findings.rendered]),
@@ -1236,12 +1235,6 @@ def _fits(
             "tip's rim touches.",
             data="spots.csv",
         ),
-        Picture(
-            "plane_residuals",
-            drawn.residuals(findings.plane_fits),
-            "Residuals of each trial's line; rms over all trials.",
-            data="spots.csv",
-        ),
         Table.of(
             spheres,
             {
@@ -1285,49 +1278,18 @@ def _fits(
     )
 
 
-def _frames_used(findings: ValidateFindings) -> Section:
-    outcomes: dict[str, dict[str, Counter[str]]] = {}
-    for trial in findings.trials:
-        line = f"grid, {trial.group}" if trial.kind == "grid" else f"{trial.source}, {trial.group}"
-        for way in WAYS:
-            if (trial.name, way.name) in findings.tracked:
-                counts = outcomes.setdefault(line, {}).setdefault(way.name, Counter())
-                counts.update(findings.tracked[trial.name, way.name].outcomes)
-    rows = [
-        (line, way, ", ".join(f"{count} {outcome}" for outcome, count in counts.most_common()))
-        for line, by_way in outcomes.items()
-        for way, counts in by_way.items()
-    ]
+def _frames_used(frames: pd.DataFrame) -> Section:
+    keys = ["source", "way", "outcome"]
+    counted = frames.groupby(keys, sort=False).frames.sum().reset_index()
+    columns = {name: Column(name) for name in (*keys, "frames")}
     return Section(
         "Frames used and left out",
-        Table(
-            [Column("trial"), Column("way"), Column("frames")],
-            rows,
+        Table.of(
+            counted,
+            columns,
             "Frames that the fits use, and the reasons why others are left out. A frame is used if "
             "a spot was found and the instrument hides less than half of the true contour.",
             data="frames.csv",
-        ),
-    )
-
-
-def _trials(findings: ValidateFindings) -> Section:
-    headings = ("stack", "source", "wall", "c, mm", "azimuth, °", "incidence, °", "z_F, mm", "seed")
-    rows = [
-        (
-            *(trial.name, trial.source, trial.scene.phantom.kind),
-            *(trial.scene.spot.eccentricity_mm, trial.scene.spot.azimuth_deg),
-            *(trial.scene.spot.incidence_deg, trial.scene.microscope.pinhole_height_mm),
-            trial.scene.seed,
-        )
-        for trial in findings.trials
-    ]
-    return Section(
-        "The trials",
-        Table(
-            [Column(heading, 1) for heading in headings],
-            rows,
-            "In each trial the tip withdraws at 0.1 mm/s, without motion blur. (The paper states "
-            "0.1 mm/s in one place and 0.01 mm/s in another.)",
         ),
     )
 

@@ -11,8 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.sets.read.labelled_set import SetStack
-from benchmarks.sets.read.stacks import copy_description, exposures_of, qualified_name
+from benchmarks.sets.read import SetStack, copy_description, exposures_of, qualified_name
 from estimator import Frame, Pose, open_source, read_poses
 from estimator.sources import write_bag
 

@@ -17,8 +17,7 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 from pycocotools import mask as run_lengths
 
-from benchmarks.sets.read.labelled_set import SetStack
-from benchmarks.sets.read.stacks import copy_description, qualified_name, split_name
+from benchmarks.sets.read import SetStack, copy_description, qualified_name, split_name
 from estimator import FrameLabels, Stack, read_microscope
 
 _CATEGORY = {"id": 1, "name": "spot", "supercategory": "light"}

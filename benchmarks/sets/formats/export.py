@@ -8,8 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.sets.read.labelled_set import SetStack
-from benchmarks.sets.read.stacks import set_files, stacks_of
+from benchmarks.sets.read import SetStack, set_files, stacks_of
 from estimator.files import require_space, written_whole
 from optics import InputError
 

@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-from benchmarks.sets.read.labelled_set import SetStack
-from benchmarks.sets.read.stacks import qualified_name, set_files
+from benchmarks.sets.read import SetStack, qualified_name, set_files
 from estimator import Stack
 from estimator.files import StackError
 from optics import check_values, in_file, read_text

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from tifffile import TiffWriter
 
-from benchmarks.sets.read.labelled_set import SetStack
-from benchmarks.sets.read.stacks import copy_description, exposures_of, qualified_name
+from benchmarks.sets.read import SetStack, copy_description, exposures_of, qualified_name
 from estimator import FrameLabels, Stack, read_microscope
 
 _CLASSIC_BYTES = 2**32 - 2**25  # size limit of a TIFF with 32-bit offsets, less its tags

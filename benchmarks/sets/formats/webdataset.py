@@ -13,8 +13,7 @@ import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.sets.read.labelled_set import SetStack
-from benchmarks.sets.read.stacks import copy_description, qualified_name, split_name
+from benchmarks.sets.read import SetStack, copy_description, qualified_name, split_name
 
 _SHARD_BYTES = 2**28  # large enough for fast reading, small enough to shuffle
 

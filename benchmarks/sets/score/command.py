@@ -37,8 +37,8 @@ def score(
         split: Score only this split, such as test (default: all that have spots).
         out: Folder for the page report.html, tables and figures; it must not exist yet.
     """
-    from benchmarks.sets.score.sample import sample_folder
-    from benchmarks.sets.score.scoring import run
+    from benchmarks.sets.score.pages import run
+    from benchmarks.sets.score.spots import sample_folder
 
     if sample:
         # The first argument is then a spots file, too.

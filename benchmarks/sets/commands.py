@@ -14,8 +14,7 @@ from optics import InputError, in_file, shortened
 from scenes.description import Changes
 
 if TYPE_CHECKING:
-    from benchmarks.sets.make.estimate import Estimate
-    from benchmarks.sets.make.generate import Shard
+    from benchmarks.sets.make import Estimate, Shard
 
 
 def make(
@@ -42,11 +41,9 @@ def make(
         shard: Render only part I of N, for job arrays on a cluster.
         dry_run: Print the number of frames, size and time; render nothing.
     """
-    from benchmarks.sets.make import cluster
-    from benchmarks.sets.make.estimate import estimate
-    from benchmarks.sets.make.generate import make_set
-    from benchmarks.sets.spec.planning import plan
-    from benchmarks.sets.spec.spec import load_spec
+    from benchmarks.sets import make as cluster
+    from benchmarks.sets.make import estimate, make_set
+    from benchmarks.sets.spec import load_spec, plan
     from estimator.run import progress
 
     settings, part = load_spec(spec, changes), _shard(shard)
@@ -89,7 +86,7 @@ def verify(folder: Path, /) -> None:
     Args:
         folder: Folder of the set.
     """
-    from benchmarks.sets.make.manifest import verify_set
+    from benchmarks.sets.read import verify_set
 
     print(f"{folder}: complete, {verify_set(folder)} files match the manifest.")
 
@@ -110,13 +107,13 @@ def push(
         private: Make a new repository private.
         endpoint: Address of another Hub (default: huggingface.co).
     """
-    from benchmarks.sets.make.push import push_set
+    from benchmarks.sets.make import push_set
 
     print(f"Wrote {push_set(folder, repository, private=private, endpoint=endpoint)}.")
 
 
 def _shard(text: str | None) -> Shard:
-    from benchmarks.sets.make.generate import WHOLE, Shard
+    from benchmarks.sets.make import WHOLE, Shard
 
     if text is None:
         return WHOLE

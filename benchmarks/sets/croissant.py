@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.sets.read.labelled_set import LabelledSet
+from benchmarks.sets.read import LabelledSet
 
 FILE = "croissant.json"
 

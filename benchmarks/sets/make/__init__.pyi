@@ -1,6 +1,0 @@
-from .cluster import cores as cores
-from .cluster import local_workers as local_workers
-from .generate import Shard as Shard
-from .generate import make_set as make_set
-from .manifest import verify_set as verify_set
-from .worker import versions as versions
