@@ -75,7 +75,7 @@ app = App(
     version=lambda: importlib.metadata.version("eyespot"),
     default_parameter=_PLAIN,
     # Called from Python a command returns its results; the command line shows files.
-    result_action="return_value",
+    result_action="sys_exit",
     # What these would do, `run_command` does.
     exit_on_error=False,
     print_error=False,
