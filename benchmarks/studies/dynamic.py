@@ -750,12 +750,13 @@ def _answer(findings: DynamicFindings) -> str:
 
 def _first(findings: DynamicFindings) -> list[Picture | Table]:
     source = findings.sources[-1]
-    rows = [
-        (MOTIONS[motion], way.name, *findings.speed_limits(source, motion, way.name))
-        for motion in MOTIONS
-        for way in COMPARED
-    ]
-    latencies = [Column(f"{1000 * latency:g} ms late", 2) for latency in LATENCIES_S]
+    of, top = findings.spreads, findings.speeds[-1]
+    fastest = of[(of.source == source) & (of.speed_mm_s == top)]
+    late = (1000 * fastest.latency_s).map("{:g} ms late".format)
+    table = fastest.assign(late=late).pivot(
+        index=["motion", "way"], columns="late", values="rms_error_mm"
+    )
+    names = dict.fromkeys(late)
     return [
         Picture(
             "errors",
@@ -764,11 +765,10 @@ def _first(findings: DynamicFindings) -> list[Picture | Table]:
             "dotted: the error that the paper accepts.",
             data="dynamic_spread.csv",
         ),
-        Table(
-            [Column("motion"), Column("way"), *latencies],
-            rows,
-            f"Speed in mm/s at which the RMS error reaches {ACCEPTABLE_ERROR_MM:g} mm, {source}. A "
-            f"dash: not up to {findings.speeds[-1]:g} mm/s, or there is no estimate.",
+        Table.of(
+            table.reset_index(),
+            {name: Column(name) for name in ("motion", "way", *names)},
+            f"RMS error in mm at {top:g} mm/s, {source}.",
             data="dynamic_spread.csv",
         ),
     ]

@@ -1044,11 +1044,11 @@ def _answer(findings: EccentricityFindings) -> str:
 def _first(findings: EccentricityFindings) -> list[Picture | Table]:
     incidences = dict.fromkeys((0.0, findings.scene.spot.incidence_deg))
     rows = [
-        (height, incidence, *(findings.limits_of(m, height, incidence)[-1] for m in optics.MODELS))
+        (height, incidence, *(findings.limits_of(m, height, incidence)[-1] for m in SHOWN))
         for height in findings.heights
         for incidence in incidences
     ]
-    headings = ("z_F, mm", "incidence, °", *optics.MODELS)
+    headings = ("z_F, mm", "incidence, °", *SHOWN)
     return [
         Picture(
             "largest_error",
