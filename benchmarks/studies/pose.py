@@ -736,7 +736,7 @@ _COLUMNS = {
     "sigma_distance_mm": Column("its σ, µm", scale=1e3),
 }
 
-_FIRST = "source spots tip_mm tip_bound_mm axis_deg axis_bound_deg".split()
+_FIRST = "source spots z_f_mm tip_mm tip_bound_mm axis_deg axis_bound_deg".split()
 
 
 def _report(scene: Scene, errors: pd.DataFrame) -> Report:

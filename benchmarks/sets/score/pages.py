@@ -17,8 +17,6 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
-from rich.console import Console
-from rich.table import Table as TerminalTable
 
 from benchmarks.paper import VISIBLE_ENOUGH
 from benchmarks.reporting import (
@@ -37,7 +35,6 @@ from benchmarks.reporting import (
     Section,
     Table,
     grouped,
-    rows_of,
     write_page,
 )
 from benchmarks.sets.read import Mode, stacks_of
@@ -66,7 +63,6 @@ from estimator import Calibration, SpotRecord, read_calibration, write_spots
 from estimator.files import (
     fingerprint,
     in_figure,
-    in_terminal,
     in_utf8,
     require_space,
     written_whole,
@@ -76,98 +72,68 @@ from optics import InputError
 
 # Views of a score: tables on the terminal, and the figure of errors and misses by condition.
 
-# Tables on the terminal.
+# Tables on the terminal, as wide as they need to be.
 
 _MOST_ESTIMATORS = 4  # with two columns each
 
 
-def tables(result: Score) -> list[TerminalTable]:
+def tables(result: Score) -> dict[str, pd.DataFrame]:
     """Outcomes and errors of all images, calibration of σ, and the main quantity by condition.
 
-    The last table is left out if a terminal is too narrow for all estimators; the page has it.
+    By title. The last table is left out if there are too many estimators; the page has it.
     """
-    counts = result.counts[result.counts.condition == ALL]
-    errors = rows_of(
-        result.errors[result.errors.condition == ALL].sort_values(
-            "estimator", kind="stable", key=lambda names: names.map([*result.judged].index)
-        )
+    images = result.counts[result.counts.condition == ALL]
+    images = images.drop(columns=["condition", "group"]).assign(
+        left_out=images.estimator.map(result.left_out),
+        why_missed=images.estimator.map({name: _reasons(of) for name, of in result.judged.items()}),
     )
-    visible = ("spot visible", "found", "missed", "false spots")
-    hidden = ("hidden", "found although hidden", "left out")
-    images = _table("Images", "estimator", "images", *visible, *hidden)
-    for _, name, _, _, *own in counts.itertuples(name=None):
-        images.add_row(in_terminal(name), *map(str, (*own, result.left_out[name])))
-    title = f"Errors of the found spots ({result.against}), with 95 % intervals in brackets"
-    columns = ("estimator", "quantity", "n", "bias", "RMSE", "median |e|", "largest")
-    sizes = _table(title, *columns, left=2)
-    for row in errors:
-        sizes.add_row(
-            in_terminal(row.estimator),
-            row.quantity,
-            str(row.n),
-            _cell(row.bias, signed=True),
-            _rmse(row),
-            _cell(row.median_abs),
-            _cell(row.max_abs),
-        )
-    title = "Errors divided by the estimator's σ; ideal: 0 ± 1, 0.68, 0.95"
-    sigmas = _table(title, "estimator", "quantity", "n", "e/σ", "within σ", "within 2σ", left=2)
-    for row in errors:
-        if row.n_sigma > 1:
-            sigmas.add_row(
-                in_terminal(row.estimator),
-                row.quantity,
-                str(row.n_sigma),
-                f"{row.z_mean:+.2f} ± {row.z_std:.2f}",
-                _part(row.within_1_sigma, row.within_1_low, row.within_1_high),
-                _part(row.within_2_sigma, row.within_2_low, row.within_2_high),
-            )
-    found = [images, sizes, sigmas]
-    return [*found, _conditions(result)] if len(result.judged) <= _MOST_ESTIMATORS else found
+    images = images.rename(columns={"visible": "spot visible", "glimpsed": "found although hidden"})
+    order = {name: place for place, name in enumerate(result.judged)}
+    errors = result.errors[result.errors.condition == ALL]
+    errors = errors.sort_values("estimator", kind="stable", key=lambda names: names.map(order))
+    sizes = errors[["estimator", "quantity", "n"]].assign(
+        bias=_texts(errors.bias, "{:+.3f}"),
+        RMSE=_with_interval(errors, "rmse", 3),
+        median=_texts(errors.median_abs, "{:.3f}"),
+        largest=_texts(errors.max_abs, "{:.3f}"),
+    )
+    stated = errors[errors.n_sigma > 1]
+    sigmas = stated[["estimator", "quantity"]].assign(
+        n=stated.n_sigma,
+        mean=_texts(stated.z_mean, "{:+.2f}"),
+        spread=_texts(stated.z_std, "{:.2f}"),
+        within_σ=_with_interval(stated, "within_1_sigma", 2),
+        within_2σ=_with_interval(stated, "within_2_sigma", 2),
+    )
+    found = {
+        "Images": images,
+        f"Errors of the found spots ({result.against}), with 95 % intervals in brackets": sizes,
+        "Errors divided by the estimator's σ; ideal: 0 ± 1, 0.68, 0.95": sigmas,
+    }
+    if len(result.judged) <= _MOST_ESTIMATORS:
+        here = result.by_condition
+        missed = here.missed.astype(str) + " of " + here.visible.astype(str)
+        rows = here[["condition", "group"]].assign(estimator=here.estimator, missed=missed)
+        rows["RMSE"] = _with_interval(here, "rmse", 3)
+        found[f"RMSE of {MAIN}, and missed images"] = rows
+    return {title: frame for title, frame in found.items() if len(frame)}
 
 
-def _conditions(result: Score) -> TerminalTable:
-    table = _table(f"RMSE of {MAIN}, and missed images", "condition", "group", left=2)
-    for name in result.judged:
-        table.add_column(in_terminal(name), justify="right")
-        table.add_column("missed", justify="right")
-    last = ""
-    for (condition, group), of in grouped(result.by_condition, "condition", "group"):
-        if condition != last:
-            table.add_section()
-        row = {own.estimator: own for own in rows_of(of)}
-        cells = [cell for name in result.judged for cell in _group_cells(row.get(name))]
-        table.add_row("" if condition == last else condition, in_terminal(group), *cells)
-        last = condition
-    return table
+def _reasons(judged: pd.DataFrame) -> str:
+    counts = judged.reason[judged.outcome == Outcome.MISSED].value_counts()
+    return ", ".join(f"{count} {str(why).replace('_', ' ')}" for why, count in counts.items())
 
 
-def _group_cells(row: Any) -> tuple[str, str]:
-    if row is None:
-        return "", ""
-    missed = f"{row.missed} of {row.visible}" if row.visible else ""
-    return _rmse(row), missed
+def _texts(values: pd.Series, form: str) -> list[str]:
+    return ["" if math.isnan(value) else form.format(value) for value in values]
 
 
-def _table(title: str, *columns: str, left: int = 1) -> TerminalTable:
-    table = TerminalTable(title=title, title_justify="left", title_style="bold")
-    for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index < left else "right")
-    return table
-
-
-def _cell(value: float, *, signed: bool = False) -> str:
-    return "" if math.isnan(value) else f"{value:{'+' if signed else ''}.3f}"
-
-
-def _rmse(row: Any) -> str:
-    if math.isnan(row.rmse_low):
-        return _cell(row.rmse)
-    return f"{row.rmse:.3f} [{row.rmse_low:.3f}, {row.rmse_high:.3f}]"
-
-
-def _part(part: float, low: float, high: float) -> str:
-    return f"{part:.2f} [{low:.2f}, {high:.2f}]"
+def _with_interval(rows: pd.DataFrame, name: str, digits: int) -> list[str]:
+    """Figures with their intervals, such as "0.021 [0.019, 0.024]"."""
+    ends, form = name.removesuffix("_sigma"), f"{{:.{digits}f}}"
+    low, high = (_texts(rows[f"{ends}_{end}"], form) for end in ("low", "high"))
+    values = zip(_texts(rows[name], form), low, high, strict=True)
+    return [f"{value} [{low}, {high}]" if low else value for value, low, high in values]
 
 
 # The figure.
@@ -626,8 +592,8 @@ def _scored(
     if empty := [name for name, records in kept.items() if not records]:
         raise InputError(f"{empty[0]} has no spots of the split {split}. Give another --split.")
     result = score(scored, kept, against=against)
-    for table in tables(result):
-        Console().print(table)
+    for title, table in tables(result).items():
+        print(title, table.to_string(index=False, na_rep=""), sep="\n", end="\n\n")
     return result, measured, found
 
 
