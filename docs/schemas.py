@@ -119,13 +119,13 @@ KINDS = (
         "spec",
         "Spec of a labelled set (TOML)",
         "What `eyespot dataset` makes. Scene keys may be nested or dotted.",
-        models=("benchmarks.sets.spec.spec:SetSpec",),
+        models=("benchmarks.sets.spec:SetSpec",),
     ),
     FileKind(
         "set",
         "Labelled set (`set.json`)",
         "The stacks of a set. `eyespot dataset` writes it.",
-        models=("benchmarks.sets.read.labelled_set:_SetFile",),
+        models=("benchmarks.sets.read:_SetFile",),
     ),
     FileKind(
         "manifest",
@@ -137,8 +137,8 @@ KINDS = (
         "entry",
         "Entry of a leaderboard (`entry.json`)",
         "What an entrant says of its tracker; `eyespot score --entries` reads it.",
-        models=("benchmarks.sets.score.entries:_About",),
-        meanings=("benchmarks.sets.score.entries:Entry",),
+        models=("benchmarks.sets.score.spots:_About",),
+        meanings=("benchmarks.sets.score.spots:Entry",),
     ),
     FileKind(
         "glue-lens",
@@ -282,7 +282,7 @@ def _spots() -> dict[str, Any]:
 
 
 def _plain_spots() -> dict[str, Any]:
-    from benchmarks.sets.score import plain_spots
+    from benchmarks.sets.score import spots as plain_spots
 
     columns = {name: _or_null(_NUMBER) for name in plain_spots.COLUMNS} | {"file_name": _TEXT}
     return _object(columns, required=iter(["file_name"]))

@@ -20,7 +20,7 @@ PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
 
 COMMANDS = {
     "": {
-        "benchmarks.studies.validate.command:validate": "Repeat the paper's experiment, rendered.",
+        "benchmarks.studies.validate:validate": "Repeat the paper's experiment, rendered.",
         "scenes.stacks.command:render": "Render a scene file to an image stack with labels.",
         "estimator.run.command:track": "Measure the spot in every frame; write a spots file.",
         "estimator.console.command:console": "Show a source and its distances in the browser.",
@@ -39,9 +39,9 @@ COMMANDS = {
         "scenes.stacks.command:check": "Check whether a scene file can be rendered.",
     },
     "dataset": {
-        "benchmarks.sets.make.command:make": "Render a labelled set.",
-        "benchmarks.sets.make.command:verify": "List every file that is missing or changed.",
-        "benchmarks.sets.make.command:push": "Upload a complete set to the Hugging Face Hub.",
+        "benchmarks.sets.commands:make": "Render a labelled set.",
+        "benchmarks.sets.commands:verify": "List every file that is missing or changed.",
+        "benchmarks.sets.commands:push": "Upload a complete set to the Hugging Face Hub.",
     },
     "rivals": {
         "benchmarks.rivals.command:run": "Measure the images of a set with all entries.",
@@ -49,14 +49,14 @@ COMMANDS = {
         "benchmarks.rivals.command:train": "Train the learned estimator, and calibrate it.",
     },
     "study": {
-        "benchmarks.studies.static.command:static": "The paper's Tables I and II, many times.",
-        "benchmarks.studies.table_one.command:table_one": "The lenses that give Table I.",
-        "benchmarks.studies.medium.command:medium": "Calibrate in air, measure in vitreous.",
-        "benchmarks.studies.pose.command:pose": "The tool's tip and axis from spots.",
-        "benchmarks.studies.eccentricity.command:eccentricity": "Each model's error by cause.",
-        "benchmarks.studies.eye.command:eye": "Contact and wide-field lenses, and many eyes.",
-        "benchmarks.studies.rivals.command:rivals": "Spot, shadow and stereo pair.",
-        "benchmarks.studies.dynamic.command:dynamic": "The error while the tip moves.",
+        "benchmarks.studies.static:static": "The paper's Tables I and II, many times.",
+        "benchmarks.studies.table_one:table_one": "The lenses that give Table I.",
+        "benchmarks.studies.medium:medium": "Calibrate in air, measure in vitreous.",
+        "benchmarks.studies.pose:pose": "The tool's tip and axis from spots.",
+        "benchmarks.studies.eccentricity:eccentricity": "Each model's error by cause.",
+        "benchmarks.studies.eye:eye": "Contact and wide-field lenses, and many eyes.",
+        "benchmarks.studies.sensors:sensors": "Spot, shadow and stereo pair.",
+        "benchmarks.studies.dynamic:dynamic": "The error while the tip moves.",
     },
 }
 """By the first word of two, if there are two: each command's function, and its line in the list."""
@@ -71,6 +71,8 @@ app = App(
     help_format="plaintext",  # importing a markdown parser would double the time of --help
     version=lambda: _version(),
     default_parameter=_PLAIN,
+    # Called from Python a command returns its results; the command line shows files.
+    result_action="sys_exit",
     # What these would do, `run_command` does.
     exit_on_error=False,
     print_error=False,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from benchmarks.sets.read import LabelledSet
-    from benchmarks.sets.score import Score
+    from benchmarks.sets.score.judging import Score
 
 File = str | Path
 
@@ -153,7 +153,8 @@ def score(
     Raises:
         InputError: wrong files, or nothing to score.
     """
-    from benchmarks.sets.score import run, sample_folder
+    from benchmarks.sets.score.pages import run
+    from benchmarks.sets.score.spots import sample_folder
 
     with quiet(bars=progress):
         return run(

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
 
-from benchmarks.studies.dynamic.command import dynamic as _dynamic
-from benchmarks.studies.eccentricity.command import eccentricity as _eccentricity
-from benchmarks.studies.eye.command import eye as _eye
-from benchmarks.studies.medium.command import medium as _medium
-from benchmarks.studies.pose.command import pose as _pose
-from benchmarks.studies.rivals.command import rivals as _rivals
-from benchmarks.studies.static.command import static as _static
-from benchmarks.studies.table_one.command import table_one as _table_one
-from benchmarks.studies.validate.command import validate as _validate
+from benchmarks.studies.dynamic import dynamic as _dynamic
+from benchmarks.studies.eccentricity import eccentricity as _eccentricity
+from benchmarks.studies.eye import eye as _eye
+from benchmarks.studies.medium import medium as _medium
+from benchmarks.studies.pose import pose as _pose
+from benchmarks.studies.sensors import sensors as _sensors
+from benchmarks.studies.static import static as _static
+from benchmarks.studies.table_one import table_one as _table_one
+from benchmarks.studies.validate import validate as _validate
 from estimator.run import quiet
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ eccentricity = _study(_eccentricity)
 eye = _study(_eye)
 medium = _study(_medium)
 pose = _study(_pose)
-rivals = _study(_rivals)
+sensors = _study(_sensors)
 static = _study(_static)
 table_one = _study(_table_one)
 validate = _study(_validate)

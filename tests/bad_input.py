@@ -26,10 +26,8 @@ import cv2
 import numpy as np
 import tomli_w
 
-from benchmarks.reporting import study
-from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.read import read_set, stacks_of
-from benchmarks.sets.read.stacks import rows
+from benchmarks import study
+from benchmarks.sets.read import read_set, rows, stacks_of, verify_set
 from benchmarks.sets.spec import load_spec, plan
 from calibration.command.choices import Choices
 from estimator import Frame, Pose

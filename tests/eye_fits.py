@@ -22,8 +22,7 @@ import numpy as np
 from jaxtyping import Array
 
 import optics
-from benchmarks.studies.eye.geometry import cameras
-from benchmarks.studies.eye.population import drawn
+from benchmarks.studies.eye_paths import cameras, drawn
 from calibration.command.choices import Choices
 from calibration.command.cone_models import fit_eye
 from calibration.command.fitted import Fitted

@@ -31,12 +31,12 @@ from matplotlib.figure import Figure
 
 import scenes
 import scenes.world.world
-from benchmarks.reporting import Picture, Report, Request, Section, Study
+from benchmarks.reporting import Picture, Report, Section
+from benchmarks.sets import card, make
 from benchmarks.sets.formats.export import export
-from benchmarks.sets.make import card, generate
-from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.spec import PlannedStack
-from benchmarks.sets.spec.spec import SetSpec
+from benchmarks.sets.read import verify_set
+from benchmarks.sets.spec import PlannedStack, SetSpec
+from benchmarks.study import Study
 from estimator import NoSpot, Reason, SpotRecord, Stack, StackWriter, read_stack, write_spots
 from estimator.files import is_unfinished, written_whole
 from optics import InputError
@@ -130,7 +130,7 @@ def check_stack(folder: Path) -> None:
 
 def write_set(folder: Path) -> None:
     workers: Any = contextlib.nullcontext()
-    generate.make_set(SPEC, folder / "set", workers=workers)
+    make.make_set(SPEC, folder / "set", workers=workers)
 
 
 def check_set(folder: Path) -> None:
@@ -140,7 +140,7 @@ def check_set(folder: Path) -> None:
 
 def write_run(folder: Path) -> None:
     os.chdir(folder)
-    study = Study("static", Request(out=Path("run"), quick=True))
+    study = Study("static", out=Path("run"), quick=True)
     spots = study.folder / "spots"
     spots.mkdir(exist_ok=True)
 
@@ -309,10 +309,10 @@ def main(*, quick: bool) -> None:
     stubs: list[tuple[Any, str, Any]] = [
         (scenes, "load_mitsuba", lambda: None),
         (scenes, "render_stack", render_stub),
-        (generate, "_render", render_set_stub),
-        (generate, "image_counts", lambda missing: {}),  # JAX does not survive a fork
-        (card.pictures, "histograms", picture_stub),
-        (card.pictures, "samples", picture_stub),
+        (make, "_render", render_set_stub),
+        (make, "image_counts", lambda missing: {}),  # JAX does not survive a fork
+        (card, "histograms", picture_stub),
+        (card, "samples", picture_stub),
     ]
     for module, name, stub in stubs:
         setattr(module, name, stub)

@@ -14,8 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from benchmarks.predictions import SURE, Judgement, Plan, judged, measured_as_planned, predicted
+from benchmarks.predictions.plan import (
+    SURE,
+    Judgement,
+    Plan,
+    judged,
+    measured_as_planned,
+    predicted,
+)
 from estimator import write_calibration
 from scenes import Scene, changed, load_scene, render_stack
 from scenes.world import true_calibration
@@ -88,13 +96,12 @@ def main() -> None:
             verdict(plan, scene, folder, **drawn(plan, number))
             for number in range(int(sys.argv[1]))
         ]
-    for tallies in zip(*(one.tallies for one in found), strict=True):
-        hits = sum(tally.hits for tally in tallies)
-        count = hits + sum(tally.misses for tally in tallies)
-        print(f"{tallies[0].quantity}: {hits} of {count} ({100 * hits / count:.1f} %)")
+    tallies = pd.concat([one.tallies for one in found]).groupby("quantity", sort=False)
+    for quantity, hits, misses in tallies[["hits", "misses"]].sum().itertuples():
+        print(f"{quantity}: {hits} of {hits + misses} ({100 * hits / (hits + misses):.1f} %)")
     hits, count = sum(one.hits for one in found), sum(one.predictions for one in found)
     print(f"all: {hits} of {count} ({100 * hits / count:.1f} %)")
-    pulls = np.array([cause.pull for one in found for cause in one.causes])
+    pulls = np.concatenate([one.causes.pull for one in found])
     far = np.sum(np.abs(pulls) > SURE)
     print(f"pulls of the keys: RMS {np.sqrt(np.mean(pulls**2)):.2f}, {far} of {pulls.size} too far")
     print(f"misfit, in the noise: {np.median([one.misfit for one in found]):.2f} (median)")

@@ -1,61 +1,68 @@
-"""The command `python -m benchmarks.bench` against the modules that it runs."""
+"""The command `python -m benchmarks.bench` and what its benchmarks compute."""
 
-import ast
+from __future__ import annotations
+
+import inspect
 import math
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from benchmarks.bench.__main__ import BY_NAME_ONLY, MAKE_BENCH, SEEDED
-from benchmarks.bench.output import add_line, lines_in
-from benchmarks.bench.pixel_branches import share_a_radius
-from benchmarks.bench.pixel_frames import doubt_of_pose
+from benchmarks.bench.__main__ import LONG, benchmarks, table
+from benchmarks.bench.pixels import doubt_of_pose, share_a_radius
 from estimator import NoSpot, Range, Reading, Reason
 
-BENCH = Path(__file__).resolve().parents[1] / "benchmarks" / "bench"
+HOME = Path(__file__).resolve().parents[1]
 
 
-def run_parameters(path: Path) -> list[str] | None:
-    """Names of the keyword-only parameters of a module's function `run`; None without one."""
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.FunctionDef) and node.name == "run":
-            assert not node.args.args
-            return [argument.arg for argument in node.args.kwonlyargs]
-    return None
+class Counted:
+    """A benchmark of two parameters."""
+
+    params = ([1, 2], ["a", "b"])
+    param_names = ("number", "letter")
+
+    def setup_cache(self) -> int:
+        return 10
+
+    def setup(self, cached: int, number: int, letter: str) -> None:
+        self.letters = letter * number
+
+    def track_sum(self, cached: int, number: int, letter: str) -> int:
+        return cached + len(self.letters)
+
+    def time_nothing(self, cached: int, number: int, letter: str) -> None:
+        pass
 
 
-def test_the_command_knows_every_bench_and_all_are_called_alike():
-    found = {
-        path.relative_to(BENCH).with_suffix("").as_posix().replace("/", "."): parameters
-        for path in BENCH.rglob("*.py")
-        if (parameters := run_parameters(path)) is not None
-    }
-    assert found == {
-        name: ["full", "seed"] if name in SEEDED else ["full"]
-        for name in (*MAKE_BENCH, *BY_NAME_ONLY)
-    }
+def test_every_combination_of_parameters_is_a_row_and_every_method_a_column():
+    found = table(Counted)
+    shown = found[["number", "letter", "sum"]].values.tolist()
+    assert shown == [[1, "a", 11], [1, "b", 11], [2, "a", 12], [2, "b", 12]]
+    assert (found.nothing_ms >= 0).all()
+    assert isinstance(found, pd.DataFrame)
+
+
+def test_every_benchmark_takes_its_parameters():
+    """`setup` and the measuring methods take what asv passes: the cache, then the parameters."""
+    every = benchmarks()
+    assert LONG <= {name.partition(".")[2] for name in every}
+    for name, kind in every.items():
+        values = [None] * hasattr(kind, "setup_cache") + [p[0] for p in getattr(kind, "params", ())]
+        assert len(getattr(kind, "params", ())) == len(getattr(kind, "param_names", ())), name
+        for method in dir(kind):
+            if method == "setup" or method.startswith(("time_", "track_", "peakmem_")):
+                inspect.signature(getattr(kind, method)).bind(None, *values)
 
 
 def test_an_unknown_bench_is_refused():
-    command = [sys.executable, "-m", "benchmarks.bench", "cone_fti"]
-    done = subprocess.run(
-        command, cwd=BENCH.parents[1], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert "cone_fti" in done.stderr
-    assert "cone_fit" in done.stderr
-
-
-def test_a_line_that_a_kill_cut_off_does_not_count_and_spoils_no_other(tmp_path):
-    file = tmp_path / "frames.jsonl"
-    assert lines_in(file) == []
-    add_line(file, {"number": 0, "d_mm": 1.5})
-    with file.open("a") as killed:
-        killed.write('{"number": 1, "d_')
-    add_line(file, {"number": 2, "d_mm": 2.5})
-    assert lines_in(file) == [{"number": 0, "d_mm": 1.5}, {"number": 2, "d_mm": 2.5}]
+    command = [sys.executable, "-m", "benchmarks.bench", "ConeFti"]
+    done = subprocess.run(command, cwd=HOME, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "ConeFti" in done.stderr
+    assert "fits.ConeFit" in done.stderr
 
 
 def test_a_radius_that_falls_and_grows_belongs_to_two_distances():

@@ -18,13 +18,9 @@ from pathlib import Path
 import pytest
 from distributed import Client
 
-from benchmarks.sets.make.cluster import local_workers, running_scheduler
-from benchmarks.sets.make.estimate import estimate
-from benchmarks.sets.make.generate import Shard, make_set
-from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.read.labelled_set import SetError, read_set
-from benchmarks.sets.spec.planning import plan
-from benchmarks.sets.spec.spec import SetSpec, load_spec
+from benchmarks.sets.make import Shard, estimate, local_workers, make_set, running_scheduler
+from benchmarks.sets.read import SetError, read_set, verify_set
+from benchmarks.sets.spec import SetSpec, load_spec, plan
 
 SPEC = """\
 name = "tiny"

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.sets.make.estimate import image_counts
-from benchmarks.sets.spec.planning import plan
-from benchmarks.sets.spec.spec import SEED_KEYS, SetSpec, SpecError, load_spec, named_specs
+from benchmarks.sets.make import image_counts
+from benchmarks.sets.spec import SEED_KEYS, SetSpec, SpecError, load_spec, named_specs, plan
 from scenes import Scene, SceneError, changed, scene_toml
 
 PLAIN = """\

@@ -29,7 +29,7 @@ from rosbags.highlevel import AnyReader
 from benchmarks.sets.formats import webdataset as webdataset_format
 from benchmarks.sets.formats.bags import START_S
 from benchmarks.sets.formats.export import Format, export
-from benchmarks.sets.read.stacks import stacks_of
+from benchmarks.sets.read import stacks_of
 from estimator import FrameLabels, Reader, SubpixelSettings, open_source, read_poses, read_stack
 from estimator.files import write_manifest
 from estimator.run.offline import track_source

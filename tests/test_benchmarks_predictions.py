@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from benchmarks.predictions import SURE, Judgement, Plan, predicted, read_plan, write_plan
+from benchmarks.predictions.plan import SURE, Judgement, Plan, predicted, read_plan, write_plan
 from optics import InputError
 from scenes import Scene, changed, render_stack, scene_toml
 from tests.command_line import call
@@ -41,7 +41,7 @@ def test_the_planned_scene_itself_keeps_every_prediction(planned):
     found = judged(planned)
     # Without an error of the scene only noise is left, far inside of the intervals.
     assert found.hits == found.predictions == planned.plan.expected.size
-    assert not any(cause.contradicts for cause in found.causes)
+    assert not found.causes.contradicts.any()
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_the_planned_scene_itself_keeps_every_prediction(planned):
 )
 def test_what_is_wrong_is_named_with_its_value(planned, key, value, tolerance):
     found = judged(planned, **{key.replace(".", "__"): value})
-    first = found.causes[0]
+    first = found.causes.iloc[0]
     assert first.contradicts
     assert first.key == key
     assert first.found == pytest.approx(value, abs=tolerance)
@@ -75,16 +75,15 @@ def test_a_spot_that_is_not_there_is_a_miss(planned):
     # At 60 degrees the instrument hides the spot in every frame.
     found = judged(planned, spot__incidence_deg=60.0)
     assert found.no_spot.total() == 6
-    tallies = {tally.quantity: tally for tally in found.tallies}
-    assert tallies["semi_minor_px"].misses == tallies["distance_mm"].misses == 6
-    assert tallies["robot_mm"].hits == 6
+    tallies = found.tallies.set_index("quantity")
+    assert tallies.misses["semi_minor_px"] == tallies.misses["distance_mm"] == 6
+    assert tallies.hits["robot_mm"] == 6
 
 
 def test_a_wrong_eccentricity_moves_the_centre_only(planned):
     found = judged(planned, spot__eccentricity_mm=2.8)
-    assert found.causes[0].key == "spot.eccentricity_mm"
-    (x,) = (tally for tally in found.tallies if tally.quantity == "x_px")
-    assert x.misses == 6
+    assert found.causes.key.iloc[0] == "spot.eccentricity_mm"
+    assert found.tallies.set_index("quantity").misses["x_px"] == 6
 
 
 def test_a_plan_comes_back_and_a_changed_one_is_refused(planned, tmp_path):
@@ -157,6 +156,6 @@ def test_95_percent_of_the_predictions_hold_with_true_scenes(planned):
     share = sum(one.hits for one in found) / sum(one.predictions for one in found)
     # Predictions of one stack share their errors: 60 stacks times about 5 that differ, 1.3 %.
     assert 0.91 <= share <= 0.99
-    pulls = np.array([cause.pull for one in found for cause in one.causes])
+    pulls = np.concatenate([one.causes.pull for one in found])
     # Of 420 keys one is beyond three standard deviations by chance.
     assert np.sum(np.abs(pulls) > SURE) <= 5

@@ -17,23 +17,24 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.evaluation.model_error import COMPARED, MODEL_ERROR, limit_eccentricity
-from benchmarks.evaluation.model_figures import CHOSEN_DISTANCES_MM
-from benchmarks.evaluation.paper import TABLE_II, Criterion
-from benchmarks.evaluation.tracking import (
+from benchmarks.model_error import CHOSEN_DISTANCES_MM, COMPARED, MODEL_ERROR, limit_eccentricity
+from benchmarks.paper import (
     LITERAL,
     LITERAL_METERED,
     SUBPIXEL,
+    TABLE_II,
     WAYS,
+    Criterion,
+    StaticTrial,
     Tracked,
     Way,
+    grid_trials,
+    paper_trials,
 )
-from benchmarks.evaluation.trials import StaticTrial, grid_trials, paper_trials
-from benchmarks.reporting.report import Claim, number
-from benchmarks.reporting.study import Request, Study
-from benchmarks.studies.validate import tables
-from benchmarks.studies.validate.run import claims, report
-from benchmarks.studies.validate.tables import ValidateFindings
+from benchmarks.reporting import Claim, Picture, Table, number
+from benchmarks.studies import validate
+from benchmarks.studies.validate import ValidateFindings, claims, report
+from benchmarks.study import Study
 from calibration import PlaneFit, SphereFit
 from estimator import FrameLabels, NoSpot, Reason, Spot, StackError, StackWriter
 from scenes.description.motion_settings import Withdrawal
@@ -208,7 +209,7 @@ def write_stacks(findings: ValidateFindings) -> None:
 
 
 def study_in(out: Path) -> Study:
-    return Study("validate", Request(out=out, quick=True), command=("eyespot", "validate"))
+    return Study("validate", out=out, quick=True, command="eyespot validate")
 
 
 @pytest.fixture(scope="module")
@@ -277,13 +278,42 @@ def test_every_link_leads_to_a_file_or_a_place_in_the_page(written: Path, page: 
 def test_every_figure_of_the_page_lies_beside_it_as_png_and_svg(written: Path, page: Page) -> None:
     figures = {str(attributes["id"]) for tag, attributes in page.tags if tag == "figure"}
     assert {"strip_plane_1", "plane_fit", "half_maximum", "model_error"} <= figures
-    assert {path.stem for path in (written / "figures").iterdir()} == figures
+    links = [str(attributes.get("href")) for tag, attributes in page.tags if tag == "a"]
+    names = {Path(link).stem for link in links if link.startswith("figures/")}
+    assert {path.stem for path in (written / "figures").iterdir()} == names
     images = [attributes for tag, attributes in page.tags if tag == "img"]
-    assert len(images) == len(figures)
+    assert len(images) == len(names)
     assert all(attributes["alt"] for attributes in images)
-    for name in figures:
+    for name in names:
         assert (written / f"figures/{name}.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
         ElementTree.parse(written / f"figures/{name}.svg")
+
+
+def test_a_page_shows_the_answer_first_and_no_more_than_a_person_looks_at(
+    written: Path, page: Page
+) -> None:
+    first = [tag for tag, _ in page.tags].index("h2")
+    opening = [attributes.get("class") for tag, attributes in page.tags[:first] if tag == "p"]
+    assert opening[0] == "answer"
+    assert [tag for tag, _ in page.tags[:first]].count("img") == 3  # a film and two panels
+    made = report(paper_like_run(stacks=written / "stacks"))
+    for part in made.first:
+        assert not isinstance(part, Table) or len(part.rows) <= 8
+        assert not isinstance(part, Picture) or sum(len(f.axes) for f in part.figures.values()) <= 4
+    for part in (part for section in made.sections for part in section.parts):
+        assert not isinstance(part, Picture) or sum(len(f.axes) for f in part.figures.values()) <= 6
+    assert (written / "report.html").stat().st_size < 3e6
+
+
+def test_a_long_table_shows_eight_rows_and_leads_to_all(page: Page) -> None:
+    rows, longest = 0, 0
+    for tag, _ in page.tags:
+        rows = 0 if tag == "table" else rows + (tag == "tr")
+        if tag == "h2":
+            break
+        longest = max(longest, rows)
+    assert "all rows" in page.text
+    assert longest <= 9  # with the heading
 
 
 def test_text_from_a_scene_stays_text(page: Page) -> None:
@@ -292,7 +322,6 @@ def test_text_from_a_scene_stays_text(page: Page) -> None:
 
 def test_a_fit_at_the_bound_is_flagged(written: Path, page: Page) -> None:
     assert any("at the bound" in text for text in page.text)
-    assert "True" in page.text
     row = read_csv(written / "table_2.csv")[0]
     assert (row["at_bound"], row["c_error_mm"]) == ("True", "")
     assert read_summary(written)["sphere_fits"][0]["c_error_mm"] is None
@@ -415,7 +444,7 @@ def test_the_part_of_the_range_that_reproduces_table_one_is_found() -> None:
         return (min(travel, 4.0) + 0.07 * (-1) ** frame - B) / (K * SCALE)
 
     bent(findings, "lens", axis_px)
-    part = tables.nearest_reproduction(findings, source="lens", way=LITERAL)
+    part = validate.nearest_reproduction(findings, source="lens", way=LITERAL)
     assert part is not None
     assert part.met == len(Criterion)
     assert part.low == 0.0
@@ -443,8 +472,8 @@ def test_half_maximum_verdict_follows_the_labels() -> None:
 def test_ambiguous_range_of_a_waist_is_where_its_mirror_is_in_reach() -> None:
     d = np.linspace(0.0, 6.0, 601)
     # (d - 2)² has its mirror at 4 - d, in reach from 0 to 4.
-    assert tables.ambiguous_range(d, (d - 2) ** 2) == pytest.approx((0.0, 4.0), abs=0.01)
-    assert tables.ambiguous_range(d, 0.25 + 0.05 * d) is None
+    assert validate.ambiguous_range(d, (d - 2) ** 2) == pytest.approx((0.0, 4.0), abs=0.01)
+    assert validate.ambiguous_range(d, 0.25 + 0.05 * d) is None
 
 
 def test_limit_eccentricity_is_where_the_largest_error_crosses() -> None:

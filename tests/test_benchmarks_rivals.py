@@ -12,15 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.rivals.entries import KINDS
-from benchmarks.rivals.entry import Entry, Recording, plain_spot
-from benchmarks.rivals.learned import WEIGHTS
+from benchmarks.rivals.entries import KINDS, Entry, Recording, plain_spot
+from benchmarks.rivals.learned.network import WEIGHTS
 from benchmarks.rivals.pupil import why_unavailable
-from benchmarks.rivals.running import read_constants, run_entries
-from benchmarks.rivals.tuning import tune
-from benchmarks.sets.read.stacks import stacks_of
-from benchmarks.sets.score.images import images_of
-from benchmarks.sets.score.spots_of_set import read_set_spots
+from benchmarks.rivals.running import read_constants, run_entries, tune
+from benchmarks.sets.read import stacks_of
+from benchmarks.sets.score.judging import images_of
+from benchmarks.sets.score.spots import read_set_spots
 from estimator import Calibration, Frame, MicroscopeFile, NoSpot, Spot, read_microscope
 from optics import InputError
 from scenes import Scene

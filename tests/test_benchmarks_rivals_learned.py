@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from benchmarks.rivals.learned.crops import (
+from benchmarks.rivals.learned.network import (
     CELLS,
+    WEIGHTS,
     Guess,
+    LearnedEstimator,
     Window,
     blob_in,
     covariance_of,
@@ -23,10 +25,8 @@ from benchmarks.rivals.learned.crops import (
     ellipse_of,
     targets_of,
 )
-from benchmarks.rivals.learned.estimator import WEIGHTS, LearnedEstimator
 from benchmarks.rivals.learned.training import WINDOWS, Epoch, Samples, read_curve, train
-from benchmarks.sets.spec import load_spec, plan
-from benchmarks.sets.spec.spec import named_specs
+from benchmarks.sets.spec import load_spec, named_specs, plan
 from estimator import read_microscope
 from scenes import Scene, render_stack
 from tests.drawn_sets import labels_of

@@ -16,15 +16,13 @@ import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from benchmarks.reporting import rows_of
-from benchmarks.sets.read.stacks import stacks_of
-from benchmarks.sets.score import spots_of_set
-from benchmarks.sets.score.images import images_of, with_derived
-from benchmarks.sets.score.judging import Score, score
-from benchmarks.sets.score.spots_of_set import read_set_spots
-from benchmarks.sets.score.views import score_figure, tables
+from benchmarks.sets.read import stacks_of
+from benchmarks.sets.score import spots as spots_of_set
+from benchmarks.sets.score.judging import Score, images_of, score, with_derived
+from benchmarks.sets.score.pages import score_figure, tables
+from benchmarks.sets.score.spots import read_set_spots
 from estimator import (
     NoSpot,
     Reason,
@@ -251,11 +249,7 @@ def test_names_with_markup_are_shown_as_they_are() -> None:
     images = pd.concat([in_memory(4, medium="air"), other])
     records = records_of(images, lambda row: spot_at(row, semi_minor_px=0.1))
     result = score(images, {name: records}, against="half_max")
-    text_file = io.StringIO()
-    console = Console(file=text_file, width=300)
-    for table in tables(result):
-        console.print(table)
-    printed = text_file.getvalue()
+    printed = "".join(table.to_string() for table in tables(result).values())
     figure = io.BytesIO()
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text, not as outlines
         score_figure(result).savefig(figure, format="svg")

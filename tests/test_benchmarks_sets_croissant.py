@@ -11,8 +11,8 @@ import datasets
 import numpy as np
 import pytest
 
-from benchmarks.sets.make.card import write_card
-from benchmarks.sets.make.croissant import meaning
+from benchmarks.sets.card import write_card
+from benchmarks.sets.croissant import meaning
 from benchmarks.sets.read import read_set, rows
 from tests.drawn_sets import write_set
 

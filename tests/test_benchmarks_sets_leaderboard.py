@@ -16,12 +16,9 @@ import pandas as pd
 import pytest
 
 from benchmarks.reporting import rows_of
-from benchmarks.sets.read.stacks import stacks_of
-from benchmarks.sets.score.entries import entries_in
-from benchmarks.sets.score.images import ALL, images_of, with_derived
-from benchmarks.sets.score.judging import Outcome
-from benchmarks.sets.score.plain_spots import read_any_spots
-from benchmarks.sets.score.standings import standings
+from benchmarks.sets.read import stacks_of
+from benchmarks.sets.score.judging import ALL, Outcome, images_of, standings, with_derived
+from benchmarks.sets.score.spots import entries_in, read_any_spots
 from optics import InputError
 from tests.command_line import call
 from tests.drawn_sets import image_row, labels_of, write_set

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.sets.read import read_set, rows
-from benchmarks.sets.score import sample_folder
+from benchmarks.sets.score.spots import sample_folder
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "datasets.md"
 

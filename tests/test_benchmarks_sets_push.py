@@ -8,10 +8,9 @@ from pathlib import Path
 import huggingface_hub.constants
 import pytest
 
-from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.make.push import push_set
-from benchmarks.sets.read import SetError
-from benchmarks.sets.score import sample_folder
+from benchmarks.sets.make import push_set
+from benchmarks.sets.read import SetError, verify_set
+from benchmarks.sets.score.spots import sample_folder
 from optics import InputError
 from tests.command_line import call
 from tests.hub_stand_in import StandIn, stand_in

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.read import read_set, rows
-from benchmarks.sets.score.sample import NAME, sample_folder
+from benchmarks.sets.read import read_set, rows, verify_set
+from benchmarks.sets.score.spots import NAME, sample_folder
 from benchmarks.sets.spec import load_spec, plan
 from tests.command_line import call
 

@@ -13,14 +13,17 @@ import pytest
 
 import optics
 import scenes
-from benchmarks.evaluation.tracking import LITERAL, SUBPIXEL
-from benchmarks.reporting.report import Claim, rows_of
-from benchmarks.reporting.study import Request
-from benchmarks.studies.dynamic import measure
-from benchmarks.studies.dynamic import run as dynamic
-from benchmarks.studies.dynamic import trials as trials_of
-from benchmarks.studies.dynamic.measure import COMPARED, LATENCIES_S, MOTIONS, PARTS, speed_at
-from benchmarks.studies.dynamic.run import DynamicFindings
+from benchmarks.paper import LITERAL, SUBPIXEL
+from benchmarks.reporting import Claim, rows_of
+from benchmarks.studies import dynamic
+from benchmarks.studies.dynamic import (
+    COMPARED,
+    LATENCIES_S,
+    MOTIONS,
+    PARTS,
+    DynamicFindings,
+    speed_at,
+)
 from estimator import MicroscopeFile, Pose, PoseTrack
 from scenes import SceneError
 from scenes.world import World
@@ -54,10 +57,10 @@ def row(**changes: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("latency", [0.05, 0.1])
 def test_a_late_pose_costs_a_withdrawing_tip_minus_speed_times_delay(speed, latency):
     poses, time = withdrawing(speed), 0.3025  # between two poses
-    stamped = measure.reading(poses, time, SPHERE)
-    late = measure.reading(poses, time + latency, SPHERE)
+    stamped = dynamic.reading(poses, time, SPHERE)
+    late = dynamic.reading(poses, time + latency, SPHERE)
     d = 2.0 + speed * time
-    found = measure.parts(estimate=d, frozen=d, d=d, stamped=stamped, late=late)
+    found = dynamic.parts(estimate=d, frozen=d, d=d, stamped=stamped, late=late)
     # Rounding of numbers near 10 mm.
     assert found.latency == pytest.approx(-speed * latency, abs=1e-12)
     # The latest pose of a 200 Hz track is 2.5 ms old there.
@@ -68,13 +71,13 @@ def test_a_late_pose_costs_a_withdrawing_tip_minus_speed_times_delay(speed, late
 
 def test_a_tip_at_rest_has_no_error_of_time():
     poses = withdrawing(0.0)
-    readings = [measure.reading(poses, 0.3025 + latency, SPHERE) for latency in LATENCIES_S]
+    readings = [dynamic.reading(poses, 0.3025 + latency, SPHERE) for latency in LATENCIES_S]
     assert readings == pytest.approx([2.0] * len(LATENCIES_S), abs=1e-12)
 
 
 def test_the_parts_sum_to_the_error():
     for estimate, frozen, d, stamped, late in np.random.default_rng(1).uniform(1, 6, (50, 5)):
-        found = measure.parts(estimate=estimate, frozen=frozen, d=d, stamped=stamped, late=late)
+        found = dynamic.parts(estimate=estimate, frozen=frozen, d=d, stamped=stamped, late=late)
         total = found.rest + found.blur + found.stamps + found.latency
         assert found.error == pytest.approx(total, abs=1e-12)
         assert found.error == estimate - late
@@ -84,8 +87,8 @@ def test_the_robot_reads_the_distance_along_its_beam():
     # A tip at the centre is r from the wall whichever way it points; before its first pose it
     # says nothing.
     pose = Pose.along((0.6, 0.0, -0.8), time_s=0.0, position_mm=(0.0, 0.0, 0.0))
-    assert measure.reading(PoseTrack([pose]), 0.0, SPHERE) == pytest.approx(R)
-    assert math.isnan(measure.reading(PoseTrack([pose]), -1.0, SPHERE))
+    assert dynamic.reading(PoseTrack([pose]), 0.0, SPHERE) == pytest.approx(R)
+    assert math.isnan(dynamic.reading(PoseTrack([pose]), -1.0, SPHERE))
 
 
 # Sizes.
@@ -97,7 +100,7 @@ def test_frames_without_an_estimate_are_counted_and_add_no_error():
         row(speed_mm_s=1.6, error_mm=-0.4, rest_mm=math.nan, rest_doubt="ambiguous"),
         row(speed_mm_s=1.5, error_mm=math.nan, doubt="occluded"),
     ]
-    (found,) = rows_of(measure.spreads(pd.DataFrame(rows), SPEEDS))
+    (found,) = rows_of(dynamic.spreads(pd.DataFrame(rows), SPEEDS))
     assert (found.speed_mm_s, found.spots, found.left_out) == (1.5, 2, 1)
     assert found.rms_error_mm == pytest.approx(math.sqrt((0.09 + 0.16) / 2))
     assert found.mean_error_mm == pytest.approx(-0.05)
@@ -107,7 +110,7 @@ def test_frames_without_an_estimate_are_counted_and_add_no_error():
 
 def test_an_error_that_grows_with_speed_reaches_a_limit_where_the_line_does():
     rows = [row(speed_mm_s=v, error_mm=0.05 + 0.1 * v, rest_mm=0.05) for v in SPEEDS]
-    spreads = measure.spreads(pd.DataFrame(rows), SPEEDS)
+    spreads = dynamic.spreads(pd.DataFrame(rows), SPEEDS)
     assert speed_at(spreads, 0.5) == pytest.approx(4.5)
     assert speed_at(spreads, 0.075) == pytest.approx(0.25)
     assert speed_at(spreads, 0.04) == 0.0
@@ -120,7 +123,7 @@ def test_an_error_that_grows_with_speed_reaches_a_limit_where_the_line_does():
 
 @pytest.mark.parametrize("way", COMPARED, ids=lambda way: way.slug)
 def test_every_trial_moves_at_its_speed_at_the_cameras_rate_about_one_distance(way):
-    found = trials_of.trials(SCENE, way, sensitivity=30.0, speeds=SPEEDS, run=1)
+    found = dynamic.trials(SCENE, way, sensitivity=30.0, speeds=SPEEDS, run=1)
     assert {trial.motion for trial in found} == set(MOTIONS)
     for trial in found:
         path, times = World(trial.moving).motion, World(trial.moving).times
@@ -138,7 +141,7 @@ def test_every_trial_moves_at_its_speed_at_the_cameras_rate_about_one_distance(w
 
 
 def test_a_frozen_twin_differs_in_nothing_but_the_length_of_its_exposures():
-    for trial in trials_of.trials(SCENE, SUBPIXEL, sensitivity=30.0, speeds=(5.0,), run=2):
+    for trial in dynamic.trials(SCENE, SUBPIXEL, sensitivity=30.0, speeds=(5.0,), run=2):
         much = trial.frozen.exposures.sensitivity_mm2_sr_mj
         assert much > 1000 * trial.moving.exposures.sensitivity_mm2_sr_mj
         same = scenes.changed(trial.frozen, {"exposures.sensitivity_mm2_sr_mj": 30.0})
@@ -168,7 +171,7 @@ def test_the_calibration_at_rest_finds_the_papers_k_and_b():
     d = optics.small_plane_distance(
         semi_minor_px=seen, scale=0.0067, k=20.0, b=-5.117, eccentricity=c, eye_radius=R
     )
-    found = measure.small_plane_line(
+    found = dynamic.small_plane_line(
         semi_minor_px=seen, phi=np.arcsin(c / R), distance=np.asarray(d), microscope=microscope
     )
     # Rounding of numbers near 5 mm, times the leverage of b.
@@ -212,7 +215,7 @@ def claimed(rows: pd.DataFrame) -> dict[str, Claim]:
         sources=("cone",),
         speeds=SPEEDS,
         errors=rows,
-        spreads=measure.spreads(rows, SPEEDS),
+        spreads=dynamic.spreads(rows, SPEEDS),
     )
     return {claim.name: claim for claim in dynamic.report(findings).claims}
 
@@ -254,13 +257,12 @@ def key(line: dict[str, str]) -> tuple[str, float]:
 @pytest.mark.slow  # renders 78 frames, and compiles
 def test_a_run_splits_every_error_into_its_parts(tmp_path):
     changes = ("microscope.scale_mm_px=0.0134", "microscope.width_px=320")
-    request = Request(
+    dynamic.dynamic(
         out=tmp_path / "run",
         changes=(*changes, "microscope.height_px=240"),
         quick=True,
-        options={"source": "cone", "exposure-ms": 20.0},
+        source="cone",
     )
-    dynamic.run(request)
     with (tmp_path / "run" / "dynamic_error.csv").open() as file:
         rows = list(csv.DictReader(file))
     used = [r for r in rows if not r["doubt"] and not r["rest_doubt"]]

@@ -18,16 +18,14 @@ from matplotlib.figure import Figure
 
 import optics
 import scenes
-from benchmarks.evaluation import coalitions, model_error, shapley_values
-from benchmarks.evaluation.model_error import MODEL_ERROR, Geometry
-from benchmarks.reporting.report import Claim, Column, Picture, Report, Section, Table, rows_of
-from benchmarks.reporting.study import Request, Study
-from benchmarks.studies.eccentricity import causes, chain, limits, space
-from benchmarks.studies.eccentricity import run as eccentricity
-from benchmarks.studies.eccentricity.causes import CAUSES, WRONG_C_MM, WRONG_R_MM, Shift
-from benchmarks.studies.eccentricity.chain import Eye, Links
-from benchmarks.studies.eccentricity.limits import DISTANCES_MM, LIMITS_MM, Withdrawals
-from benchmarks.studies.eccentricity.space import AXES
+from benchmarks import model_error
+from benchmarks.model_error import MODEL_ERROR, Geometry
+from benchmarks.paper import coalitions, shapley_values
+from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table, rows_of
+from benchmarks.studies import eccentricity, error_causes
+from benchmarks.studies.eccentricity import AXES, DISTANCES_MM, LIMITS_MM, Withdrawals
+from benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, Eye, Links, Shift
+from benchmarks.study import Study
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -53,7 +51,7 @@ def geometry(*, z_f: float, incidence_deg: float = 0.0) -> Geometry:
 
 def eyes(**columns: object) -> Eye:
     """Eyes that differ in the given fields, one array each."""
-    shared = causes.eyes(geometry(z_f=200.0, incidence_deg=30.0), c=np.full(5, 4.0))
+    shared = error_causes.eyes(geometry(z_f=200.0, incidence_deg=30.0), c=np.full(5, 4.0))
     return shared._replace(**{name: jnp.asarray(values) for name, values in columns.items()})
 
 
@@ -67,7 +65,7 @@ def worths() -> np.ndarray:
         eccentricity=[4.0, 4.0, 4.0, 0.0, 3.0],
     )
     shift = Shift(*(np.full(5, x) for x in (EDGE_PX, PIXELS_PX, SPREAD_PX)))
-    return causes.worths(eye, d=np.full(5, 4.0), shift=shift)
+    return error_causes.worths(eye, d=np.full(5, 4.0), shift=shift)
 
 
 def share(worths: np.ndarray, where: int, model: str, cause: str) -> float:
@@ -114,7 +112,7 @@ def test_the_chain_with_every_link_real_is_the_exact_geometry_and_so_is_its_inve
     @jax.vmap
     def both(eye: Eye, d: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         seen = exact(eye, d)
-        return seen, chain.semi_minor(eye, d), chain.inverse(eye, seen)
+        return seen, error_causes.semi_minor(eye, d), error_causes.inverse(eye, seen)
 
     expected, found, back = map(np.asarray, both(eye, d))
     # Both converge spectrally in the number of points, 64 and 128: 3e-12 is what was left.
@@ -165,7 +163,7 @@ def test_the_parts_sum_to_the_error_that_the_models_make_of_the_measured_spot(wo
 
 def test_an_exact_model_told_the_truth_owes_nothing_to_geometry(worths):
     members = coalitions(len(CAUSES))
-    geometric = members[:, len(chain.LINKS) :].sum(axis=1) == 0
+    geometric = members[:, len(error_causes.LINKS) :].sum(axis=1) == 0
     errors = worths[:, optics.MODELS.index("exact")][:, geometric]
     assert np.abs(errors).max() < 1e-8
 
@@ -188,14 +186,14 @@ def test_at_the_eyeballs_centre_magnification_makes_the_papers_factor_right(
 
 def test_light_spread_in_the_wall_moves_a_square_cones_distance_by_a_tenth_of_a_millimetre():
     d = np.array([0.5, 2.0, 4.0, 6.0])
-    moved = causes.spread_shift(geometry(z_f=200.0), c=np.zeros(4), d=d, length=0.05)
+    moved = error_causes.spread_shift(geometry(z_f=200.0), c=np.zeros(4), d=d, length=0.05)
     # As an independent sum over an evenly lit disc has it (`test_optics_wall_spread`); a spot seen
     # from 200 mm has its size on the wall to the sagitta of 0.01 mm over 211 mm.
     assert K * SCALE * moved == pytest.approx([-0.148, -0.134, -0.110, -0.091], abs=1e-3)
-    paper = causes.spread_length(scenes.load_scene(None))
+    paper = error_causes.spread_length(scenes.load_scene(None))
     assert paper == pytest.approx(0.0244, abs=1e-4)
     own = scenes.load_scene(None, ["phantom.spread=own", "phantom.spread_mm=[0.1,0.05,0.02]"])
-    assert causes.spread_length(own) == 0.05
+    assert error_causes.spread_length(own) == 0.05
 
 
 # Shares.
@@ -228,7 +226,7 @@ def test_shares_are_the_mean_gain_over_all_orders_of_joining():
 @pytest.fixture(scope="module")
 def withdrawals() -> dict[float, Withdrawals]:
     return {
-        z_f: limits.withdrawals(geometry(z_f=z_f), eccentricities=C_MM, medium="air")
+        z_f: eccentricity.withdrawals(geometry(z_f=z_f), eccentricities=C_MM, medium="air")
         for z_f in (11.5, 100.0, 200.0)
     }
 
@@ -276,7 +274,7 @@ def test_rows_with_c_fitted_are_marked_and_keep_the_true_c(withdrawals):
 
 def test_a_microscope_leaves_the_limits_sooner_than_a_pinhole_on_the_sphere(withdrawals):
     every = pd.concat([w.errors for w in withdrawals.values()])
-    rows = limits.limits(every[~every.refit])
+    rows = eccentricity.limits(every[~every.refit])
     found = rows.set_index(["z_f_mm", "model", "limit_mm"]).c_mm
     for limit in LIMITS_MM:
         near, far = found[11.5, "small_plane", limit], found[200.0, "small_plane", limit]
@@ -292,7 +290,8 @@ def test_a_microscope_leaves_the_limits_sooner_than_a_pinhole_on_the_sphere(with
 
 def test_the_space_is_filled_evenly_and_repeatably():
     first, again = (
-        next(space.blocks(count=512, seed=5, scale=SCALE, contact_radius=0.256)) for _ in range(2)
+        next(eccentricity.blocks(count=512, seed=5, scale=SCALE, contact_radius=0.256))
+        for _ in range(2)
     )
     for axis, (low, high) in AXES.items():
         values = first.axes[axis]
@@ -332,9 +331,9 @@ def test_model_error_csv_has_the_columns_that_people_exchange(tmp_path):
 
 
 def test_an_axis_that_alone_decides_explains_all_and_one_without_effect_nothing():
-    block = next(space.blocks(count=512, seed=5, scale=SCALE, contact_radius=0.256))
+    block = next(eccentricity.blocks(count=512, seed=5, scale=SCALE, contact_radius=0.256))
     made = {model: block.axes["d_mm"] + block.axes["c_mm"] for model in optics.MODELS}
-    filled = space.Space()
+    filled = eccentricity.Space()
     filled.add(block._replace(estimates=made))
     rows = filled.sensitivities()
     found = rows.groupby(["pinhole", "axis"]).first_order.last()
@@ -374,14 +373,15 @@ def small_report(_: None) -> Report:
 
 
 def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
-    request = Request(
+    study = Study(
+        "eccentricity",
         out=tmp_path / "a run",
         changes=("spot.incidence_deg=20",),
         quick=True,
         seed=4,
         options={"geometries": 64},
+        defaults=("source.kind=cone",),
     )
-    study = Study("eccentricity", request, defaults=("source.kind=cone",))
     with study.timed("a step"):
         pass
     study.publish(small_report, None)
@@ -411,23 +411,23 @@ def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
 
 
 def test_a_folder_takes_the_same_request_again_and_refuses_another(tmp_path):
-    request = Request(out=tmp_path / "run", seed=1)
-    Study("pose", request)
-    Study("pose", request)
+    Study("pose", out=tmp_path / "run", seed=1)
+    Study("pose", out=tmp_path / "run", seed=1)
     with pytest.raises(ValueError, match=r"'study': 'pose' instead of 'static'"):
-        Study("static", request)
+        Study("static", out=tmp_path / "run", seed=1)
     with pytest.raises(ValueError, match="other settings"):
-        Study("pose", Request(out=tmp_path / "run", seed=2))
+        Study("pose", out=tmp_path / "run", seed=2)
 
 
 def test_a_persons_scene_file_is_not_overruled_by_the_studys_defaults(tmp_path):
     file = tmp_path / "scene.toml"
     file.write_text('schema = 1\n[source]\nkind = "lens"\n')
-    given = Study("pose", Request(out=tmp_path / "a", scene=file), defaults=("source.kind=cone",))
-    bare = Study("pose", Request(out=tmp_path / "b"), defaults=("source.kind=cone",))
+    given = Study("pose", out=tmp_path / "a", scene=file, defaults=("source.kind=cone",))
+    bare = Study("pose", out=tmp_path / "b", defaults=("source.kind=cone",))
     changed = Study(
         "pose",
-        Request(out=tmp_path / "c", changes=("source.kind=lens",)),
+        out=tmp_path / "c",
+        changes=("source.kind=lens",),
         defaults=("source.kind=cone",),
     )
     kinds = [study.scene.source.kind for study in (given, bare, changed)]
@@ -435,18 +435,16 @@ def test_a_persons_scene_file_is_not_overruled_by_the_studys_defaults(tmp_path):
 
 
 def test_a_scene_without_an_eyeball_is_refused_before_a_folder_is_made(tmp_path):
-    request = Request(
-        out=tmp_path / "run", changes=("phantom.kind=plane",), options={"geometries": 64}
-    )
     with pytest.raises(scenes.SceneError, match=r"eyeball of 10 mm.*Set phantom\.kind=eyeball"):
-        eccentricity.run(request)
+        eccentricity.eccentricity(
+            out=tmp_path / "run", changes=("phantom.kind=plane",), geometries=64
+        )
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow
 def test_a_quick_run_finds_what_is_known_and_resumes(tmp_path, monkeypatch):
-    request = Request(out=tmp_path / "run", quick=True, options={"geometries": 512})
-    findings = eccentricity.run(request)
+    findings = eccentricity.eccentricity(out=tmp_path / "run", quick=True, geometries=512)
     measured = findings.rendered.with_true_c
     worst = measured.error_mm.abs().groupby(measured.model).max()
     # Spots good to 0.1 px are distances good to k delta 0.1 px = 0.013 mm.
@@ -464,9 +462,11 @@ def test_a_quick_run_finds_what_is_known_and_resumes(tmp_path, monkeypatch):
         raise AssertionError("a finished stack was rendered again")
 
     monkeypatch.setattr(scenes, "render_stack", never)
-    again = eccentricity.run(request).rendered.errors
+    again = eccentricity.eccentricity(
+        out=tmp_path / "run", quick=True, geometries=512
+    ).rendered.errors
     pd.testing.assert_frame_equal(again, findings.rendered.errors)
 
 
 def test_links_and_their_names_belong_together():
-    assert len(Links._fields) == len(chain.LINKS)
+    assert len(Links._fields) == len(error_causes.LINKS)

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.reporting import Request
-from benchmarks.studies.eye import population, recipes
-from benchmarks.studies.eye.geometry import (
+from benchmarks.studies import eye, eye_paths
+from benchmarks.studies.eye import crossing
+from benchmarks.studies.eye_paths import (
     NOMINAL_RADIUS_MM,
     SCALE_MM_PX,
     Pinhole,
@@ -20,7 +20,6 @@ from benchmarks.studies.eye.geometry import (
     in_batches,
     spots_through,
 )
-from benchmarks.studies.eye.run import crossing
 from calibration.spots import RETINA
 from optics.viewing import load_eye
 
@@ -29,9 +28,9 @@ pytestmark = pytest.mark.usefixtures("fast_compilation")
 
 def test_the_population_has_the_published_means_and_correlations():
     count = 20_000
-    drawn = population.drawn(count, seed=5)
+    drawn = eye_paths.drawn(count, seed=5)
     values = dict(zip(drawn.names, drawn.values.T, strict=True))
-    # Rozema et al. 2016, as reduced in population.toml. Tolerances: 4 standard errors, s/sqrt(n)
+    # Rozema et al. 2016, as reduced in eye_paths.toml. Tolerances: 4 standard errors, s/sqrt(n)
     # for means and (1 - r^2)/sqrt(n) for correlations.
     for name, mean, deviation in (
         ("axial_length", 23.840, 1.099),
@@ -46,7 +45,7 @@ def test_the_population_has_the_published_means_and_correlations():
 
 
 def test_parts_left_out_are_the_mean_eye():
-    drawn = population.drawn(3, seed=5)
+    drawn = eye_paths.drawn(3, seed=5)
     eyes = drawn.eyes(["cornea"])
     assert len(set(np.asarray(eyes.cornea[0].surface.curvature).tolist())) == 3
     assert len(set(np.asarray(eyes.axial_length).tolist())) == 1
@@ -63,8 +62,8 @@ def seen_by(pinhole, spots):
 def test_an_eye_that_is_a_pinhole_is_fitted_and_read_exactly(kappa):
     """Without noise no prior pulls, so the parameters return to the solver's 1e-6."""
     eye = Pinhole(*map(jnp.asarray, (SCALE_MM_PX, kappa, RETINA.mean)))
-    seen = seen_by(eye, recipes.withdrawals())
-    found = recipes.fitted_pinhole(seen, jnp.zeros((3, 9, 5)))
+    seen = seen_by(eye, eye_paths.withdrawals())
+    found = eye_paths.fitted_pinhole(seen, jnp.zeros((3, 9, 5)))
     assert float(found.kappa) == pytest.approx(kappa, abs=1e-5)
     assert float(found.scale) == pytest.approx(SCALE_MM_PX, rel=1e-5)
     assert float(found.radius) == pytest.approx(RETINA.mean, abs=1e-4)
@@ -73,7 +72,7 @@ def test_an_eye_that_is_a_pinhole_is_fitted_and_read_exactly(kappa):
     hidden = seen.visible.at[2].set(False)
     gone = jax.tree.map(lambda leaf: leaf.at[2].set(jnp.nan), seen._replace(visible=hidden * 1.0))
     gone = gone._replace(visible=hidden, axis=seen.axis)
-    assert float(recipes.fitted_pinhole(gone, jnp.zeros((3, 9, 5))).kappa) == pytest.approx(
+    assert float(eye_paths.fitted_pinhole(gone, jnp.zeros((3, 9, 5))).kappa) == pytest.approx(
         kappa, abs=1e-4
     )
 
@@ -81,7 +80,7 @@ def test_an_eye_that_is_a_pinhole_is_fitted_and_read_exactly(kappa):
         jnp.ravel, grid(np.array([0.0, 3.0]), np.array([1.0, 5.0]), ((0.0, 0.0), (30.0, 40.0)))
     )
     every = jax.tree.map(lambda leaf: jnp.full(8, leaf), eye)
-    read = recipes.distance_by_area(seen_by(eye, spots), every)
+    read = eye_paths.distance_by_area(seen_by(eye, spots), every)
     # The ellipse of 32 points is within 1e-7 px of the other's.
     np.testing.assert_allclose(read, spots.distance, atol=1e-6)
 
@@ -102,7 +101,7 @@ def test_small_plane_errs_as_an_independent_trace_says(path, errors_mm):
     flat = jax.tree.map(jnp.ravel, spots)
     camera = cameras(path, jax.tree.map(lambda leaf: leaf[None], eye), jnp.asarray(50.0))
     seen = spots_through(jax.tree.map(lambda leaf: leaf[0], camera), eye.retina_semi_axes, flat)
-    read = recipes.distance_by_closed_form(
+    read = eye_paths.distance_by_closed_form(
         "small_plane",
         np.asarray(seen.semi_axes[:, 0]),
         flat,
@@ -128,9 +127,7 @@ def test_a_limit_is_where_the_error_first_exceeds_it(errors, limit, c):
 
 @pytest.mark.slow
 def test_a_quick_study_finds_what_is_known(tmp_path):
-    from benchmarks.studies.eye.run import run
-
-    findings = run(Request(out=tmp_path / "eye", quick=True, seed=1))
+    findings = eye.eye(out=tmp_path / "eye", quick=True, seed=1)
     claims = json.loads((tmp_path / "eye" / "summary.json").read_text())["found"]
     within = {c["name"]: c for c in claims if c["name"].startswith("within")}
     phakic = within["within 0.1 mm, flat, phakic"]
@@ -150,7 +147,7 @@ def test_the_exact_path_reads_its_own_eye_exactly():
     )
     spots = grid(np.array([0.0, 3.0]), np.array([1.0, 5.0]), ((0.0, 0.0), (30.0, 40.0)))
     flat = jax.tree.map(jnp.ravel, spots)
-    read = recipes.distance_through_path(spots_through(camera, axes, flat), camera, axes)
+    read = eye_paths.distance_through_path(spots_through(camera, axes, flat), camera, axes)
     # Ellipses of 48 points behind a lens are within 1e-6 px, 2e-7 mm; those of 32 a little worse.
     np.testing.assert_allclose(read, flat.distance, atol=1e-6)
 

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 import scenes
-from benchmarks.reporting import Request, rows_of
-from benchmarks.studies.medium import light as medium_light
-from benchmarks.studies.medium import rendered as medium_rendered
-from benchmarks.studies.medium import run as medium
-from benchmarks.studies.medium.light import AIR, VITREOUS, Curve, Method, Regression
+from benchmarks.reporting import rows_of
+from benchmarks.studies import medium
+from benchmarks.studies.medium import AIR, VITREOUS, Curve, Method, Regression
 from scenes.world import Cone
 
 DISTANCE = np.linspace(0.05, 8.0, 1600)
@@ -25,8 +23,8 @@ def straight(k: float, b: float, name: str) -> Curve:
 
 def test_no_medium_changes_what_an_ideal_cone_says():
     cone = Cone(math.atan(1 / 20), -5.117)
-    air, vitreous = (medium_light.cone_curve(cone, name) for name in (AIR, VITREOUS))
-    rows = medium_light.analytic_errors(air, vitreous, distances=ASKED)
+    air, vitreous = (medium.cone_curve(cone, name) for name in (AIR, VITREOUS))
+    rows = medium.analytic_errors(air, vitreous, distances=ASKED)
     assert set(rows.method) == set(Method)
     # Rounding of numbers near 10, times k.
     assert rows.error_mm.abs().max() < 1e-12
@@ -35,7 +33,7 @@ def test_no_medium_changes_what_an_ideal_cone_says():
 
 def test_airs_cone_is_off_by_the_ratio_of_the_slopes():
     air, vitreous = straight(12.0, -3.0, AIR), straight(16.0, -4.0, VITREOUS)
-    rows = medium_light.analytic_errors(air, vitreous, distances=ASKED)
+    rows = medium.analytic_errors(air, vitreous, distances=ASKED)
     for row in rows_of(rows):
         # R = (d + 4)/16, read as 12 R - 3 = 3/4 d: a quarter of the distance is lost.
         expected = -0.25 * row.d_mm if row.method == Method.AIR_CONE else 0.0
@@ -47,7 +45,7 @@ def test_a_radius_on_both_sides_of_a_waist_is_ambiguous_and_gives_the_farther_an
     waist = 2.0
     radius = np.hypot(0.2, 0.1 * (DISTANCE - waist))
     vitreous = Curve(DISTANCE, radius, air.cone._replace(medium=VITREOUS))
-    rows = medium_light.analytic_errors(air, vitreous, distances=np.array([1.0, 3.0, 5.0]))
+    rows = medium.analytic_errors(air, vitreous, distances=np.array([1.0, 3.0, 5.0]))
     by_lens = rows[rows.method == Method.LENS].set_index("d_mm")
     # The same on both sides, 2 (waist - d) apart; 5 mm's other side lies behind the tip. Linear
     # between samples 5 um apart: 1e-6 of the radius, a few um of distance.
@@ -58,7 +56,7 @@ def test_a_radius_on_both_sides_of_a_waist_is_ambiguous_and_gives_the_farther_an
 
 
 def test_trials_differ_in_light_medium_and_wall_alone():
-    trials = medium_rendered.trials(scenes.load_scene(None, ()), lights=["dome", "cone"], frames=5)
+    trials = medium.trials(scenes.load_scene(None, ()), lights=["dome", "cone"], frames=5)
     assert len(trials) == 6
     for scene in trials.values():
         same = scenes.changed(
@@ -75,13 +73,13 @@ def test_trials_differ_in_light_medium_and_wall_alone():
 
 def test_a_scene_without_a_lens_is_refused_before_a_folder_is_made(tmp_path):
     with pytest.raises(scenes.SceneError, match=r"Set source\.kind=lens"):
-        medium.run(Request(out=tmp_path / "run", changes=("source.kind=cone",)))
+        medium.medium(out=tmp_path / "run", changes=("source.kind=cone",))
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow
 def test_a_flat_end_in_vitreous_is_the_same_lens_seen_from_farther_off():
-    air, vitreous = (medium_light.lens_curve("paper-candidate", name) for name in (AIR, VITREOUS))
+    air, vitreous = (medium.lens_curve("paper-candidate", name) for name in (AIR, VITREOUS))
     # Snell: sin(angle) = NA/n; the profile depends on d tan(angle)/a but for cosines, which are
     # 1 within (0.1)^2/2 = 0.5 %.
     longer = math.tan(math.asin(0.10)) / math.tan(math.asin(0.10 / 1.336))
@@ -93,7 +91,7 @@ def test_a_flat_end_in_vitreous_is_the_same_lens_seen_from_farther_off():
 
 @pytest.mark.slow
 def test_a_quick_run_finds_airs_cone_wrong_and_the_lens_model_right(tmp_path):
-    errors = medium.run(Request(out=tmp_path / "run", quick=True))
+    errors = medium.medium(out=tmp_path / "run", quick=True)
     rendered = errors[(errors.source == "rendered") & (errors.medium == VITREOUS)]
 
     def worst(light: str, method: Method) -> float:

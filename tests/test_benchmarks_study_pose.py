@@ -11,14 +11,9 @@ import pytest
 
 import optics
 import scenes
-from benchmarks.evaluation.statistics import rms
-from benchmarks.reporting.study import Request
-from benchmarks.studies.pose import analytic as pose_analytic
-from benchmarks.studies.pose import errors as pose_errors
-from benchmarks.studies.pose import rendered as pose_rendered
-from benchmarks.studies.pose import run as pose
-from benchmarks.studies.pose.errors import Prior, one_spot, three_spots
-from benchmarks.studies.pose.run import scatter, some
+from benchmarks.paper import rms
+from benchmarks.studies import pose
+from benchmarks.studies.pose import Prior, one_spot, scatter, some, three_spots
 from calibration.spots.tool_pose import (
     Tool,
     ToolPose,
@@ -38,8 +33,8 @@ VIEW = optics.microscope(scale=0.0065, pinhole_height=11.5, eye_radius=11.5)
 SIGMA_PX = 0.05
 
 
-def place(incidence_deg: float, *, c: float = 3.0, d: float = 4.0) -> pose_errors.Place:
-    return pose_errors.place_at(
+def place(incidence_deg: float, *, c: float = 3.0, d: float = 4.0) -> pose.Place:
+    return pose.place_at(
         WALL, c=c, around_deg=30.0, d=d, incidence_deg=incidence_deg, azimuth_deg=60.0, roll=0.7
     )
 
@@ -49,7 +44,7 @@ def bounds(tool: Tool, incidence_deg: float) -> tuple[float, float]:
     covariance = np.asarray(
         tool_pose_bound(tool, place(incidence_deg).pose, WALL, VIEW, sigma_px=SIGMA_PX)
     )
-    return 1e3 * pose_errors.tip_bound(covariance), pose_errors.axis_bound_deg(covariance)
+    return 1e3 * pose.tip_bound(covariance), pose.axis_bound_deg(covariance)
 
 
 @jax.jit
@@ -73,7 +68,7 @@ def test_the_bound_of_one_spot_is_the_known_one(incidence, tip_um):
 def test_a_known_axis_leaves_the_known_bound_of_the_tip():
     known = tool_pose_bound(ONE, place(20.0).pose, WALL, VIEW, sigma_px=SIGMA_PX, axis_known=True)
     # By an independent computation: 0.6 um.
-    assert 1e3 * pose_errors.tip_bound(np.asarray(known)) == pytest.approx(0.6, abs=0.1)
+    assert 1e3 * pose.tip_bound(np.asarray(known)) == pytest.approx(0.6, abs=0.1)
 
 
 def test_three_splayed_spots_tell_more_than_three_measurements_of_one():
@@ -99,9 +94,7 @@ def test_three_spots_give_the_tool_back_even_where_the_mirror_image_is_expected(
 
 
 def test_spots_of_a_tool_lie_evenly_round_its_axis_at_square_incidence():
-    at = pose_errors.place_at(
-        WALL, c=0.0, around_deg=0.0, d=3.0, incidence_deg=0.0, azimuth_deg=0.0
-    )
+    at = pose.place_at(WALL, c=0.0, around_deg=0.0, d=3.0, incidence_deg=0.0, azimuth_deg=0.0)
     contours, _, _ = spots(at.pose)
     centres = np.asarray(contours).mean(axis=1)
     apart = np.linalg.norm(centres - np.roll(centres, 1, axis=0), axis=1)
@@ -114,8 +107,8 @@ def test_spots_of_a_tool_lie_evenly_round_its_axis_at_square_incidence():
 
 @pytest.fixture(scope="module")
 def rows() -> pd.DataFrame:
-    every = pose_analytic.places(WALL, count=32, seed=0)
-    return pd.DataFrame(pose_analytic.errors(ONE, every, WALL, VIEW, seed=0))
+    every = pose.places(WALL, count=32, seed=0)
+    return pd.DataFrame(pose.errors(ONE, every, WALL, VIEW, seed=0))
 
 
 def test_one_spots_errors_are_those_of_the_bound(rows):
@@ -138,7 +131,7 @@ def test_a_mirrored_solution_has_another_tip_but_the_same_distance(rows):
 
 
 def test_places_fill_the_working_volume():
-    every = pose_analytic.places(WALL, count=32, seed=3)
+    every = pose.places(WALL, count=32, seed=3)
     for at in every:
         tip, axis = np.asarray(at.pose.tip), np.asarray(at.pose.axis)
         spot = tip + at.d_mm * axis
@@ -157,26 +150,24 @@ def test_an_axis_near_the_mirror_image_is_mirrored_and_one_near_the_truth_is_not
         angle = math.radians(deg)
         return np.array([math.sin(angle), 0.0, -math.cos(angle)])
 
-    assert pose_errors.is_mirrored(leaning(-19.0), leaning(20.0), outward)
-    assert not pose_errors.is_mirrored(leaning(15.0), leaning(20.0), outward)
+    assert pose.is_mirrored(leaning(-19.0), leaning(20.0), outward)
+    assert not pose.is_mirrored(leaning(15.0), leaning(20.0), outward)
 
 
 def test_priors_are_off_by_five_degrees_both_ways():
     rng = np.random.default_rng(0)
     axis = np.array([0.0, 0.0, -1.0])
-    off = np.array([pose_errors.drawn_prior(axis, rng)[:2] for _ in range(200)])
+    off = np.array([pose.drawn_prior(axis, rng)[:2] for _ in range(200)])
     # A standard deviation from 400 numbers is known to 3.5 %; three of those.
     assert np.degrees(off.std()) == pytest.approx(5.0, rel=0.11)
 
 
 def test_the_tool_stands_still_while_the_camera_exposes(tmp_path):
     scene = scenes.load_scene(None, ("source.kind=cone",))
-    every = pose_rendered.places_at(scene, c=2.0, poses=2)
+    every = pose.places_at(scene, c=2.0, poses=2)
     file = Path(tmp_path) / "poses" / "c.csv"
-    pose_rendered.write_poses(file, (ONE, THREE), every)
-    still = scenes.changed(
-        scene, pose_rendered.STILL | {"motion": {"kind": "recorded", "file": str(file)}}
-    )
+    pose.write_poses(file, (ONE, THREE), every)
+    still = scenes.changed(scene, pose.STILL | {"motion": {"kind": "recorded", "file": str(file)}})
     motion = World(still).motion
     # A spot and three more of either pose.
     assert motion.moments.tolist() == list(range(8))
@@ -195,13 +186,13 @@ def test_the_tool_stands_still_while_the_camera_exposes(tmp_path):
 )
 def test_a_scene_whose_spots_have_no_such_pose_is_refused(tmp_path, changes, message):
     with pytest.raises(scenes.SceneError, match=message):
-        pose.run(Request(out=tmp_path / "run", changes=changes))
+        pose.pose(out=tmp_path / "run", changes=changes)
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow
 def test_a_quick_run_is_within_what_was_asked(tmp_path):
-    errors = pose.run(Request(out=tmp_path / "run", quick=True))
+    errors = pose.pose(out=tmp_path / "run", quick=True)
     assert set(errors.spots[errors.source == "rendered"]) == {1, 3}
     found = scatter(some(errors, "rendered", 1, Prior.ROUGH))
     assert found.tip_mm < 0.010

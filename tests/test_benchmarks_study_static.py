@@ -9,15 +9,10 @@ import pytest
 
 import optics
 import scenes
-from benchmarks.evaluation.paper import TABLE_I, PlaneRow
-from benchmarks.evaluation.trials import paper_trials
-from benchmarks.reporting.study import Request
-from benchmarks.studies.static import run as static
-from benchmarks.studies.static.run import OWN, POOLED
-from benchmarks.studies.static.trials import ALL, CAUSES, EVEN, NONE, plane
-from benchmarks.studies.table_one import moments, scan
-from benchmarks.studies.table_one import run as table_one
-from benchmarks.studies.table_one.scan import Demand, Family, Isophotes, LensChoice
+from benchmarks.paper import TABLE_I, PlaneRow, paper_trials
+from benchmarks.studies import static, table_one
+from benchmarks.studies.static import ALL, CAUSES, EVEN, NONE, OWN, POOLED, plane
+from benchmarks.studies.table_one import Demand, Family, Isophotes, LensChoice
 from calibration.spots.lines import fit_lines
 from scenes.world import World
 
@@ -32,7 +27,7 @@ def flat() -> dict[float, Isophotes]:
 
 
 def best(isophotes: Isophotes) -> LensChoice:
-    choices = scan.best_choices(isophotes, scale=PLANE.microscope.scale_mm_px)
+    choices = table_one.best_choices(isophotes, scale=PLANE.microscope.scale_mm_px)
     return next(choice for choice in choices if choice.asked == Demand.AT_SCALE)
 
 
@@ -94,7 +89,7 @@ def test_moments_pool_to_the_line_through_all_spots():
     def row(e: np.ndarray, d: np.ndarray) -> PlaneRow:
         return PlaneRow(*(float(value) for value in fit_lines(e, d)))
 
-    found = moments.pooled(
+    found = table_one.pooled(
         [row(e, d) for e, d in zip(axes, reading, strict=True)],
         means=[float(d.mean()) for d in reading],
         weights=[e.size for e in axes],
@@ -110,13 +105,13 @@ def test_r_squared_and_rmse_tell_the_span_of_evenly_spaced_readings():
     e = (d - B) / (K * 0.0067) + np.random.default_rng(1).normal(0.0, 1.0, n)
     row = PlaneRow(*(float(value) for value in fit_lines(e, d)))
     # n readings have a variance (n + 1)/(n - 1) times that of a continuum.
-    assert moments.even_span(row) == pytest.approx(span, rel=1.1 / n)
+    assert table_one.even_span(row) == pytest.approx(span, rel=1.1 / n)
 
 
 def test_table_ones_own_rows_do_not_pool_to_its_last_row_from_contact():
     trials = list(TABLE_I.values())[:3]
-    even = moments.from_contact(trials, weights=(1, 1, 1)).row
-    free = moments.best_from_contact(trials, least_share=0.1).row
+    even = table_one.from_contact(trials, weights=(1, 1, 1)).row
+    free = table_one.best_from_contact(trials, least_share=0.1).row
     printed = TABLE_I["all planes"]
     # Far outside what rounding in the fourth digit of any figure could do.
     assert even.rmse > 2 * printed.rmse
@@ -183,15 +178,15 @@ def test_light_moves_the_contact_radius_by_far_less_than_the_papers_trials_diffe
 def test_a_scene_that_table_one_cannot_be_asked_of_is_refused(tmp_path):
     for change, word in (("source.kind=cone", "source.kind"), ("motion.start_mm=1", "contact")):
         with pytest.raises(ValueError, match=word):
-            table_one.run(Request(out=tmp_path / "out", changes=(change,)))
+            table_one.table_one(out=tmp_path / "out", changes=(change,))
     with pytest.raises(ValueError, match="withdraws"):
-        static.run(Request(out=tmp_path / "out", changes=("motion.start_mm=1",)))
+        static.static(out=tmp_path / "out", changes=("motion.start_mm=1",))
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("study", [static, table_one])
+@pytest.mark.parametrize("study", [static.static, table_one.table_one])
 def test_a_quick_study_writes_its_report(study, tmp_path):
-    study.run(Request(out=tmp_path / "out", quick=True))
+    study(out=tmp_path / "out", quick=True)
     assert (tmp_path / "out" / "report.html").is_file()
     assert (tmp_path / "out" / "summary.json").is_file()

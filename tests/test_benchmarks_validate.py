@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 import scenes
-from benchmarks.evaluation import model_error, trials
-from benchmarks.evaluation.tracking import SUBPIXEL
-from benchmarks.studies.validate import run as validate
+from benchmarks import model_error, paper
+from benchmarks.paper import SUBPIXEL
+from benchmarks.studies import validate
 
 FILES = ("report.html", "summary.json", "model_error.csv", "run.json")
 
@@ -18,7 +18,7 @@ FILES = ("report.html", "summary.json", "model_error.csv", "run.json")
 @pytest.fixture(scope="module")
 def cone_run(tmp_path_factory):
     out = tmp_path_factory.mktemp("validate") / "run"
-    findings = validate.run(out=out, quick=True, seed=0, source="cone")
+    findings = validate.validate(out=out, quick=True, seed=0, source="cone")
     return out, findings
 
 
@@ -66,7 +66,7 @@ def test_a_second_run_renders_nothing_and_finds_the_same(cone_run, monkeypatch):
     files = [*sorted(out.glob("*.csv")), *sorted((out / "spots").iterdir())]
     before = {path: path.read_bytes() for path in files}
     summary = json.loads((out / "summary.json").read_text())
-    again = validate.run(out=out, quick=True, seed=0, source="cone")
+    again = validate.validate(out=out, quick=True, seed=0, source="cone")
     assert again.plane_fits == findings.plane_fits
     assert again.sphere_fits == findings.sphere_fits
     pd.testing.assert_frame_equal(again.analytic, findings.analytic)
@@ -80,7 +80,7 @@ def test_a_second_run_renders_nothing_and_finds_the_same(cone_run, monkeypatch):
 def test_a_folder_with_something_else_is_refused(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(ValueError, match="has files that are not from `eyespot validate`"):
-        validate.run(out=tmp_path, quick=True, seed=0, source="cone")
+        validate.validate(out=tmp_path, quick=True, seed=0, source="cone")
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
@@ -88,11 +88,11 @@ def test_a_folder_with_another_run_is_refused(tmp_path):
     settings = {"schema": 1, "quick": False, "seed": 7, "source": "cone"}
     (tmp_path / "run.json").write_text(json.dumps(settings))
     with pytest.raises(ValueError, match=r"other settings.*'seed': 7.*instead of"):
-        validate.run(out=tmp_path, quick=True, seed=0, source="cone")
+        validate.validate(out=tmp_path, quick=True, seed=0, source="cone")
 
 
 def test_analytic_errors_have_the_known_rows():
-    trial = trials.grid_trials(quick=True, seed=0)[0]
+    trial = paper.grid_trials(quick=True, seed=0)[0]
     geometry = model_error.geometry_of(trial.scene)._replace(pinhole_height=11.5, incidence=0.0)
     errors = model_error.analytic_errors(
         geometry, eccentricities=np.array([3.0]), distances=np.array([0.5, 2.0, 4.0, 6.0])

@@ -169,7 +169,7 @@ def test_the_files_of_a_set_fulfil_their_schemas() -> None:
         ("eye", "optics/viewing/eyes/*.toml"),
         ("viewing-lens", "optics/viewing/lenses/*.toml"),
         ("glue-lens", "optics/lenses/*.toml"),
-        ("spec", "benchmarks/sets/spec/named/*.toml"),
+        ("spec", "benchmarks/sets/named/*.toml"),
     ],
 )
 def test_files_that_come_with_eyespot_fulfil_their_schemas(slug: str, pattern: str) -> None:

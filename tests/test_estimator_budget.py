@@ -11,7 +11,7 @@ import pytest
 from uncertainties import correlated_values, ufloat, umath
 
 import optics
-from benchmarks.evaluation import Geometry, estimates, semi_minor
+from benchmarks.model_error import Geometry, estimates, semi_minor
 from estimator import read_spots, read_stack
 from estimator.distance import Budget, Budgets, Cause, Motion, Part, Range, Ranger
 from estimator.distance.tilted_cone import Eye, distance_of, spot_image

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.bench.estimator import own_frames
-from benchmarks.bench.estimator.lookalikes import taken_for_spots
 from estimator import Spot, SubpixelSettings, TrackState, measure
 from estimator.detector.contour import hollow_share
 from estimator.detector.ellipse import Ellipse, Patch
 from estimator.detector.tuning import RAYS, Hollow
+from tests import own_frames
+from tests.lookalikes import taken_for_spots
 
 _SIDE = 200
 _AXES = 80.0, 60.0

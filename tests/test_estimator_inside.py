@@ -12,7 +12,7 @@ import pytest
 from benchmarks.sets.formats import hdf5
 from benchmarks.sets.formats.export import export
 from benchmarks.sets.read import SetError, read_set
-from benchmarks.sets.spec.spec import SpecError, load_spec
+from benchmarks.sets.spec import SpecError, load_spec
 from estimator import Pose
 from estimator.files import StackError, inside, read_poses, read_stack
 from estimator.sources import write_bag

@@ -5,13 +5,13 @@ import functools
 import numpy as np
 import pytest
 
-from benchmarks.bench.estimator.lookalikes import LOOKALIKES
 from estimator import NoSpot, Reason, SubpixelSettings, TrackState, measure, open_source
 from estimator.distance import RangeFlag, WallMemory
 from estimator.pixels import tracker
 from estimator.pixels.beam import BeamLight
 from estimator.pixels.cells import COUNT
 from estimator.pixels.frame_fit import _grown
+from tests.lookalikes import LOOKALIKES
 from tests.pixel_stacks import cone_stack, reader_in, readings_of
 
 _MOST = 30.0  # chi squared of five numbers exceeds it once in 70,000

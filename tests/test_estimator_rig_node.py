@@ -29,7 +29,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from benchmarks.bench.output import memory_mb
+from benchmarks.bench.load import memory_mb
 from estimator import LiteralSettings, SubpixelSettings
 from estimator.distance import Ranger
 from estimator.files import read_calibration, read_microscope, read_poses

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.bench.estimator import own_frames
-from benchmarks.bench.estimator.lookalikes import LOOKALIKES, taken_for_spots
-from benchmarks.bench.estimator.stated_errors import measured
 from estimator import Spot, SubpixelSettings, TrackState, measure
+from tests import own_frames
+from tests.lookalikes import LOOKALIKES, taken_for_spots
+from tests.stated_errors import measured
 
 
 @pytest.mark.parametrize("name", LOOKALIKES)

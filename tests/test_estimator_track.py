@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.bench.estimator.spotless import false_spots
 from estimator import (
     LiteralSettings,
     NoSpot,
@@ -23,6 +22,7 @@ from estimator import (
     track,
 )
 from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of, with_shaft
+from tests.spotless import false_spots
 
 _TRUTH = Truth(x=330, y=230, semi_major=66, semi_minor=60, angle=0.3)
 _SCENE = Drawing(truth=_TRUTH)

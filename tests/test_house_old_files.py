@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.sets.make.manifest import verify_set
-from benchmarks.sets.read import SetError, read_set
+from benchmarks.sets.read import SetError, read_set, verify_set
 from benchmarks.sets.spec import load_spec
 from estimator import NoSpot, Reason, Spot
 from estimator.files import (

@@ -69,7 +69,9 @@ def test_a_room_is_entered_through_its_face_only():
     broken = []
     for module, path in MODULES.items():
         for source, name, line in imported_names(path):
-            inside = room_of(module) == room_of(source)
+            # Nothing but tests and docs stands above `benchmarks`, so its files need no faces.
+            above = source.split(".")[0] == "benchmarks"
+            inside = above or room_of(module) == room_of(source)
             if not inside and source not in ROOMS:
                 broken.append(f"{module}:{line} imports from {source}, not from its room's face")
             elif not inside and name and name not in FACES[source]:

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.reporting import Request, Study
 from benchmarks.sets.formats.export import export
-from benchmarks.sets.score.scoring import run as score
+from benchmarks.sets.score.pages import run as score
+from benchmarks.study import Study
 from calibration.command.choices import Choices
 from calibration.command.fitting import run as fit
 from estimator import StackError, StackWriter, read_stack
@@ -88,7 +88,7 @@ def tiny_stack(folder: Path) -> Path:
 
 
 def write_study(out: Path) -> None:
-    Study("static", Request(out=out, quick=True))
+    Study("static", out=out, quick=True)
 
 
 WRITERS: dict[str, Callable[[Path, Path], object]] = {

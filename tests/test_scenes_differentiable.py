@@ -17,7 +17,7 @@ import scipy.interpolate
 import scipy.stats
 
 import optics
-from benchmarks.bench.photon_fit import in_spline_pixels
+from benchmarks.bench.fits import in_spline_pixels
 from calibration.bridge.render_bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
 from calibration.solvers.levenberg_marquardt import least_squares
 from scenes import Scene, SceneError, load_mitsuba

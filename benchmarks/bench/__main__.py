@@ -1,70 +1,114 @@
-"""Runs benchmarks: `python -m benchmarks.bench [NAME ...] [--full]`."""
+"""Runs benchmarks: `python -m benchmarks.bench [NAME ...] [--full]`.
+
+A benchmark is a class in the form of airspeed velocity: `params` and `param_names`, `setup`,
+perhaps `setup_cache`, and methods `time_…` (a call is timed), `track_…` (the result is the number,
+its unit the end of the name) and `peakmem_…` (MB after the call). A row of the table is a
+combination of parameters, a column a method.
+"""
 
 from __future__ import annotations
 
-import importlib
-import sys
-from typing import Annotated
+import inspect
+import itertools
+import os
+import resource
+import time
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from typing import Annotated, Any
 
 import cyclopts
+import numpy as np
+import pandas as pd
 from cyclopts import Parameter
-from cyclopts.types import NonNegativeInt
 
-MAKE_BENCH = (
-    "estimator.speed",
-    "estimator.spotless",
-    "estimator.stated_errors",
-    "cone_fit",
-    "image_fit",
-    "frame_pose",
-    "pixel_pose",
-    "pixel_adverse",
-    "viewing_speed",
-    "load",
-)
-"""What `make bench` runs. Each module has a function `run(*, full: bool)` that prints tables,
-some with a seed, too."""
-
-BY_NAME_ONLY = (
-    "lens_fit",
-    "photon_fit",
-    "estimator.tuning",
-    "set_size",
-    "pixel_branches",
-    "pixel_memory",
-)
-"""Benches that take long."""
-
-SEEDED = ("estimator.stated_errors",)
-"""Benches whose frames follow from a seed."""
-
-_SEED = 2026
+FILES = ("detector", "fits", "load", "pixels", "viewing")
+LONG = {"Branches", "Coverage", "AdverseSet", "Memory", "LensFit", "PhotonFit", "Books"}
+"""What `make bench` leaves out, because it takes long."""
 
 
-def main(
-    *names: Annotated[str, Parameter(choices=(*MAKE_BENCH, *BY_NAME_ONLY))],
-    full: bool = False,
-    seed: NonNegativeInt | None = None,
-) -> None:
-    """Measure speed and accuracy, each compared with alternatives, and print tables.
+def benchmarks() -> dict[str, type]:
+    """All benchmarks by name, "fits.ConeFit"."""
+    found = {}
+    for file in FILES:
+        module = import_module(f"benchmarks.bench.{file}")
+        for name, kind in vars(module).items():
+            own = inspect.isclass(kind) and kind.__module__ == module.__name__
+            if own and not name.startswith("_") and _methods(kind):
+                found[f"{file}.{name}"] = kind
+    return found
+
+
+def table(kind: type[Any]) -> pd.DataFrame:
+    """Run a benchmark: its parameters and what its methods found, a row for each combination."""
+    cached = [kind().setup_cache()] if hasattr(kind, "setup_cache") else []
+    names = getattr(kind, "param_names", [])
+    rows = []
+    for values in itertools.product(*getattr(kind, "params", [])):
+        one, row = kind(), dict(zip(names, values, strict=True))
+        if hasattr(one, "setup"):
+            one.setup(*cached, *values)
+        for name in _methods(kind):
+            what, _, about = name.partition("_")
+            call = getattr(one, name)
+            row |= _MEASURES[what](about, partial(call, *cached, *values))
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _methods(kind: type) -> list[str]:
+    """The methods of a benchmark in the order in which they are written, those of bases first."""
+    written = dict.fromkeys(name for base in reversed(kind.__mro__) for name in vars(base))
+    return [name for name in written if name.partition("_")[0] in _MEASURES and "_" in name]
+
+
+def _timed(about: str, call: Callable[[], object]) -> dict[str, float]:
+    """Median wall and processor time after one call that compiles."""
+    call()
+    wall, worked = [], []
+    for _ in range(20):
+        began = time.perf_counter(), time.process_time()
+        call()
+        wall.append(time.perf_counter() - began[0])
+        worked.append(time.process_time() - began[1])
+        if sum(wall) > 10:
+            break
+    return {f"{about}_ms": 1e3 * np.median(wall), f"{about}_cpu_ms": 1e3 * np.median(worked)}
+
+
+def _peak_memory(about: str, call: Callable[[], object]) -> dict[str, float]:
+    call()
+    return {f"{about}_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3}
+
+
+_MEASURES: dict[str, Callable[[str, Callable[[], Any]], dict[str, Any]]] = {
+    "time": _timed,
+    "track": lambda about, call: {about: call()},
+    "peakmem": _peak_memory,
+}
+
+
+def main(*names: str, full: Annotated[bool, Parameter(negative=())] = False) -> None:
+    """Measure speed and accuracy, and print tables.
 
     Args:
-        names: Benches to run (default: those of `make bench`, which are the first ones).
-        full: Use more or larger frames in estimator.speed, estimator.spotless,
-            estimator.stated_errors, image_fit, pixel_pose, pixel_adverse, pixel_branches,
-            pixel_memory, load.
-        seed: Random seed of estimator.stated_errors (default: 2026).
+        names: Benchmarks or files of them (default: those that `make bench` runs).
+        full: Use the numbers of stacks and frames that the documentation quotes.
     """
-    if seed is not None and not {*(names or MAKE_BENCH)} & {*SEEDED}:
-        print(f"--seed belongs to {', '.join(SEEDED)}.", file=sys.stderr)
-        sys.exit(2)
-    for name in names or MAKE_BENCH:
-        print(f"\n== {name}", flush=True)
-        module = importlib.import_module(f"benchmarks.bench.{name}")
-        if name in SEEDED:
-            module.run(full=full, seed=_SEED if seed is None else seed)
-        else:
-            module.run(full=full)
+    known = benchmarks()
+    wanted = [n for n in known if not names or n in names or n.split(".")[0] in names]
+    wanted = [n for n in wanted if names or n.split(".")[1] not in LONG]
+    if unknown := [n for n in names if n not in known and n not in FILES]:
+        raise SystemExit(f"no benchmark {unknown[0]}; there are {', '.join((*FILES, *known))}")
+    for name in wanted:
+        known[name].full = full  # type: ignore[attr-defined]
+        print(f"\n== {name}: {(known[name].__doc__ or '').splitlines()[0]}", flush=True)
+        found = table(known[name])
+        if names_of := list(getattr(known[name], "param_names", ())):
+            found = found.set_index(names_of)
+        print(found.T.to_string(line_width=120, float_format=lambda x: f"{x:.5g}"))
+        print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
 
 
 if __name__ == "__main__":

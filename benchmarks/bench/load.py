@@ -1,64 +1,81 @@
-"""Long measurements: `eyespot track` of many frames, and a `Reader` that keeps a camera's pace.
+"""Long runs: `eyespot track`, a `Reader` at a camera's pace, and the books of a large set.
 
-Memory and lost frames do not depend on other processes. Times do, so they are given with the load
-of the machine.
+Memory and lost frames do not depend on other processes; times do.
 """
 
 from __future__ import annotations
 
 import os
+import resource
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Mapping
+from contextlib import nullcontext
 from itertools import cycle, islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
-from rich.table import Table
+from distributed import Client, as_completed
+from distributed.scheduler import heartbeat_interval
 from skimage.io import imsave
 
-from benchmarks.bench.output import memory_mb, show, table
+from benchmarks.sets.make import Shard, local_workers, make_set, versions
+from benchmarks.sets.read import verify_set
+from benchmarks.sets.spec import SetSpec, load_spec, plan
 from estimator import Reader, Spot, SubpixelSettings
+from scenes import changed, render_stack
 from scenes.drawn import Drawing, any_truth, any_wall, frame_of
 
 _DISTINCT = 60  # drawn frames, which repeat
 _RATE_HZ = 30.0
 _WARM = 200  # frames before the memory of the start is taken
-_LENGTHS = {False: (3_000, 3_000, 20.0), True: (100_000, 108_000, 300.0)}
-"""By `full`: frames of `track`, frames of the reader, seconds at the camera's pace. 108,000 frames
-are an hour at 30 Hz."""
 
 
-class Memory(NamedTuple):
-    """Resident memory of a process, MB: after the first frames, in the middle, and at the end."""
-
-    start: float
-    middle: float
-    end: float
-
-    @classmethod
-    def of(cls, samples: list[float]) -> Memory:
-        """From samples in the order of time."""
-        return cls(samples[0], samples[len(samples) // 2], samples[-1])
+def memory_mb(process: int | None = None) -> float:
+    """Resident memory of a process (default: this one), MB."""
+    pages = int(Path(f"/proc/{process or 'self'}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def run(*, full: bool) -> None:
-    """Print times, memory and lost frames (`full`: an hour of a camera, 100,000 files)."""
-    tracked, read, seconds = _LENGTHS[full]
-    frames = _frames()
-    rows = table(
-        "640x480 px in memory, 320x240 px as files",
-        *("", "frames", "lost", "ms a frame", "slowest, ms", "MB start", "middle", "end"),
-        caption=f"load of the machine at the end: {os.getloadavg()[0]:.1f} on {os.cpu_count()}"
-        " cores",
-    )
-    _as_fast_as_possible(rows, frames, read)
-    late = _at_pace(rows, frames, seconds)
-    _track(rows, frames, tracked)
-    show(rows, late)
+class _Run:
+    """What a long run left: times of its frames (s), memory (MB), lost and late frames."""
+
+    full = False
+    seconds: np.ndarray
+    memory: list[float]
+    lost = late = 0
+
+    def track_frame_median_ms(self, *_: object) -> float:
+        """Time of a frame."""
+        return float(1e3 * np.median(self.seconds))
+
+    def track_slowest_ms(self, *_: object) -> float:
+        """The slowest frame."""
+        return float(1e3 * self.seconds.max())
+
+    def track_lost(self, *_: object) -> int:
+        """Frames without a result."""
+        return self.lost
+
+    def track_late(self, *_: object) -> int:
+        """Frames whose result comes after the next frame."""
+        return self.late
+
+    def track_start_mb(self, *_: object) -> float:
+        """Memory after the first frames."""
+        return self.memory[0]
+
+    def track_middle_mb(self, *_: object) -> float:
+        """Memory in the middle of the run."""
+        return self.memory[len(self.memory) // 2]
+
+    def track_end_mb(self, *_: object) -> float:
+        """Memory at the end."""
+        return self.memory[-1]
 
 
 def _frames() -> list[np.ndarray]:
@@ -70,82 +87,178 @@ def _frames() -> list[np.ndarray]:
     return [frame_of(Drawing(truth=place, wall=wall), rng) for place in places]
 
 
-def _as_fast_as_possible(rows: Table, frames: list[np.ndarray], number: int) -> None:
-    reader, seconds, memory, spots = Reader(SubpixelSettings()), np.empty(number), [], 0
-    camera = cycle(frames)
-    for image in islice(camera, _WARM):
-        reader.read(image)
-    for k, image in enumerate(islice(camera, number)):
+class Reading(_Run):
+    """A `Reader` of 640 x 480 px frames: as fast as it can, and at 30 Hz (full: an hour, 300 s)."""
+
+    params = (["as fast as it can", "at 30 Hz"],)
+    param_names = ("pace",)
+
+    def setup(self, pace: str) -> None:
+        """Read; no frame is skipped, but some may be late."""
+        paced = pace == "at 30 Hz"
+        number = round((300 if self.full else 20) * _RATE_HZ) if paced else 0
+        number = number or (108_000 if self.full else 3_000)
+        reader, camera = Reader(SubpixelSettings()), cycle(_frames())
+        self.seconds, self.memory, spots = np.empty(number), [], 0
+        for image in islice(camera, _WARM):
+            reader.read(image)
         began = time.perf_counter()
-        spots += isinstance(reader.read(image).result, Spot)
-        seconds[k] = time.perf_counter() - began
-        if k % 100 == 0:
-            memory.append(memory_mb())
-    _add(rows, "Reader, as fast as it can", number, number - spots, seconds, Memory.of(memory))
+        for k, image in enumerate(islice(camera, number)):
+            due = began + k / _RATE_HZ
+            if paced:
+                time.sleep(max(due - time.perf_counter(), 0.0))
+            start = time.perf_counter()
+            spots += isinstance(reader.read(image).result, Spot)
+            end = time.perf_counter()
+            self.seconds[k] = end - start
+            self.late += paced and end - due > 1 / _RATE_HZ
+            if k % 30 == 0:
+                self.memory.append(memory_mb())
+        self.lost = number - spots
 
 
-def _at_pace(rows: Table, frames: list[np.ndarray], seconds: float) -> str:
-    """Read each frame when a camera would deliver it; none is skipped, but some may be late."""
-    reader, number = Reader(SubpixelSettings()), round(seconds * _RATE_HZ)
-    taken, memory, ready = np.empty(number), [], np.empty(number)
-    camera = cycle(frames)
-    for image in islice(camera, _WARM):
-        reader.read(image)
-    began = time.perf_counter()
-    for k, image in enumerate(islice(camera, number)):
-        due = began + k / _RATE_HZ
-        time.sleep(max(due - time.perf_counter(), 0.0))
-        start = time.perf_counter()
-        reader.read(image)
-        end = time.perf_counter()
-        taken[k], ready[k] = end - start, end - due
-        if k % 30 == 0:
-            memory.append(memory_mb())
-    late = int(np.count_nonzero(ready > 1 / _RATE_HZ))
-    name = f"Reader, at {_RATE_HZ:.0f} Hz for {seconds:.0f} s"
-    _add(rows, name, number, 0, taken, Memory.of(memory))
-    return (
-        f"at {_RATE_HZ:.0f} Hz a result is ready {1e3 * float(np.median(ready)):.1f} ms after its"
-        f" frame (median; 99 %: {1e3 * float(np.percentile(ready, 99)):.1f} ms, at most"
-        f" {1e3 * float(ready.max()):.1f} ms); {late} of {number:,} come after the next frame"
+class Tracking(_Run):
+    """`eyespot track` of a folder of 320 x 240 px, a process of its own (full: 100,000 files)."""
+
+    def setup(self) -> None:
+        """Run it; each image has many names. The time of a frame contains the start."""
+        number, frames = 100_000 if self.full else 3_000, _frames()
+        with tempfile.TemporaryDirectory() as temporary:
+            folder, out = Path(temporary) / "frames", Path(temporary) / "spots.csv"
+            folder.mkdir()
+            for k, image in enumerate(frames):
+                imsave(folder / f"{k:06d}.png", image[::2, ::2], check_contrast=False)
+            for k in range(len(frames), number):
+                os.link(folder / f"{k % len(frames):06d}.png", folder / f"{k:06d}.png")
+            code = "import eyespot; eyespot.main()"
+            command = [sys.executable, "-c", code, "track", str(folder), "--out", str(out)]
+            began = time.perf_counter()
+            with subprocess.Popen([*command, "--json"], stdout=subprocess.DEVNULL) as process:
+                self.memory = self._memory(process, out.with_name("spots.partial.csv"))
+            self.seconds = np.full(1, (time.perf_counter() - began) / number)
+            with out.open("rb") as lines:
+                self.lost = number - (sum(1 for _ in lines) - 1)
+
+    @staticmethod
+    def _memory(process: subprocess.Popen[bytes], lines: Path) -> list[float]:
+        """From the first hundred frames on, every quarter of a second."""
+        found = []
+        while process.poll() is None:
+            if lines.exists() and lines.stat().st_size > 50_000:
+                try:
+                    found.append(memory_mb(process.pid))
+                except (OSError, IndexError):  # it has just ended
+                    break
+            time.sleep(0.25)
+        return found
+
+
+class Books:
+    """A set's books by its stacks, copies of one small stack, so that rendering does not count."""
+
+    params = ([1000, 3000, 10_000],)
+    param_names = ("stacks",)
+    full = False
+
+    def setup(self, stacks: int) -> None:
+        """Plan, make and verify a set whose stacks are there."""
+        spec, self.ms = load_spec("static-v1"), np.full(3, np.nan)
+        if stacks > 3000 and not self.full:
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            template, out = Path(folder) / "template", Path(folder) / "set"
+            scene = plan(spec)[0].scene
+            scale = 10 * scene.microscope.scale_mm_px
+            coarse = {"width_px": 64, "height_px": 48, "scale_mm_px": scale}
+            render_stack(changed(scene, {"motion.frames": 1, "microscope": coarse}), template)
+            spec = _sized(spec, stacks)
+            times = [time.perf_counter()]
+            planned = plan(spec)
+            times.append(time.perf_counter())
+            none_of_them = Shard(stacks + 1, stacks + 1)
+            make_set(spec, out, workers=nullcontext(), shard=none_of_them)  # type: ignore[arg-type]
+            for stack in planned:
+                shutil.copytree(template, out / stack.split / stack.name)
+            copied = time.perf_counter()
+            make_set(spec, out, workers=nullcontext())  # type: ignore[arg-type]
+            made = time.perf_counter()
+            verify_set(out)
+            planning, verifying = times[1] - times[0], time.perf_counter() - made
+            finishing = made - copied - planning  # it plans again
+            self.ms = 1e3 * np.array([planning, finishing, verifying]) / stacks
+
+    def track_plan_ms_a_stack(self, stacks: int) -> float:
+        """Planning."""
+        return float(self.ms[0])
+
+    def track_card_and_manifest_ms_a_stack(self, stacks: int) -> float:
+        """What is written when all stacks are there."""
+        return float(self.ms[1])
+
+    def track_verify_ms_a_stack(self, stacks: int) -> float:
+        """Looking for missing and changed files."""
+        return float(self.ms[2])
+
+    def track_peak_mb(self, stacks: int) -> float:
+        """Peak memory of the process."""
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def _sized(spec: SetSpec, count: int) -> SetSpec:
+    """A spec of so many stacks, spread over the splits."""
+    train = min(count, 4096)
+    validation = min(count - train, 4096)
+    numbers = {"train": train, "validation": validation, "test": count - train - validation}
+    return spec.model_copy(update={"splits": spec.splits.model_copy(update=numbers)})
+
+
+class Scheduler:
+    """Processor time of the scheduler's thread; 200 workers are to cost it 5 % of a core."""
+
+    tasks, idle_s, few, more = 2000, 20.0, 2, 8
+
+    def setup(self) -> None:
+        """Tasks that do nothing, and the heartbeats of few and of more workers."""
+        planned = plan(_sized(load_spec("static-v1"), self.tasks))
+        idle = []
+        for workers in (self.few, self.more):
+            with local_workers(workers) as client:
+                client.wait_for_workers(workers)
+                if workers == self.few:
+                    _submitted(client, planned[:100])
+                    began = _thread_s(client)
+                    _submitted(client, planned)
+                    self.task_s = (_thread_s(client) - began) / len(planned)
+                began = _thread_s(client)
+                time.sleep(self.idle_s)
+                idle.append((_thread_s(client) - began) / self.idle_s)
+        self.heartbeat_s = (idle[1] - idle[0]) / (self.more - self.few)
+        self.heartbeat_s *= heartbeat_interval(self.more)
+
+    def track_task_ms(self) -> float:
+        """A task."""
+        return 1e3 * self.task_s
+
+    def track_heartbeat_ms(self) -> float:
+        """A worker's heartbeat."""
+        return 1e3 * self.heartbeat_s
+
+
+def _nothing(scene: Mapping[str, Any], folder: str, wanted: Mapping[str, str]) -> None:
+    """Stand-in for `render_planned`."""
+
+
+def _thread_s(client: Client) -> float:
+    return float(client.run_on_scheduler(time.thread_time))
+
+
+def _submitted(client: Client, planned: list[Any]) -> None:
+    tasks = client.map(
+        _nothing,
+        [stack.scene.model_dump(mode="json", by_alias=True) for stack in planned],
+        [stack.name for stack in planned],
+        wanted=versions(),
+        pure=False,
     )
-
-
-def _track(rows: Table, frames: list[np.ndarray], number: int) -> None:
-    """`eyespot track` of a folder, as a process of its own; each image has many names."""
-    with tempfile.TemporaryDirectory() as temporary:
-        folder, out = Path(temporary) / "frames", Path(temporary) / "spots.csv"
-        folder.mkdir()
-        for k, image in enumerate(frames):
-            imsave(folder / f"{k:06d}.png", image[::2, ::2], check_contrast=False)
-        for k in range(len(frames), number):
-            os.link(folder / f"{k % len(frames):06d}.png", folder / f"{k:06d}.png")
-        code = "import eyespot; eyespot.main()"
-        command = [sys.executable, "-c", code, "track", str(folder), "--out", str(out), "--json"]
-        began = time.perf_counter()
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-            memory = list(_memory_of(process, out.with_name("spots.partial.csv")))
-        seconds = time.perf_counter() - began
-        with out.open("rb") as lines:
-            lost = number - (sum(1 for _ in lines) - 1)
-    taken = np.full(1, seconds / number)
-    _add(rows, "eyespot track, with its start", number, lost, taken, Memory.of(memory))
-
-
-def _memory_of(process: subprocess.Popen[bytes], lines: Path) -> Iterator[float]:
-    """Memory of a process from its first hundred frames on, every quarter of a second."""
-    while process.poll() is None:
-        if lines.exists() and lines.stat().st_size > 50_000:
-            try:
-                yield memory_mb(process.pid)
-            except (OSError, IndexError):  # it has just ended
-                return
-        time.sleep(0.25)
-
-
-def _add(
-    rows: Table, name: str, number: int, lost: int, seconds: np.ndarray, memory: Memory
-) -> None:
-    slowest = f"{1e3 * float(seconds.max()):.1f}" if seconds.size > 1 else ""
-    times = (f"{1e3 * float(np.median(seconds)):.2f}", slowest)
-    rows.add_row(name, f"{number:,}", str(lost), *times, *(f"{mb:.1f}" for mb in memory))
+    for _ in as_completed(tasks):
+        pass

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -12,9 +12,7 @@ from optics import InputError
 from scenes.description import Changes, SceneFile
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from benchmarks.predictions.judging import Judgement
+    from benchmarks.predictions.plan import Judgement
 
 _POOR = 10.0
 """Times the noise. A wall's texture moves spots by some times their noise, another lens by more."""
@@ -43,8 +41,7 @@ def preregister(
         model: Distance model (default: the calibration file's).
         exposure: Kind of the images (default: metered, if the scene has it).
     """
-    from benchmarks.predictions.plan import write_plan
-    from benchmarks.predictions.predicting import predicted
+    from benchmarks.predictions.plan import predicted, write_plan
     from estimator.files import refuse_existing
     from estimator.run import progress
     from scenes import load_scene
@@ -91,11 +88,7 @@ def adjudicate(
         start_s: Time in SOURCE at which the planned motion begins.
         as_json: Print the result as one JSON object, and nothing else.
     """
-    from rich.console import Console
-
-    from benchmarks.predictions.judging import judged
-    from benchmarks.predictions.observing import measured_as_planned
-    from benchmarks.predictions.plan import read_plan
+    from benchmarks.predictions.plan import judged, measured_as_planned, read_plan
 
     agreed, sha256 = read_plan(plan)
     seen = measured_as_planned(
@@ -108,13 +101,22 @@ def adjudicate(
     )
     found = judged(agreed, seen)
     if as_json:
-        print(json.dumps({"plan_sha256": sha256, **_content(found)}))
+        content = {
+            "plan_sha256": sha256,
+            "held": found.hits,
+            "predictions": found.predictions,
+            "quantities": found.tallies.to_dict("records"),
+            "keys": found.causes.to_dict("records"),
+            "misfit": found.misfit,
+            "no_spot": dict(found.no_spot),
+        }
+        print(json.dumps(content))
         return
-    console = Console()
-    console.print(f"Plan {plan}, SHA-256 {sha256}", highlight=False)
-    console.print(_table(found))
-    for line in _sentences(found):
-        console.print(line, highlight=False)
+    names = {"hits": "held", "misses": "missed", "unmeasured": "of these not measured"}
+    table = found.tallies.rename(columns=names | {"rms": "RMS deviation, σ"})
+    print(f"Plan {plan}, SHA-256 {sha256}")
+    print(table.to_string(index=False, float_format="{:.2f}".format))
+    print(*_sentences(found), sep="\n")
 
 
 def _sigma(text: str) -> tuple[str, float]:
@@ -127,28 +129,12 @@ def _sigma(text: str) -> tuple[str, float]:
         ) from None
 
 
-def _table(found: Judgement) -> Table:
-    from rich.table import Table
-
-    table = Table()
-    table.add_column("quantity")
-    for name in ("held", "missed", "of these not measured", "RMS deviation, σ"):
-        table.add_column(name, justify="right")
-    for tally in found.tallies:
-        table.add_row(
-            tally.quantity,
-            str(tally.hits),
-            str(tally.misses),
-            str(tally.unmeasured),
-            f"{tally.rms:.2f}",
-        )
-    return table
-
-
 def _sentences(found: Judgement) -> list[str]:
+    from benchmarks.reporting import rows_of
+
     share = found.hits / found.predictions
     lines = [f"{found.hits} of {found.predictions} predictions held ({100 * share:.1f} %)."]
-    wrong = [cause for cause in found.causes if cause.contradicts]
+    wrong = rows_of(found.causes[found.causes.contradicts])
     for cause in wrong:
         lines.append(
             f"Contradicted: {cause.key} was stated as {cause.stated:.6g} ± "
@@ -176,14 +162,3 @@ def _sentences(found: Judgement) -> list[str]:
         reasons = ", ".join(f"{n} {reason}" for reason, n in found.no_spot.most_common())
         lines.append(f"Frames without a spot: {reasons}.")
     return lines
-
-
-def _content(found: Judgement) -> dict[str, Any]:
-    return {
-        "held": found.hits,
-        "predictions": found.predictions,
-        "quantities": [tally._asdict() for tally in found.tallies],
-        "keys": [{**cause._asdict(), "contradicts": cause.contradicts} for cause in found.causes],
-        "misfit": found.misfit,
-        "no_spot": dict(found.no_spot),
-    }

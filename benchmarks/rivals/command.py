@@ -42,7 +42,7 @@ def run(
         workers: Worker processes on this machine (default: one per core).
     """
     from benchmarks.rivals.entries import chosen
-    from benchmarks.rivals.learned import WEIGHTS
+    from benchmarks.rivals.learned.network import WEIGHTS
     from benchmarks.rivals.running import CONSTANTS, run_entries
     from benchmarks.sets.make import cores
 
@@ -75,7 +75,7 @@ def tune(
         workers: Worker processes on this machine (default: one per core).
     """
     from benchmarks.rivals.entries import chosen
-    from benchmarks.rivals.tuning import tune as choose
+    from benchmarks.rivals.running import tune as choose
     from benchmarks.sets.make import cores
 
     choose(folder, out, entries=chosen([*names]), every=every, workers=workers or cores())
@@ -101,6 +101,6 @@ def train(
         stop: Stop after so many epochs (default: all).
         seed: Random seed.
     """
-    from benchmarks.rivals.learned import make_weights
+    from benchmarks.rivals.learned.training import make_weights
 
     make_weights(folder, out, epochs=epochs, stop=stop or epochs, seed=seed)

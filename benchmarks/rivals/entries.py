@@ -2,19 +2,329 @@
 
 from __future__ import annotations
 
+import math
+import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.rivals.entry import NO_SPOT, Answer, Entry, Recording, plain_spot
-from benchmarks.rivals.learned import LearnedEstimator
-from benchmarks.rivals.opencv import OpenCV
-from benchmarks.rivals.pupil import why_unavailable
-from benchmarks.rivals.pupil_entry import Pupil
-from benchmarks.rivals.scikit_image import Ransac
+import cv2
+import numpy as np
+from skimage.color import rgb2gray
+from skimage.feature import canny
+from skimage.filters import gaussian
+from skimage.measure import EllipseModel, find_contours, ransac
+
+from benchmarks.rivals.learned.network import LearnedEstimator, Window, blob_in
+from benchmarks.rivals.pupil import PupilDetector, why_unavailable
 from benchmarks.sets.read import Mode, own_reader
-from estimator import Frame, Range
+from estimator import Calibration, Frame, FrameLabels, MicroscopeFile, NoSpot, Range, Reason, Spot
 from optics import InputError
+
+# What an entry is: a frame goes in, an ellipse or a miss comes out.
+
+
+class Recording(NamedTuple):
+    """What is known about the frames of one stack before the first is seen.
+
+    Attributes:
+        beam: calibration of the light source: the true one, as a good fit would give it.
+        click: (x, y) of the spot in the first frame, px, on which an operator would click.
+    """
+
+    microscope: MicroscopeFile
+    beam: Calibration
+    click: tuple[float, float]
+
+    @classmethod
+    def of(cls, microscope: MicroscopeFile, beam: Calibration, first: FrameLabels) -> Recording:
+        """The recording that begins with a labelled frame."""
+        return cls(microscope, beam, (first.half_max_x_px, first.half_max_y_px))
+
+
+class Answer(NamedTuple):
+    """What an entry says about a frame.
+
+    Attributes:
+        result: the spot, or why there is none.
+        range: the distance, of an entry that has its own way to it.
+    """
+
+    result: Spot | NoSpot
+    range: Range | None = None
+
+
+class Entry(ABC):
+    """A way to measure spots. Its frames come in their order, after `begin`.
+
+    Attributes:
+        own_distance: whether its answers contain distances. Those of other entries follow from
+            their ellipses by the true beam, the same way for all.
+    """
+
+    own_distance = False
+
+    def begin(self, recording: Recording) -> None:
+        """Get ready for the frames of a stack; an entry without a memory has nothing to do."""
+        return
+
+    @abstractmethod
+    def read(self, frame: Frame) -> Answer:
+        """Measure a frame."""
+
+    @property
+    def seconds_elsewhere(self) -> float:
+        """Processor time that it has used in other processes so far, s."""
+        return 0.0
+
+    def close(self) -> None:
+        """End what it has started."""
+        return
+
+
+NO_SPOT = Answer(NoSpot(Reason.NONE_FOUND))
+
+
+def plain_spot(
+    x: float, y: float, first: float, second: float, angle: float, covariance: object = math.nan
+) -> Spot:
+    """A spot that is an ellipse and nothing else.
+
+    Args:
+        x: centre, to the right, px.
+        y: centre, downwards, px.
+        first: a semi-axis, px.
+        second: the other one; either may be the longer one.
+        angle: of the first one, from +u towards +v, rad.
+        covariance: 5 x 5, order `estimator.image.PARAMETERS`; NaN if unknown.
+    """
+    if second > first:
+        first, second, angle = second, first, angle + math.pi / 2
+    angle = math.pi / 2 - (math.pi / 2 - angle) % math.pi
+    return Spot(
+        x_px=float(x),
+        y_px=float(y),
+        semi_major_px=float(first),
+        semi_minor_px=float(second),
+        angle_rad=float(angle),
+        covariance=np.broadcast_to(np.asarray(covariance, float), (5, 5)).copy(),
+        edge_width_px=math.nan,
+        coverage=math.nan,
+        inlier_fraction=math.nan,
+        saturated=math.nan,
+    )
+
+
+# OpenCV alone: blur, threshold, the largest contour, and one of its three ellipse fits.
+
+_FITS = {"plain": cv2.fitEllipse, "ams": cv2.fitEllipseAMS, "direct": cv2.fitEllipseDirect}
+_FEWEST_POINTS = 6
+
+
+class OpenCVConstants(NamedTuple):
+    """Free constants.
+
+    Attributes:
+        level: threshold, as a fraction of the way from the frame's median to its brightest blurred
+            value.
+        blur_px: standard deviation of the blur before; 0 for none.
+        fit: "plain" (least squares), "ams" (Taubin 1991) or "direct" (Fitzgibbon et al. 1999).
+        hull: take the contour's convex hull, which bridges what an instrument hides.
+        grow_px: is added to the semi-axes. A contour runs through the centres of its outermost
+            pixels, half a pixel inside of the edge.
+    """
+
+    level: float
+    blur_px: float = 2.0
+    fit: str = "direct"
+    hull: bool = True
+    grow_px: float = 0.5
+
+
+class OpenCV(Entry):
+    """Threshold and `fitEllipse`, frame by frame."""
+
+    def __init__(self, constants: Mapping[str, Any]) -> None:
+        self._constants = OpenCVConstants(**constants)
+
+    def read(self, frame: Frame) -> Answer:
+        """The ellipse of the largest bright region."""
+        level, blur_px, fit, hull, grow = self._constants
+        grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
+        if blur_px:
+            grey = cv2.GaussianBlur(grey, (0, 0), blur_px)
+        dark, bright = float(np.median(grey)), float(grey.max())
+        above = cv2.threshold(grey, dark + level * (bright - dark), 255, cv2.THRESH_BINARY)[1]
+        contours, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        if not contours:
+            return NO_SPOT
+        points = max(contours, key=cv2.contourArea)
+        if hull:
+            points = _dense(cv2.convexHull(points))
+        if len(points) < _FEWEST_POINTS:
+            return NO_SPOT
+        (x, y), (width, height), degrees = _FITS[fit](points)
+        if not (math.isfinite(x + y) and 0 < width < math.inf and 0 < height < math.inf):
+            return NO_SPOT
+        return Answer(plain_spot(x, y, width / 2 + grow, height / 2 + grow, math.radians(degrees)))
+
+
+def _dense(corners: np.ndarray) -> np.ndarray:
+    """Points a pixel apart along a polygon: long edges of a hull weigh as much as curved ones."""
+    corners = corners[:, 0].astype(float)
+    steps = np.roll(corners, -1, axis=0) - corners
+    lengths = np.hypot(*steps.T)
+    parts = [
+        start + np.linspace(0, 1, max(round(length), 1), endpoint=False)[:, None] * step
+        for start, step, length in zip(corners, steps, lengths, strict=True)
+    ]
+    return np.concatenate(parts).astype(np.float32)[:, None]
+
+
+# scikit-image's `EllipseModel` with RANSAC on edges.
+
+_SAMPLE = 6  # points of a trial; five determine an ellipse, one more steadies it
+_SEED = 20
+
+
+class RansacConstants(NamedTuple):
+    """Free constants.
+
+    Attributes:
+        level: of the contour whose points are the edges, between the window's border and its
+            brightest value; 0 for Canny's edges.
+        edge_px: standard deviation of the blur before.
+        inlier_px: residual up to which an edge belongs to the ellipse.
+        trials: of RANSAC, at most.
+    """
+
+    level: float = 0.5
+    edge_px: float = 2.0
+    inlier_px: float = 2.0
+    trials: int = 100
+
+
+class RadialEllipse(EllipseModel):
+    """The model of scikit-image, with residuals along the ray from the centre.
+
+    Its own residuals solve for the nearest point of the ellipse, point by point, which takes
+    seconds a frame.
+    """
+
+    def residuals(self, data: np.ndarray) -> np.ndarray:
+        """Distance of each point from the ellipse, along the ray through the point, px."""
+        (x, y), (a, b), angle = self.center, self.axis_lengths, self.theta
+        dx, dy = data[:, 0] - x, data[:, 1] - y
+        c, s = np.cos(angle), np.sin(angle)
+        relative = np.hypot((c * dx + s * dy) / a, (c * dy - s * dx) / b)
+        return np.hypot(dx, dy) * np.abs(1 - 1 / np.maximum(relative, 1e-9))
+
+
+class Ransac(Entry):
+    """Edges around the brightest blob, and the ellipse that most of them agree with."""
+
+    def __init__(self, constants: Mapping[str, Any]) -> None:
+        self._constants = RansacConstants(**constants)
+
+    def read(self, frame: Frame) -> Answer:
+        """The ellipse of the edges around the brightest blob."""
+        blob = blob_in(frame.image)
+        if blob is None:
+            return NO_SPOT
+        left, top, side = Window.around(blob)
+        left, top, right, bottom = max(left, 0), max(top, 0), left + side, top + side
+        grey = rgb2gray(frame.image[top:bottom, left:right])
+        points = self._edges(grey)
+        if len(points) < 2 * _SAMPLE:
+            return NO_SPOT
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about a last fit that fails, which is a miss
+            model, _ = ransac(
+                points,
+                RadialEllipse,
+                min_samples=_SAMPLE,
+                residual_threshold=self._constants.inlier_px,
+                max_trials=self._constants.trials,
+                is_model_valid=lambda model, *_: _is_sane(model, side),
+                rng=np.random.default_rng(_SEED),
+            )
+        if not (model and _is_sane(model, side)):
+            return NO_SPOT
+        (x, y), axes = model.center, model.axis_lengths
+        return Answer(plain_spot(x + left, y + top, axes[0], axes[1], model.theta))
+
+    def _edges(self, grey: np.ndarray) -> np.ndarray:
+        """(x, y) of the edges' points in a window, px."""
+        level, blur_px, *_ = self._constants
+        if not level:
+            return np.argwhere(canny(grey, sigma=blur_px))[:, ::-1].astype(float)
+        smooth = gaussian(grey, blur_px)
+        border = np.concatenate([smooth[0], smooth[-1], smooth[:, 0], smooth[:, -1]])
+        dark = float(np.median(border))
+        contours = find_contours(smooth, dark + level * (float(smooth.max()) - dark))
+        return max(contours, key=len)[:, ::-1] if contours else np.empty((0, 2))
+
+
+def _is_sane(model: EllipseModel, side: int) -> bool:
+    """Whether the ellipse may lie in a window of this side, px."""
+    return bool(2 < min(model.axis_lengths) and max(model.axis_lengths) < side)
+
+
+# pupil-detectors as an entry: the negative of the frame, made smaller, is searched for a pupil.
+
+
+class PupilConstants(NamedTuple):
+    """Free constants; the others are the package's own.
+
+    Attributes:
+        smaller: factor by which the frame is made smaller.
+        intensity_range: grey values above the darkest that count as pupil.
+        blur_size: px, of its median filter.
+        largest: diameter, px of the smaller frame.
+        least_confidence: below which an ellipse is a miss.
+    """
+
+    smaller: int = 2
+    intensity_range: int = 23
+    blur_size: int = 5
+    largest: int = 400
+    least_confidence: float = 0.0
+
+
+class Pupil(Entry):
+    """The 2D detector of pupil-detectors."""
+
+    def __init__(self, constants: Mapping[str, Any]) -> None:
+        self._constants = PupilConstants(**constants)
+        self._detector = PupilDetector(
+            {
+                "pupil_size_min": 10,
+                "pupil_size_max": self._constants.largest,
+                "intensity_range": self._constants.intensity_range,
+                "blur_size": self._constants.blur_size,
+            }
+        )
+
+    def read(self, frame: Frame) -> Answer:
+        """The ellipse of the brightest region, if the detector trusts it."""
+        n = self._constants.smaller
+        grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
+        size = grey.shape[1] // n, grey.shape[0] // n
+        found = self._detector.ellipse(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
+        if found is None or found.confidence < self._constants.least_confidence:
+            return NO_SPOT
+        x, y = ((at + 0.5) * n - 0.5 for at in (found.x, found.y))
+        return Answer(plain_spot(x, y, n * found.first, n * found.second, found.angle))
+
+    @property
+    def seconds_elsewhere(self) -> float:
+        """Processor time of the detector's process, s."""
+        return self._detector.seconds
+
+    def close(self) -> None:
+        """End the detector's process."""
+        self._detector.close()
 
 
 class EyespotMode(Entry):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -26,7 +25,7 @@ from calibration.recordings import Recording
 from calibration.spots import Prior
 from estimator import read_stack
 from estimator.files import BEAM, LENS_PARAMETERS
-from estimator.run import progress
+from estimator.run import progress, say
 from optics import InputError
 from optics.wall_light import TABLE_ERROR
 
@@ -157,11 +156,9 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
     if choices.lens:
         return _fitted(recording, choices, "lens", lens_start(optics.load_lens(choices.lens)))
     start = lens_start(guessed_lens(recording))
-    print(
+    say(
         f"Starting from a lens with sag {start['sag']:.3g} mm and numerical aperture "
         f"{start['numerical_aperture']:.3g}, guessed from the spots.",
-        file=sys.stderr,
-        flush=True,
     )
     return _fitted(recording, choices, "lens", start, widths=not choices.names)
 
@@ -194,10 +191,8 @@ def _fitted(
     least, per_pixel = _SECONDS[source]
     minutes = (least + footage.light.size * per_pixel) / 60
     rounded = f"about {minutes:.0f}" if minutes >= 1 else "less than 1"
-    print(
+    say(
         f"Fitting a {source} to {len(footage.readings)} frames: {rounded} min on two cores.",
-        file=sys.stderr,
-        flush=True,
     )
     with progress("Fitting", total=None) as advance:
         told: dict[str, Any] = {

@@ -8,7 +8,3 @@ hdf5        HDF5: one file with a group SPLIT/STACK for each stack
 ome_tiff    OME-TIFF: one file SPLIT/STACK/EXPOSURE.ome.tif for each recording
 webdataset  WebDataset: tar shards SPLIT-000000.tar; a sample is an image with mask and labels
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -39,11 +39,8 @@ def score(
         split: Score only this split, such as test (default: all that have spots).
         out: Folder for the page report.html, tables and figures; it must not exist yet.
     """
-    from rich.console import Console
-
-    from benchmarks.sets.score.sample import sample_folder
-    from benchmarks.sets.score.scoring import run
-    from benchmarks.sets.score.views import tables
+    from benchmarks.sets.score.pages import run, tables
+    from benchmarks.sets.score.spots import sample_folder
 
     if sample:
         # The first argument is then a spots file, too.
@@ -62,5 +59,7 @@ def score(
         split=split,
         out=out,
     )
-    for table in tables(result):
-        Console().print(table)
+    for title, table in tables(result).items():
+        print(title, table.to_string(index=False, na_rep=""), sep="\n", end="\n\n")
+    if any((of.reason == "ambiguous").any() for of in result.judged.values()):
+        print("After a jump a spot is ambiguous; --unrelated measures each image by itself.")

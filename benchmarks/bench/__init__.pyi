@@ -1,2 +1,0 @@
-from .output import show as show
-from .output import table as table

@@ -1,0 +1,370 @@
+"""How far each model of the spot is from the truth, on exact contours and on measured spots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import optics
+from benchmarks.paper import ACCEPTABLE_ERROR_MM, largest
+from benchmarks.reporting import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    SKY,
+    VERMILION,
+    Column,
+    limit_lines,
+    small_multiples,
+)
+from calibration import SphereFit, fit_eccentricity
+from estimator import FrameLabels
+from scenes import Scene
+from scenes.world import World
+
+COMPARED = ("small_plane", "corrected", "stereographic", "exact")
+"""The models of a spot in an eyeball; `planar` is one of a plane."""
+
+
+class Geometry(NamedTuple):
+    """Microscope, eye and cone that one table of errors shares; mm and rad."""
+
+    scale: float
+    pinhole_height: float
+    eye_radius: float
+    half_angle: float
+    apex_offset: float
+    incidence: float
+    incidence_azimuth: float
+
+
+MODEL_ERROR = (
+    "model source refit medium c_mm d_mm r_mm z_f_mm incidence_deg azimuth_deg half_angle_deg "
+    "apex_offset_mm estimate_mm error_mm"
+).split()
+"""Columns of model_error.csv; error = estimate - truth.
+
+`azimuth_deg` is the incidence's, counted from the meridian of O; `refit`: c was fitted to the
+spots, as the paper does, and `c_mm` is the true one.
+"""
+
+ACCURACY = {
+    "model": Column("model"),
+    "z_f_mm": Column("z_F, mm", 1),
+    "azimuth_deg": Column("azimuth, °", 0),
+    "spots": Column("spots"),
+    "mean_error_mm": Column("mean error, mm", 4, sign=True),
+    "max_abs_error_mm": Column("largest |error|, mm", 4),
+}
+"""Columns of `accuracy`."""
+
+
+def geometry_of(scene: Scene) -> Geometry:
+    """The geometry that the models are given of a scene."""
+    half_angle, b = World(scene).cone
+    return Geometry(
+        scale=scene.microscope.scale_mm_px,
+        pinhole_height=scene.microscope.pinhole_height_mm,
+        eye_radius=scene.phantom.radius_mm,
+        half_angle=half_angle,
+        apex_offset=b,
+        incidence=math.radians(scene.spot.incidence_deg),
+        incidence_azimuth=math.radians(scene.spot.incidence_azimuth_deg),
+    )
+
+
+def analytic_errors(
+    geometry: Geometry, *, eccentricities: np.ndarray, distances: np.ndarray
+) -> pd.DataFrame:
+    """Errors of the models on the exact contour, at each c and d (mm)."""
+    c, d = (a.ravel() for a in np.meshgrid(eccentricities, distances, indexing="ij"))
+    seen = semi_minor(geometry, c=c, d=d)
+    return model_errors(geometry, source="analytic", medium="air", c=c, d=d, semi_minor_px=seen)
+
+
+def measured_errors(
+    geometry: Geometry,
+    *,
+    labels: Sequence[FrameLabels],
+    semi_minor_px: np.ndarray,
+    models: Sequence[str] = COMPARED,
+) -> pd.DataFrame:
+    """Errors of the models on measured spots whose truth is known."""
+    return model_errors(
+        geometry,
+        source="rendered",
+        medium=labels[0].medium,
+        c=np.array([row.c_mm for row in labels]),
+        d=np.array([row.d_mm for row in labels]),
+        semi_minor_px=semi_minor_px,
+        models=models,
+    )
+
+
+def model_errors(
+    geometry: Geometry,
+    *,
+    source: str,
+    medium: str,
+    c: np.ndarray,
+    d: np.ndarray,
+    semi_minor_px: np.ndarray,
+    models: Sequence[str] = COMPARED,
+) -> pd.DataFrame:
+    """Errors of the models on spots of known size, at c and d (mm), which they are given."""
+    found = estimates(geometry, c=c, semi_minor_px=semi_minor_px)
+    return _rows(geometry, source, medium, c=c, d=d, found={m: found[m] for m in models})
+
+
+def refitted_errors(
+    geometry: Geometry,
+    *,
+    source: str,
+    medium: str,
+    c: float,
+    d: np.ndarray,
+    semi_minor_px: np.ndarray,
+) -> tuple[SphereFit, pd.DataFrame]:
+    """Errors of `small_plane` with c fitted to the spots themselves, as the paper's Table II does.
+
+    Args:
+        geometry: k, b and r are given to the fit, as they are.
+        source: "analytic" or "rendered".
+        c: the true eccentricity of all spots, mm.
+        d: their distances, mm.
+        semi_minor_px: e1', px.
+
+    Returns:
+        The fit, and a row a spot, whose `c_mm` is the true one.
+    """
+    k = 1.0 / math.tan(geometry.half_angle)
+    fit = fit_eccentricity(
+        semi_minor_px=semi_minor_px,
+        distance=d,
+        delta_k=geometry.scale * k,
+        b=geometry.apex_offset,
+        scale=geometry.scale,
+        eye_radius=geometry.eye_radius,
+    )
+    estimate = optics.small_plane_distance(
+        semi_minor_px=semi_minor_px,
+        scale=geometry.scale,
+        k=k,
+        b=geometry.apex_offset,
+        eccentricity=fit.c,
+        eye_radius=geometry.eye_radius,
+    )
+    found = {"small_plane": np.asarray(estimate)}
+    true_c = np.full(d.shape, c)
+    return fit, _rows(geometry, source, medium, c=true_c, d=d, found=found, refit=True)
+
+
+def semi_minor(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """e1' of the exact contour at eccentricities and distances (mm), px."""
+    return np.asarray(_semi_minor(geometry, c, d))
+
+
+def estimates(
+    geometry: Geometry, *, c: np.ndarray, semi_minor_px: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Distance by every model, mm, from e1' (px) at known eccentricity (mm)."""
+    values = _estimates(geometry, c, semi_minor_px)
+    return {model: np.asarray(distance) for model, distance in values.items()}
+
+
+def accuracy(errors: pd.DataFrame) -> pd.DataFrame:
+    """Each model's errors over all spots by pinhole height and azimuth of the incidence."""
+    by_geometry = errors.groupby(["model", "z_f_mm", "azimuth_deg"], sort=False).error_mm
+    found = by_geometry.agg(spots="size", mean_error_mm="mean", max_abs_error_mm=largest)
+    return found.reset_index()
+
+
+def largest_errors(errors: pd.DataFrame) -> pd.Series:
+    """The largest absolute error over all distances, by eccentricity; mm."""
+    return errors.error_mm.abs().groupby(errors.c_mm.round(6)).max()
+
+
+def limit_eccentricity(errors: pd.DataFrame, limit: float) -> float:
+    """Smallest c at which the largest error over all distances reaches the limit, mm.
+
+    Linear between the eccentricities computed; NaN if the limit is never reached.
+    """
+    worst = largest_errors(errors)
+    c, size = worst.index.to_numpy(float), worst.to_numpy(float)
+    reached = np.flatnonzero(size >= limit)
+    if not reached.size:
+        return math.nan
+    n = reached[0]
+    if n == 0:
+        return float(c[0])
+    share = (limit - size[n - 1]) / (size[n] - size[n - 1])
+    return float(c[n - 1] + (c[n] - c[n - 1]) * share)
+
+
+def _rows(
+    geometry: Geometry,
+    source: str,
+    medium: str,
+    *,
+    c: np.ndarray,
+    d: np.ndarray,
+    found: Mapping[str, np.ndarray],
+    refit: bool = False,
+) -> pd.DataFrame:
+    tables = [
+        pd.DataFrame(
+            {
+                "model": model,
+                "source": source,
+                "refit": refit,
+                "medium": medium,
+                **place(geometry, c=c, d=d),
+                "estimate_mm": estimate,
+                "error_mm": estimate - d,
+            }
+        )
+        for model, estimate in found.items()
+    ]
+    return pd.concat(tables, ignore_index=True)
+
+
+def place(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> dict[str, Any]:
+    """The columns of a CSV file for the places of spots and their geometry."""
+    return {
+        "c_mm": c,
+        "d_mm": d,
+        "r_mm": geometry.eye_radius,
+        "z_f_mm": geometry.pinhole_height,
+        "incidence_deg": degrees(geometry.incidence),
+        "azimuth_deg": degrees(geometry.incidence_azimuth),
+        "half_angle_deg": degrees(geometry.half_angle),
+        "apex_offset_mm": geometry.apex_offset,
+    }
+
+
+def degrees(radians: float) -> float:
+    """An angle as a person wrote it: 30, not 29.999999999999996."""
+    return round(math.degrees(radians), 9)
+
+
+@jax.jit
+def _semi_minor(geometry: Geometry, c: jax.Array, d: jax.Array) -> jax.Array:
+    forward = partial(_at_geometry, optics.exact_semi_minor, geometry)
+    return jax.vmap(lambda c, d: forward(eccentricity=c, distance=d))(c, d)
+
+
+@jax.jit
+def _estimates(geometry: Geometry, c: jax.Array, semi_minor_px: jax.Array) -> dict[str, jax.Array]:
+    known: dict[str, Any] = {
+        "semi_minor_px": semi_minor_px,
+        "scale": geometry.scale,
+        "k": optics.slope(geometry.half_angle),
+        "b": geometry.apex_offset,
+        "eccentricity": c,
+        "eye_radius": geometry.eye_radius,
+    }
+    kappa = 1.0 / (geometry.pinhole_height + geometry.eye_radius)
+    exact = partial(_at_geometry, optics.exact_distance, geometry)
+    on_a_plane = {name: known[name] for name in ("semi_minor_px", "scale", "k", "b")}
+    return {
+        "planar": optics.planar_distance(**on_a_plane),
+        "small_plane": optics.small_plane_distance(**known),
+        "corrected": optics.corrected_distance(**known, inverse_working_distance=kappa),
+        "stereographic": optics.stereographic_distance(**known),
+        "exact": jax.vmap(lambda c, e: exact(eccentricity=c, semi_minor_px=e))(c, semi_minor_px),
+    }
+
+
+def _at_geometry(
+    function: Callable[..., jax.Array], geometry: Geometry, **arguments: jax.Array
+) -> jax.Array:
+    return function(
+        optics.Sphere(geometry.eye_radius),
+        optics.microscope(
+            scale=geometry.scale,
+            pinhole_height=geometry.pinhole_height,
+            eye_radius=geometry.eye_radius,
+        ),
+        incidence=geometry.incidence,
+        incidence_azimuth=geometry.incidence_azimuth,
+        half_angle=geometry.half_angle,
+        apex_offset=geometry.apex_offset,
+        **arguments,
+    )
+
+
+# Figures.
+
+CHOSEN_DISTANCES_MM = (0.5, 2.0, 4.0, 6.0)
+"""Distances that tables and error curves show."""
+
+SHOWN = ("small_plane", "corrected", "exact")
+"""Models of figures that have a panel for each; the CSV files have all."""
+
+MODEL_COLOURS = dict(zip(COMPARED, (VERMILION, BLUE, GREEN, BLACK), strict=True))
+TRIAL_COLOURS = (BLUE, ORANGE, GREEN)
+"""Of the paper's three trials."""
+
+READING = "$d_r$, reading since contact (mm)"
+MEASURED = "measured $e_1'$ (px)"
+DISTANCE = "$d$, tip to wall along the beam (mm)"
+ECCENTRICITY = "eccentricity $c$ (mm)"
+
+_SHADES = dict(zip(CHOSEN_DISTANCES_MM, ("#A6CEE3", SKY, BLUE, "#08306B"), strict=True))
+
+
+def pinhole_title(z_f_mm: float) -> str:
+    """The pinhole's height, for titles and legends."""
+    return "telecentric" if np.isinf(z_f_mm) else f"$z_F$ = {z_f_mm:g} mm"
+
+
+def model_error_figure(
+    analytic: pd.DataFrame,
+    rendered: pd.DataFrame,
+    *,
+    azimuth_deg: float | None = None,
+) -> Figure:
+    """Signed error against c: a row for each pinhole, a column for each of the models `SHOWN`.
+
+    Args:
+        azimuth_deg: of the beam's tilt (default: the first one).
+    """
+    tilted = analytic.incidence_deg.max()
+    leaning = analytic[analytic.incidence_deg == tilted]
+    square = analytic[analytic.incidence_deg != tilted]
+
+    azimuth = leaning.azimuth_deg.iloc[0] if azimuth_deg is None else azimuth_deg
+
+    def draw(axes: Axes, height: float, model: str) -> None:
+        limit_lines(axes, ACCEPTABLE_ERROR_MM)
+        for d, colour in _SHADES.items():
+            for errors, style in (
+                (square, {"ls": ":"}),
+                (leaning, {"label": f"exact contour, $d$ = {d:g} mm"}),
+                (rendered, {"ls": "", "marker": "o", "ms": 3.5}),
+            ):
+                here = (errors.model == model) & (errors.z_f_mm == height)
+                if errors is not square:
+                    here &= (errors.incidence_deg == tilted) & (errors.azimuth_deg == azimuth)
+                shown = errors[here & ((errors.d_mm - d).abs() < 1e-6)]
+                axes.plot(shown.c_mm, shown.error_mm, color=colour, **style)
+
+    return small_multiples(
+        draw,
+        rows=rendered.z_f_mm.unique().tolist() or leaning.z_f_mm.unique().tolist()[:2],
+        columns=SHOWN,
+        title=lambda height, model: f"{model}\n{pinhole_title(height)}, azimuth {azimuth:g}°",
+        x=ECCENTRICITY,
+        y="estimate − $d$ (mm)",
+        sharex=True,
+        sharey="row",
+    )

@@ -1,0 +1,496 @@
+"""What Zhou et al. 2020 report, as printed, and whether fits reproduce their Table I."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from benchmarks.reporting import Claim
+from calibration import PlaneFit
+from estimator import (
+    FrameLabels,
+    LiteralSettings,
+    NoSpot,
+    Spot,
+    SpotRecord,
+    Stack,
+    SubpixelSettings,
+    track,
+    write_spots,
+)
+from scenes import Scene, SceneError
+from scenes.camera import Camera
+from scenes.description import CameraSettings
+
+# Summaries of errors, and Shapley's fair shares of a whole.
+#
+# NaN stands for a missing error and is left out; a summary is NaN if no error is there.
+
+
+def mean(errors: Iterable[float]) -> float:
+    """Their mean."""
+    there = _there(errors)
+    return sum(there) / len(there) if there else math.nan
+
+
+def rms(errors: Iterable[float]) -> float:
+    """Their root mean square."""
+    return math.sqrt(mean(e * e for e in errors))
+
+
+def largest(errors: Iterable[float]) -> float:
+    """The largest absolute value."""
+    return max(map(abs, _there(errors)), default=math.nan)
+
+
+def _there(errors: Iterable[float]) -> list[float]:
+    return [float(e) for e in errors if not math.isnan(e)]
+
+
+def coalitions(players: int) -> np.ndarray:
+    """All sets of players, 2^n x n: True for members; row i has the bits of i."""
+    return (np.arange(1 << players)[:, None] >> np.arange(players) & 1).astype(bool)
+
+
+def shapley_values(worth: np.ndarray) -> np.ndarray:
+    r"""Each player's mean gain over all orders in which players can join.
+
+    $\phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!} (v(S \cup i) - v(S))$, the one
+    division that gives all of v(everyone) - v(nobody), equal shares to equal players, nothing to
+    those who change nothing, and adds up over sums of games (Shapley 1953).
+
+    Args:
+        worth: v of every coalition, ... x 2^n, in the order of `coalitions`.
+
+    Returns:
+        ... x n.
+    """
+    members = coalitions(int(worth.shape[-1]).bit_length() - 1)
+    players = members.shape[1]
+    size = members.sum(axis=1)
+    orders = np.array([math.factorial(n) for n in range(players + 1)], float)
+    joined = orders[size - 1] * orders[players - size] / orders[players]
+    missing = orders[size] * orders[np.minimum(players - size - 1, players)] / orders[players]
+    return np.asarray(worth @ np.where(members, joined[:, None], -missing[:, None]))
+
+
+class PlaneRow(NamedTuple):
+    """Row of Table I; mm."""
+
+    delta_k: float
+    b: float
+    r_squared: float
+    rmse: float
+
+
+class SphereRow(NamedTuple):
+    """Row of Table II; mm."""
+
+    c: float
+    standard_deviation: float
+    mean_absolute_error: float
+    max_error: float
+
+
+ALL_PLANES = "all planes"
+"""The row of Table I for all its trials together."""
+
+TABLE_I = {
+    "plane 1": PlaneRow(0.1496, -6.791, 0.9959, 0.0548),
+    "plane 2": PlaneRow(0.1343, -5.069, 0.9909, 0.0974),
+    "plane 3": PlaneRow(0.1347, -5.226, 0.9961, 0.0663),
+    ALL_PLANES: PlaneRow(0.1321, -5.117, 0.9703, 0.1630),
+}
+
+TABLE_II = {
+    "sphere 1": SphereRow(5.531, 0.064, 0.146, 0.328),
+    "sphere 2": SphereRow(6.982, 0.097, 0.140, 0.372),
+    "sphere 3": SphereRow(4.584, 0.088, 0.160, 0.396),
+}
+
+ACCEPTABLE_ERROR_MM = 0.5
+"""The error that the paper calls acceptable."""
+
+PAPERS_PLANES = {name: row for name, row in TABLE_I.items() if name != ALL_PLANES}
+"""The rows of Table I for single trials."""
+
+
+class Criterion(StrEnum):
+    """A quantity of Table I."""
+
+    DELTA_K = "δk"
+    B = "b"
+    R_SQUARED = "R² of each trial"
+    RMSE = "RMSE of each trial"
+
+
+STRAIGHT = 0.99
+"""R² of a straight line; each trial of Table I has more."""
+
+
+def reproduction(
+    fits: Mapping[str, PlaneFit | PlaneRow], *, name: str = "Table I"
+) -> dict[Criterion, Claim]:
+    """The criteria for fits of one source measured in one way.
+
+    The fit of all planes must be the paper's, within the differences between its own trials; each
+    trial must be as straight as the paper's.
+
+    Args:
+        fits: by the rows of Table I.
+        name: of the claims, before the criterion.
+    """
+    trials = [fits[trial] for trial in PAPERS_PLANES if trial in fits]
+    r_squared, rmse = tuple(f.r_squared for f in trials), tuple(f.rmse for f in trials)
+    pooled, printed = fits[ALL_PLANES], TABLE_I[ALL_PLANES]
+    slope, b = round(printed.delta_k, 3), round(printed.b, 1)
+    bounds = {
+        Criterion.DELTA_K: ((pooled.delta_k,), slope - 0.006, slope + 0.006, "{value:.4f} mm/px"),
+        Criterion.B: ((pooled.b,), b - 0.5, b + 0.5, "{value:.2f} mm"),
+        Criterion.R_SQUARED: (r_squared, STRAIGHT, 1.0, "{value:.3f}"),
+        Criterion.RMSE: (rmse, 0.05, 0.10, "{value:.3f} mm"),
+    }
+    return {
+        criterion: Claim(
+            name=f"{name}, {criterion}",
+            sentence=f"{shown} (Table I demands {{low:g}} to {{high:g}}).",
+            value=values,
+            low=low,
+            high=high,
+        )
+        for criterion, (values, low, high, shown) in bounds.items()
+    }
+
+
+# The trials of the main job: the paper's six, and a grid over eccentricity.
+
+# Places on the printed plane, so far apart that they share no wall texture.
+_PLANE_ECCENTRICITIES_MM = (1.5, 3.0, 4.5)
+_AZIMUTHS_DEG = (0.0, 120.0, 240.0)
+PINHOLE_HEIGHTS_MM = (11.5, 200.0)
+"""On the eyeball's sphere (equation 8 of Zhou et al. 2020), and a real microscope."""
+TILT_AZIMUTHS_DEG = (0.0, 90.0, 180.0)
+"""Of a tilted beam: towards growing c, across the meridian, and towards the axis."""
+
+MICROSCOPE_MM = 200.0
+"""z_F of a real microscope."""
+
+_SMALLEST_RADIUS_MM = 10.0
+
+
+TrialKind = Literal["plane", "sphere", "grid"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StaticTrial:
+    """A withdrawal of the static experiment.
+
+    Attributes:
+        name: of the trial and of its stack's folder.
+        kind: the wall, or the grid of the model errors.
+        group: the row of the paper's tables that it is compared with, or the grid's name.
+    """
+
+    name: str
+    kind: TrialKind
+    group: str
+    scene: Scene
+
+    @property
+    def source(self) -> str:
+        """Kind of light: "lens" or "cone"."""
+        return self.scene.source.kind
+
+
+def paper_trials(*, source: str, quick: bool, seed: int) -> list[StaticTrial]:
+    """Three withdrawals on the plane and three in the eyeball, with one kind of source.
+
+    Args:
+        source: "lens" or "cone".
+        quick: 9 frames a trial instead of 61.
+        seed: of camera noise and wall texture.
+    """
+    frames = 9 if quick else 61
+    places: list[tuple[str, TrialKind, float]] = [
+        *((f"plane {n}", "plane", c) for n, c in enumerate(_PLANE_ECCENTRICITIES_MM, start=1)),
+        *((name, "sphere", row.c) for name, row in TABLE_II.items()),
+    ]
+    return [
+        StaticTrial(
+            name=f"{source}-{group.replace(' ', '-')}",
+            kind=kind,
+            group=group,
+            scene=Scene.model_validate(
+                {
+                    "schema": 1,
+                    "seed": seed + number,
+                    "phantom": {
+                        "kind": "eyeball" if kind == "sphere" else "plane",
+                        "texture_seed": seed,
+                    },
+                    "source": {"kind": source},
+                    "spot": {
+                        "eccentricity_mm": c,
+                        "azimuth_deg": _AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)],
+                    },
+                    "motion": {"frames": frames},
+                }
+            ),
+        )
+        for number, (group, kind, c) in enumerate(places)
+    ]
+
+
+def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
+    """Ideal cones at each eccentricity from 0 to 7 mm, for both pinholes, tilted three ways."""
+    eccentricities = (0.0, 3.0, 5.0, 7.0) if quick else tuple(float(c) for c in range(8))
+    return [
+        StaticTrial(
+            name=f"grid-pinhole-{height:g}-azimuth-{azimuth:g}-c-{c:g}",
+            kind="grid",
+            group=f"pinhole {height:g} mm",
+            scene=Scene.model_validate(
+                {
+                    "schema": 1,
+                    "seed": seed,
+                    "phantom": {"texture_seed": seed},
+                    "source": {"kind": "cone"},
+                    "spot": {"eccentricity_mm": c, "incidence_azimuth_deg": azimuth},
+                    "motion": {"start_mm": 0.5, "travel_mm": 5.5, "frames": 4 if quick else 12},
+                    "microscope": {"pinhole_height_mm": height},
+                    "exposures": {"kinds": ["metered"]},
+                }
+            ),
+        )
+        for height in PINHOLE_HEIGHTS_MM
+        for azimuth in TILT_AZIMUTHS_DEG
+        for c in eccentricities
+    ]
+
+
+def require_roomy_eyeball(scene: Scene, reach: str) -> None:
+    """Refuse a scene whose wall ends before a study's spots do.
+
+    Args:
+        scene: the study's.
+        reach: what reaches how far, for the message.
+
+    Raises:
+        SceneError: the wall is no eyeball, or too small.
+    """
+    if scene.phantom.kind != "eyeball" or scene.phantom.radius_mm < _SMALLEST_RADIUS_MM:
+        raise SceneError(
+            f"the study's {reach} in an eyeball of {_SMALLEST_RADIUS_MM:g} mm radius or more; got "
+            f"phantom.kind '{scene.phantom.kind}' with radius_mm = {scene.phantom.radius_mm:g}. "
+            "Set phantom.kind=eyeball and raise phantom.radius_mm."
+        )
+
+
+# Spots of a rendered trial, measured in the ways that the report compares.
+
+VISIBLE_ENOUGH = 0.5
+"""Part of the half-maximum contour that must be visible for a spot to count."""
+
+USED = "used"
+"""Outcome of a frame that enters the fits."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """An estimator and the exposure that it is given.
+
+    Attributes:
+        name: of the way, in tables and file names.
+        exposure: "paper" or "metered".
+        settings: of the estimator; their type is the mode.
+        clicked: started by a click on the spot, as the paper's operator does.
+    """
+
+    name: str
+    exposure: str
+    settings: LiteralSettings | SubpixelSettings
+    clicked: bool
+
+    @property
+    def slug(self) -> str:
+        """The name for use in file names."""
+        return self.name.replace(",", "").replace(" ", "-")
+
+
+LITERAL = Way("literal, paper exposure", "paper", LiteralSettings(), True)
+"""The paper's own way: a threshold in frames of one exposure."""
+
+LITERAL_METERED = Way("literal, metered", "metered", LiteralSettings(), True)
+
+SUBPIXEL = Way("sub-pixel, metered", "metered", SubpixelSettings(), False)
+"""The best way: the half-maximum edge in frames that are metered one by one."""
+
+WAYS = (LITERAL, LITERAL_METERED, SUBPIXEL)
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What one way of measuring made of one trial.
+
+    Attributes:
+        results: a spot or a typed failure, one a frame.
+    """
+
+    labels: tuple[FrameLabels, ...]
+    results: tuple[Spot | NoSpot, ...]
+
+    @property
+    def used(self) -> np.ndarray:
+        """Frames that enter the fits: a spot was found, and half of its contour can be seen."""
+        return np.array(
+            [
+                bool(result) and row.visible_fraction >= VISIBLE_ENOUGH
+                for row, result in zip(self.labels, self.results, strict=True)
+            ]
+        )
+
+    @property
+    def semi_minor_px(self) -> np.ndarray:
+        """e1' of the frames used, px."""
+        return np.array(
+            [
+                result.semi_minor_px
+                for result, used in zip(self.results, self.used, strict=True)
+                if used and isinstance(result, Spot)
+            ]
+        )
+
+    @property
+    def truth_px(self) -> np.ndarray:
+        """e1' of the half-maximum label of the frames used, px."""
+        return np.array([row.half_max_semi_minor_px for row in self.used_labels])
+
+    @property
+    def used_labels(self) -> tuple[FrameLabels, ...]:
+        """Labels of the frames used."""
+        return tuple(row for row, used in zip(self.labels, self.used, strict=True) if used)
+
+    @property
+    def travel_mm(self) -> np.ndarray:
+        """d_r, the robot's reading since contact, of the frames used, mm."""
+        return np.array([row.d_mm - self.labels[0].d_mm for row in self.used_labels])
+
+    @property
+    def outcomes(self) -> tuple[str, ...]:
+        """Outcome of each frame: "used", or why it does not count."""
+
+        def outcome(result: Spot | NoSpot, used: bool) -> str:
+            if isinstance(result, NoSpot):
+                return result.reason.value.replace("_", " ")
+            return USED if used else "less than half of the contour in view"
+
+        return tuple(map(outcome, self.results, self.used))
+
+    @property
+    def left_out(self) -> Counter[str]:
+        """Number of frames left out, by reason."""
+        return Counter(outcome for outcome in self.outcomes if outcome != USED)
+
+
+def track_stack(stack: Stack, way: Way, *, spots_file: Path) -> Tracked:
+    """Measure every frame of a stack in one way and write the spots file."""
+    labels = stack.exposed(way.exposure)
+    first = labels[0]
+    start = (first.half_max_x_px, first.half_max_y_px) if way.clicked else None
+    results = tuple(track(stack.images(way.exposure), way.settings, start=start))
+    mode = "literal" if isinstance(way.settings, LiteralSettings) else "subpixel"
+    write_spots(
+        spots_file,
+        [
+            SpotRecord(
+                frame=row.frame,
+                file_name=row.file_name,
+                time_s=row.time_s,
+                mode=mode,
+                result=result,
+            )
+            for row, result in zip(labels, results, strict=True)
+        ],
+    )
+    return Tracked(labels, results)
+
+
+# Photographs of kept linear frames, taken and measured again without rendering or files.
+
+
+class Shot(NamedTuple):
+    """How a withdrawal is photographed and measured.
+
+    Attributes:
+        seed: of the camera's noise; None is a camera without noise.
+        threshold: of the literal mode, grey level.
+    """
+
+    seed: int | None = None
+    light: float = 1.0
+    threshold: int = LiteralSettings().threshold
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Photographer:
+    """Takes a rendered withdrawal's photographs and measures their spots.
+
+    Attributes:
+        stack: rendered with `exposures.keep_linear`.
+    """
+
+    scene: Scene
+    stack: Stack
+
+    @property
+    def readings(self) -> np.ndarray:
+        """d_r since contact of every frame, mm."""
+        d = np.array([row.d_mm for row in self.stack.exposed(LITERAL.exposure)])
+        return d - d[0]
+
+    def measure(self, way: Way, shots: Sequence[Shot]) -> list[np.ndarray]:
+        """e1' of every frame, px, for each shot; NaN where no spot counts.
+
+        Args:
+            shots: any number; frames are read once for all.
+        """
+        light = [self.stack.linear(row) for row in self.stack.exposed(way.exposure)]
+        return [self._semi_minor(way, shot, light) for shot in shots]
+
+    def _semi_minor(self, way: Way, shot: Shot, light: Sequence[np.ndarray]) -> np.ndarray:
+        rows, settings = self.stack.exposed(way.exposure), way.settings
+        if isinstance(settings, LiteralSettings):
+            settings = replace(settings, threshold=shot.threshold)
+        start = (rows[0].half_max_x_px, rows[0].half_max_y_px) if way.clicked else None
+        found = track(self._images(way, shot, light), settings, start=start)
+        return np.array(
+            [
+                spot.semi_minor_px
+                if isinstance(spot, Spot) and row.visible_fraction >= VISIBLE_ENOUGH
+                else np.nan
+                for row, spot in zip(rows, found, strict=True)
+            ]
+        )
+
+    def _images(self, way: Way, shot: Shot, light: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
+        quiet = None if shot.seed is not None else _noise_free(self.scene.camera)
+        seed = shot.seed or 0
+        camera = Camera(self.scene, seed=seed, settings=quiet)
+        for row, linear in zip(self.stack.exposed(way.exposure), light, strict=True):
+            raw = camera.raw(
+                linear, exposure_s=shot.light * row.exposure_s, noise_seed=[seed, row.frame]
+            )
+            yield camera.written(raw)
+
+
+def _noise_free(camera: CameraSettings) -> CameraSettings:
+    """The same camera with so many electrons that their number has no noise."""
+    quiet = {"full_well_e": 1e12, "read_noise_e": 0.0, "dark_signal_e": 0.0}
+    return camera.model_copy(update=quiet | {"prnu": 0.0, "dsnu_e": 0.0})

@@ -1,0 +1,395 @@
+"""A report: claims, sections with tables and pictures, CSV files; one HTML page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import string
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from numbers import Integral
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeVar
+
+import jinja2
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# Style, small multiples and files of figures.
+
+# Palette of Okabe and Ito, which colour-blind readers can distinguish.
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+BLUE, VERMILION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#8A8A8A"
+
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "figure.dpi": 150,
+    "savefig.dpi": 150,
+    "savefig.facecolor": "white",
+    "svg.hashsalt": "eyespot",  # the same data give the same file
+}
+"""For `matplotlib.rc_context`."""
+
+_WIDTH_IN = 10.0
+_LEGEND_IN = 0.5
+_PANEL_IN = 2.7
+
+R = TypeVar("R")
+C = TypeVar("C")
+
+
+def small_multiples(
+    draw: Callable[[Axes, R, C], None],
+    *,
+    rows: Sequence[R],
+    columns: Sequence[C],
+    title: Callable[[R, C], str] | None = None,
+    x: str | Callable[[C], str],
+    y: str | Callable[[R], str],
+    height: float = _PANEL_IN,
+    legend_columns: int = 4,
+    **shared: Any,
+) -> Figure:
+    """A grid of panels, one for each pair of a row and a column.
+
+    Args:
+        rows: keys of the rows; [""] for a single row.
+        columns: keys of the columns; [""] for a single column.
+        title: title of a panel; by default the row and the column.
+        x: label of the axis below the last row, the same for all or by column.
+        y: label of the axis left of the first column, the same for all or by row.
+        height: height of a panel, inches.
+        legend_columns: number of columns of the legend below the panels; 0 for no legend.
+        shared: `sharex` and `sharey` of `Figure.subplots`.
+    """
+    figure = Figure(
+        figsize=(_WIDTH_IN, height * len(rows) + _LEGEND_IN * bool(legend_columns)),
+        layout="constrained",
+    )
+    grid = figure.subplots(len(rows), len(columns), squeeze=False, **shared)
+    for line, row in zip(grid, rows, strict=True):
+        for axes, column in zip(line, columns, strict=True):
+            names = ", ".join(str(key) for key in (row, column) if key != "")
+            axes.set_title(title(row, column) if title else names)
+            draw(axes, row, column)
+        line[0].set_ylabel(y if isinstance(y, str) else y(row))
+    for axes, column in zip(grid[-1], columns, strict=True):
+        axes.set_xlabel(x if isinstance(x, str) else x(column))
+    if legend_columns:
+        labelled = {
+            label: handle
+            for axes in grid.flat
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
+        handles, labels = labelled.values(), labelled.keys()
+        figure.legend(handles, labels, loc="outside lower center", ncols=legend_columns)
+    return figure
+
+
+def limit_lines(axes: Axes, *limits: float) -> None:
+    """Zero, and dashed lines at both signs of each limit."""
+    axes.axhline(0, color=GREY, lw=0.8)
+    for limit in limits:
+        for sign in (-1, 1):
+            axes.axhline(sign * limit, color=VERMILION, lw=0.8, ls="--")
+
+
+def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
+    """Write PNG and SVG; returns the figure as a data URI, of `inline` "svg" or "jpeg"."""
+    figure.savefig(path.with_suffix(".png"), pil_kwargs={"compress_level": 1})
+    figure.set_layout_engine("none")  # the layout takes half of the time; do not repeat it
+    # Without a date the same data give the same file.
+    figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
+    if inline == "svg":
+        data, kind = path.with_suffix(".svg").read_bytes(), "svg+xml"
+    else:
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="jpeg", pil_kwargs={"quality": 88})
+        data, kind = buffer.getvalue(), "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+
+# Numbers as text.
+
+
+def number(value: float, digits: int = 2, *, sign: bool = False) -> str:
+    """The value with a true minus sign; zero has no sign; infinite values and NaN are a dash."""
+    return _typeset(value, f"{'+' if sign else ''}.{digits}f")
+
+
+class _Formatter(string.Formatter):
+    """Fills "{tip:.3f}" in by `number`; the members of a sequence are separated by commas."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if isinstance(value, list | tuple):
+            return ", ".join(self.format_field(item, format_spec) for item in value)
+        if isinstance(value, str):
+            return value
+        return _typeset(value, format_spec)
+
+
+def _typeset(value: float, spec: str) -> str:
+    if not math.isfinite(value):
+        return "–"
+    text = format(value, spec)
+    is_zero = not any(digit in text for digit in "123456789")
+    return text.lstrip("+-") if is_zero else text.replace("-", "−")
+
+
+# Parts of a report.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """One result of a run.
+
+    Attributes:
+        name: subject of the claim, the same in every run.
+        sentence: template for `value` and `numbers`: "The largest error is {value:.2f} mm."
+        value: measured value; if there are several, each must lie within the bounds.
+        low: least value for which the claim holds.
+        high: greatest value for which the claim holds.
+        numbers: further values of the sentence by name: numbers, texts, rows ("{row.field:.2f}").
+    """
+
+    name: str
+    sentence: str
+    value: float | tuple[float, ...] = math.nan
+    low: float = -math.inf
+    high: float = math.inf
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether all values lie within the bounds; None for a claim without bounds."""
+        if math.isinf(self.low) and math.isinf(self.high):
+            return None
+        values = self.value if isinstance(self.value, tuple) else (self.value,)
+        return all(self.low <= value <= self.high for value in values)
+
+    @property
+    def text(self) -> str:
+        """The sentence with its numbers."""
+        bounds = {"value": self.value, "low": self.low, "high": self.high}
+        return _Formatter().vformat(self.sentence, (), {**bounds, **self.numbers})
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The claim for summary.json."""
+        keys = ("name", "text", "value", "low", "high", "holds")
+        numbers = {
+            name: item._asdict() if hasattr(item, "_asdict") else item
+            for name, item in self.numbers.items()
+        }
+        return {key: getattr(self, key) for key in keys} | {"numbers": numbers}
+
+
+class Column(NamedTuple):
+    """How a column of a table is shown.
+
+    Attributes:
+        heading: with the unit.
+        scale: factor from the value to the heading's unit.
+        sign: whether positive numbers have a sign.
+    """
+
+    heading: str
+    digits: int = 3
+    scale: float = 1.0
+    sign: bool = False
+
+    def cell(self, value: Any) -> str:
+        """The value as text: texts and integers unchanged, floats rounded."""
+        if isinstance(value, str | Integral):
+            return str(value)
+        return number(value * self.scale, self.digits, sign=self.sign)
+
+
+class Table(NamedTuple):
+    """A table of the report.
+
+    Attributes:
+        rows: values, as many as there are columns.
+        data: CSV file with the data.
+    """
+
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Any]]
+    caption: str
+    data: str = ""
+
+    @classmethod
+    def of(
+        cls, frame: pd.DataFrame, columns: Mapping[str, Column], caption: str, *, data: str = ""
+    ) -> Table:
+        """The named columns of a frame."""
+        rows = frame[list(columns)].itertuples(index=False, name=None)
+        return cls(list(columns.values()), list(rows), caption, data)
+
+    @property
+    def cells(self) -> list[list[str]]:
+        """The rows as texts."""
+        return [
+            [column.cell(value) for column, value in zip(self.columns, row, strict=True)]
+            for row in self.rows
+        ]
+
+    @property
+    def alignments(self) -> list[str]:
+        """Class of each column's cells: numbers are aligned to the right."""
+        values = [[row[n] for row in self.rows] for n in range(len(self.columns))]
+        return ["" if all(isinstance(v, str) for v in column) else "n" for column in values]
+
+
+class Picture(NamedTuple):
+    """A figure of the report; written as figures/NAME.png and .svg.
+
+    Attributes:
+        figure: or several, which stand one below the other on a narrow screen.
+        caption: its message first; "z_F" and "d_r" get their subscripts.
+        data: CSV file with the data.
+        inline: format in the page; frames with a camera's noise are ten times smaller as JPEG.
+    """
+
+    name: str
+    figure: Figure | Sequence[Figure]
+    caption: str
+    data: str = ""
+    inline: Literal["svg", "jpeg"] = "svg"
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The figures by the names of their files."""
+        if isinstance(self.figure, Figure):
+            return {self.name: self.figure}
+        return {f"{self.name}_{n}": figure for n, figure in enumerate(self.figure, 1)}
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the files of figures."""
+        return list(self.figures)
+
+
+class Section:
+    """A heading with paragraphs, tables and pictures below it, in order."""
+
+    def __init__(self, title: str, *parts: str | Table | Picture) -> None:
+        self.title, self.parts = title, parts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """The report of a study.
+
+    Attributes:
+        answer: to the title's question, in a sentence.
+        lead: the method, in a sentence or two.
+        first: what people look at first: a strip of frames if there is one, a figure of at most
+            four panels, a table of at most eight rows.
+        claims: checks and further results, computed in this run; a table at the end.
+        data: CSV files to write, by name, with units in the columns' names; None is a file that the
+            study has already written.
+    """
+
+    title: str
+    answer: str = ""
+    lead: str
+    first: Sequence[str | Table | Picture] = ()
+    claims: Sequence[Claim]
+    sections: Sequence[Section]
+    data: Mapping[str, pd.DataFrame | None] = field(default_factory=dict)
+    summary: Mapping[str, Any] = field(default_factory=dict)
+
+
+def rows_of(frame: pd.DataFrame) -> list[Any]:
+    """The rows of a frame as named tuples."""
+    return list(frame.itertuples(index=False))
+
+
+def grouped(frame: pd.DataFrame, *columns: str) -> list[tuple[Any, pd.DataFrame]]:
+    """Parts of a frame by the values of columns, in the order of their first rows."""
+    return list(frame.groupby(columns[0] if len(columns) == 1 else list(columns), sort=False))
+
+
+# The page.
+
+_MOST_ROWS = 8
+"""Rows of a table in the page; its CSV file has all."""
+
+
+def environment() -> jinja2.Environment:
+    """The templates of pages and cards."""
+    made = jinja2.Environment(
+        loader=jinja2.PackageLoader("benchmarks"),
+        autoescape=lambda name: name is not None and ".html" in name,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    made.globals |= {"number": number, "most_rows": _MOST_ROWS}
+    made.tests["table"] = lambda part: isinstance(part, Table)
+    made.tests["picture"] = lambda part: isinstance(part, Picture)
+    return made
+
+
+def write_page(
+    folder: Path,
+    report: Report,
+    *,
+    command: str,
+    versions: Mapping[str, str],
+    summary_file: str = "summary.json",
+    study: Any = None,
+    scene_toml: str = "",
+) -> None:
+    """Write report.html, the report's CSV files, and its figures in figures/.
+
+    Args:
+        folder: an existing folder without these files.
+        report: the report; its figures use the style of the caller's `rc_context`.
+        command: command line that repeats the run.
+        versions: versions of the packages that the results depend on.
+        summary_file: file for programs, which the caller writes.
+        study: the run, if it is one of a study, and the scene that it starts from.
+        scene_toml: likewise.
+    """
+    for name, frame in report.data.items():
+        if frame is not None:
+            frame.to_csv(folder / name, index=False, lineterminator="\n", errors="backslashreplace")
+    (folder / "figures").mkdir()
+    parts = [*report.first, *(part for section in report.sections for part in section.parts)]
+    images = {
+        name: save_figure(figure, folder / "figures" / name, inline=picture.inline)
+        for picture in parts
+        if isinstance(picture, Picture)
+        for name, figure in picture.figures.items()
+    }
+    html = (
+        environment()
+        .get_template("page.html.j2")
+        .render(
+            report=report,
+            images=images,
+            command=command,
+            versions=versions,
+            summary_file=summary_file,
+            study=study,
+            scene_toml=scene_toml,
+        )
+    )
+    (folder / "report.html").write_text(html, encoding="utf-8", errors="backslashreplace")

@@ -1,0 +1,269 @@
+"""Writes the data card and the label tables of a complete set."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+import tomli_w
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+
+from benchmarks.reporting import BLUE, GREEN, ORANGE, PURPLE, STYLE, VERMILION, environment
+from benchmarks.sets import croissant
+from benchmarks.sets.read import LabelledSet, Row, rows
+from estimator.files import (
+    written_whole,
+)
+
+# Writes the manifest of a set, and verifies a set against it.
+
+
+# Figures of the data card: histograms of the labels and sample images.
+
+_COLOURS = {
+    "train": BLUE,
+    "validation": GREEN,
+    "test": ORANGE,
+    "adverse": VERMILION,
+    "unseen": PURPLE,
+}
+_BINS, _COLUMNS = 24, 4
+_SAMPLES = 6  # images per split and condition
+_WIDTH_IN = 10.0
+_TILE_PX = 160  # width of a sample image
+_GAP, _CAPTION = 4, 18  # px
+_LEFT = 0.1  # fraction of the width for the names
+
+
+class Quantity(NamedTuple):
+    """A quantity that follows from the labels of an image."""
+
+    name: str
+    unit: str
+    value: Callable[[Row], float]
+
+    def of(self, rows: Sequence[Row]) -> np.ndarray:
+        """Values for all images."""
+        return np.array([self.value(row) for row in rows])
+
+
+QUANTITIES = (
+    Quantity("c, eccentricity", "mm", lambda row: row.labels.c_mm),
+    Quantity("d, tip to wall along the beam", "mm", lambda row: row.labels.d_mm),
+    Quantity("incidence", "deg", lambda row: math.degrees(row.labels.incidence_rad)),
+    Quantity("k, 1/tan of the cone's half-angle", "", lambda row: row.k),
+    Quantity("semi-minor axis, half maximum", "px", lambda row: row.labels.half_max_semi_minor_px),
+    Quantity("visible fraction of the contour", "", lambda row: row.labels.visible_fraction),
+    Quantity("saturated fraction of the spot", "", lambda row: row.labels.saturated_fraction),
+    Quantity("speed of the tip", "mm/s", lambda row: row.labels.speed_mm_s),
+)
+
+
+def histograms(rows: Sequence[Row], path: Path) -> None:
+    """Draw histograms of each quantity, with one line per split."""
+    lines = math.ceil(len(QUANTITIES) / _COLUMNS)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(_WIDTH_IN, 2.1 * lines + 0.4), layout="constrained")
+        panels = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
+        for axes, quantity in zip(panels, QUANTITIES, strict=True):
+            _histogram(axes, quantity, rows)
+        panels[0].set_ylabel("fraction of the split's images")
+        handles, names = panels[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=len(names))
+        with written_whole(path, replace=True) as partial:
+            figure.savefig(partial)
+
+
+def samples(rows: Sequence[Row], path: Path) -> None:
+    """Draw sample images of every split and condition with their true half-maximum ellipses."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        name = "\n".join(filter(None, [row.planned.split, row.planned.condition]))
+        groups.setdefault(name, []).append(row)
+    shown = {name: _spread(group) for name, group in groups.items()}
+    widths, heights = zip(*(_tile(line[0]).shape[1::-1] for line in shown.values()), strict=True)
+    step = np.array([max(widths) + _GAP, max(heights) + _CAPTION])
+    width, height = step * [max(map(len, shown.values())), len(shown)]
+    picture = np.full((height, width, 3), 255, np.uint8)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * (1 - _LEFT) * height / width))
+        axes = figure.add_axes((_LEFT, 0, 1 - _LEFT, 1), frameon=False)
+        for line, (name, group) in enumerate(shown.items()):
+            middle = step[1] * line + max(heights) / 2
+            axes.text(-6, middle, name, ha="right", va="center", size=8)
+            for column, row in enumerate(group):
+                _place(axes, picture, row, corner=step * [column, line])
+        axes.imshow(picture, interpolation="none")
+        axes.set_axis_off()
+        with written_whole(path, replace=True) as partial:
+            figure.savefig(partial)
+
+
+def _place(axes: Axes, picture: np.ndarray, row: Row, *, corner: np.ndarray) -> None:
+    """Draw one sample image with its true ellipse and a caption."""
+    tile = _tile(row)
+    height, width = tile.shape[:2]
+    picture[corner[1] :, corner[0] :][:height, :width] = tile
+    axes.add_patch(_true_ellipse(row, corner))
+    text = f"$d$ {row.labels.d_mm:.1f}, $c$ {row.labels.c_mm:.1f} mm"
+    x, y = corner[0] + width / 2, corner[1] + height + 1
+    axes.text(x, y, text, ha="center", va="top", size=7)
+
+
+def _histogram(axes: Axes, quantity: Quantity, rows: Sequence[Row]) -> None:
+    every = quantity.of(rows)
+    low, high = every.min(), every.max()
+    # If all values are equal up to rounding, draw one bar.
+    alike = high - low < 1e-6 * max(abs(low), abs(high), 1.0)
+    edges = low + np.array([-0.5, 0.5]) if alike else np.linspace(low, high, _BINS + 1)
+    for split in dict.fromkeys(row.planned.split for row in rows):
+        values = quantity.of([row for row in rows if row.planned.split == split])
+        part = np.histogram(values, edges)[0] / values.size
+        axes.stairs(part, edges, color=_COLOURS[split], label=split)
+    axes.set_xlabel(f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name)
+    axes.set_ylim(bottom=0)
+
+
+def _spread(rows: Sequence[Row]) -> list[Row]:
+    """Images that are evenly spread over the stacks and distances."""
+    chosen = np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).round().astype(int)
+    return [rows[i] for i in chosen]
+
+
+def _tile(row: Row) -> np.ndarray:
+    """The image in 8 bits and RGB, reduced by averaging."""
+    image = row.image()
+    if image.dtype != np.uint8:
+        bits = row.stack.described("scene.camera.bit_depth", int)
+        image = (image >> (bits - 8)).astype(np.uint8)
+    step = _step(row)
+    height, width = (step * (n // step) for n in image.shape[:2])
+    blocks = image[:height, :width].reshape(height // step, step, width // step, step, -1)
+    return np.asarray(blocks.mean(axis=(1, 3)).astype(np.uint8))
+
+
+def _step(row: Row) -> int:
+    """Reduction factor of the image."""
+    return max(1, row.stack.described("scene.microscope.width_px", int) // _TILE_PX)
+
+
+def _true_ellipse(row: Row, corner: np.ndarray) -> Ellipse:
+    labels, step = row.labels, _step(row)
+    # Pixel centres have integer coordinates in both images.
+    x, y = ((p + 0.5) / step - 0.5 for p in (labels.half_max_x_px, labels.half_max_y_px))
+    return Ellipse(
+        (x + corner[0], y + corner[1]),
+        2 * labels.half_max_semi_major_px / step,
+        2 * labels.half_max_semi_minor_px / step,
+        angle=math.degrees(labels.half_max_angle_rad),
+        fill=False,
+        color=ORANGE,
+        lw=0.8,
+        ls=(0, (3, 2)),
+    )
+
+
+_LICENCES = {
+    "CC-BY-4.0": "Creative Commons Attribution 4.0 International\n"
+    "https://creativecommons.org/licenses/by/4.0/legalcode\n",
+}
+"""Text of LICENSE by SPDX name; for other licences it is the name itself."""
+
+
+class Count(NamedTuple):
+    """Number of stacks and images of a split and condition."""
+
+    split: str
+    condition: str
+    stacks: int
+    images: int
+
+
+class Range(NamedTuple):
+    """Range and median of a label in a set."""
+
+    name: str
+    unit: str
+    least: float
+    median: float
+    most: float
+
+
+def write_card(labelled: LabelledSet) -> None:
+    """Write README.md with its figures, LICENSE, spec.toml, croissant.json and the label tables.
+
+    Args:
+        labelled: a set with all its stacks.
+    """
+    images = list(rows(labelled))
+    tables = _tables(labelled, images)
+    for split, lines in tables.items():
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        _write(labelled.folder / split / "metadata.jsonl", text)
+    _write(labelled.folder / croissant.FILE, croissant.croissant(labelled, tables))
+    licence = _LICENCES.get(labelled.licence, f"{labelled.licence}\n")
+    _write(labelled.folder / "LICENSE", licence)
+    _write(labelled.folder / "spec.toml", tomli_w.dumps(labelled.description["spec"]))
+    histograms(images, labelled.folder / "histograms.png")
+    samples(images, labelled.folder / "samples.png")
+    text = (
+        environment()
+        .get_template("dataset_card.md.j2")
+        .render(
+            set=labelled,
+            about=labelled.description,
+            # `load_dataset(DIR)` loads all splits, `load_dataset(DIR, NAME)` one.
+            configs={"default": labelled.splits} | {split: [split] for split in labelled.splits},
+            counts=_counts(images),
+            images=len(images),
+            ranges=_ranges(images),
+            bounded=any("bound_semi_minor_px" in row.line() for row in images),
+            varied=sorted(labelled.stacks[0].parameters),
+        )
+    )
+    _write(labelled.folder / "README.md", text)
+
+
+def _tables(labelled: LabelledSet, images: Sequence[Row]) -> dict[str, list[dict[str, Any]]]:
+    """The lines of each split, all with the same columns.
+
+    A label that only some images have is NaN in the others. JSON's null would be stricter, but
+    Hugging Face's loader refuses a set in which one split has nothing but null in a column.
+    """
+    lines = [(row.planned.split, row.line()) for row in images]
+    columns = dict.fromkeys(name for _, line in lines for name in line)
+    return {
+        split: [
+            {name: line.get(name, math.nan) for name in columns}
+            for own, line in lines
+            if own == split
+        ]
+        for split in labelled.splits
+    }
+
+
+def _counts(images: Sequence[Row]) -> list[Count]:
+    of_images = Counter((row.planned.split, row.planned.condition or "") for row in images)
+    planned = {row.planned.folder: row.planned for row in images}.values()
+    of_stacks = Counter((stack.split, stack.condition or "") for stack in planned)
+    return [Count(*group, of_stacks[group], number) for group, number in of_images.items()]
+
+
+def _ranges(images: Sequence[Row]) -> list[Range]:
+    return [
+        Range(quantity.name, quantity.unit, *np.quantile(quantity.of(images), [0.0, 0.5, 1.0]))
+        for quantity in QUANTITIES
+    ]
+
+
+def _write(path: Path, text: str) -> None:
+    with written_whole(path, replace=True) as partial:
+        partial.write_text(text, encoding="utf-8")

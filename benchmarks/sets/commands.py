@@ -1,0 +1,128 @@
+"""The commands `eyespot dataset make`, `verify` and `push`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+from cyclopts.types import PositiveInt
+
+from optics import InputError, in_file, shortened
+from scenes.description import Changes
+
+if TYPE_CHECKING:
+    from benchmarks.sets.make import Estimate, Shard
+
+
+def make(
+    spec: str,
+    /,
+    *,
+    out: Path | None = None,
+    workers: PositiveInt | None = None,
+    scheduler: str | None = None,
+    shard: Annotated[str | None, Parameter(metavar="I/N")] = None,
+    changes: Changes = (),
+    dry_run: bool = False,
+) -> None:
+    """Render a labelled set: splits of stacks, a data card and a manifest.
+
+    If a run was stopped, the same command continues it.
+
+    Args:
+        spec: Spec file (TOML), or a named set: static-v2, eccentricity-v2, dynamic-v2, adverse-v2,
+            eye-v2, or static-v1, eccentricity-v1, dynamic-v1, adverse-v1.
+        out: Folder of the set; not needed with --dry-run.
+        workers: Worker processes on this machine (default: one per core).
+        scheduler: Address of a Dask scheduler whose workers render the set; see docs/datasets.md.
+        shard: Render only part I of N, for job arrays on a cluster.
+        dry_run: Print the number of frames, size and time; render nothing.
+    """
+    from benchmarks.sets import make as cluster
+    from benchmarks.sets.make import estimate, rendered_set
+    from benchmarks.sets.spec import load_spec, plan
+
+    settings, part = load_spec(spec, changes), _shard(shard)
+    with in_file(shortened(spec)[1:-1]):
+        planned = part.of(plan(settings))
+    if scheduler is not None and workers is not None:
+        raise InputError(
+            "--workers starts processes on this machine, but --scheduler has its own workers. Give "
+            "only one of them."
+        )
+    count = workers or cluster.cores()
+    if dry_run:
+        _print(estimate(planned), workers=count)
+        return
+    if out is None:
+        raise InputError("--out DIR is missing: the folder for the set.")
+    hired = (
+        cluster.running_scheduler(scheduler)
+        if scheduler is not None
+        else cluster.local_workers(count, first_core=(part.part - 1) * count)
+    )
+    labelled = rendered_set(settings, out, workers=hired, shard=part, total=len(planned))
+    if labelled.missing:
+        print(f"Shard {shard} of {out} is done; {len(labelled.missing)} stacks are still missing.")
+    else:
+        print(f"Wrote the set {out}: {len(labelled.stacks)} stacks.")
+        print(f"Next: eyespot score {out} --mode subpixel")
+
+
+def verify(folder: Path, /) -> None:
+    """Verify a set: list every file that is missing or changed.
+
+    Args:
+        folder: Folder of the set.
+    """
+    from benchmarks.sets.read import verify_set
+
+    print(f"{folder}: complete, {verify_set(folder)} files match the manifest.")
+
+
+def push(
+    folder: Path,
+    repository: Annotated[str, Parameter(name="OWNER/NAME")],
+    /,
+    *,
+    private: bool = False,
+    endpoint: str | None = None,
+) -> None:
+    """Upload a complete set to the Hugging Face Hub.
+
+    Args:
+        folder: Folder of the set.
+        repository: Dataset repository; created if missing.
+        private: Make a new repository private.
+        endpoint: Address of another Hub (default: huggingface.co).
+    """
+    from benchmarks.sets.make import push_set
+
+    print(f"Wrote {push_set(folder, repository, private=private, endpoint=endpoint)}.")
+
+
+def _shard(text: str | None) -> Shard:
+    from benchmarks.sets.make import WHOLE, Shard
+
+    if text is None:
+        return WHOLE
+    if match := re.fullmatch(r"(\d+)/(\d+)", text):
+        shard = Shard(int(match[1]), int(match[2]))
+        if 1 <= shard.part <= shard.parts:
+            return shard
+    raise InputError(f"--shard must be I/N, with I from 1 to N; got {text!r}.")
+
+
+def _print(found: Estimate, *, workers: int) -> None:
+    from rich.filesize import decimal
+
+    from estimator.run import duration
+
+    processor, wall = duration(found.processor_s), duration(found.processor_s / workers)
+    print(
+        f"{found.images:,} images in {found.stacks:,} stacks, {decimal(round(found.size_bytes))}, "
+        f"about {processor} of processor time, {wall} with {workers} workers on one core each. "
+        f"Estimated from {found.tried} images."
+    )

@@ -1,1 +1,0 @@
-from . import export as export

@@ -1,0 +1,577 @@
+"""Renders the missing stacks of a set on Dask workers, then completes the set.
+
+The unit of work is a stack, which appears under its name when it is complete. So a stopped run can
+be continued with the same spec and folder; also an unfinished stack is continued
+(`scenes.render_stack`).
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import importlib
+import importlib.metadata
+import json
+import logging
+import multiprocessing
+import os
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import dask
+from distributed import Client, LocalCluster, Worker, WorkerPlugin
+
+import scenes
+from benchmarks.sets import card
+from benchmarks.sets.read import (
+    SCHEMA,
+    LabelledSet,
+    SetError,
+    SetStack,
+    read_set,
+    verify_set,
+    write_set_manifest,
+)
+from benchmarks.sets.spec import PlannedStack, SetSpec, plan
+from estimator.files import (
+    MANIFEST,
+    BeingWrittenError,
+    StackWriter,
+    object_in,
+    require_space,
+    sweep,
+    written_whole,
+)
+from estimator.run import progress as bar
+from estimator.run import say
+from optics import InputError, in_file, read_text, shortened
+from scenes.world import World
+
+# Renders one stack; a separate file, so that workers import little else.
+
+_PACKAGES = ("eyespot", "mitsuba", "drjit", "jax", "numpy", "opencv-python-headless", "scipy")
+
+# A worker with several threads uses them all for one stack.
+_one_at_a_time = threading.Lock()
+
+
+def versions() -> dict[str, str]:
+    """Versions of the packages that affect the bytes of a set."""
+    return {name: importlib.metadata.version(name) for name in _PACKAGES}
+
+
+def render_planned(scene: Mapping[str, Any], folder: str, wanted: Mapping[str, str]) -> None:
+    """Render one stack, unless it already exists.
+
+    Args:
+        scene: content of its scene file.
+        folder: folder of the stack, on a disk that all workers can access.
+        wanted: versions that the set was started with.
+
+    Raises:
+        InputError: this worker has other versions, or the scene is impossible.
+        BeingWrittenError: another run is rendering it.
+    """
+    if versions() != wanted:
+        raise InputError(
+            f"a worker has other versions than the set: {versions()} instead of {dict(wanted)}. "
+            "Use the same environment for all workers."
+        )
+    out = Path(folder)
+    with _one_at_a_time:
+        if out.is_dir():
+            return
+        try:
+            scenes.render_stack(scenes.Scene.model_validate(scene), out)
+        except InputError:
+            if not out.is_dir():  # else another run has just finished it
+                raise
+
+
+# Dask workers: a local cluster with one core per worker, or a running scheduler.
+
+
+class OneCore(WorkerPlugin):
+    """Binds each worker to its own core, if the operating system supports that.
+
+    Mitsuba, JAX, OpenCV and BLAS start as many threads as a process has cores. With one core per
+    worker, the threads of different workers do not compete.
+
+    Args:
+        first: index of the first worker's core.
+    """
+
+    def __init__(self, first: int) -> None:
+        self.first = first
+
+    def setup(self, worker: Worker) -> None:
+        """Run in the worker before its first stack."""
+        if not hasattr(os, "sched_setaffinity"):
+            return
+        cores = sorted(os.sched_getaffinity(0))
+        core = cores[(self.first + int(worker.name)) % len(cores)]
+        # Linux sets affinity per thread; threads that start later inherit it.
+        for thread in os.listdir("/proc/self/task"):
+            os.sched_setaffinity(int(thread), {core})
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def local_workers(count: int, *, first_core: int = 0) -> Iterator[Client]:
+    """A cluster on this machine; a worker that fails is started again.
+
+    Args:
+        first_core: index of the first worker's core among those that this process may use.
+    """
+    # By default Dask makes malloc return freed memory at once, which is slow for images.
+    with dask.config.set({"distributed.nanny.pre-spawn-environ": {}}):
+        with _threads_that_ignore_ctrl_c():
+            cluster = LocalCluster(
+                n_workers=0,
+                threads_per_worker=1,
+                processes=True,
+                # It has no password. Any free port: another cluster may use 8787.
+                dashboard_address="127.0.0.1:0",
+                # By default each worker gets an equal share of the memory. On machines with many
+                # cores that is too little for Mitsuba, and Dask would stop the workers.
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+            )
+        with cluster, Client(cluster) as client:
+            client.register_plugin(OneCore(first_core))
+            cluster.scale(count)
+            try:
+                yield client
+            except KeyboardInterrupt:
+                # A worker would finish its stack first. The next run continues a stopped stack.
+                for worker in multiprocessing.active_children():
+                    worker.kill()
+                raise
+
+
+@contextmanager
+def _threads_that_ignore_ctrl_c() -> Iterator[None]:
+    """Threads started here, and the processes that they start, never get Ctrl-C.
+
+    A terminal sends it to all processes of a command. This one stops the workers, which would
+    report their end as an error.
+    """
+    resource_tracker.ensure_running()  # its start would unblock the signal again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def running_scheduler(address: str, *, patience: str = "20s") -> Iterator[Client]:
+    """The workers of a running scheduler.
+
+    Args:
+        address: tcp://HOST:PORT, as `dask scheduler` prints it, or the path of its scheduler file.
+        patience: time to wait for an answer, such as "20s".
+
+    Raises:
+        InputError: no scheduler answers at that address.
+    """
+    where: dict[str, Any] = {"address": address}
+    if "://" not in address and os.path.isfile(address):
+        where = {"scheduler_file": address}
+    try:
+        client = Client(**where, timeout=patience)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"no Dask scheduler answers at {address} ({error}). Start one with `dask scheduler`, "
+            "or omit --scheduler to use workers on this machine."
+        ) from error
+    with client:
+        yield client
+
+
+# Estimates number of images, size and time of a set from a few rendered frames.
+
+_TIMED = 5  # frames rendered of a stack
+
+
+class Estimate(NamedTuple):
+    """Expected cost of a set.
+
+    Attributes:
+        size_bytes: size on disk without the data card.
+        processor_s: processor time of all cores.
+        tried: number of images rendered for the estimate.
+    """
+
+    stacks: int
+    images: int
+    size_bytes: float
+    processor_s: float
+    tried: int
+
+
+class _Enough(Exception):
+    """Ends the rendering of a trial stack."""
+
+
+def estimate(planned: Sequence[PlannedStack]) -> Estimate:
+    """Check every scene, render a few frames of each condition, and scale up.
+
+    One stack per condition is tried, and one without condition. Processor time is measured, because
+    it hardly depends on other processes.
+
+    Args:
+        planned: the stacks of the set or of a shard.
+
+    Raises:
+        SetError: some scenes cannot be rendered; the message lists them with the reasons.
+    """
+    images = image_counts(planned)
+    groups: dict[str | None, list[PlannedStack]] = {}
+    for stack in planned:
+        groups.setdefault(stack.condition, []).append(stack)
+    size = seconds = 0.0
+    tried = 0
+    for stacks in groups.values():
+        _Trial.of(stacks[-1].scene, images=1)  # compiles kernels, which a worker does once
+        trial = _Trial.of(stacks[0].scene, images=_TIMED)
+        counts = [images[stack.split, stack.name] for stack in stacks]
+        seconds += sum(trial.first_s + (count - 1) * trial.next_s for count in counts)
+        size += sum(count * trial.image_bytes for count in counts)
+        tried += trial.images
+    return Estimate(len(planned), sum(images.values()), size, seconds, tried)
+
+
+class _Trial(NamedTuple):
+    """Processor seconds and bytes of the first images of a stack."""
+
+    images: int
+    first_s: float  # from the scene to its first image
+    next_s: float  # each image after that
+    image_bytes: float
+
+    @classmethod
+    def of(cls, scene: scenes.Scene, *, images: int) -> _Trial:
+        """Render the first images of a scene."""
+        moments: list[float] = []
+
+        def image_done() -> None:
+            moments.append(time.process_time())
+            if len(moments) == images:
+                raise _Enough
+
+        with tempfile.TemporaryDirectory() as folder:
+            begin = time.process_time()
+            with suppress(_Enough):
+                scenes.render_stack(scene, Path(folder) / "stack", progress=image_done)
+            # Other threads write the images, so writing ends after the last `image_done`.
+            rest = time.process_time() - moments[0]
+            files = [path for path in Path(folder).rglob("*") if path.is_file()]
+            size = sum(path.stat().st_size for path in files)
+            written = sum(path.parent.name == "frames" for path in files)
+        later = max(len(moments) - 1, 1)
+        return cls(len(moments), moments[0] - begin, rest / later, size / max(written, 1))
+
+
+def image_counts(planned: Sequence[PlannedStack]) -> dict[tuple[str, str], int]:
+    """Number of images of every stack, by split and name, after a check of its geometry.
+
+    Raises:
+        SetError: some scenes cannot be rendered; the message lists them with the reasons.
+    """
+    found, problems = {}, []
+    for stack in planned:
+        try:
+            world = World(stack.scene)
+            world.check()
+        except scenes.SceneError as error:
+            problems.append(f"{stack.split}/{stack.name}: {error}")
+            continue
+        exposures = len(stack.scene.exposures.kinds)
+        found[stack.split, stack.name] = world.times.size * exposures
+    if problems:
+        problems.append("Nothing was rendered. Narrow the distributions, or change the seed.")
+        raise SetError("\n".join(problems))
+    return found
+
+
+# Uploads a set to a repository of the Hugging Face Hub.
+
+
+def push_set(
+    folder: Path, repository: str, *, private: bool = False, endpoint: str | None = None
+) -> str:
+    """Upload a complete set as one commit; the repository is created if it does not exist.
+
+    Files that are there already and have not changed are not sent again.
+
+    Args:
+        repository: OWNER/NAME of a dataset repository.
+        private: whether a new repository is private.
+        endpoint: address of the Hub (default: that of huggingface_hub).
+
+    Returns:
+        Address of the commit.
+
+    Raises:
+        SetError: the set is incomplete or changed.
+        InputError: huggingface_hub is not installed, or the Hub refuses or cannot be reached.
+    """
+    hub = _library()
+    verify_set(folder)
+    name = read_set(folder).name
+    api = hub.HfApi(endpoint=endpoint, library_name="eyespot")
+    # HTTPError is that of the HTTP library that huggingface_hub uses; a missing token an OSError.
+    problems = (hub.errors.HTTPError, hub.errors.HFValidationError, OSError)
+    try:
+        api.create_repo(repository, repo_type="dataset", private=private, exist_ok=True)
+        # Not upload_large_folder, which keeps its state in a folder within the set.
+        commit = api.upload_folder(
+            repo_id=repository,
+            repo_type="dataset",
+            folder_path=folder,
+            commit_message=f"{name} as eyespot rendered it",
+        )
+    except (*problems, RuntimeError) as error:
+        # A failed upload of one file is a RuntimeError that follows from one of the others.
+        if isinstance(error, RuntimeError) and not isinstance(error.__cause__, problems):
+            raise
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(
+            f"the Hub did not take {folder} as {repository}: {said[:300]}. Check the name, the "
+            "network, and the access token with write permission (`hf auth login`, or HF_TOKEN)."
+        ) from error
+    return str(commit.commit_url)
+
+
+def _library() -> Any:
+    try:
+        importlib.import_module("huggingface_hub.errors")
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "`dataset push` needs the package huggingface_hub: pip install 'eyespot[hub]'."
+        ) from error
+    return importlib.import_module("huggingface_hub")
+
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+class Shard(NamedTuple):
+    """One of several equal parts of a set; the first is 1."""
+
+    part: int
+    parts: int
+
+    def of(self, planned: Sequence[PlannedStack]) -> Sequence[PlannedStack]:
+        """The stacks that this part renders."""
+        return planned[self.part - 1 :: self.parts]
+
+
+WHOLE = Shard(1, 1)
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+_BETWEEN_TRIES_S = 1.0
+
+
+def make_set(
+    spec: SetSpec,
+    out: Path,
+    *,
+    workers: AbstractContextManager[Client],
+    shard: Shard = WHOLE,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> LabelledSet:
+    """Render the missing stacks of a set; the run that renders the last stack completes the set.
+
+    Args:
+        spec: the spec of the set.
+        out: the set's folder: new, empty, or with a part of this set.
+        workers: see `cluster`; started only if a stack is missing.
+        shard: part of the set to render; others may run at the same time on any machine.
+        progress: called with the number of finished stacks and of all stacks of the shard.
+
+    Returns:
+        The set. It is complete unless stacks of other shards are missing (`LabelledSet.missing`).
+
+    Raises:
+        SetError: `out` contains something else, or some scenes cannot be rendered; then none is.
+        InputError: the disk has too little space.
+        OSError: the disk is full or cannot be written; what is done is kept.
+        SceneError: a scene key is unknown or a drawn value impossible; nothing is rendered.
+    """
+    out = Path(out).absolute()
+    planned = plan(spec)
+    share = shard.of(planned)
+    missing = [stack for stack in share if not _folder(out, stack).is_dir()]
+    image_counts(missing)  # before anything is written: a set without some of its stacks is no use
+    _claim(out, spec, planned)
+    progress(len(share) - len(missing), len(share))
+    if missing:
+        new = [stack for stack in missing if not StackWriter(_folder(out, stack)).has_begun]
+        require_space(out, sum(scenes.least_bytes(stack.scene) for stack in new))
+        with workers as client:
+            _render(missing, out, client, lambda left: progress(len(share) - left, len(share)))
+    labelled = read_set(out)
+    if not labelled.missing:
+        _finish(labelled)
+    return labelled
+
+
+def rendered_set(
+    spec: SetSpec, out: Path, *, workers: AbstractContextManager[Client], shard: Shard, total: int
+) -> LabelledSet:
+    """As `make_set`, with a bar of `total` stacks."""
+    finished = 0
+    with bar("Rendering stacks", total=total) as advance:
+
+        def show(done: int, _: int) -> None:
+            nonlocal finished
+            advance(done - finished)
+            finished = done
+
+        return make_set(spec, out, workers=workers, shard=shard, progress=show)
+
+
+def _render(
+    missing: Sequence[PlannedStack], out: Path, client: Client, report: Callable[[int], None]
+) -> None:
+    """Render stacks; those that another run renders are waited for, and rendered if it stops."""
+    problems: list[str] = []
+    left, done = list(missing), 0
+    while left:
+        busy = []
+        for stack, error in _tried(left, out, client):
+            if isinstance(error, BeingWrittenError):
+                busy.append(stack)
+                continue
+            if error is not None:
+                if isinstance(error, scenes.RendererUnavailable) or _is_of_disk(error):
+                    raise error
+                problems.append(f"{stack.split}/{stack.name}: {error or type(error).__name__}")
+            done += 1
+            report(len(missing) - done)
+        if busy and len(left) > len(busy):
+            say(f"Waiting for {len(busy)} stacks that other runs render.")
+        left = busy
+        if busy:
+            time.sleep(_BETWEEN_TRIES_S)
+    if problems:
+        raise SetError(
+            "\n".join([*problems, f"{len(missing) - len(problems)} other stacks are done."])
+        )
+
+
+def _tried(
+    stacks: Sequence[PlannedStack], out: Path, client: Client
+) -> Iterator[tuple[PlannedStack, BaseException | None]]:
+    """Each stack when a worker has tried to render it, and the error if there was one."""
+    from distributed import as_completed
+
+    # One message with all tasks costs the scheduler half of what a message a task costs.
+    futures = client.map(
+        render_planned,
+        [stack.scene.model_dump(mode="json", by_alias=True) for stack in stacks],
+        [str(_folder(out, stack)) for stack in stacks],
+        wanted=versions(),
+        pure=False,
+    )
+    rendering = dict(zip(futures, stacks, strict=True))
+    for future in as_completed(rendering):
+        yield rendering[future], future.exception()
+
+
+def _is_of_disk(error: BaseException) -> bool:
+    """Whether no other stack can be written either."""
+    return isinstance(error, OSError) and error.errno in _FULL
+
+
+def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
+    """Write set.json into a new folder, or check that it belongs to the same set."""
+    content = {
+        "schema": SCHEMA,
+        "name": spec.name,
+        "description": spec.description,
+        "licence": spec.licence,
+        "seed": spec.seed,
+        "versions": versions(),
+        "spec": spec.model_dump(mode="json", by_alias=True, exclude_none=True),
+        "stacks": [
+            {
+                "split": stack.split,
+                "name": stack.name,
+                "condition": stack.condition,
+                **({"pair": stack.pair} if stack.pair else {}),
+                "parameters": stack.parameters,
+            }
+            for stack in planned
+        ],
+    }
+    text = json.dumps(content, indent=1) + "\n"
+    out.mkdir(parents=True, exist_ok=True)
+    file = out / "set.json"
+    with _alone_in(out):
+        if file.is_file():
+            with in_file(file, SetError):
+                there = read_text(file)
+                found = object_in(there)
+            if there != text:
+                raise SetError(_difference(out, found, content))
+            return
+        sweep(out)
+        if any(out.iterdir()):
+            raise SetError(f"{out} contains other files than a labelled set. Choose another --out.")
+        with written_whole(file) as partial:
+            partial.write_text(text)
+
+
+def _difference(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> str:
+    if found.get("spec") != wanted["spec"]:
+        name = shortened(found.get("name"))
+        return f"{out} contains a set of another spec, {name}. Choose another --out."
+    there, here = found.get("versions"), wanted["versions"]
+    if isinstance(there, dict) and there != here:
+        names = [name for name in {**here, **there} if there.get(name) != here.get(name)]
+        other, ours = ({name: each.get(name) for name in names} for each in (there, here))
+        return (
+            f"{out} was started with other versions: {shortened(other)} instead of "
+            f"{shortened(ours)}. Install those, or choose another --out."
+        )
+    return f"{out / 'set.json'} was changed after it was written. Choose another --out."
+
+
+def _finish(labelled: LabelledSet) -> None:
+    """Write the data card and the manifest, once."""
+    with _alone_in(labelled.folder):
+        for folder in (labelled.folder, *(labelled.folder / name for name in labelled.splits)):
+            sweep(folder)
+        if not (labelled.folder / MANIFEST).is_file():
+            card.write_card(labelled)
+            write_set_manifest(labelled)
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Lock a folder; waits until no other process has locked it."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _folder(out: Path, stack: PlannedStack | SetStack) -> Path:
+    return out / stack.split / stack.name

@@ -1,0 +1,364 @@
+"""A set and its stacks, from set.json."""
+
+from __future__ import annotations
+
+import functools
+import math
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from estimator import (
+    Calibration,
+    FrameLabels,
+    LiteralSettings,
+    MicroscopeFile,
+    Reader,
+    Stack,
+    SubpixelSettings,
+    read_stack,
+)
+from estimator.files import (
+    FOLDER_NAME,
+    MANIFEST,
+    differences,
+    fingerprint,
+    in_utf8,
+    inside,
+    object_in,
+    read_manifest,
+    write_manifest,
+)
+from optics import InputError, Strict, check_schema, in_file, read_text, validated
+
+SCHEMA = 1
+HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read, in set.json and manifest.json."""
+
+_AGAIN = "Make the set again."
+
+
+class SetError(InputError):
+    """A folder is not a labelled set, or it is incomplete; the text says what is wrong."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetStack:
+    """A stack of a set.
+
+    Attributes:
+        split: train, validation, test, adverse or unseen.
+        condition: condition of an adverse stack, else None.
+        pair: name of the pair whose partner the stack is, else None.
+        parameters: values of the scene keys that vary within the set, by dotted name.
+    """
+
+    split: str
+    name: str
+    condition: str | None
+    parameters: dict[str, Any]
+    folder: Path
+    pair: str | None = None
+
+    def open(self) -> Stack:
+        """Open the stack, for its labels and images."""
+        return read_stack(self.folder)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelledSet:
+    """A set on disk.
+
+    Attributes:
+        name, licence: name and licence of its spec.
+        stacks: all stacks of the set in order, also those not rendered yet.
+    """
+
+    folder: Path
+    name: str
+    licence: str
+    stacks: tuple[SetStack, ...]
+    description: dict[str, Any]
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Splits that have stacks, in order."""
+        return tuple(dict.fromkeys(stack.split for stack in self.stacks))
+
+    @property
+    def missing(self) -> list[SetStack]:
+        """Stacks that have not been rendered yet."""
+        return [stack for stack in self.stacks if not stack.folder.is_dir()]
+
+
+class _StackRow(Strict):
+    split: Literal["train", "validation", "test", "adverse", "unseen"]
+    name: Annotated[str, Field(pattern=FOLDER_NAME)]
+    condition: Annotated[str, Field(pattern=FOLDER_NAME)] | None
+    pair: Annotated[str, Field(pattern=FOLDER_NAME)] | None = None
+    parameters: dict[str, Any]
+
+
+class _SetFile(Strict):
+    model_config = ConfigDict(extra="ignore")  # what describes the set as a whole
+
+    schema_: Annotated[int, Field(alias="schema")]
+    name: str
+    licence: str
+    stacks: list[_StackRow]
+
+
+def read_set(folder: Path) -> LabelledSet:
+    """Open a set, complete or not (`verify_set` checks that).
+
+    Raises:
+        SetError: the folder is not a set, or has another schema.
+    """
+    folder = Path(folder)
+    with in_file(folder / "set.json", SetError):
+        try:
+            content = object_in(read_text(folder / "set.json"))
+        except FileNotFoundError as error:
+            raise SetError(f"{folder} is not a labelled set: set.json is missing.") from error
+        check_schema(content.get("schema"), HISTORY, remedy=_AGAIN)
+        file = validated(_SetFile, content, remedy=_AGAIN)
+        stacks = tuple(
+            SetStack(**vars(row), folder=inside(folder, f"{row.split}/{row.name}"))
+            for row in file.stacks
+        )
+        if len({stack.folder for stack in stacks}) < len(stacks):
+            raise InputError(f"two stacks have the same name. {_AGAIN}")
+    return LabelledSet(
+        folder=folder,
+        name=file.name,
+        licence=file.licence,
+        stacks=stacks,
+        description=content,
+    )
+
+
+# The stacks of a set, or a single stack: names, images, true beams, and our readers for them.
+
+_DESCRIPTION = ("stack.toml", "metadata.jsonl", "microscope.json", "kinematics.csv")
+"""Files of a stack other than images; kinematics.csv may be missing."""
+
+
+def stacks_of(folder: str | Path) -> list[SetStack]:
+    """The stacks of a set, sorted by split. A single stack counts as a set of one.
+
+    Args:
+        folder: a set, or a stack (whose split is then empty).
+
+    Raises:
+        SetError: the folder is neither, or the set is incomplete.
+    """
+    folder = Path(folder)
+    if (folder / "stack.toml").is_file():
+        place = folder.resolve()
+        name = in_utf8(place.name)  # of a set's stacks, set.json has it as text
+        return [SetStack(split="", name=name, condition=None, parameters={}, folder=place)]
+    if not (folder / "set.json").is_file():
+        raise SetError(
+            f"{folder} is neither a set (set.json is missing) nor a stack (stack.toml is missing). "
+            "Give a folder that `eyespot dataset` or `eyespot render` wrote."
+        )
+    labelled = read_set(folder)
+    if missing := labelled.missing:
+        raise SetError(
+            f"{folder} is incomplete: {len(missing)} of {len(labelled.stacks)} stacks are missing. "
+            "Run `eyespot dataset` with its spec and this folder again."
+        )
+    return sorted(labelled.stacks, key=lambda stack: stack.split)
+
+
+def qualified_name(stack: SetStack) -> str:
+    """SPLIT/STACK, or STACK for a single stack."""
+    return f"{stack.split}/{stack.name}" if stack.split else stack.name
+
+
+def split_name(stack: SetStack) -> str:
+    """Name for the files of a split: SPLIT, or STACK for a single stack."""
+    return stack.split or stack.name
+
+
+def image_name(stack: SetStack, file_name: str) -> str:
+    """Path of an image from the set (SPLIT/STACK/frames/000000.png), or from a single stack."""
+    return f"{qualified_name(stack)}/{file_name}" if stack.split else file_name
+
+
+def set_files(stacks: Sequence[SetStack]) -> list[Path]:
+    """set.json and LICENSE of the stacks' set; nothing for a single stack."""
+    folder = stacks[0].folder.parents[1]
+    files = [inside(folder, name) for name in ("set.json", "LICENSE") if stacks[0].split]
+    return [path for path in files if path.is_file()]
+
+
+def copy_description(stack: SetStack, folder: Path) -> None:
+    """Copy the files of a stack other than images into a new folder."""
+    folder.mkdir(parents=True)
+    for name in _DESCRIPTION:
+        # A link in the place of a file could lead to any file of whoever exports the stack.
+        if (path := inside(stack.folder, name)).is_file():
+            shutil.copyfile(path, folder / name)
+
+
+def exposures_of(stack: Stack) -> tuple[str, ...]:
+    """Kinds of exposure in a stack, in its order."""
+    return tuple(dict.fromkeys(row.exposure for row in stack.labels))
+
+
+def true_beam(stack: Stack) -> Calibration:
+    """The beam of a stack's scene, as a perfect calibration would give it.
+
+    Stacks of one source share one object, whose light is traced once.
+
+    Raises:
+        InputError: the stack was not rendered, so that nothing says what its source is.
+    """
+    scene = stack.description.get("scene")
+    if not isinstance(scene, dict):
+        raise InputError(
+            f"{stack.folder} has no scene, so its light source is not known. Give --calibration."
+        )
+    from scenes import Scene
+
+    return _beam(Scene.model_validate(scene).model_dump_json(include={"source"}))
+
+
+@functools.cache
+def _beam(source: str) -> Calibration:
+    from scenes import Scene
+    from scenes.world import true_calibration  # loads JAX, which a reader of files need not have
+
+    return true_calibration(Scene.model_validate_json(source))
+
+
+Mode = Literal["literal", "subpixel", "pixels"]
+"""As of `eyespot track`."""
+
+
+def own_reader(
+    mode: Mode,
+    microscope: MicroscopeFile,
+    *,
+    click: tuple[float, float],
+    beam: Calibration | None = None,
+    constants: Mapping[str, Any] | None = None,
+) -> Reader:
+    """A reader that knows nothing of the robot.
+
+    Args:
+        click: (x, y) of the first spot, px, where the literal mode starts, as the paper's operator
+            clicks on it. The other modes find the spot themselves.
+        constants: of `LiteralSettings` or `SubpixelSettings`; those that are not given are the
+            product's.
+
+    Raises:
+        InputError: the mode pixels cannot read the stack; the text says why.
+    """
+    given = {"response": microscope.response} | dict(constants or {})
+    if mode == "literal":
+        return Reader(LiteralSettings(**given), start=click)
+    pixels = None
+    if mode == "pixels":
+        from estimator.pixels import PixelRanger
+
+        assert beam is not None, "the mode pixels needs the beam"
+        pixels = PixelRanger(beam, microscope)
+    return Reader(SubpixelSettings(**given), pixel_ranger=pixels)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """An image of a set.
+
+    Attributes:
+        planned: the stack as an entry of the set.
+    """
+
+    planned: SetStack
+    stack: Stack
+    labels: FrameLabels
+
+    @property
+    def k(self) -> float:
+        """1/tan of the half-angle of the source's cone (for a lens, the effective cone)."""
+        return 1 / math.tan(self.stack.described("cone.half_angle", float))
+
+    def image(self) -> np.ndarray:
+        """The image, RGB."""
+        return self.stack.image(self.labels)
+
+    def line(self) -> dict[str, Any]:
+        """The line of metadata.jsonl: labels of the image and parameters of its stack."""
+        line = self.labels.row()
+        for name in ("file_name", "mask_file_name"):
+            line[name] = f"{self.planned.name}/{line[name]}"
+        return {
+            **line,
+            "stack": self.planned.name,
+            "condition": self.planned.condition or "",
+            "cone_k": self.k,
+            **self.planned.parameters,
+        }
+
+
+def rows(labelled: LabelledSet) -> Iterator[Row]:
+    """Every image of a set, in the order of its stacks."""
+    for planned in labelled.stacks:
+        stack = planned.open()
+        for labels in stack.labels:
+            yield Row(planned=planned, stack=stack, labels=labels)
+
+
+# The manifest: sizes and SHA-256 of all files of a set.
+
+
+_NAMED = 20  # problems listed in a message; an incomplete copy has thousands
+
+
+_AGAIN = "Run `eyespot dataset` with its spec and this folder again."
+
+
+def write_set_manifest(labelled: LabelledSet) -> None:
+    """Write a list of all files of a set; files of a stack are taken from the stack's manifest."""
+    known: dict[str, Any] = {}
+    for stack in labelled.stacks:
+        listed = read_manifest(stack.folder, remedy="Render the stack again.")
+        listed[MANIFEST] = fingerprint(stack.folder / MANIFEST)
+        known |= {f"{stack.split}/{stack.name}/{name}": file for name, file in listed.items()}
+    write_manifest(labelled.folder, schema=SCHEMA, known=known)
+
+
+def verify_set(folder: Path) -> int:
+    """Verify that a set has all its files unchanged, and nothing else.
+
+    Returns:
+        Number of files.
+
+    Raises:
+        SetError: something is missing, changed or unexpected; the message lists it.
+    """
+    labelled = read_set(folder)
+    if missing := [f"{stack.split}/{stack.name}" for stack in labelled.missing]:
+        raise SetError(_listed(folder, [f"stack {name} is missing" for name in missing]))
+    try:
+        files = read_manifest(labelled.folder, remedy="Copy the set again.")
+    except FileNotFoundError as error:
+        raise SetError(f"{folder} is incomplete: {MANIFEST} is missing. {_AGAIN}") from error
+    except InputError as error:
+        raise SetError(f"{error}") from error
+    if problems := list(differences(labelled.folder, files)):
+        raise SetError(_listed(folder, problems))
+    return len(files)
+
+
+def _listed(folder: Path, problems: Sequence[str]) -> str:
+    more = len(problems) - _NAMED
+    lines = [f"{folder}: {problem}" for problem in problems[:_NAMED]]
+    return "\n".join(lines + ([f"{folder}: and {more} more"] if more > 0 else []))

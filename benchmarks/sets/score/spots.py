@@ -1,0 +1,392 @@
+"""Spots of a set: read from files, or measured by our estimator."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from benchmarks.sets.read import (
+    Mode,
+    SetStack,
+    exposures_of,
+    image_name,
+    own_reader,
+    qualified_name,
+    true_beam,
+)
+from estimator import (
+    Calibration,
+    NoSpot,
+    Reason,
+    Spot,
+    SpotRecord,
+    open_source,
+    read_microscope,
+    read_spots,
+    track_whole_source,
+)
+from estimator.files import csv_rows, in_utf8, number_in, object_in
+from optics import InputError, Strict, in_file, read_text, shortened, validated
+
+# The small labelled set that comes with eyespot.
+
+NAME = "sample-v2"
+"""Name of the set; `eyespot dataset sample-v2` renders it anew."""
+
+
+def sample_folder() -> Path:
+    """Folder of the set, for `read_set` and `stacks_of`.
+
+    Raises:
+        InputError: eyespot was installed without its data.
+    """
+    folder = Path(str(resources.files("benchmarks.sets.score"))) / NAME
+    if not (folder / "set.json").is_file():
+        raise InputError(f"{folder} is missing. Install eyespot again from its wheel.")
+    return folder
+
+
+# Plain spots files: the few columns that an estimator of others can write without eyespot.
+#
+#     file_name,x_px,y_px,semi_major_px,semi_minor_px
+#     test/0000/frames/000000.png,322.41,240.18,61.02,58.77
+#     test/0000/frames/000001.png,,,,
+#
+# An image without a spot has empty cells, or no line. Further columns may be `angle_rad`, a
+# standard deviation `sigma_` of each value, `distance_mm` and `sigma_distance_mm`. A file may also
+# have distances alone.
+
+ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px")
+"""Columns of an ellipse; all of them are needed, since the four values are scored."""
+_ANGLE = "angle_rad"
+_DISTANCE = ("distance_mm", "sigma_distance_mm")
+_SIGMAS = tuple(f"sigma_{name}" for name in (*ELLIPSE, _ANGLE))
+COLUMNS = ("file_name", *ELLIPSE, _ANGLE, *_SIGMAS, *_DISTANCE)
+"""All columns that a plain spots file may have."""
+
+_LARGEST_PX = 1e6
+_LARGEST_RAD = 4.0  # an angle of 0 to pi is accepted, too
+
+
+def read_any_spots(path: Path) -> list[SpotRecord]:
+    """Read a spots file: that of eyespot, or a plain CSV.
+
+    Files of eyespot are recognised by their column `schema_version`.
+
+    Raises:
+        InputError: neither of the two, or a wrong value; the message names the file and the line.
+    """
+    if path.suffix.lower() == ".csv" and not _is_of_eyespot(path):
+        return _read_plain(path)
+    return read_spots(path)
+
+
+def _is_of_eyespot(path: Path) -> bool:
+    names: list[str] = []
+    next(csv_rows(path, check=names.extend), None)
+    return "schema_version" in names
+
+
+def _read_plain(path: Path) -> list[SpotRecord]:
+    records: list[SpotRecord] = []
+    for row, where in csv_rows(path, check=_check_columns):
+        with in_file(where):
+            records.append(_record(len(records), row))
+    return records
+
+
+def _check_columns(names: Collection[str]) -> None:
+    if unknown := [name for name in names if name not in COLUMNS]:
+        near = difflib.get_close_matches(unknown[0], COLUMNS, n=1)
+        raise InputError(
+            f"unknown column {shortened(unknown[0])}"
+            f"{f'; did you mean {near[0]}?' if near else '.'} The columns of a plain spots file "
+            f"are {', '.join(COLUMNS)}. Rename or remove it."
+        )
+    has_ellipse = [name for name in ELLIPSE if name in names]
+    needed = ELLIPSE if has_ellipse or "distance_mm" not in names else ()
+    if missing := [name for name in ("file_name", *needed) if name not in names]:
+        raise InputError(
+            f"column {missing[0]} is missing. A plain spots file needs file_name and "
+            f"{', '.join(ELLIPSE)}, or file_name and distance_mm."
+        )
+
+
+def _record(index: int, row: Mapping[str, str]) -> SpotRecord:
+    values = {name: number_in(row.get(name, ""), name) for name in COLUMNS[1:]}
+    if not row["file_name"]:
+        raise InputError("file_name is empty. Write the image's path within the set.")
+    for name in (*_SIGMAS, "sigma_distance_mm"):
+        if values[name] < 0:
+            raise InputError(f"{name} must not be negative; got {values[name]}.")
+    return SpotRecord(
+        frame=index,
+        file_name=row["file_name"],
+        time_s=math.nan,
+        mode="",
+        result=_spot(values),
+        distance_mm=values["distance_mm"],
+        sigma_distance_mm=values["sigma_distance_mm"],
+    )
+
+
+def _spot(values: Mapping[str, float]) -> Spot | NoSpot:
+    unknown = [name for name in ELLIPSE if math.isnan(values[name])]
+    if len(unknown) == len(ELLIPSE):
+        return NoSpot(Reason.NONE_FOUND)
+    if unknown:
+        raise InputError(
+            f"{unknown[0]} is empty. Fill in all of {', '.join(ELLIPSE)}, or none if the image has "
+            "no spot."
+        )
+    for name in ELLIPSE:
+        low = -_LARGEST_PX if name in ("x_px", "y_px") else 0.0
+        if not low < values[name] < _LARGEST_PX:
+            raise InputError(
+                f"{name} must lie in ({low:g}, {_LARGEST_PX:g}) px; got {values[name]}."
+            )
+    if values["semi_major_px"] < values["semi_minor_px"]:
+        raise InputError(
+            f"semi_major_px must be at least semi_minor_px; got {values['semi_major_px']} and "
+            f"{values['semi_minor_px']} px. Swap them; they are halves of the axes."
+        )
+    if abs(values[_ANGLE]) > _LARGEST_RAD:
+        raise InputError(
+            f"{_ANGLE} must lie in (-pi/2, pi/2]; got {values[_ANGLE]}. Write radians, not degrees."
+        )
+    unmeasured = dict.fromkeys(
+        ("edge_width_px", "coverage", "inlier_fraction", "saturated"), math.nan
+    )
+    return Spot(
+        **{name: values[name] for name in (*ELLIPSE, _ANGLE)},
+        covariance=np.diag([values[name] ** 2 for name in _SIGMAS]),
+        **unmeasured,
+    )
+
+
+SPOTS_SUFFIXES = (".csv", ".parquet")
+"""Suffixes of spots files."""
+_NAMED = 5  # unknown names listed in a message
+
+
+def read_set_spots(
+    path: str | Path, stacks: Sequence[SetStack], images: Collection[str]
+) -> dict[str, SpotRecord]:
+    """Read an estimator's spots of a set.
+
+    Args:
+        path: a spots file with image names relative to the set (SPLIT/STACK/frames/000000.png); or
+            a folder with such a file of any name; or a folder with a spots file for each stack, as
+            `eyespot track` writes it. Its name is SPLIT/STACK.csv or, if a stack has several
+            exposures, SPLIT/STACK.EXPOSURE.csv. For a single stack, omit SPLIT/. A spots file is
+            that of eyespot (.csv or .parquet), or plain (`plain_spots`).
+        images: names of all images of the set.
+
+    Returns:
+        The records by image name.
+
+    Raises:
+        InputError: the file is missing, names are not in the set, or an image has two lines.
+    """
+    path = Path(path)
+    if path.is_dir():
+        records = [record for file in _files(path) for record in _placed(file, path, stacks)]
+    elif path.is_file():
+        records = read_any_spots(path)
+    else:
+        raise InputError(f"{path}: no such spots file or folder. Check the path.")
+    return _by_image(records, path, images)
+
+
+def track_set(
+    stacks: Iterable[SetStack],
+    mode: Mode,
+    *,
+    calibration: Calibration | None = None,
+    unrelated: bool = False,
+    progress: Callable[[], None] = lambda: None,
+) -> list[SpotRecord]:
+    """Measure every frame of a set; each stack and exposure is one recording.
+
+    The literal mode starts at the true position of the first spot of each recording, as the paper's
+    operator clicks on it. The other modes find the spot themselves. The mode pixels gets the beam,
+    but not the robot's poses. Like the labels, the spots are in the original image, with its
+    distortion.
+
+    Args:
+        mode: mode of the estimator, with its default settings.
+        calibration: of the beam, for the mode pixels; None for each stack's true one.
+        unrelated: measure every image by itself, without following the spot.
+
+    Returns:
+        Records with image names relative to the set.
+
+    Raises:
+        InputError: the mode pixels cannot read a stack; the text says why.
+    """
+    return [
+        replace(record, file_name=image_name(entry, record.file_name))
+        for entry in stacks
+        for exposure in exposures_of(entry.open())
+        for record in _track(entry, exposure, mode, calibration, unrelated, progress)
+    ]
+
+
+def _track(
+    entry: SetStack,
+    exposure: str,
+    mode: Mode,
+    calibration: Calibration | None,
+    unrelated: bool,
+    progress: Callable[[], None],
+) -> list[SpotRecord]:
+    opened = entry.open()
+    first = opened.exposed(exposure)[0]
+    reader = own_reader(
+        mode,
+        read_microscope(entry.folder / "microscope.json"),
+        click=(first.half_max_x_px, first.half_max_y_px),
+        beam=(calibration or true_beam(opened)) if mode == "pixels" else None,
+    )
+    source = replace(open_source(entry.folder, exposure=exposure), unrelated=unrelated)
+    return track_whole_source(source, reader, progress=lambda record: progress())
+
+
+def _files(folder: Path) -> list[Path]:
+    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SPOTS_SUFFIXES)
+    if not files:
+        raise InputError(f"{folder} contains no spots files (.csv or .parquet). Check the path.")
+    return files
+
+
+def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRecord]:
+    """Records of one stack's spots file, with image names relative to the set."""
+    by_name = {qualified_name(entry): entry for entry in stacks}
+    name = file.relative_to(folder).with_suffix("").as_posix()
+    entry = by_name.get(name) or by_name.get(name.rpartition(".")[0])
+    if entry is None and "/" not in name and stacks[0].split:
+        return read_any_spots(file)  # of the whole set
+    if entry is None:
+        raise InputError(
+            f"{file}: the set has no stack {name}. Name the file SPLIT/STACK.csv or "
+            f"SPLIT/STACK.EXPOSURE.csv; the first stack is {qualified_name(stacks[0])}."
+        )
+    return [
+        replace(record, file_name=image_name(entry, record.file_name))
+        for record in read_any_spots(file)
+    ]
+
+
+def _by_image(
+    records: Iterable[SpotRecord], path: Path, images: Collection[str]
+) -> dict[str, SpotRecord]:
+    found: dict[str, SpotRecord] = {}
+    unknown = []
+    for record in records:
+        if record.file_name in found:
+            raise InputError(f"{path}: {record.file_name} has two lines. Remove one of them.")
+        if record.file_name not in images:
+            unknown.append(record.file_name)
+        found[record.file_name] = record
+    if unknown:
+        listed = ", ".join(repr(name) for name in unknown[:_NAMED])
+        more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
+        raise InputError(
+            f"{path}: the set does not contain {listed}{more}. Image names are relative to the "
+            f"set, such as {min(images)}."
+        )
+    if not found:
+        raise InputError(f"{path} is empty.")
+    return found
+
+
+# Entries of a leaderboard: a folder with a spots file or folder for each estimator.
+
+_ABOUT = "entry.json"
+_Text = Annotated[str, Field(max_length=1000)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """An estimator whose spots are scored.
+
+    Attributes:
+        name: its name.
+        spots: its spots file or folder, see `read_set_spots`; None if the images are measured in
+            this run.
+        command: the command that wrote the spots; empty if not stated.
+        versions: versions of its software; empty if not stated.
+        seed: its random seed; empty if it has none.
+        ms_per_frame: its time per frame as stated, ms; None if not stated.
+    """
+
+    name: str
+    spots: Path | None = None
+    command: str = ""
+    versions: str = ""
+    seed: str = ""
+    ms_per_frame: float | None = None
+
+
+class _About(Strict):
+    model_config = ConfigDict(extra="ignore")  # an entrant may say more
+
+    name: _Text | None = None
+    command: _Text = ""
+    versions: dict[_Text, _Text] | _Text = ""
+    seed: int | _Text | None = None
+    ms_per_frame: Annotated[float, Field(ge=0.0)] | None = None
+
+
+def entry_of(spots: Path) -> Entry:
+    """The entry of a spots file or folder; a folder's entry.json may describe it.
+
+    Raises:
+        InputError: entry.json is damaged.
+    """
+    name = in_utf8(spots.stem if spots.suffix else spots.resolve().name)
+    file = spots / _ABOUT
+    if not file.is_file():
+        return Entry(name=name, spots=spots)
+    with in_file(file):
+        about = validated(_About, object_in(read_text(file)), remedy="See docs/leaderboard.md.")
+    versions = about.versions
+    if not isinstance(versions, str):
+        versions = ", ".join(f"{package} {version}" for package, version in versions.items())
+    return Entry(
+        name=about.name or name,
+        spots=spots,
+        command=about.command,
+        versions=versions,
+        seed="" if about.seed is None else str(about.seed),
+        ms_per_frame=about.ms_per_frame,
+    )
+
+
+def entries_in(folder: Path) -> list[Entry]:
+    """The entries in a folder, by name: each a folder, or a spots file.
+
+    Raises:
+        InputError: the folder is missing or has no entries.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder. Give the folder that contains the entries.")
+    found = [
+        entry_of(path)
+        for path in sorted(folder.iterdir())
+        if not path.name.startswith(".")
+        and (path.is_dir() or path.suffix.lower() in SPOTS_SUFFIXES)
+    ]
+    if not found:
+        raise InputError(
+            f"{folder} has no entries. An entry is a spots file, or a folder with spots files."
+        )
+    return found

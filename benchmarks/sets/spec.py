@@ -1,0 +1,476 @@
+"""The spec file (TOML) of a labelled set and its validation.
+
+name = "eccentricity-v1"
+description = "…"
+seed = 2                            # sets with different seeds have different walls and noise
+[splits]                            # number of stacks in each split
+train = 32
+validation = 8
+test = 8
+[scene]                             # common to all stacks; or: scene = "scene.toml"
+source.kind = "cone"
+[vary]                              # drawn anew for every stack
+spot.eccentricity_mm = { uniform = [0.0, 8.0] }
+source.cone_k = { log_uniform = [5.0, 25.0] }
+microscope.pinhole_height_mm = { choice = [11.5, 200.0] }
+[adverse]                           # a split with difficult conditions
+stacks = 4                          # per condition
+[adverse.conditions.saturation]     # changes of this condition: values or distributions
+exposures.kinds = ["paper"]
+[unseen]                            # a split that differs from all others, usually in its walls
+stacks = 8
+[unseen.changes]
+phantom.wall = "photograph"
+[pairs.short]                       # every stack again, with these values and nothing else changed
+exposures.sensitivity_mm2_sr_mj = 2000.0
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
+from scipy.stats import qmc
+
+from estimator.files import FOLDER_NAME
+from optics import InputError, at_most_three, check_schema, in_file, read_toml, shortened
+from scenes import Scene, SceneError, changed, parsed_change
+from scenes.description import problem_sentence
+
+# Distributions of a scene key; each maps a quantile in [0, 1) to a value.
+
+_LARGEST = 1e12
+"""Of either end of an interval, so that widths and quotients of the two are finite."""
+
+
+class _Distribution(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
+    low, high = interval
+    if not -_LARGEST <= low < high <= _LARGEST:
+        raise InputError(
+            f"an interval must be [low, high], within {_LARGEST:g}, with low < high; got "
+            f"[{low:g}, {high:g}]. For a single value write key = value."
+        )
+    return interval
+
+
+def _positive(interval: tuple[float, float]) -> tuple[float, float]:
+    if interval[0] < 1 / _LARGEST:
+        raise InputError(
+            f"a log-uniform interval must lie above 0; got [{interval[0]:g}, {interval[1]:g}]. "
+            "Raise its lower end, or use uniform."
+        )
+    return interval
+
+
+def _finite(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if any(isinstance(value, float) and not math.isfinite(value) for value in values):
+        raise InputError(
+            "a choice must have finite values, because it becomes a label in JSON. Use a large "
+            "number instead of inf."
+        )
+    return values
+
+
+_Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
+
+
+class Uniform(_Distribution):
+    """Uniform distribution on an interval."""
+
+    uniform: _Interval
+
+    def value(self, quantile: float) -> float:
+        """The value at this quantile."""
+        low, high = self.uniform
+        return low + quantile * (high - low)
+
+
+class LogUniform(_Distribution):
+    """Log-uniform distribution: the logarithm is uniform."""
+
+    log_uniform: Annotated[_Interval, AfterValidator(_positive)]
+
+    def value(self, quantile: float) -> float:
+        """The value at this quantile."""
+        low, high = self.log_uniform
+        return low * (high / low) ** quantile
+
+
+class Choice(_Distribution):
+    """One of several values, all equally likely."""
+
+    choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(
+        min_length=2, max_length=4096
+    )
+
+    def value(self, quantile: float) -> Any:
+        """The value at this quantile of the list."""
+        return self.choice[int(quantile * len(self.choice))]
+
+
+Distribution = Uniform | LogUniform | Choice
+KINDS = ("uniform", "log_uniform", "choice")
+
+
+def _kind(change: Any) -> str:
+    """The kind of distribution of a change, or "value"."""
+    if isinstance(change, Distribution):
+        return next(iter(type(change).model_fields))
+    return next((kind for kind in KINDS if isinstance(change, Mapping) and kind in change), "value")
+
+
+Change = Annotated[
+    Annotated[Uniform, Tag("uniform")]
+    | Annotated[LogUniform, Tag("log_uniform")]
+    | Annotated[Choice, Tag("choice")]
+    | Annotated[Any, Tag("value")],
+    Discriminator(_kind),
+]
+"""Change of a scene key in a spec: a distribution or a fixed value."""
+
+
+def by_dotted_name(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The values and distributions of a nested table, by dotted scene key."""
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        key = f"{prefix}{name}"
+        if isinstance(value, Mapping) and _kind(value) == "value":
+            found |= by_dotted_name(value, f"{key}.")
+        else:
+            found[key] = value
+    return found
+
+
+HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
+"""What changed with each version of the format that is read."""
+
+SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
+"""Scene keys that have a different value in every stack."""
+
+_NAMED = resources.files("benchmarks.sets") / "named"
+
+
+class SpecError(InputError):
+    """A spec is missing, invalid or impossible; the text says what to change."""
+
+
+def _dotted(table: Any) -> Any:
+    return by_dotted_name(table) if isinstance(table, Mapping) else table
+
+
+_Count = Annotated[int, Field(ge=0, le=4096)]
+_Condition = Annotated[str, Field(pattern=FOLDER_NAME, max_length=60)]
+_Changes = Annotated[dict[str, Change], BeforeValidator(_dotted)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Splits(_Table):
+    """Number of stacks in each split."""
+
+    train: _Count = 0
+    validation: _Count = 0
+    test: _Count = 0
+
+
+class Adverse(_Table):
+    """The split with difficult conditions."""
+
+    stacks: _Count = Field(description="Number of stacks per condition.")
+    conditions: dict[_Condition, _Changes] = Field(
+        min_length=1,
+        max_length=4096,
+        description="Changes by name; the name begins folders' names.",
+    )
+
+
+class Unseen(_Table):
+    """The split that shows what no other split shows, such as walls of another generator."""
+
+    stacks: _Count
+    changes: _Changes = Field(min_length=1, description="Values or distributions.")
+
+
+class SetSpec(_Table):
+    """The spec of a labelled set.
+
+    Attributes:
+        vary: distributions by dotted scene key.
+        adverse: None if the set has no such split.
+        unseen: None if the set has no such split.
+        pairs: values by the name that ends the names of the partners' folders; None without any.
+    """
+
+    schema_version: Literal[1] = Field(1, alias="schema")
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]{0,99}$")
+    description: str
+    licence: str = Field("CC-BY-4.0", description="Licence of the images and labels (SPDX name).")
+    seed: int = Field(ge=0, lt=2**40)
+    splits: Splits = Splits()
+    scene: Annotated[dict[str, Any], BeforeValidator(_dotted)] = {}
+    vary: _Changes = {}
+    adverse: Adverse | None = None
+    unseen: Unseen | None = None
+    pairs: dict[_Condition, Annotated[dict[str, Any], BeforeValidator(_dotted)]] | None = None
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> SetSpec:
+        named: dict[str, Mapping[str, Any]] = {"scene": self.scene, "vary": self.vary}
+        named |= self.adverse.conditions if self.adverse else {}
+        named |= {"unseen.changes": self.unseen.changes} if self.unseen else {}
+        named |= {f"pairs.{name}": values for name, values in (self.pairs or {}).items()}
+        for where, changes in named.items():
+            if taken := [key for key in SEED_KEYS if key in changes]:
+                raise InputError(
+                    f"{where}.{taken[0]}: every stack gets its own seed from the set's `seed`. "
+                    "Remove this key."
+                )
+        if fixed := [
+            key for key, value in self.vary.items() if not isinstance(value, Distribution)
+        ]:
+            raise InputError(
+                f"vary.{fixed[0]} must be a distribution, one of {', '.join(KINDS)}; got "
+                f"{shortened(self.vary[fixed[0]])}. Move a value that is common to all stacks to "
+                "[scene]."
+            )
+        others = [split.stacks for split in (self.adverse, self.unseen) if split]
+        if not any([*self.splits.model_dump().values(), *others]):
+            raise InputError("a set needs stacks. Set the numbers in [splits] or [adverse].")
+        return self
+
+
+def named_specs() -> list[str]:
+    """Names of the specs in this package."""
+    return sorted(Path(file.name).stem for file in _NAMED.iterdir() if file.name.endswith(".toml"))
+
+
+def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
+    """Read and validate a spec.
+
+    Args:
+        source: path of a TOML file, or the name of a spec in this package.
+        changes: scene keys that get the same value in all stacks, each "table.key=value".
+
+    Raises:
+        SpecError: the spec is missing or invalid; for an unknown key the message suggests the
+            nearest known one.
+    """
+    where = shortened(str(source))[1:-1]
+    path = _NAMED / f"{source}.toml" if str(source) in named_specs() else Path(source)
+    try:
+        with in_file(where, SpecError):
+            content = read_toml(Path(str(path)))
+            check_schema(content.get("schema", 1), HISTORY, remedy="Write 1.")
+        if isinstance(scene_file := content.get("scene"), str):
+            content["scene"] = _scene_keys(Path(source).parent / scene_file)
+    except OSError as error:
+        raise SpecError(
+            f"{shortened(str(error.filename))[1:-1]}: cannot be read ({error.strerror}). Give the "
+            f"path of a spec, or one of {', '.join(named_specs())}."
+        ) from error
+    for change in changes:
+        _fix(content, _dotted(parsed_change(change)))
+    try:
+        return SetSpec.model_validate(content)
+    except ValidationError as error:
+        problems = [f"{where}: {_sentence(problem)}" for problem in error.errors()]
+        raise SpecError(at_most_three(problems)) from error
+
+
+def _fix(content: dict[str, Any], values: dict[str, Any]) -> None:
+    """Set scene keys to fixed values."""
+    scene, vary = (_dotted(content.get(name, {})) for name in ("scene", "vary"))
+    if isinstance(scene, dict) and isinstance(vary, dict):  # if not, the model says so
+        content["scene"] = scene | values
+        content["vary"] = {key: change for key, change in vary.items() if key not in values}
+
+
+def _scene_keys(path: Path) -> dict[str, Any]:
+    """The keys of a scene file, except its schema and seeds."""
+    with in_file(path, SpecError):
+        content = by_dotted_name(read_toml(path))
+    return {key: value for key, value in content.items() if key not in ("schema", *SEED_KEYS)}
+
+
+def _sentence(problem: Any) -> str:
+    path = [str(part) for part in problem["loc"]]
+    return problem_sentence(problem, path, siblings=lambda: _siblings(path[:-1]))
+
+
+def _siblings(path: list[str]) -> list[str]:
+    tables: dict[str, type[BaseModel]] = {
+        "splits": Splits,
+        "adverse": Adverse,
+        "unseen": Unseen,
+    }
+    model = tables.get(".".join(path), SetSpec)
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+# From a spec to the scenes of all stacks, spread evenly over the distributions.
+
+_MOST_STACKS = 2**20
+"""Largest number of stacks in a set; with it, the seeds of two sets never overlap."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedStack:
+    """One stack to render.
+
+    Attributes:
+        split: train, validation, test, adverse or unseen.
+        condition: condition in the adverse split, else None.
+        pair: name of the pair whose partner this stack is, else None. The other stack has the name
+            without the pair's, the same draws and the same seeds.
+        parameters: values of the scene keys that vary within the set, by dotted name.
+    """
+
+    split: str
+    name: str
+    condition: str | None
+    pair: str | None
+    scene: Scene
+    parameters: dict[str, Any]
+
+
+class _Group(NamedTuple):
+    """Stacks that are drawn from the same distributions."""
+
+    split: str
+    condition: str | None
+    stacks: int
+    # Values and distributions by dotted name: those of all groups, and those of the condition.
+    vary: dict[str, Any]
+    condition_changes: dict[str, Any]
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """Both; changes of the condition have priority."""
+        return self.vary | self.condition_changes
+
+
+def plan(spec: SetSpec) -> list[PlannedStack]:
+    """The stacks of a set, in order.
+
+    Every group of stacks uses its own block of one scrambled Sobol sequence (Owen 1998; Sobol
+    1967). The length of a block is a power of two, so each block covers the distributions evenly.
+    The n-th point of the sequence has the n-th seed.
+
+    Raises:
+        SceneError: a key is unknown, or a drawn scene is invalid.
+    """
+    groups = list(_groups(spec))
+    block = 2 ** math.ceil(math.log2(max(1, *(group.stacks for group in groups))))
+    if block * len(groups) > _MOST_STACKS:
+        raise InputError(
+            f"a set can have at most {_MOST_STACKS:,} stacks; this one has {len(groups)} groups of "
+            f"up to {block}. Lower the numbers of stacks."
+        )
+    drawn = sorted(
+        {k for group in groups for k, v in group.changes.items() if isinstance(v, Distribution)}
+    )
+    points = _sobol(len(drawn), block * len(groups), seed=spec.seed)
+    pairs = spec.pairs or {}
+    of_pairs = {key for values in pairs.values() for key in values}
+    labelled = sorted({key for group in groups for key in group.changes} | of_pairs)
+    return [
+        _planned(
+            group,
+            index,
+            pair,
+            values,
+            quantiles=dict(zip(drawn, points[number * block + index], strict=True)),
+            seed=spec.seed * _MOST_STACKS + number * block + index,
+            base=spec.scene,
+            labelled=labelled,
+        )
+        for number, group in enumerate(groups)
+        for index in range(group.stacks)
+        for pair, values in ((None, {}), *pairs.items())
+    ]
+
+
+def _groups(spec: SetSpec) -> Iterator[_Group]:
+    for split, count in spec.splits:
+        yield _Group(split, None, count, spec.vary, {})
+    if spec.adverse:
+        for condition, changes in spec.adverse.conditions.items():
+            yield _Group("adverse", condition, spec.adverse.stacks, spec.vary, changes)
+    if spec.unseen:  # last, so that it changes no other split
+        yield _Group("unseen", None, spec.unseen.stacks, spec.vary, spec.unseen.changes)
+
+
+def _sobol(dimensions: int, count: int, *, seed: int) -> np.ndarray:
+    if not dimensions:
+        return np.empty((count, 0))
+    # The sequence is balanced over powers of two.
+    exponent = math.ceil(math.log2(count))
+    return qmc.Sobol(dimensions, rng=np.random.default_rng(seed)).random_base2(exponent)
+
+
+def _planned(
+    group: _Group,
+    index: int,
+    pair: str | None,
+    pair_values: dict[str, Any],
+    *,
+    quantiles: dict[str, float],
+    seed: int,
+    base: dict[str, Any],
+    labelled: list[str],
+) -> PlannedStack:
+    def drawn(changes: dict[str, Any]) -> dict[str, Any]:
+        return {
+            key: change.value(quantiles[key]) if isinstance(change, Distribution) else change
+            for key, change in changes.items()
+        }
+
+    name = "-".join(filter(None, [group.condition, f"{index:04d}", pair]))
+    scene = Scene()
+    try:
+        for values in (base, drawn(group.vary), drawn(group.condition_changes), pair_values):
+            # The kind of motion comes first, because the other keys depend on it.
+            scene = changed(
+                scene, dict(sorted(values.items(), key=lambda v: v[0] != "motion.kind"))
+            )
+    except SceneError as error:
+        raise SceneError(f"{group.split}/{name}: {error}") from error
+    scene = changed(scene, {key: seed for key in SEED_KEYS if _value(scene, key) is not None})
+    return PlannedStack(
+        split=group.split,
+        name=name,
+        condition=group.condition,
+        pair=pair,
+        scene=scene,
+        parameters={key: _value(scene, key) for key in labelled},
+    )
+
+
+def _value(scene: Scene, key: str) -> Any:
+    """A scene's value by its dotted key; None if its kind of motion lacks that key."""
+    found: Any = scene
+    for part in key.split("."):
+        found = getattr(found, part, None)
+    return found

@@ -1,0 +1,925 @@
+"""`eyespot study dynamic`: the error of a distance while the tip moves, and what makes it.
+
+DIR/dynamic_error.csv  one row a frame and latency: estimate, the robot's reading, the error's parts
+    dynamic_spread.csv sizes of errors and parts by speed
+    SOURCE-rest-literal-paper-exposure.csv  spots at rest that literal mode is calibrated with
+    stacks/            every motion, and the same with exposures too short for blur
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from cyclopts import Parameter
+from cyclopts.validators import Number
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import optics
+import scenes
+from benchmarks.paper import (
+    ACCEPTABLE_ERROR_MM,
+    LITERAL,
+    SUBPIXEL,
+    VISIBLE_ENOUGH,
+    Way,
+    largest,
+    mean,
+    rms,
+    track_stack,
+)
+from benchmarks.reporting import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    VERMILION,
+    Claim,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    grouped,
+    number,
+    rows_of,
+    small_multiples,
+)
+from benchmarks.study import Changes, LightSource, OutputFolder, Quick, Seed, StartingScene, Study
+from calibration import fit_plane
+from estimator import (
+    MicroscopeFile,
+    PoseTrack,
+    Ranger,
+    Reader,
+    Reading,
+    Stack,
+    read_microscope,
+    read_poses,
+)
+from scenes import Scene, SceneError
+from scenes.world import World, study_calibration, true_calibration
+
+# The scenes of the dynamic study: tips moving at several speeds, and the same without blur.
+
+_MEAN_DISTANCE_MM = 3.0
+_STRAIGHT_FRAMES = 5  # as many as fit into the view at the top speed
+_HAND_FRAMES = 10
+_SLOWEST_HAND_MM_S = 2.0  # below, the residual tremor is faster than the hand
+_FREEZES = 1e4  # how much shorter exposures are under so much more light
+
+_REST = {"start_mm": 1.0, "travel_mm": 3.5, "speed_mm_s": 0.1, "frames": 15}
+"""A withdrawal as long and as slow as the paper's (2 um in 20 ms), over what motions reach."""
+
+
+class MovingTrial(NamedTuple):
+    """One motion at one speed, measured in one way.
+
+    Attributes:
+        motion: one of `MOTIONS`.
+        speed_mm_s: of a straight motion, or a hand's highest.
+        run: from 1, each with noise, texture and hand of its own.
+        frozen: the same poses, noise and brightness with exposures too short for blur.
+    """
+
+    motion: str
+    way: Way
+    speed_mm_s: float
+    run: int
+    moving: Scene
+    frozen: Scene
+
+    @property
+    def name(self) -> str:
+        """The name of its stack; the frozen one's ends with -frozen."""
+        kind, speed = self.moving.source.kind, f"{self.speed_mm_s:g}"
+        return "-".join([kind, self.motion, speed, self.way.slug, str(self.run)])
+
+
+def at_rest(scene: Scene) -> Scene:
+    """The withdrawal at rest, in both exposures, which calibrates and meters."""
+    return _with_motion(scene, "withdrawal", _REST)
+
+
+def sensitivity(rest: Stack, scene: Scene, way: Way, *, exposure_s: float) -> float:
+    """Sensitivity at which a way's exposure has the requested length at the study's mean distance.
+
+    Args:
+        rest: of `at_rest(scene)`.
+        scene: whose sensitivity the stack was exposed with.
+        way: of measuring; "metered" exposures differ with the distance.
+        exposure_s: asked for.
+    """
+    rows = rest.exposed(way.exposure)
+    there = min(rows, key=lambda row: abs(row.d_mm - _MEAN_DISTANCE_MM))
+    return scene.exposures.sensitivity_mm2_sr_mj * there.exposure_s / exposure_s
+
+
+def trials(
+    scene: Scene, way: Way, *, sensitivity: float, speeds: Sequence[float], run: int
+) -> list[MovingTrial]:
+    """Every motion at every speed, once; runs count from 1."""
+    hands = [speed for speed in speeds if speed >= _SLOWEST_HAND_MM_S]
+    wanted = [(motion, speed) for motion in ("withdrawal", "scan") for speed in speeds]
+    wanted += [("hand", speed) for speed in hands]
+    own = scenes.changed(
+        scene,
+        {
+            "seed": scene.seed + run - 1,
+            "phantom.texture_seed": scene.phantom.texture_seed + run - 1,
+            "clocks.seed": scene.clocks.seed + run - 1,
+            "exposures.kinds": [way.exposure],
+            "exposures.sensitivity_mm2_sr_mj": sensitivity,
+        },
+    )
+    frozen = scenes.changed(own, {"exposures.sensitivity_mm2_sr_mj": sensitivity * _FREEZES})
+    found = []
+    for motion, speed in wanted:
+        path = _path(motion, speed, interval_s=1 / scene.clocks.camera_hz, seed=own.seed)
+        moving, still = (_with_motion(s, motion, path) for s in (own, frozen))
+        found.append(MovingTrial(motion, way, speed, run, moving, still))
+    return found
+
+
+def _path(motion: str, speed: float, *, interval_s: float, seed: int) -> dict[str, float | int]:
+    """Settings of a motion; its first and last frames, at its ends, are not evaluated."""
+    intervals = 1 + (_HAND_FRAMES if motion == "hand" else _STRAIGHT_FRAMES)
+    duration = intervals * interval_s
+    if motion == "withdrawal":
+        travel = speed * duration
+        return {
+            "start_mm": _MEAN_DISTANCE_MM - travel / 2,
+            "travel_mm": travel,
+            "speed_mm_s": speed,
+            "frames": intervals + 1,
+        }
+    if motion == "scan":
+        return {
+            "distance_mm": _MEAN_DISTANCE_MM,
+            "length_mm": speed * duration,
+            "speed_mm_s": speed,
+            "trocar_mm": math.inf,  # so the tip is as fast as its spot
+        }
+    return {
+        "distance_mm": _MEAN_DISTANCE_MM,
+        "duration_s": duration,
+        "top_speed_mm_s": speed,
+        "seed": seed,
+    }
+
+
+def _with_motion(scene: Scene, kind: str, path: dict[str, float | int]) -> Scene:
+    changes = {"motion.kind": kind} | {f"motion.{name}": value for name, value in path.items()}
+    return scenes.changed(scene, changes)
+
+
+def nearest_speed(speed: float, speeds: Sequence[float]) -> float:
+    """The one of the study's speeds that a frame counts for."""
+    return min(speeds, key=lambda s: (math.fabs(s - speed), s))
+
+
+# What a moving tip adds to the error of a distance, part by part.
+#
+# The estimate from a frame is compared with the robot's reading, the distance along the beam at the
+# pose that is taken for the frame's. With the estimate d' from the blurred frame and d'_0 from the
+# same frame without blur, the true distance d in the middle of the exposure, the reading d_s of the
+# pose with that stamp, and d_l of one that is read late,
+#
+#     d' - d_l = (d'_0 - d) + (d' - d'_0) + (d - d_s) + (d_s - d_l)
+#       error  =    rest    +    blur     +  stamps   +   latency
+#
+# At constant withdrawal speed v a pose that is late by L gives the part latency = -v L: the robot
+# has gone on since the frame was taken.
+
+COMPARED = (LITERAL, SUBPIXEL)
+"""The paper's way of measuring, at its fixed exposure, and ours."""
+
+MOTIONS = {"withdrawal": "along the beam", "scan": "across the wall", "hand": "in a hand"}
+
+LATENCIES_S = (0.0, 0.05, 0.1)
+"""Delays with which a pose without a time stamp is read."""
+
+PARTS = ("rest", "blur", "stamps", "latency")
+
+
+class Parts(NamedTuple):
+    """Error and its parts, mm; see the module."""
+
+    error: float
+    rest: float
+    blur: float
+    stamps: float
+    latency: float
+
+
+def parts(*, estimate: float, frozen: float, d: float, stamped: float, late: float) -> Parts:
+    """Split an error; all in mm.
+
+    Args:
+        estimate: from the frame as it is.
+        frozen: from the frame without blur.
+        d: true, in the middle of the exposure.
+        stamped: the robot's reading of the pose with that stamp.
+        late: of the pose that is taken for the frame's.
+    """
+    return Parts(estimate - late, frozen - d, estimate - frozen, d - stamped, stamped - late)
+
+
+def reading(poses: PoseTrack, time_s: float, wall: optics.Surface) -> float:
+    """The distance by the robot, from the pose that was known at a time.
+
+    Args:
+        poses: as the robot stamped them.
+        time_s: at which they are looked up.
+        wall: of the eye, which the robot is given.
+
+    Returns:
+        From the tip along the beam to the wall, mm; NaN before the first pose.
+    """
+    found = poses.at(time_s)
+    if found is None:
+        return math.nan
+    pose, _ = found
+    meets = wall.intersect(jnp.array(pose.position_mm), jnp.array(pose.axis))
+    return float(meets.distance)
+
+
+_SAME_FRAME = (0.0, 0.0, 0.0, 1.0)  # the rendered robot reports in the eye's frame
+
+
+def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
+    """The ranger that computes distances from a way's spots.
+
+    Literal mode has the paper's model with the k and b fitted to the withdrawal at rest, as on
+    the paper's rig; the sub-pixel mode has the true source and its exact geometry.
+
+    Args:
+        rest: of `dynamic_trials.at_rest(scene)`.
+        scene: of the study, with its source.
+        spots_file: file to write, with the spots that k and b come from.
+
+    Raises:
+        InputError: too few spots at rest.
+    """
+    microscope = read_microscope(rest.folder / "microscope.json")
+    if way is not LITERAL:
+        return Ranger(true_calibration(scene), microscope)
+    tracked = track_stack(rest, way, spots_file=spots_file)
+    values = small_plane_line(
+        semi_minor_px=tracked.semi_minor_px,
+        phi=np.array([row.phi_rad for row in tracked.used_labels]),
+        distance=np.array([row.d_mm for row in tracked.used_labels]),
+        microscope=microscope,
+    )
+    found = study_calibration(
+        "small_plane", values, medium=scene.source.medium, fitted_on=rest.folder.name
+    )
+    return Ranger(found, microscope)
+
+
+def small_plane_line(
+    *, semi_minor_px: np.ndarray, phi: np.ndarray, distance: np.ndarray, microscope: MicroscopeFile
+) -> dict[str, float]:
+    """k and b of the paper's model: a line, after subtracting its sagitta from the distance.
+
+    d - (r - sqrt(r^2 - e1^2)) = k e1 + b with e1 = delta e1' cos(phi) (Zhou et al. 2020, eq. 10).
+
+    Args:
+        semi_minor_px: e1', px.
+        phi: asin(c/r) of the spots, rad.
+        distance: d, mm.
+        microscope: has delta and r.
+
+    Raises:
+        InputError: fewer than 3 spots, or all of one size.
+    """
+    scale, r = microscope.scale_mm_px, microscope.eye_radius_mm
+    seen = semi_minor_px * np.cos(phi)
+    sagitta = r - np.sqrt(r**2 - (scale * seen) ** 2)
+    line = fit_plane(semi_minor_px=seen, distance=distance - sagitta)
+    return {"k": line.delta_k / scale, "b": line.b}
+
+
+def errors(
+    trial: MovingTrial, *, moving: Stack, frozen: Stack, ranger: Ranger
+) -> Iterator[dict[str, Any]]:
+    """Rows of dynamic_error.csv, latency by latency; error = estimate - reading.
+
+    `set_speed_mm_s` is the speed of a straight motion or the highest speed of a hand. `speed_mm_s`
+    is the tip's speed in the middle of the exposure. `doubt` is the reason why an estimate does not
+    count; `rest_doubt` is the same for the frame without blur. NaN: there is no estimate.
+
+    The first frame and the last are left out. They are at the ends of the motion, where the tip is
+    at rest for half of the exposure.
+    """
+    poses = read_poses(moving.folder / "kinematics.csv")
+    wall = World(trial.moving).wall
+    seen, still = (list(_readings(stack, trial.way, ranger, poses)) for stack in (moving, frozen))
+    labels = moving.exposed(trial.way.exposure)
+    for n in range(1, len(labels) - 1):
+        row, doubt, rest_doubt = labels[n], _doubt(seen[n]), _doubt(still[n])
+        if row.visible_fraction < VISIBLE_ENOUGH:
+            doubt = doubt or "less than half of the contour in view"
+        estimate = math.nan if doubt else seen[n].distance_mm
+        stamped = reading(poses, row.time_s, wall)
+        for latency_s in LATENCIES_S:
+            late = reading(poses, row.time_s + latency_s, wall)
+            found = parts(
+                estimate=estimate,
+                frozen=math.nan if rest_doubt else still[n].distance_mm,
+                d=row.d_mm,
+                stamped=stamped,
+                late=late,
+            )
+            yield {
+                "source": trial.moving.source.kind,
+                "motion": trial.motion,
+                "way": trial.way.name,
+                "set_speed_mm_s": trial.speed_mm_s,
+                "run": trial.run,
+                "frame": row.frame,
+                "time_s": row.time_s,
+                "exposure_s": row.exposure_s,
+                "speed_mm_s": row.speed_mm_s,
+                "d_mm": row.d_mm,
+                "latency_s": latency_s,
+                "doubt": doubt,
+                "rest_doubt": rest_doubt,
+                "estimate_mm": estimate,
+                "reading_mm": late,
+                **{f"{name}_mm": value for name, value in found._asdict().items()},
+            }
+
+
+def _readings(stack: Stack, way: Way, ranger: Ranger, poses: PoseTrack) -> Iterator[Reading]:
+    labels = stack.exposed(way.exposure)
+    first = labels[0]
+    reader = Reader(
+        way.settings,
+        start=(first.half_max_x_px, first.half_max_y_px) if way.clicked else None,
+        ranger=ranger,
+        eye_from_robot=_SAME_FRAME,
+    )
+    for row, image in zip(labels, stack.images(way.exposure), strict=True):
+        yield reader.read(image, time_s=row.time_s, exposure_s=row.exposure_s, poses=poses)
+
+
+def _doubt(reading: Reading) -> str:
+    return reading.doubt.replace("_", " ")
+
+
+# Sizes.
+
+
+def spreads(errors: pd.DataFrame, speeds: tuple[float, ...]) -> pd.DataFrame:
+    """Content of dynamic_spread.csv: all frames of about one speed, the nearest to the tip's own.
+
+    `left_out` is the number of frames without an estimate.
+    """
+    keys = ["source", "motion", "way", "speed_mm_s", "latency_s"]
+    near = [nearest_speed(speed, speeds) for speed in errors.speed_mm_s]
+    rows = []
+    for key, group in sorted(grouped(errors.assign(speed_mm_s=near), *keys), key=lambda of: of[0]):
+        used = group[group.doubt == ""]
+        columns = {name: used[f"{name}_mm"] for name in ("error", *PARTS)}
+        sizes = {f"rms_{name}_mm": rms(values) for name, values in columns.items()}
+        means = {f"mean_{name}_mm": mean(values) for name, values in columns.items()}
+        first = sizes.pop("rms_error_mm")
+        rows.append(
+            dict(zip(keys, key, strict=True))
+            | {"spots": len(used), "left_out": len(group) - len(used), "rms_error_mm": first}
+            | {"largest_error_mm": largest(columns["error"])}
+            | sizes
+            | means
+        )
+    return pd.DataFrame(rows)
+
+
+def speed_at(rows: pd.DataFrame, limit_mm: float) -> float:
+    """Speed at which the RMS error of rows that differ in the speed only reaches a limit, mm/s.
+
+    Linear between the speeds, from the error at rest; NaN if the limit is not reached.
+    """
+    known = rows.dropna(subset="rms_error_mm").sort_values("speed_mm_s") if len(rows) else rows
+    if known.empty:
+        return math.nan
+    errors = np.array([rms(known.rms_rest_mm), *known.rms_error_mm])
+    speeds = np.array([0.0, *known.speed_mm_s])
+    reached = np.flatnonzero(errors >= limit_mm)
+    if not reached.size:
+        return math.nan
+    n = reached[0]
+    if n == 0:
+        return 0.0
+    share = (limit_mm - errors[n - 1]) / (errors[n] - errors[n - 1])
+    return float(speeds[n - 1] + share * (speeds[n] - speeds[n - 1]))
+
+
+SPEEDS_MM_S = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
+_QUICK_SPEEDS_MM_S = (0.5, 1.5, 5.0)
+_RUNS = 2
+
+# A robot's stamps jitter; without, they would fall on the frames' own moments.
+_DEFAULTS = ("clocks.kinematics_jitter_s=0.001",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamicFindings:
+    """All results of a run.
+
+    Attributes:
+        scene: the study's.
+        exposure_ms: at the mean distance.
+        sources: kinds of light that were seen moving.
+        speeds: mm/s.
+        errors: every frame at every latency.
+        spreads: by speed.
+    """
+
+    scene: Scene
+    exposure_ms: float
+    sources: tuple[str, ...]
+    speeds: tuple[float, ...]
+    errors: pd.DataFrame
+    spreads: pd.DataFrame
+
+    @property
+    def stamped(self) -> pd.DataFrame:
+        """Every frame, with stamped poses."""
+        return self.errors[self.errors.latency_s == LATENCIES_S[0]]
+
+    def by_speed(self, source: str, motion: str, way: str, latency_s: float) -> pd.DataFrame:
+        """Rows that differ in the speed only, in its order."""
+        of = self.spreads
+        here = (of.source == source) & (of.motion == motion) & (of.way == way)
+        return of[here & (of.latency_s == latency_s)].sort_values("speed_mm_s")
+
+    def speed_limits(self, source: str, motion: str, way: str) -> list[float]:
+        """Speed at which the RMS error is no longer acceptable, by latency, mm/s; NaN if none."""
+        return [
+            speed_at(self.by_speed(source, motion, way, latency), ACCEPTABLE_ERROR_MM)
+            for latency in LATENCIES_S
+        ]
+
+
+def check(scene: Scene) -> None:
+    """Refuse a scene without an eyeball, which the models need.
+
+    Raises:
+        SceneError: saying what to change.
+    """
+    if scene.phantom.kind != "eyeball":
+        raise SceneError(
+            "the study's models are those of the eyeball; got phantom.kind "
+            f"'{scene.phantom.kind}'. Set phantom.kind=eyeball."
+        )
+
+
+def _rows(
+    study: Study, source: str, *, speeds: tuple[float, ...], runs: int
+) -> list[dict[str, Any]]:
+    scene = scenes.changed(study.scene, {"source.kind": source})
+    exposure_s = float(study.options["exposure-ms"]) / 1000
+    with study.timed(f"{source}: render at rest"):
+        rest = study.stack(f"{source}-rest", at_rest(scene))
+    wanted = [
+        trial
+        for way in COMPARED
+        for run in range(1, runs + 1)
+        for trial in trials(
+            scene,
+            way,
+            sensitivity=sensitivity(rest, scene, way, exposure_s=exposure_s),
+            speeds=speeds,
+            run=run,
+        )
+    ]
+    for trial in wanted:
+        if trial.speed_mm_s == speeds[-1]:  # reaches furthest, so refuse it before rendering
+            scenes.check_scene(trial.moving)
+    with study.timed(f"{source}: render motions"):
+        moving = study.stacks({trial.name: trial.moving for trial in wanted})
+        frozen = study.stacks({f"{trial.name}-frozen": trial.frozen for trial in wanted})
+    with study.timed(f"{source}: measure"):
+        rangers = {
+            way: ranger(rest, scene, way, spots_file=study.folder / f"{source}-rest-{way.slug}.csv")
+            for way in COMPARED
+        }
+        return [
+            row
+            for trial in wanted
+            for row in errors(
+                trial,
+                moving=moving[trial.name],
+                frozen=frozen[f"{trial.name}-frozen"],
+                ranger=rangers[trial.way],
+            )
+        ]
+
+
+# Figures.
+
+_WAY_COLOURS = {LITERAL: VERMILION, SUBPIXEL: BLUE}
+_PART_COLOURS = dict(zip(PARTS, (GREY, ORANGE, GREEN, PURPLE), strict=True))
+_SPEED = "speed of the tip (mm/s)"
+_DASHES = dict(zip(LATENCIES_S, ("-", "--", ":"), strict=True))
+_MARKS = dict(zip(MOTIONS, ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^")), strict=True))
+_LEAST_MM = 1e-3
+"""Smaller errors are drawn at the foot of a logarithmic axis."""
+
+
+def errors_by_speed(findings: DynamicFindings, sources: Sequence[str]) -> Figure:
+    """RMS error against speed: a row for each source, a column for each motion."""
+
+    def draw(axes: Axes, source: str, motion: str) -> None:
+        axes.axhline(ACCEPTABLE_ERROR_MM, color=GREY, lw=0.8, ls=":")
+        for way, colour in _WAY_COLOURS.items():
+            for latency, dashes in _DASHES.items():
+                rows = findings.by_speed(source, motion, way.name, latency)
+                x, y = rows.speed_mm_s, rows.rms_error_mm.clip(lower=_LEAST_MM)
+                label = f"{way.name}, {1000 * latency:g} ms late"
+                axes.plot(x, y, color=colour, ls=dashes, marker="o", ms=3, label=label)
+
+    return _by_source_and_motion(findings, draw, y="RMS error (mm)", sources=sources)
+
+
+def parts_by_speed(findings: DynamicFindings, *, way: str) -> Figure:
+    """RMS of each part of one way's error against speed, with the latest poses."""
+
+    def draw(axes: Axes, source: str, motion: str) -> None:
+        rows = findings.by_speed(source, motion, way, LATENCIES_S[-1])
+        x = rows.speed_mm_s
+        for part, colour in _PART_COLOURS.items():
+            y = rows[f"rms_{part}_mm"].clip(lower=_LEAST_MM)
+            axes.plot(x, y, color=colour, marker="o", ms=3, label=part)
+        axes.plot(x, rows.rms_error_mm, color=BLACK, ls="--", label="error")
+
+    return _by_source_and_motion(findings, draw, y="RMS (mm)")
+
+
+def frame_by_frame(findings: DynamicFindings) -> Figure:
+    """Error of every frame with stamped poses against the tip's speed in it."""
+    stamped = findings.stamped
+
+    def draw(axes: Axes, source: str, way: str) -> None:
+        axes.axhline(0, color=GREY, lw=0.8)
+        for motion, (colour, marker) in _MARKS.items():
+            here = stamped[(stamped.source == source) & (stamped.motion == motion)]
+            here = here[(here.way == way) & (here.doubt == "")]
+            x, y = here.speed_mm_s, here.error_mm
+            axes.plot(x, y, ls="", marker=marker, ms=3, color=colour, label=motion)
+
+    ways = [way.name for way in COMPARED]
+    rows = findings.sources
+    return small_multiples(draw, rows=rows, columns=ways, x=_SPEED, y="error (mm)", sharex=True)
+
+
+def _by_source_and_motion(
+    findings: DynamicFindings,
+    draw: Callable[[Axes, str, str], None],
+    *,
+    y: str,
+    sources: Sequence[str] = (),
+) -> Figure:
+    speeds = sorted(set(findings.spreads.speed_mm_s))
+
+    def drawn(axes: Axes, source: str, motion: str) -> None:
+        draw(axes, source, motion)
+        axes.set(xscale="log", yscale="log", xticks=speeds)
+        axes.set_ylim(bottom=_LEAST_MM)
+        axes.minorticks_off()
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter("{x:g}")
+
+    rows, columns = sources or findings.sources, list(MOTIONS)
+    return small_multiples(
+        drawn, rows=rows, columns=columns, x=_SPEED, y=y, sharex=True, sharey=True
+    )
+
+
+# The page.
+
+_REQUIRED_MM = 0.1
+"""Required of the sub-pixel mode with stamped poses, up to the top speed."""
+
+_PAPERS_SPEED_MM_S = 1.5
+"""Speed up to which the paper's error is acceptable (Zhou et al. 2020)."""
+
+
+def report(findings: DynamicFindings) -> Report:
+    """The report of a run."""
+    return Report(
+        title="How wrong is the distance while the tip moves, and why?",
+        answer=_answer(findings),
+        lead=f"Estimates from frames of {findings.exposure_ms:g} ms while the tip moves along "
+        "the beam, across the wall and as a hand moves it, against the robot's readings.",
+        first=_first(findings),
+        claims=list(_claims(findings)),
+        sections=[_speeds(findings), _parts(findings), _frames(findings)],
+        data={
+            "dynamic_error.csv": findings.errors,
+            "dynamic_spread.csv": findings.spreads,
+            **{f"{source}-rest-{LITERAL.slug}.csv": None for source in findings.sources},
+        },
+    )
+
+
+def _claims(findings: DynamicFindings) -> Iterator[Claim]:
+    pairs = [(source, way.name) for source in findings.sources for way in COMPARED]
+    for source in findings.sources:
+        yield _requirement(findings, source)
+    for source, way in pairs:
+        yield from _acceptable(findings, source, way)
+    for source, way in pairs:
+        yield from _largest_part(findings, source, way)
+    for source in findings.sources:
+        yield from _papers_speed(findings, source)
+
+
+def _requirement(findings: DynamicFindings, source: str) -> Claim:
+    rows = _stamped(findings, source, SUBPIXEL.name)
+    used = rows[rows.doubt == ""]
+    return Claim(
+        name=f"{source}, requirement",
+        sentence="Sub-pixel mode with stamped poses is off by {value:.3f} mm at most up to "
+        "{top:g} mm/s (required: {high:g} mm); blur and stamps together add up to {moved:.3f} mm. "
+        "{within} of {estimates} estimates are within the requirement. {lost} of {frames} frames "
+        "gave no estimate that counts. Exposures were {shortest:.1f} to {longest:.1f} ms.",
+        value=largest(used.error_mm),
+        high=_REQUIRED_MM,
+        numbers={
+            "top": findings.speeds[-1],
+            "moved": largest(used.blur_mm + used.stamps_mm),
+            "within": int((used.error_mm.abs() <= _REQUIRED_MM).sum()),
+            "estimates": len(used),
+            "lost": len(rows) - len(used),
+            "frames": len(rows),
+            "shortest": 1000 * rows.exposure_s.min(),
+            "longest": 1000 * rows.exposure_s.max(),
+            "reasons": _reasons(rows),
+        },
+    )
+
+
+def _acceptable(findings: DynamicFindings, source: str, way: str) -> Iterator[Claim]:
+    by_motion = [findings.speed_limits(source, motion, way) for motion in MOTIONS]
+    for latency, speeds in zip(LATENCIES_S, zip(*by_motion, strict=True), strict=True):
+        yield Claim(
+            name=f"{source}, {way}, {1000 * latency:g} ms late",
+            sentence="The RMS error reaches the acceptable {limit:g} mm at {value:.2f} mm/s "
+            "({motions}; a dash: not up to {top:g} mm/s). The paper reports {papers:g} mm/s.",
+            value=speeds,
+            numbers={
+                "limit": ACCEPTABLE_ERROR_MM,
+                "motions": tuple(MOTIONS.values()),
+                "top": findings.speeds[-1],
+                "papers": _PAPERS_SPEED_MM_S,
+            },
+        )
+
+
+def _largest_part(findings: DynamicFindings, source: str, way: str) -> Iterator[Claim]:
+    """Blur and latency at the top speed along the beam, where means do not cancel."""
+    late = LATENCIES_S[-1]
+    for row in rows_of(findings.by_speed(source, "withdrawal", way, late)):
+        if row.speed_mm_s == findings.speeds[-1] and row.spots:
+            yield Claim(
+                name=f"{source}, {way}, late pose against blur",
+                sentence="Along the beam at {row.speed_mm_s:g} mm/s, poses {late:g} ms late add "
+                "{value:.3f} mm to the mean error, blur adds {low:.3f} mm. The mean error of "
+                "{row.mean_error_mm:+.3f} mm over {row.spots} frames is the sum of rest "
+                "{row.mean_rest_mm:+.3f}, blur {row.mean_blur_mm:+.3f}, stamps "
+                "{row.mean_stamps_mm:+.3f} and latency {row.mean_latency_mm:+.3f} mm.",
+                value=abs(row.mean_latency_mm),
+                low=abs(row.mean_blur_mm),
+                numbers={"row": row, "late": 1000 * late},
+            )
+
+
+def _papers_speed(findings: DynamicFindings, source: str) -> Iterator[Claim]:
+    """The delay or the blur that alone would explain the paper's error."""
+    delay = ACCEPTABLE_ERROR_MM / _PAPERS_SPEED_MM_S
+    rows = _stamped(findings, source, LITERAL.name)
+    scans = rows[(rows.motion == "scan") & rows.blur_mm.notna()]
+    if scans.empty:
+        return
+    paths = scans.speed_mm_s * scans.exposure_s
+    slope = float(np.dot(paths, scans.blur_mm) / np.dot(paths, paths))
+    yield Claim(
+        name=f"{source}, the paper's speed",
+        sentence="A delay of {delay:.0f} ms between frame and pose would explain the paper's "
+        "{error:g} mm at {speed:g} mm/s, and so would blur of exposures of {value:.0f} ms. In "
+        "literal mode blur across the wall adds {slope:+.2f} mm per mm of the spot's path during "
+        "the exposure (a line through {frames} frames with paths up to {longest:.3f} mm). The "
+        "camera allows {interval:g} ms a frame; --exposure-ms sets the exposure.",
+        value=1000 * delay / slope if slope > 0 else math.nan,
+        numbers={
+            "delay": 1000 * delay,
+            "error": ACCEPTABLE_ERROR_MM,
+            "speed": _PAPERS_SPEED_MM_S,
+            "slope": slope,
+            "frames": len(scans),
+            "longest": paths.max(),
+            "interval": 1000 / findings.scene.clocks.camera_hz,
+        },
+    )
+
+
+def _answer(findings: DynamicFindings) -> str:
+    source = findings.sources[-1]
+    used = _stamped(findings, source, SUBPIXEL.name)
+    own = largest(used.error_mm[used.doubt == ""])
+    late = findings.by_speed(source, "withdrawal", SUBPIXEL.name, LATENCIES_S[-1])
+    last = late[late.speed_mm_s == findings.speeds[-1]]
+    return (
+        f"Up to {findings.speeds[-1]:g} mm/s the distance from the {source}'s spot is off by "
+        f"{number(own, 3)} mm at most in sub-pixel mode if the robot's poses are stamped; poses "
+        f"{1000 * LATENCIES_S[-1]:g} ms late make it {number(rms(last.rms_error_mm), 2)} mm (rms, "
+        "along the beam, at that speed)."
+    )
+
+
+def _first(findings: DynamicFindings) -> list[Picture | Table]:
+    source = findings.sources[-1]
+    of, top = findings.spreads, findings.speeds[-1]
+    fastest = of[(of.source == source) & (of.speed_mm_s == top)]
+    late = (1000 * fastest.latency_s).map("{:g} ms late".format)
+    table = fastest.assign(late=late).pivot(
+        index=["motion", "way"], columns="late", values="rms_error_mm"
+    )
+    names = dict.fromkeys(late)
+    return [
+        Picture(
+            "errors",
+            errors_by_speed(findings, [source]),
+            f"A late pose costs more than blur. RMS error of the estimates that count, {source}; "
+            "dotted: the error that the paper accepts.",
+            data="dynamic_spread.csv",
+        ),
+        Table.of(
+            table.reset_index(),
+            {name: Column(name) for name in ("motion", "way", *names)},
+            f"RMS error in mm at {top:g} mm/s, {source}.",
+            data="dynamic_spread.csv",
+        ),
+    ]
+
+
+def _speeds(findings: DynamicFindings) -> Section:
+    rows = [
+        (source, motion, way.name, *findings.speed_limits(source, motion, way.name))
+        for source in findings.sources
+        for motion in MOTIONS
+        for way in COMPARED
+    ]
+    latencies = [Column(f"{1000 * latency:g} ms late", 2) for latency in LATENCIES_S]
+    return Section(
+        "Error against speed",
+        "Withdrawal is along the beam; scan is across the wall at one distance; hand is a hand's "
+        "slow motion with the tremor that remains on a robot. Each frame counts for the listed "
+        "speed that is nearest to the tip's own. Literal mode has the paper's model with k and b "
+        "from a withdrawal at rest; sub-pixel mode has the true source.",
+        Table(
+            [Column("source"), Column("motion"), Column("way"), *latencies],
+            rows,
+            f"Speed in mm/s at which the RMS error reaches {ACCEPTABLE_ERROR_MM:g} mm. A dash: not "
+            f"up to {findings.speeds[-1]:g} mm/s, or there is no estimate.",
+            data="dynamic_spread.csv",
+        ),
+    )
+
+
+def _parts(findings: DynamicFindings) -> Section:
+    late = f"{1000 * LATENCIES_S[-1]:g} ms late"
+    shown = (_PAPERS_SPEED_MM_S, findings.speeds[-1])
+    of = findings.spreads
+    latest = of[(of.latency_s == LATENCIES_S[-1]) & of.speed_mm_s.isin(shown)]
+    return Section(
+        "Blur and time",
+        "Every motion is rendered twice: as it is, and with exposures too short for blur but the "
+        "same poses, brightness and noise. So each frame's error is the sum of four parts. Rest: "
+        "the error of the estimate from the frame without blur. Blur: the change of the estimate "
+        "by the exposure. Stamps: the age of the robot's latest pose and its clock's errors. "
+        "Latency: how far the robot has moved before a pose without a stamp is read. While the tip "
+        "withdraws at speed v, a pose late by L adds −vL.",
+        *(
+            Picture(
+                f"parts_{name}",
+                parts_by_speed(findings, way=way.name),
+                f"RMS of the parts, {way.name}, with poses {late}.",
+                data="dynamic_spread.csv",
+            )
+            for name, way in (("literal", LITERAL), ("subpixel", SUBPIXEL))
+        ),
+        Table.of(
+            latest,
+            {
+                "source": Column("source"),
+                "motion": Column("motion"),
+                "way": Column("way"),
+                "speed_mm_s": Column("mm/s", 1),
+                "spots": Column("spots"),
+                "left_out": Column("left out"),
+                "rms_error_mm": Column("error"),
+                **{f"rms_{part}_mm": Column(part) for part in PARTS},
+            },
+            f"RMS in mm of the error and of its parts ({', '.join(PARTS)}), with poses {late}.",
+            data="dynamic_spread.csv",
+        ),
+    )
+
+
+def _frames(findings: DynamicFindings) -> Section:
+    rows = []
+    for source in findings.sources:
+        for way in COMPARED:
+            here = _stamped(findings, source, way.name)
+            reasons = _reasons(here)
+            why = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+            times = 1000 * here.exposure_s
+            lost = sum(reasons.values())
+            rows.append((source, way.name, len(here), lost, why, times.min(), times.max()))
+    headings = ("source", "way", "frames", "left out", "why", "shortest, ms", "longest, ms")
+    return Section(
+        "Frames",
+        Picture(
+            "frames",
+            frame_by_frame(findings),
+            "Every estimate that counts, with stamped poses.",
+            data="dynamic_error.csv",
+        ),
+        Table(
+            [Column(heading, 1) for heading in headings],
+            rows,
+            "Frames, those without an estimate that counts, and the range of the exposures.",
+            data="dynamic_error.csv",
+        ),
+    )
+
+
+def _stamped(findings: DynamicFindings, source: str, way: str) -> pd.DataFrame:
+    rows = findings.stamped
+    return rows[(rows.source == source) & (rows.way == way)]
+
+
+def _reasons(rows: pd.DataFrame) -> dict[Any, int]:
+    """Number of frames without an estimate that counts, by reason."""
+    return rows.doubt[rows.doubt != ""].value_counts().to_dict()
+
+
+# The command.
+
+
+def dynamic(
+    scene: StartingScene = None,
+    /,
+    *,
+    out: OutputFolder,
+    changes: Changes = (),
+    quick: Quick = False,
+    seed: Seed = None,
+    source: LightSource = "both",
+    exposure_ms: Annotated[float, Parameter(validator=Number(gte=0.1, lte=100))] = 20.0,
+) -> DynamicFindings:
+    """Measure the error while the tip moves: by speed, motion blur and a late pose.
+
+    To continue a run that was stopped, start it again with the same folder.
+
+    Args:
+        exposure_ms: Exposure time of a frame at the mean distance, 0.1 to 100.
+    """
+    study = Study(
+        "dynamic",
+        out=out,
+        scene=scene,
+        changes=changes,
+        quick=quick,
+        seed=seed,
+        defaults=_DEFAULTS,
+        check=check,
+        options={"source": source, "exposure-ms": exposure_ms},
+    )
+    sources = ("cone", "lens") if source == "both" else (source,)
+    speeds = _QUICK_SPEEDS_MM_S if quick else SPEEDS_MM_S
+    runs = 1 if quick else _RUNS
+    rows = [row for source in sources for row in _rows(study, source, speeds=speeds, runs=runs)]
+    errors = pd.DataFrame(rows)
+    findings = DynamicFindings(
+        scene=study.scene,
+        exposure_ms=exposure_ms,
+        sources=sources,
+        speeds=speeds,
+        errors=errors,
+        spreads=spreads(errors, speeds),
+    )
+    study.publish(report, findings)
+    return findings

@@ -1,0 +1,1303 @@
+"""`eyespot study eccentricity`: how wrong each model is, where, and by which cause.
+
+DIR/model_error.csv  every error of every model, analytic and rendered
+    limits.csv       at which c a model's error reaches 0.1 and 0.5 mm
+    refit.csv        c fitted as the paper does, and how much of the error that hides
+    causes.csv       Shapley's share of each cause
+    space.csv, sensitivity.csv  errors over the whole space, and which axis they come from
+    stacks/, spots/  rendered frames, and the spots measured in them
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from cyclopts.types import PositiveInt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.stats import qmc
+
+import optics
+import scenes
+from benchmarks.model_error import (
+    ACCURACY,
+    ECCENTRICITY,
+    MODEL_COLOURS,
+    MODEL_ERROR,
+    SHOWN,
+    Geometry,
+    accuracy,
+    degrees,
+    geometry_of,
+    largest_errors,
+    limit_eccentricity,
+    measured_errors,
+    model_error_figure,
+    model_errors,
+    pinhole_title,
+    refitted_errors,
+    semi_minor,
+)
+from benchmarks.paper import (
+    MICROSCOPE_MM,
+    SUBPIXEL,
+    Tracked,
+    largest,
+    require_roomy_eyeball,
+    track_stack,
+)
+from benchmarks.reporting import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    Claim,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    grouped,
+    number,
+    rows_of,
+    small_multiples,
+)
+from benchmarks.studies import error_causes
+from benchmarks.studies.error_causes import (
+    CAUSES,
+    WRONG_C_MM,
+    WRONG_R_MM,
+    Eye,
+    Shift,
+    spread_length,
+)
+from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from estimator import Stack
+from estimator.files import written_whole
+from scenes import Scene
+
+# The space of geometries: scrambled Sobol points, every model's error there, in bounded memory.
+
+AXES = {
+    "c_mm": (0.0, 8.0),
+    "d_mm": (0.5, 6.0),
+    "r_mm": (10.5, 12.5),
+    "incidence_deg": (0.0, 45.0),
+    "azimuth_deg": (0.0, 360.0),
+    "half_angle_deg": (2.0, 8.0),
+}
+"""What is varied continuously, and its range; columns of model_error.csv."""
+
+PINHOLES = ("centre", "sphere", "200", "inf")
+"""z_F: the eyeball's centre (0), on the sphere (r), 200 mm, telecentric."""
+
+BLOCK = 1 << 14
+"""Geometries at a time; a Sobol sequence is balanced over powers of two."""
+
+_BATCH = 512
+
+_FIRST_NUMBER = MODEL_ERROR.index("c_mm")
+
+
+class Block(NamedTuple):
+    """Geometries and the errors there; arrays of n.
+
+    Attributes:
+        axes: by the names of `AXES`.
+        pinhole: number of the pinhole in `PINHOLES`.
+        apex_offset_mm: b; the spot at contact keeps the scene's size whatever the cone's angle.
+        estimates: by model, mm.
+    """
+
+    axes: dict[str, np.ndarray]
+    pinhole: np.ndarray
+    z_f_mm: np.ndarray
+    apex_offset_mm: np.ndarray
+    estimates: dict[str, np.ndarray]
+
+    def error(self, model: str) -> np.ndarray:
+        """Estimate - truth, mm."""
+        return self.estimates[model] - self.axes["d_mm"]
+
+
+def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Iterator[Block]:
+    """Geometries that fill the space evenly, with the estimates of all models.
+
+    Args:
+        count: of geometries, rounded up to whole blocks.
+        scale: delta, mm/px.
+        contact_radius: -b/k, mm.
+    """
+    engine = qmc.Sobol(d=len(AXES) + 1, scramble=True, rng=np.random.default_rng(seed))
+    low, high = np.array(list(AXES.values())).T
+    size = min(BLOCK, 1 << (count - 1).bit_length())
+    for _ in range(-(-count // size)):
+        unit = engine.random(size)
+        axes = dict(zip(AXES, (low + (high - low) * unit[:, :-1]).T, strict=True))
+        pinhole = np.minimum(unit[:, -1] * len(PINHOLES), len(PINHOLES) - 1).astype(int)
+        r = axes["r_mm"]
+        z_f = np.choose(pinhole, [0.0 * r, r, 0.0 * r + 200.0, 0.0 * r + np.inf])
+        half_angle = np.radians(axes["half_angle_deg"])
+        b = -contact_radius / np.tan(half_angle)
+        columns = {
+            "scale": np.full(size, scale),
+            "inverse_working_distance": 1.0 / (z_f + r),
+            "radius": r,
+            "half_angle": half_angle,
+            "apex_offset": b,
+            "incidence": np.radians(axes["incidence_deg"]),
+            "incidence_azimuth": np.radians(axes["azimuth_deg"]),
+            "eccentricity": axes["c_mm"],
+        }
+        eye = Eye(**{name: jnp.asarray(values) for name, values in columns.items()})
+        estimates = _estimates(eye, jnp.asarray(axes["d_mm"]))
+        yield Block(axes, pinhole, z_f, b, {m: np.asarray(estimates[m]) for m in optics.MODELS})
+
+
+def csv_line(row: tuple[Any, ...]) -> str:
+    """A row of model_error.csv, in the digits of `csv_text`."""
+    head, shared, (estimate, error) = row[:_FIRST_NUMBER], row[_FIRST_NUMBER:-2], row[-2:]
+    place = ",".join(f"{value:.6g}" for value in shared)
+    return f"{','.join(map(str, head))},{place},{estimate:.6f},{error:.6f}\n"
+
+
+def csv_text(block: Block, *, medium: str) -> str:
+    """The block's lines of model_error.csv.
+
+    Numbers are formatted once per geometry, not once per model, which saves most of the time.
+    """
+    axes = {**block.axes, "z_f_mm": block.z_f_mm, "apex_offset_mm": block.apex_offset_mm}
+    between = MODEL_ERROR[_FIRST_NUMBER:-2]
+    columns = [axes[name].tolist() for name in between]
+    row = ",".join(["%.6g"] * len(between))
+    shared = [row % values for values in zip(*columns, strict=True)]
+    lines = []
+    for model, estimate in block.estimates.items():
+        head = f"{model},analytic,False,{medium},"
+        both = zip(shared, estimate.tolist(), block.error(model).tolist(), strict=True)
+        lines += [f"{head}{place},{value:.6f},{error:.6f}\n" for place, value, error in both]
+    return "".join(lines)
+
+
+class Space:
+    """Errors of all models over the space, gathered block by block."""
+
+    def __init__(self) -> None:
+        self._axes: dict[str, list[np.ndarray]] = {axis: [] for axis in AXES}
+        self._errors: dict[str, list[np.ndarray]] = {model: [] for model in optics.MODELS}
+        self._pinhole: list[np.ndarray] = []
+
+    def add(self, block: Block) -> None:
+        """Keep a block's axes and errors, in single precision."""
+        for axis, values in block.axes.items():
+            self._axes[axis].append(values.astype(np.float32))
+        for model in optics.MODELS:
+            self._errors[model].append(block.error(model).astype(np.float32))
+        self._pinhole.append(block.pinhole.astype(np.int8))
+
+    @property
+    def count(self) -> int:
+        """Number of geometries."""
+        return sum(map(len, self._pinhole))
+
+    def within(self, limit: float) -> dict[str, float]:
+        """Part of the geometries in which each model's error is within a limit (mm)."""
+        return {
+            model: float(np.mean(np.abs(np.concatenate(errors)) <= limit))
+            for model, errors in self._errors.items()
+        }
+
+    def errors(self, model: str, pinhole: str) -> np.ndarray:
+        """A model's errors with one pinhole, mm."""
+        return np.concatenate(self._errors[model])[self._seen_by(pinhole)]
+
+    def spreads(self, *, bins: int = 16) -> pd.DataFrame:
+        """Content of space.csv: the size of the errors in each bin of an axis, over all others."""
+        rows = [
+            (
+                *(model, pinhole, axis, low + (high - low) * n / bins),
+                *(low + (high - low) * (n + 1) / bins, size.size),
+                *(float(np.median(size)), float(np.percentile(size, 95))),
+            )
+            for model in optics.MODELS
+            for pinhole in PINHOLES
+            for axis, (low, high) in AXES.items()
+            for n, size in enumerate(self._binned(model, pinhole, axis, bins))
+        ]
+        columns = "model pinhole axis from_value to_value geometries median_mm percentile_95_mm"
+        return pd.DataFrame(rows, columns=columns.split())
+
+    def sensitivities(self) -> pd.DataFrame:
+        """Content of sensitivity.csv: the part of the variance that an axis alone explains.
+
+        The first-order Sobol index (Sobol 1993), in [0, 1]; the axes' sum is short of 1 by the part
+        of axes together. `exact` has no error.
+        """
+        rows = [
+            (model, pinhole, axis, self._explained(model, pinhole, axis))
+            for model in optics.MODELS
+            if model != "exact"
+            for pinhole in PINHOLES
+            for axis in AXES
+        ]
+        return pd.DataFrame(rows, columns=["model", "pinhole", "axis", "first_order"])
+
+    def _seen_by(self, pinhole: str) -> np.ndarray:
+        return np.concatenate(self._pinhole) == PINHOLES.index(pinhole)
+
+    def _binned(self, model: str, pinhole: str, axis: str, bins: int) -> list[np.ndarray]:
+        """Absolute errors in equal bins of an axis."""
+        low, high = AXES[axis]
+        place = np.concatenate(self._axes[axis])[self._seen_by(pinhole)]
+        number = np.clip((place - low) / (high - low) * bins, 0, bins - 1).astype(int)
+        size = np.abs(self.errors(model, pinhole))
+        return [size[number == n] for n in range(bins)]
+
+    def _explained(self, model: str, pinhole: str, axis: str, *, bins: int = 32) -> float:
+        """Variance of the mean error in bins of equal counts, over the whole variance."""
+        place = np.concatenate(self._axes[axis])[self._seen_by(pinhole)]
+        error = self.errors(model, pinhole).astype(float)
+        means = [part.mean() for part in np.array_split(error[np.argsort(place)], bins)]
+        return float(np.var(means) / np.var(error))
+
+
+@jax.jit
+def _estimates(eye: Eye, d: jax.Array) -> dict[str, jax.Array]:
+    def of(spot: tuple[Eye, jax.Array]) -> dict[str, jax.Array]:
+        eye, d = spot
+        seen = error_causes.semi_minor(eye, d)
+        # With every link real there is a closed form, which saves half of the time.
+        stereographic = optics.stereographic_distance(
+            semi_minor_px=seen,
+            scale=eye.scale,
+            k=optics.slope(eye.half_angle),
+            b=eye.apex_offset,
+            eccentricity=eye.eccentricity,
+            eye_radius=eye.radius,
+        )
+        exact = error_causes.inverse(eye, seen)
+        closed = error_causes.closed_forms(eye, seen)
+        return {**closed, "stereographic": stereographic, "exact": exact}
+
+    return jax.lax.map(of, (eye, d), batch_size=_BATCH)
+
+
+# The c at which a model's error reaches a limit, with the true c and with a fitted one.
+
+LARGEST_C_MM = 8.0
+"""End of the axis c of every part."""
+
+SHOWN_C_MM = 4.0
+"""Where the report splits the error."""
+
+LIMITS_MM = (0.1, 0.5)
+"""Errors whose crossing is reported; the paper calls 0.5 mm acceptable."""
+
+DISTANCES_MM = tuple(0.5 * n for n in range(1, 13))
+"""Of one withdrawal, 0.5 to 6 mm."""
+
+
+class Withdrawals(NamedTuple):
+    """Errors over a grid of c and d for one pinhole and incidence.
+
+    Attributes:
+        errors: of all models with the true c, then of small_plane with the fitted one.
+        refits: a fit for each c, see `refitted`.
+    """
+
+    errors: pd.DataFrame
+    refits: pd.DataFrame
+
+
+def withdrawals(geometry: Geometry, *, eccentricities: np.ndarray, medium: str) -> Withdrawals:
+    """Errors on exact contours at each c (mm) and all `DISTANCES_MM`."""
+    c, d = (a.ravel() for a in np.meshgrid(eccentricities, DISTANCES_MM, indexing="ij"))
+    seen = semi_minor(geometry, c=c, d=d)
+    errors = model_errors(
+        geometry,
+        source="analytic",
+        medium=medium,
+        c=c,
+        d=d,
+        semi_minor_px=seen,
+        models=optics.MODELS,
+    )
+    tables, refits = [errors], []
+    for value in eccentricities.tolist():
+        rows, refit = refitted(
+            geometry,
+            before=errors[errors.c_mm == value],
+            source="analytic",
+            medium=medium,
+            c=value,
+            d=d[c == value],
+            semi_minor_px=seen[c == value],
+        )
+        tables.append(rows)
+        refits.append(refit)
+    return Withdrawals(pd.concat(tables, ignore_index=True), pd.DataFrame(refits))
+
+
+def refitted(
+    geometry: Geometry,
+    *,
+    before: pd.DataFrame,
+    source: str,
+    medium: str,
+    c: float,
+    d: np.ndarray,
+    semi_minor_px: np.ndarray,
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Errors of one withdrawal with c fitted, and what that hides of those `before`.
+
+    The second is a row of refit.csv: the fitted c, the largest error before and after, and the
+    part of it that the fitted c takes away, `hidden_mm`.
+
+    Args:
+        before: its errors with the true c, of every model.
+        source: "analytic" or "rendered".
+        c: mm.
+        d: mm.
+        semi_minor_px: e1', px.
+    """
+    fit, rows = refitted_errors(
+        geometry, source=source, medium=medium, c=c, d=d, semi_minor_px=semi_minor_px
+    )
+    before_mm = largest(before.error_mm[before.model == "small_plane"])
+    after_mm = largest(rows.error_mm)
+    return rows, {
+        "source": source,
+        "z_f_mm": geometry.pinhole_height,
+        "incidence_deg": degrees(geometry.incidence),
+        "c_mm": c,
+        "fitted_c_mm": fit.c,
+        "at_bound": fit.at_bound,
+        "largest_error_mm": before_mm,
+        "largest_residual_mm": after_mm,
+        "hidden_mm": before_mm - after_mm,
+    }
+
+
+def limits(errors: pd.DataFrame) -> pd.DataFrame:
+    """Content of limits.csv: the smallest c at which the largest error over all d reaches a limit.
+
+    `c_mm` is empty if the limit is not reached up to the largest c; 0 if it is exceeded from the
+    start.
+    """
+    keys = ["model", "refit", "z_f_mm", "incidence_deg"]
+    rows = [
+        (*key, limit, limit_eccentricity(group, limit))
+        for key, group in grouped(errors, *keys)
+        for limit in LIMITS_MM
+    ]
+    return pd.DataFrame(rows, columns=[*keys, "limit_mm", "c_mm"])
+
+
+# The rendered part: frames, the spots measured in them, and what rendering adds to their size.
+
+_FINER = 2
+"""Pixels of a noise-free frame for one of the camera's, along each side."""
+
+_NOISE_FREE = {
+    "camera.full_well_e": 1e9,
+    "camera.read_noise_e": 0.0,
+    "camera.dark_signal_e": 0.0,
+    "camera.prnu": 0.0,
+    "camera.dsnu_e": 0.0,
+    "camera.bit_depth": 16,
+    "camera.bayer": "none",
+    "camera.jpeg_quality": 0,
+}
+
+_FEWEST_SPOTS = 3  # fewer do not determine c
+
+
+class RenderedErrors(NamedTuple):
+    """What the rendered part found.
+
+    Attributes:
+        errors: of all models on every measured spot, and of small_plane with c fitted.
+        refits: a fit for each trial with enough spots, see `refitted`.
+        shares: the errors by cause, for trials with a noise-free frame.
+        frames: number of frames rendered for the errors.
+        left_out: number of them without a spot that counts.
+    """
+
+    errors: pd.DataFrame
+    refits: pd.DataFrame
+    shares: pd.DataFrame
+    frames: int
+    left_out: int
+
+    @property
+    def with_true_c(self) -> pd.DataFrame:
+        """The errors without those of a fitted c."""
+        return self.errors[~self.errors.refit.astype(bool)]
+
+
+class EccentricTrial(NamedTuple):
+    """A withdrawal: one pinhole, incidence and eccentricity.
+
+    Attributes:
+        scene: with the instrument in view, or square to the wall and without it.
+        noise_free: the same at twice the resolution without noise; None if not wanted.
+    """
+
+    name: str
+    scene: Scene
+    noise_free: Scene | None
+
+
+def trials(
+    scene: Scene,
+    *,
+    pinhole_heights: Sequence[float],
+    eccentricities: Sequence[float],
+    few: Sequence[float],
+    frames: int,
+) -> list[EccentricTrial]:
+    """Withdrawals at the scene's incidence, and square ones without the instrument.
+
+    Args:
+        pinhole_heights: z_F, mm.
+        eccentricities: c of the withdrawals at the scene's incidence, mm.
+        few: those of them that are rendered without noise too, and with a square beam, which the
+            instrument would hide.
+    """
+    return [
+        _trial(scene, z_f=height, c=c, square=square, noise_free=c in few, frames=frames)
+        for height in pinhole_heights
+        for square, chosen in ((False, eccentricities), (True, few))
+        for c in chosen
+    ]
+
+
+def measure(study: Study, every: Sequence[EccentricTrial]) -> RenderedErrors:
+    """Render, track and compare."""
+    wanted = {trial.name: trial.scene for trial in every}
+    wanted |= {_fine(t): t.noise_free for t in every if t.noise_free is not None}
+    spots = study.folder / "spots"
+    spots.mkdir(exist_ok=True)
+
+    def track(name: str, stack: Stack) -> Tracked:
+        return track_stack(stack, SUBPIXEL, spots_file=spots / f"{name}.csv")
+
+    tracked = study.measured(wanted, track)
+    errors, refits, shares = [], [], []
+    for trial in every:
+        seen = tracked[trial.name]
+        labels = seen.used_labels
+        if labels:
+            geometry = geometry_of(trial.scene)
+            of_models = measured_errors(
+                geometry, labels=labels, semi_minor_px=seen.semi_minor_px, models=optics.MODELS
+            )
+            errors.append(of_models)
+            if len(labels) >= _FEWEST_SPOTS:
+                rows, refit = refitted(
+                    geometry,
+                    before=of_models,
+                    source="rendered",
+                    medium=trial.scene.source.medium,
+                    c=labels[0].c_mm,
+                    d=np.array([row.d_mm for row in labels]),
+                    semi_minor_px=seen.semi_minor_px,
+                )
+                errors.append(rows)
+                refits.append(refit)
+        if trial.noise_free is not None:
+            of_trial = _shares(trial, seen, tracked[_fine(trial)])
+            shares += [] if of_trial.empty else [of_trial]
+    used = np.concatenate([tracked[trial.name].used for trial in every])
+    return RenderedErrors(
+        errors=pd.concat(errors, ignore_index=True)
+        if errors
+        else pd.DataFrame(columns=MODEL_ERROR),
+        refits=pd.DataFrame(refits),
+        shares=pd.concat(shares, ignore_index=True) if shares else pd.DataFrame(),
+        frames=used.size,
+        left_out=int(np.count_nonzero(~used)),
+    )
+
+
+def _trial(
+    scene: Scene, *, z_f: float, c: float, square: bool, noise_free: bool, frames: int
+) -> EccentricTrial:
+    own = scenes.changed(
+        scene,
+        {
+            "spot.eccentricity_mm": c,
+            "microscope.pinhole_height_mm": z_f,
+            "motion.kind": "withdrawal",
+            "motion.start_mm": 0.5,
+            "motion.travel_mm": 5.5,
+            "motion.frames": frames,
+            "exposures.kinds": ["metered"],
+            **({"spot.incidence_deg": 0.0, "instrument.visible": False} if square else {}),
+        },
+    )
+    view = own.microscope
+    finer = {
+        "microscope.scale_mm_px": view.scale_mm_px / _FINER,
+        "microscope.width_px": view.width_px * _FINER,
+        "microscope.height_px": view.height_px * _FINER,
+    }
+    kind = "square" if square else "tilted"
+    again = scenes.changed(own, finer | _NOISE_FREE) if noise_free and not square else None
+    return EccentricTrial(f"{kind}-pinhole-{z_f:g}-c-{c:g}", own, again)
+
+
+def _fine(trial: EccentricTrial) -> str:
+    return f"{trial.name}-noise-free"
+
+
+def _shares(trial: EccentricTrial, seen: Tracked, noise_free: Tracked) -> pd.DataFrame:
+    """The trial's errors by cause, in frames in which both measurements found the spot."""
+    both = np.flatnonzero(seen.used & noise_free.used)
+    if not both.size:
+        return pd.DataFrame()
+    measured, fine = (
+        np.array([t.results[i].semi_minor_px for i in both])  # type: ignore[union-attr]
+        for t in (seen, noise_free)
+    )
+    ideal = np.array([seen.labels[i].cone_semi_minor_px for i in both])
+    fine, geometry = fine / _FINER, geometry_of(trial.scene)
+    c = np.array([seen.labels[i].c_mm for i in both])
+    d = np.array([seen.labels[i].d_mm for i in both])
+    length = error_causes.spread_length(trial.scene)
+    spread = error_causes.spread_shift(geometry, c=c, d=d, length=length)
+    # A wall that spreads light does so in the frames already.
+    edge = fine - ideal - (spread if trial.scene.phantom.spread != "none" else 0.0)
+    return error_causes.shares(
+        geometry,
+        medium=trial.scene.source.medium,
+        c=c,
+        d=d,
+        shift=Shift(edge=edge, pixels=measured - fine, spread=spread),
+    )
+
+
+# The results of a run, and the figures of the report.
+
+
+@dataclass(frozen=True, kw_only=True)
+class EccentricityFindings:
+    """What the report is made of.
+
+    Attributes:
+        scene: the study's.
+        withdrawals: on exact contours, by (z_F in mm, incidence in degrees).
+        limits: where models reach the limits, among the withdrawals.
+        geometries: number of points in the space of geometries.
+        spreads: of the errors over the space.
+        sensitivities: of the errors over the space.
+        within: part of the space in which each model is within the largest limit.
+    """
+
+    scene: Scene
+    withdrawals: dict[tuple[float, float], Withdrawals]
+    limits: pd.DataFrame
+    rendered: RenderedErrors
+    geometries: int
+    spreads: pd.DataFrame
+    sensitivities: pd.DataFrame
+    within: dict[str, float]
+
+    @property
+    def analytic(self) -> pd.DataFrame:
+        """Errors on exact contours of all withdrawals, with the true c."""
+        errors = pd.concat([w.errors for w in self.withdrawals.values()], ignore_index=True)
+        return errors[~errors.refit]
+
+    @property
+    def refits(self) -> pd.DataFrame:
+        """Fits of c on exact contours."""
+        return pd.concat([w.refits for w in self.withdrawals.values()], ignore_index=True)
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """z_F of the pinholes that the report compares, mm."""
+        return pinhole_heights(self.scene)
+
+    def limits_of(
+        self, model: str, height: float, incidence: float, *, refit: bool = False
+    ) -> tuple[float, ...]:
+        """c at which a model reaches each of `LIMITS_MM`, mm; NaN where it does not."""
+        of = self.limits
+        here = (of.model == model) & (of.refit == refit)
+        return tuple(of.c_mm[here & (of.z_f_mm == height) & (of.incidence_deg == incidence)])
+
+
+def pinhole_heights(scene: Scene) -> tuple[float, float]:
+    """z_F of the paper's geometry, on the sphere, and of a microscope, mm."""
+    return scene.phantom.radius_mm, MICROSCOPE_MM
+
+
+# Figures.
+
+_COLOURS = {"planar": ORANGE} | MODEL_COLOURS
+_BROWN, _GREYS = "#8C6D31", ("#B8B8B8", "#6E6E6E")
+_CAUSE_COLOURS = dict(
+    zip(CAUSES, (BLUE, VERMILION, ORANGE, BLACK, GREEN, SKY, PURPLE, _BROWN, *_GREYS), strict=True)
+)
+_AXIS_NAMES = {
+    "c_mm": ECCENTRICITY,
+    "d_mm": "distance $d$ (mm)",
+    "r_mm": "eye radius $r$ (mm)",
+    "incidence_deg": "incidence (°)",
+    "azimuth_deg": "its azimuth (°)",
+    "half_angle_deg": "half-angle (°)",
+}
+_PINHOLE_NAMES = {
+    "centre": "$z_F$ = 0",
+    "sphere": "$z_F$ = $r$",
+    "200": "$z_F$ = 200 mm",
+    "inf": "telecentric",
+}
+_LEAST_MM = 1e-3
+"""Smaller errors are drawn at the foot of a logarithmic axis."""
+
+
+def worst_errors(findings: EccentricityFindings) -> Figure:
+    """Largest error over d against c: a panel for each pinhole (row) and incidence (column)."""
+    measured = findings.rendered.with_true_c
+
+    def draw(axes: Axes, height: float, incidence: float) -> None:
+        for limit in LIMITS_MM:
+            axes.axhline(limit, color=GREY, lw=0.8, ls=":")
+        exact = findings.withdrawals[height, incidence].errors
+        seen = measured[(measured.z_f_mm == height) & (measured.incidence_deg == incidence)]
+        for model, colour in _COLOURS.items():
+            line = largest_errors(exact[(exact.model == model) & ~exact.refit])
+            if model != "exact":  # right to rounding on its own contours
+                axes.plot(line, color=colour, label=model)
+            label = model if model == "exact" else None
+            marks = largest_errors(seen[seen.model == model])
+            axes.plot(marks, ls="", marker="o", ms=3.5, color=colour, label=label)
+        refit = largest_errors(exact[exact.refit])
+        axes.plot(refit, color=VERMILION, ls="--", label="small_plane, c fitted")
+        _logarithmic(axes, top=12.0)
+
+    return small_multiples(
+        draw,
+        rows=findings.heights,
+        columns=list(dict.fromkeys(incidence for _, incidence in findings.withdrawals)),
+        title=lambda height, incidence: f"{pinhole_title(height)}, incidence {incidence:g}°",
+        x=ECCENTRICITY,
+        y="largest |error| (mm)",
+        height=2.4,
+        legend_columns=6,
+        sharex=True,
+        sharey=True,
+    )
+
+
+def fitted_eccentricity(findings: EccentricityFindings) -> Figure:
+    """The c that a fit finds against the true one, and the largest error before and after."""
+    refits = findings.refits
+    tilted = refits[refits.incidence_deg == findings.scene.spot.incidence_deg]
+    drawn = list(zip(grouped(tilted, "z_f_mm"), (GREEN, BLUE, VERMILION, BLACK), strict=False))
+
+    def fitted(axes: Axes) -> None:
+        for (height, rows), colour in drawn:
+            label = pinhole_title(height)
+            axes.plot(rows.c_mm, rows.fitted_c_mm, color=colour, label=label)
+            axes.plot(rows.c_mm, rows.c_mm, color=GREY, lw=0.8)
+
+    def sizes(axes: Axes) -> None:
+        for (_, rows), colour in drawn:
+            axes.plot(rows.c_mm, rows.largest_error_mm, color=colour)
+            axes.plot(rows.c_mm, rows.largest_residual_mm, color=colour, ls="--")
+        _logarithmic(axes)
+
+    panels = {"fitted $c$ (mm)": fitted, "largest |error| (mm)": sizes}
+    return small_multiples(
+        lambda axes, _, name: panels[name](axes),
+        rows=[""],
+        columns=list(panels),
+        x=f"true {ECCENTRICITY}",
+        y="",
+        height=3.4,
+    )
+
+
+def _causes_figure(findings: EccentricityFindings, *, d: float) -> Figure:
+    """Shapley's shares stacked against c: a row for each pinhole, a column for each model.
+
+    Every panel has its own scale: the shares of the best model are a hundredth of the worst's.
+    """
+    shares = findings.rendered.shares
+    chosen = shares[(shares.d_mm - d).abs() < 1e-6]
+
+    def draw(axes: Axes, height: float, model: str) -> None:
+        here = chosen[(chosen.z_f_mm == height) & (chosen.model == model)]
+        c = np.unique(here.c_mm.round(6))
+        width = 0.7 * (np.diff(c).min() if c.size > 1 else 1.0)
+        above, below = np.zeros(c.size), np.zeros(c.size)
+        for cause, colour in _CAUSE_COLOURS.items():
+            size = here.part_mm[here.cause == cause].to_numpy()
+            foot = np.where(size >= 0, above, below)
+            axes.bar(c, size, width, bottom=foot, color=colour, label=cause)
+            above += np.maximum(size, 0.0)
+            below += np.minimum(size, 0.0)
+        whole = here.whole_mm[here.cause == CAUSES[0]]
+        axes.plot(c, whole, ls="", marker="D", ms=4, mfc="white", mec=BLACK, label="whole")
+        axes.axhline(0, color=BLACK, lw=0.6)
+
+    return small_multiples(
+        draw,
+        rows=chosen.z_f_mm.unique().tolist(),
+        columns=SHOWN,
+        title=lambda height, model: f"{model}, {pinhole_title(height)}",
+        x=ECCENTRICITY,
+        y="part of the error (mm)",
+        legend_columns=5,
+        sharex=True,
+    )
+
+
+def spreads(findings: EccentricityFindings) -> Figure:
+    """Size of the errors along every axis, over all others: a row for each pinhole."""
+    every = findings.spreads
+
+    def draw(axes: Axes, pinhole: str, axis: str) -> None:
+        for model, colour in _COLOURS.items():
+            here = (every.model == model) & (every.pinhole == pinhole) & (every.axis == axis)
+            rows = every[here]
+            if model != "exact":
+                middle = 0.5 * (rows.from_value + rows.to_value)
+                axes.plot(middle, rows.median_mm, color=colour, label=model)
+                axes.plot(middle, rows.percentile_95_mm, color=colour, lw=0.8, ls=":")
+        _logarithmic(axes, top=12.0)
+
+    return small_multiples(
+        draw,
+        rows=[f"{MICROSCOPE_MM:g}"],
+        columns=list(AXES),
+        title=lambda pinhole, axis: "",
+        x=_AXIS_NAMES.__getitem__,
+        y=lambda pinhole: f"{_PINHOLE_NAMES[pinhole]}\n|error| (mm)",
+        height=2.1,
+        sharex="col",
+        sharey=True,
+    )
+
+
+def _logarithmic(axes: Axes, *, top: float | None = None) -> None:
+    axes.set(yscale="log")
+    axes.set_ylim(_LEAST_MM, top)
+    axes.yaxis.set_major_formatter("{x:g}")
+
+
+def check(scene: Scene) -> None:
+    """Refuse a scene in which c cannot reach its largest value.
+
+    Raises:
+        SceneError: saying what to change.
+    """
+    require_roomy_eyeball(scene, f"c reaches {LARGEST_C_MM:g} mm")
+
+
+def fill_space(
+    scene: Scene, *, count: int, seed: int, csv_file: Path, before: pd.DataFrame
+) -> Space:
+    """Errors of all models over the space of geometries; writes model_error.csv as it goes.
+
+    Args:
+        scene: gives the scale, the spot's size at contact and the medium.
+        count: of geometries, rounded up to a power of two or to whole blocks of such.
+        csv_file: file to write; it gets its name when it is complete.
+        before: rows to write before those of the space.
+    """
+    cone = geometry_of(scene)
+    filled = Space()
+    with (
+        written_whole(csv_file, replace=True) as partial,
+        partial.open("w", encoding="utf-8") as file,
+    ):
+        file.write(",".join(MODEL_ERROR) + "\n")
+        file.writelines(map(csv_line, before.itertuples(index=False, name=None)))
+        for block in blocks(
+            count=count,
+            seed=seed,
+            scale=cone.scale,
+            contact_radius=-cone.apex_offset * float(np.tan(cone.half_angle)),
+        ):
+            filled.add(block)
+            file.write(csv_text(block, medium=scene.source.medium))
+    return filled
+
+
+def _trials(scene: Scene, *, quick: bool) -> list[EccentricTrial]:
+    return trials(
+        scene,
+        pinhole_heights=pinhole_heights(scene),
+        eccentricities=np.linspace(0.0, LARGEST_C_MM, 3 if quick else 9).tolist(),
+        few=(4.0, LARGEST_C_MM) if quick else np.linspace(0.0, LARGEST_C_MM, 5).tolist(),
+        frames=3 if quick else 12,
+    )
+
+
+def _withdrawals(scene: Scene, *, quick: bool) -> dict[tuple[float, float], Withdrawals]:
+    """On exact contours: four pinholes, square to the wall and at the scene's incidence."""
+    eccentricities = np.linspace(0.0, LARGEST_C_MM, 17 if quick else 81)
+    found = {}
+    for height in (0.0, *pinhole_heights(scene), np.inf):
+        for incidence_deg in dict.fromkeys((0.0, scene.spot.incidence_deg)):
+            own = scenes.changed(
+                scene, {"microscope.pinhole_height_mm": height, "spot.incidence_deg": incidence_deg}
+            )
+            found[height, incidence_deg] = withdrawals(
+                geometry_of(own), eccentricities=eccentricities, medium=scene.source.medium
+            )
+    return found
+
+
+# The page.
+
+
+def report(findings: EccentricityFindings) -> Report:
+    """The report of a run."""
+    return Report(
+        title="How wrong is the distance, at which eccentricity, and why?",
+        answer=_answer(findings),
+        lead="Five models from spot size to distance against the exact geometry: on exact "
+        "contours, and on spots measured in rendered frames.",
+        first=_first(findings),
+        claims=list(_claims(findings)),
+        sections=[
+            _error_section(findings),
+            _limits(findings),
+            _refit(findings),
+            _causes(findings),
+            _space(findings),
+        ],
+        data={
+            "model_error.csv": None,
+            "limits.csv": findings.limits,
+            "refit.csv": pd.concat([findings.refits, findings.rendered.refits]),
+            "causes.csv": findings.rendered.shares,
+            "space.csv": findings.spreads,
+            "sensitivity.csv": findings.sensitivities,
+        },
+    )
+
+
+def _claims(findings: EccentricityFindings) -> Iterator[Claim]:
+    spot = findings.scene.spot
+    for height in findings.heights:
+        for model in optics.MODELS:
+            yield Claim(
+                name=f"z_F = {height:g} mm, {model}",
+                sentence="At {incidence:g}° incidence (azimuth {azimuth:g}°) the largest error "
+                "over d = 0.5 to 6 mm reaches {limits:g} mm at c = {value:.2f} mm (a dash: not up "
+                "to c = {end:g} mm).",
+                value=findings.limits_of(model, height, spot.incidence_deg),
+                numbers={
+                    "incidence": spot.incidence_deg,
+                    "azimuth": spot.incidence_azimuth_deg,
+                    "limits": LIMITS_MM,
+                    "end": LARGEST_C_MM,
+                },
+            )
+    for height in findings.heights:
+        yield _hidden(findings, height)
+    for height in findings.heights:
+        yield from _main_cause(findings, height)
+    yield from _measured(findings)
+    yield Claim(
+        name="space",
+        sentence="Within {limit:g} mm in {value:.0%} of {geometries:,} geometries ({models}): over "
+        "the ranges of c, d, r, incidence, azimuth and half-angle below, a quarter of them with "
+        "each pinhole.",
+        value=tuple(findings.within.values()),
+        numbers={
+            "limit": LIMITS_MM[-1],
+            "geometries": findings.geometries,
+            "models": tuple(findings.within),
+        },
+    )
+    yield _azimuth(findings)
+
+
+def _hidden(findings: EccentricityFindings, height: float) -> Claim:
+    incidence = findings.scene.spot.incidence_deg
+    refits = findings.refits
+    rows = refits[(refits.z_f_mm == height) & (refits.incidence_deg == incidence)]
+    row = min(rows_of(rows), key=lambda r: abs(r.c_mm - SHOWN_C_MM))
+    return Claim(
+        name=f"z_F = {height:g} mm, fitted c",
+        sentence="Fitting c hides {value:.0%} of the error of small_plane at c = {row.c_mm:g} mm. "
+        "The fit finds c = {row.fitted_c_mm:.2f} mm and has residuals of up to "
+        "{row.largest_residual_mm:.3f} mm, where the error with the true c is "
+        "{row.largest_error_mm:.3f} mm. The residuals reach {limits:g} mm at c = {reached:.2f} mm "
+        "(a dash: not up to c = {end:g} mm).",
+        value=row.hidden_mm / row.largest_error_mm,
+        numbers={
+            "row": row,
+            "limits": LIMITS_MM,
+            "reached": findings.limits_of("small_plane", height, incidence, refit=True),
+            "end": LARGEST_C_MM,
+        },
+    )
+
+
+def _main_cause(findings: EccentricityFindings, height: float) -> Iterator[Claim]:
+    shares, exact = findings.rendered.shares, findings.analytic
+    if shares.empty:
+        return
+    here = rows_of(shares[(shares.z_f_mm == height) & (shares.model == "small_plane")])
+    if not here:
+        return
+    nearest = min(here, key=lambda p: (abs(p.c_mm - SHOWN_C_MM), abs(p.d_mm - SHOWN_C_MM)))
+    spot = [p for p in here if (p.c_mm, p.d_mm) == (nearest.c_mm, nearest.d_mm)]
+    ordered = sorted(spot, key=lambda p: -abs(p.part_mm))
+    own = min(
+        rows_of(
+            exact[
+                (exact.z_f_mm == height)
+                & (exact.model == "small_plane")
+                & (exact.incidence_deg == nearest.incidence_deg)
+            ]
+        ),
+        key=lambda e: (abs(e.c_mm - nearest.c_mm), abs(e.d_mm - nearest.d_mm)),
+    )
+    yield Claim(
+        name=f"z_F = {height:g} mm, causes",
+        sentence="At c = {spot.c_mm:.1f} mm and d = {spot.d_mm:.1f} mm the error of small_plane is "
+        "{value:+.3f} mm if it is also given an r too large by {wrong_r:g} mm and a c too large by "
+        "{wrong_c:g} mm; its own error on the exact contour is {own.error_mm:+.3f} mm (c = "
+        "{own.c_mm:g}, d = {own.d_mm:g} mm). The causes, the largest first: {causes}. Their "
+        "shares in mm: {parts:+.3f}. (Shapley's values: a cause alone can do more or less.)",
+        value=nearest.whole_mm,
+        numbers={
+            "spot": nearest,
+            "own": own,
+            "wrong_r": WRONG_R_MM,
+            "wrong_c": WRONG_C_MM,
+            "causes": tuple(p.cause for p in ordered),
+            "parts": tuple(p.part_mm for p in ordered),
+        },
+    )
+
+
+def _measured(findings: EccentricityFindings) -> Iterator[Claim]:
+    found, errors = findings.rendered, findings.rendered.with_true_c
+    if len(errors):
+        yield Claim(
+            name="rendered spots",
+            sentence="Largest errors over {spots} spots: {value:.3f} mm ({models}); k, b, c and r "
+            "are given. {left_out} frames have no spot that counts.",
+            value=tuple(largest(errors.error_mm[errors.model == m]) for m in optics.MODELS),
+            numbers={
+                "models": optics.MODELS,
+                "spots": found.frames - found.left_out,
+                "left_out": found.left_out,
+            },
+        )
+
+
+def _azimuth(findings: EccentricityFindings) -> Claim:
+    of = findings.spreads
+    key = (of.model == "corrected") & (of.pinhole == f"{MICROSCOPE_MM:g}")
+    bins = rows_of(of[key & (of.axis == "azimuth_deg")])
+    best, worst = (choose(bins, key=lambda s: s.percentile_95_mm) for choose in (min, max))
+    return Claim(
+        name=f"z_F = {MICROSCOPE_MM:g} mm, azimuth",
+        sentence="The error of corrected depends on the azimuth of the beam's tilt: 95 % of the "
+        "errors are below {best.percentile_95_mm:.3f} mm at azimuths of {best.from_value:g} to "
+        "{best.to_value:g}°, and below {value:.3f} mm at azimuths of {worst.from_value:g} to "
+        "{worst.to_value:g}°. The model is one of a square beam. A tilt along the meridian of O "
+        "(azimuth 0 or 180°) makes the spot longer where the image makes it shorter. exact is "
+        "given the beam's direction.",
+        value=worst.percentile_95_mm,
+        numbers={"best": best, "worst": worst},
+    )
+
+
+def _answer(findings: EccentricityFindings) -> str:
+    incidence = findings.scene.spot.incidence_deg
+    on_sphere, microscope = (
+        findings.limits_of("small_plane", height, incidence)[-1] for height in findings.heights
+    )
+    within = findings.within
+    return (
+        f"The paper's model is off by {LIMITS_MM[-1]:g} mm from c = {number(on_sphere)} mm on if "
+        f"the pinhole lies on the eyeball's sphere, and from c = {number(microscope)} mm on under "
+        f"a microscope; over all geometries it stays within that in "
+        f"{100 * within['small_plane']:.0f} %, corrected in {100 * within['corrected']:.0f} %, "
+        f"exact in {100 * within['exact']:.0f} %."
+    )
+
+
+def _first(findings: EccentricityFindings) -> list[Picture | Table]:
+    incidences = dict.fromkeys((0.0, findings.scene.spot.incidence_deg))
+    rows = [
+        (height, incidence, *(findings.limits_of(m, height, incidence)[-1] for m in SHOWN))
+        for height in findings.heights
+        for incidence in incidences
+    ]
+    headings = ("z_F, mm", "incidence, °", *SHOWN)
+    return [
+        Picture(
+            "largest_error",
+            worst_errors(findings),
+            "The paper's model fails with growing c, and sooner under a microscope. Largest "
+            "absolute error over d = 0.5 to 6 mm, on exact contours (lines) and on rendered spots "
+            "(dots). Dashed: with c fitted to the withdrawal itself. Dotted: "
+            f"{' and '.join(f'{limit:g}' for limit in LIMITS_MM)} mm. On exact contours the model "
+            "exact has no error except rounding and is not drawn.",
+            data="model_error.csv",
+        ),
+        Table(
+            [Column(heading, 1) for heading in headings],
+            rows,
+            f"Smallest c in mm at which the largest error over d reaches {LIMITS_MM[-1]:g} mm; a "
+            f"dash: not up to c = {LARGEST_C_MM:g} mm.",
+            data="limits.csv",
+        ),
+    ]
+
+
+def _error_section(findings: EccentricityFindings) -> Section:
+    measured = findings.rendered.with_true_c
+    analytic = findings.analytic[findings.analytic.z_f_mm.isin(findings.heights)]
+    return Section(
+        "Error against eccentricity",
+        Picture(
+            "model_error",
+            model_error_figure(analytic, measured),
+            "The sign of the error: a row for each pinhole height, a column for each model. Lines: "
+            "exact contours (dotted: square beam). Dots: rendered spots. Every model is given the "
+            "true k, b, c and r.",
+            data="model_error.csv",
+        ),
+        Table.of(
+            accuracy(measured),
+            ACCURACY,
+            "Errors on rendered spots, sub-pixel mode, all c and d together.",
+            data="model_error.csv",
+        ),
+    )
+
+
+def _limits(findings: EccentricityFindings) -> Section:
+    models = [(model, False) for model in optics.MODELS] + [("small_plane", True)]
+    rows = []
+    for height in findings.heights:
+        for incidence in dict.fromkeys((0.0, findings.scene.spot.incidence_deg)):
+            reached = [findings.limits_of(m, height, incidence, refit=refit) for m, refit in models]
+            for limit, eccentricities in zip(LIMITS_MM, zip(*reached, strict=True), strict=True):
+                rows.append((height, incidence, limit, *eccentricities))
+    headings = ("z_F, mm", "incidence, °", "limit, mm", *optics.MODELS, "small_plane, c fitted")
+    return Section(
+        "Where each model reaches the limits",
+        Table(
+            [Column(heading, 2) for heading in headings],
+            rows,
+            "Smallest c in mm at which the largest error over d = 0.5 to 6 mm reaches the limit; a "
+            f"dash: not up to c = {LARGEST_C_MM:g} mm.",
+            data="limits.csv",
+        ),
+    )
+
+
+def _refit(findings: EccentricityFindings) -> Section:
+    incidence, refits = findings.scene.spot.incidence_deg, findings.refits
+    whole = np.isclose(refits.c_mm % 1.0, 0.0) & (refits.c_mm > 0)
+    chosen = whole & refits.z_f_mm.isin(findings.heights) & (refits.incidence_deg == incidence)
+    return Section(
+        "The error that a fit of c hides",
+        "The paper fits c to the same distances with which it then tests the model (Table II). A "
+        "wrong c compensates for a wrong factor as long as the correct factor is below 1. If the "
+        "correct factor is above 1, the fit ends at c = 0.",
+        Picture(
+            "refit",
+            fitted_eccentricity(findings),
+            f"Left: fitted against true c at {incidence:g}° incidence; grey: where they agree. "
+            "Right: largest error with the true c (lines) and largest residual with the fitted one "
+            "(dashed).",
+            data="refit.csv",
+        ),
+        Table.of(
+            refits[chosen],
+            {
+                "z_f_mm": Column("z_F, mm", 1),
+                "c_mm": Column("true c, mm", 0),
+                "fitted_c_mm": Column("fitted c, mm"),
+                "largest_error_mm": Column("error, mm"),
+                "largest_residual_mm": Column("residual, mm"),
+                "hidden_mm": Column("hidden, mm"),
+            },
+            "Largest error over d with the true c, largest residual with the fitted one, and the "
+            "difference, which the fit hides; exact contours.",
+            data="refit.csv",
+        ),
+    )
+
+
+def _causes(findings: EccentricityFindings) -> Section:
+    shares = findings.rendered.shares
+    text = (
+        "Each link between distance and spot is real or ideal, together with the model's own term "
+        "for it. Every model is exact if all links are ideal. Each cause's part is its Shapley "
+        f"value, exact over all {1 << len(CAUSES):,} sets of causes, and the parts sum to the "
+        "error. Edge and pixels are measured in rendered frames: with noise, and without it at "
+        "twice the resolution. Light spread in the wall is computed for a sharp cone, with the "
+        f"scene's length, or that of printed paper: {spread_length(findings.scene):.3f} mm. The "
+        f"models are given an r {WRONG_R_MM:g} mm and a c "
+        f"{WRONG_C_MM:g} mm too large, so the model exact also has errors from links that it "
+        "models. "
+        "The paper's cos φ counts as a term for foreshortening, as the paper derives it."
+    )
+    if shares.empty:
+        return Section("Causes", text, "No rendered spot counts in this run.")
+    # The distance that most spots share, nearest to the middle of the range.
+    d = min(shares.d_mm.round(6).unique(), key=lambda d: abs(d - SHOWN_C_MM))
+    there = shares[(shares.d_mm - d).abs() < 1e-6]
+    far = there[(there.c_mm - there.c_mm.round(6).max()).abs() < 1e-6]
+    return Section(
+        "Causes",
+        text,
+        Picture(
+            "causes",
+            _causes_figure(findings, d=d),
+            f"Parts of the error at d = {d:.3g} mm, {findings.scene.spot.incidence_deg:g}° "
+            "incidence; diamonds: the error, their sum. Each panel has a scale of its own.",
+            data="causes.csv",
+        ),
+        *(_cause_table(of) for _, of in grouped(far, "z_f_mm")),
+    )
+
+
+def _cause_table(shares: pd.DataFrame) -> Table:
+    """The parts of all models at one geometry."""
+    first = shares.iloc[0]
+    rows = [(cause, *shares.part_mm[shares.cause == cause]) for cause in CAUSES]
+    whole = ("whole", *shares.whole_mm[shares.cause == CAUSES[0]])
+    return Table(
+        [Column("cause"), *(Column(model, 4) for model in optics.MODELS)],
+        [*rows, whole],
+        f"Parts in mm at c = {first.c_mm:.3g} mm and d = {first.d_mm:.3g} mm, "
+        f"z_F = {first.z_f_mm:g} mm.",
+        data="causes.csv",
+    )
+
+
+def _space(findings: EccentricityFindings) -> Section:
+    units = {"mm": "mm", "deg": "°"}
+    axes = {name: name.replace("_", "-").rsplit("-", 1) for name in AXES}
+    ranges = ", ".join(
+        f"{title} {AXES[name][0]:g} to {AXES[name][1]:g} {units[unit]}"
+        for name, (title, unit) in axes.items()
+    )
+    found = findings.sensitivities.set_index(["model", "pinhole", "axis"]).first_order
+    rows = [
+        (model, pinhole, *(found[model, pinhole, axis] for axis in AXES))
+        for model in optics.MODELS
+        if model != "exact"
+        for pinhole in PINHOLES
+    ]
+    headings = ("model", "pinhole", *(title for title, _ in axes.values()))
+    return Section(
+        "The whole space",
+        f"{findings.geometries:,} geometries, a scrambled Sobol sequence: {ranges}; z_F = 0, r, "
+        "200 mm and infinite. For every half-angle the spot at contact has the scene's size.",
+        Picture(
+            "space",
+            spreads(findings),
+            "Eccentricity matters most. Absolute error along each axis over all others under a "
+            "microscope: median (lines) and 95th percentile (dotted); other pinholes in the file.",
+            data="space.csv",
+        ),
+        Table(
+            [Column(heading, 2) for heading in headings],
+            rows,
+            "Part of the error's variance that each axis alone explains (first-order Sobol "
+            "index). The rest is due to axes together.",
+            data="sensitivity.csv",
+        ),
+    )
+
+
+_GEOMETRIES, _GEOMETRIES_IF_QUICK = 1 << 17, 1 << 14
+_FEWEST = 512
+
+
+# The command.
+
+
+def eccentricity(
+    scene: StartingScene = None,
+    /,
+    *,
+    out: OutputFolder,
+    changes: Changes = (),
+    quick: Quick = False,
+    seed: Seed = None,
+    geometries: PositiveInt | None = None,
+) -> EccentricityFindings:
+    """Measure how wrong each model is, at which eccentricity, and by which cause.
+
+    To continue a run that was stopped, start it again with the same folder.
+
+    Args:
+        geometries: Number of random geometries (default: 131072; 16384 if quick).
+    """
+    if geometries is not None and geometries < _FEWEST:
+        raise optics.InputError(
+            f"--geometries must be at least {_FEWEST}, to fill each range of c; got {geometries}."
+        )
+    if any(change.partition("=")[0].strip() == "spot.eccentricity_mm" for change in changes):
+        raise optics.InputError(
+            "spot.eccentricity_mm has no effect in this study, which varies c. Leave it out."
+        )
+    count = geometries or (_GEOMETRIES_IF_QUICK if quick else _GEOMETRIES)
+    study = Study(
+        "eccentricity",
+        out=out,
+        scene=scene,
+        changes=changes,
+        quick=quick,
+        seed=seed,
+        defaults=("source.kind=cone",),
+        check=check,
+        options={"geometries": count},
+    )
+    base = study.scene
+    with study.timed("render and measure"):
+        found = measure(study, _trials(base, quick=quick))
+    with study.timed("withdrawals on exact contours"):
+        exact = _withdrawals(base, quick=quick)
+    on_exact = pd.concat([w.errors for w in exact.values()], ignore_index=True)
+    with study.timed("space of geometries"):
+        filled = fill_space(
+            base,
+            count=count,
+            seed=study.seed,
+            csv_file=study.folder / "model_error.csv",
+            before=pd.concat([on_exact, found.errors]),
+        )
+    findings = EccentricityFindings(
+        scene=base,
+        withdrawals=exact,
+        limits=limits(on_exact),
+        rendered=found,
+        geometries=filled.count,
+        spreads=filled.spreads(),
+        sensitivities=filled.sensitivities(),
+        within=filled.within(LIMITS_MM[-1]),
+    )
+    study.publish(report, findings)
+    return findings

@@ -1,2 +1,0 @@
-from . import run as run
-from .space import BLOCK as BLOCK

@@ -1,0 +1,396 @@
+"""The error of every model split by cause, so that the parts sum to the whole.
+
+The players are the five links of `chain`, and five more: what a rendered frame adds to e1' at its
+edge (half-maximum, falling light, texture, shadow; seen without noise at twice the resolution) and
+by pixels and noise (the rest), what the wall does by spreading the light, and a wrong r and a wrong
+c that the models are given. The worth of a set of players is a model's error when they are real and
+the others ideal; it is computed for all 1,024 sets, so Shapley's values are exact.
+
+Edge, pixels and spread are differences of e1' in px, taken once for each geometry, in the real
+world, and added in every other as they are: what noise and edges do to a contour depends on its
+size and light, which the geometric links change by a few per cent.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Array, Float
+
+import optics
+from benchmarks.model_error import Geometry, place
+from benchmarks.paper import coalitions, shapley_values
+from scenes import Scene
+from scenes.walls import PRESETS_MM, wall_spread
+
+# The chain from a distance to a spot's size and back, each link of which can be real or ideal.
+#
+# Ideal throughout, the chain is the planar model's world: a beam square to a flat wall that faces
+# the microscope at the pole's height, e1' = (d - b)/(k delta). Each link that is switched on brings
+# in one thing that a real eye has. A model undoes what its own terms are for; with a link off, the
+# term that the model has for it is off too, so every model is right when all links are ideal, and
+# what a link adds to the error is what the model leaves of it.
+
+LINKS = (
+    "foreshortening",
+    "magnification with depth",
+    "sagitta",
+    "ellipse fit of a non-ellipse",
+    "beam not square",
+)
+"""Names of the links, in the order of `Links`."""
+
+_POINTS = 64
+"""Of a contour; the test against `optics`, which takes 128, shows that they are enough."""
+
+_SECANT_STEPS = 5
+
+
+class Links(NamedTuple):
+    """Which links of the chain are real: True or False each.
+
+    Attributes:
+        foreshortening: the wall is inclined by phi against the image, not parallel to it; the
+            paper's cos(phi) is a term for it.
+        magnification: a point nearer to the pinhole is magnified more; without it the microscope
+            is telecentric.
+        sagitta: the wall is a sphere, not its tangent plane.
+        ellipse_fit: e1' is that of the fitted ellipse, not half of the contour's width.
+        incidence: the beam is inclined, not square to the wall.
+    """
+
+    foreshortening: Float[Array, ""] | bool
+    magnification: Float[Array, ""] | bool
+    sagitta: Float[Array, ""] | bool
+    ellipse_fit: Float[Array, ""] | bool
+    incidence: Float[Array, ""] | bool
+
+
+REAL = Links(True, True, True, True, True)
+"""Everything as it is."""
+
+
+class Eye(NamedTuple):
+    """One geometry, or what a model takes it for; mm, rad, 1/mm.
+
+    Attributes:
+        scale: delta, mm/px at the pole.
+        inverse_working_distance: kappa = 1/(z_F + r), 1/mm.
+        radius: r, mm.
+        half_angle: rad.
+        apex_offset: b, mm.
+        incidence: rad.
+        incidence_azimuth: rad.
+        eccentricity: c, mm.
+    """
+
+    scale: Float[Array, ""]
+    inverse_working_distance: Float[Array, ""]
+    radius: Float[Array, ""]
+    half_angle: Float[Array, ""]
+    apex_offset: Float[Array, ""]
+    incidence: Float[Array, ""]
+    incidence_azimuth: Float[Array, ""]
+    eccentricity: Float[Array, ""]
+
+
+def semi_minor(eye: Eye, distance: Float[Array, ""], links: Links = REAL) -> Float[Array, ""]:
+    """e1' of the spot's contour at a distance (mm) along the beam, px."""
+    contour = _contour(eye, distance, links) / eye.scale
+    ellipse = optics.ellipse_of_contour(contour)
+    across = _half_width(contour, ellipse.angle + 0.5 * jnp.pi)
+    return jnp.where(links.ellipse_fit, ellipse.semi_minor, across)
+
+
+def distances(
+    believed: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL
+) -> dict[str, Float[Array, ""]]:
+    """Distance by every model, mm, from e1' (px) seen through these links.
+
+    Args:
+        believed: the geometry as the models take it.
+        semi_minor_px: e1', px.
+        links: those that the spot was seen through; the models' terms are switched with them.
+    """
+    # The stereographic formula is exact for a square beam and a pinhole on the sphere.
+    on_the_sphere = believed._replace(
+        inverse_working_distance=0.5 / believed.radius, incidence=jnp.zeros_like(believed.incidence)
+    )
+    both = jax.tree.map(lambda *values: jnp.stack(values), on_the_sphere, believed)
+    stereographic, exact = jax.vmap(lambda eye: inverse(eye, semi_minor_px, links))(both)
+    closed = closed_forms(believed, semi_minor_px, links)
+    return {**closed, "stereographic": stereographic, "exact": exact}
+
+
+def closed_forms(
+    believed: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL
+) -> dict[str, Float[Array, ""]]:
+    """`distances` by planar, small_plane and corrected."""
+    k, b = optics.slope(believed.half_angle), believed.apex_offset
+    radius, c = believed.radius, believed.eccentricity
+    kappa = jnp.where(links.magnification, believed.inverse_working_distance, 0.0)
+    cos_phi = optics.paper_foreshortening(eccentricity=c, eye_radius=radius)
+    curved = jnp.where(links.sagitta, radius, jnp.inf)
+    spot = believed.scale * semi_minor_px
+
+    def on_sphere(factor: Float[Array, ""]) -> Float[Array, ""]:
+        return optics.sphere_distance(spot_radius=spot * factor, k=k, b=b, eye_radius=curved)
+
+    factor = optics.corrected_factor(
+        eccentricity=c, eye_radius=radius, inverse_working_distance=kappa
+    )
+    # On a wall that faces the microscope only the height counts.
+    upright = 1.0 - kappa * radius * (1.0 - cos_phi)
+    return {
+        "planar": optics.planar_distance(
+            semi_minor_px=semi_minor_px, scale=believed.scale, k=k, b=b
+        ),
+        "small_plane": on_sphere(jnp.where(links.foreshortening, cos_phi, 1.0)),
+        "corrected": on_sphere(jnp.where(links.foreshortening, factor, upright)),
+    }
+
+
+def inverse(eye: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL) -> Float[Array, ""]:
+    """Distance at which the chain gives a semi-minor axis, mm.
+
+    e1' all but scales with the distance from the apex, so rescaling that distance is a
+    contraction (`optics.exact_distance` repeats it); the secant through two of its steps gains the
+    product of their errors instead.
+    """
+    apex = eye.apex_offset
+
+    def secant(step: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        before, miss_before, reach = state
+        miss = reach * semi_minor_px / semi_minor(eye, reach + apex, links) - reach
+        change = miss - miss_before
+        # The first step has no secant yet, and a settled distance has none any more.
+        plain = (step == 0) | (change == 0)
+        gain = -miss * (reach - before) / jnp.where(plain, 1.0, change)
+        return reach, miss, reach + jnp.where(plain, miss, gain)
+
+    planar = eye.scale * semi_minor_px / jnp.tan(eye.half_angle)
+    start = planar, jnp.zeros_like(planar), planar
+    _, _, reach = jax.lax.fori_loop(0, _SECANT_STEPS, secant, start)
+    return reach + apex
+
+
+def _contour(eye: Eye, distance: Float[Array, ""], links: Links) -> Float[Array, "n 2"]:
+    """Image of the spot's edge in mm at the pole's height; the meridian of O is the x axis."""
+    wall = _wall_contour(eye, distance, links)
+    along, across, inward = wall
+    c, r = eye.eccentricity, eye.radius
+    sin_phi = c / r
+    cos_phi = jnp.sqrt(1.0 - sin_phi**2)
+    height = r * (1.0 - cos_phi)  # of O over the pole
+    sin_tilt = jnp.where(links.foreshortening, sin_phi, 0.0)
+    cos_tilt = jnp.where(links.foreshortening, cos_phi, 1.0)
+    x = c + along * cos_tilt - inward * sin_tilt
+    z = height + along * sin_tilt + inward * cos_tilt
+    kappa = jnp.where(links.magnification, eye.inverse_working_distance, 0.0)
+    depth = 1.0 - kappa * z
+    return jnp.stack([x / depth, -across / depth], axis=-1)
+
+
+def _wall_contour(
+    eye: Eye, distance: Float[Array, ""], links: Links
+) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
+    r"""Edge of the spot in the wall's frame at O, mm: along the meridian, across it, inward.
+
+    With the curvature q = 1/r (0 for the plane) the wall is $q|P|^2 = 2 P_z$; on the generator
+    $P = A + t w$ that is $q t^2 - 2 h t + g = 0$, solved in the form that holds for q = 0 too.
+    """
+    curvature = jnp.where(links.sagitta, 1.0 / eye.radius, 0.0)
+    tilt = jnp.where(links.incidence, eye.incidence, 0.0)
+    azimuth = eye.incidence_azimuth
+    sideways = jnp.sin(tilt)
+    axis = [sideways * jnp.cos(azimuth), sideways * jnp.sin(azimuth), -jnp.cos(tilt)]
+    beam = optics.Beam(
+        tip=-distance * jnp.stack(axis),
+        axis=jnp.stack(axis),
+        half_angle=eye.half_angle,
+        apex_offset=eye.apex_offset,
+    )
+    ax, ay, az = beam.apex
+    w = beam.generators(jnp.arange(_POINTS) * (2 * jnp.pi / _POINTS))
+    wx, wy, wz = w[:, 0], w[:, 1], w[:, 2]
+    h = wz - curvature * (ax * wx + ay * wy + az * wz)
+    g = curvature * (ax**2 + ay**2 + az**2) - 2.0 * az
+    # The apex lies inside the eye (g < 0); light meets the wall ahead of it.
+    t = -g / (-h + jnp.sqrt(h**2 - curvature * g))
+    return ax + t * wx, ay + t * wy, az + t * wz
+
+
+def _half_width(contour: Float[Array, "n 2"], angle: Float[Array, ""]) -> Float[Array, ""]:
+    """Half of a closed curve's width in a direction (rad)."""
+    along = contour @ jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    return 0.5 * (_greatest(along) + _greatest(-along))
+
+
+def _greatest(periodic: Float[Array, "n"]) -> Float[Array, ""]:
+    """Greatest value of a periodic sequence, also between its samples.
+
+    A sinusoid goes through the greatest sample and its neighbours: right for every ellipse.
+    """
+    before, at, after = (jnp.roll(periodic, 1 - jnp.argmax(periodic))[i] for i in range(3))
+    step = 2.0 * jnp.pi / _POINTS
+    cosine = (at - 0.5 * (before + after)) / (1.0 - jnp.cos(step))
+    sine = 0.5 * (after - before) / jnp.sin(step)
+    return at - cosine + jnp.hypot(cosine, sine)
+
+
+CAUSES = (
+    *LINKS,
+    "edge and radiometry",
+    "pixels and noise",
+    "light spread in the wall",
+    "wrong r",
+    "wrong c",
+)
+"""The players, in order."""
+
+WRONG_R_MM = 0.5
+"""Given too large: the paper's r is 11 mm or 11.5 mm."""
+
+WRONG_C_MM = 0.5
+"""Given too large: an eye half a millimetre off the microscope's axis."""
+
+_AT_A_TIME = 4
+
+
+class Shift(NamedTuple):
+    """What rendering adds to e1' of spots, px.
+
+    Attributes:
+        edge: by the edge and its light.
+        spread: by a wall that spreads light.
+    """
+
+    edge: np.ndarray
+    pixels: np.ndarray
+    spread: np.ndarray
+
+
+def spread_length(scene: Scene) -> float:
+    """L of the scene's wall in green, mm; that of printed paper if the scene's spreads nothing."""
+    own = wall_spread(scene.phantom)
+    return float(PRESETS_MM["printed paper"][1] if own is None else own[1])
+
+
+def spread_shift(geometry: Geometry, *, c: np.ndarray, d: np.ndarray, length: float) -> np.ndarray:
+    """What light spread in the wall adds to e1' of the cone's half-maximum contour, px.
+
+    Args:
+        c: n eccentricities, mm.
+        d: n distances, mm.
+        length: L, mm.
+    """
+    wall = optics.Sphere(geometry.eye_radius)
+    camera = optics.microscope(
+        scale=geometry.scale,
+        pinhole_height=geometry.pinhole_height,
+        eye_radius=geometry.eye_radius,
+    )
+
+    def beam(c: jax.Array, d: jax.Array) -> optics.Beam:
+        return optics.beam_at_spot(
+            wall,
+            eccentricity=c,
+            distance=d,
+            incidence=geometry.incidence,
+            incidence_azimuth=geometry.incidence_azimuth,
+            half_angle=geometry.half_angle,
+            apex_offset=geometry.apex_offset,
+        )
+
+    # In parts of one size, so that one compilation serves every trial.
+    padded = (np.pad(a, (0, -len(a) % _AT_A_TIME), mode="edge") for a in (c, d))
+    beams = jax.vmap(beam)(*map(jnp.asarray, padded))
+    spread = optics.spread_spots(wall, camera, None, beams, length).half_max.semi_minor
+    sharp = jax.vmap(lambda beam: optics.spot_ellipse(beam, wall, camera).semi_minor)(beams)
+    return np.asarray(spread - sharp)[: len(c)]
+
+
+def shares(
+    geometry: Geometry, *, medium: str, c: np.ndarray, d: np.ndarray, shift: Shift
+) -> pd.DataFrame:
+    """Content of causes.csv: the errors of all models at eccentricities and distances by cause, mm.
+
+    `whole_mm` is the error with all causes, to which the parts of a geometry sum.
+
+    Args:
+        c: n eccentricities, mm.
+        d: n distances, mm.
+        shift: what rendering adds, n each.
+    """
+    worth = worths(eyes(geometry, c=c), d=d, shift=shift)
+    values = shapley_values(worth)
+    spot, m, p = (index.ravel() for index in np.indices(values.shape))
+    return pd.DataFrame(
+        {
+            "model": np.array(optics.MODELS)[m],
+            "cause": np.array(CAUSES)[p],
+            "medium": medium,
+            **place(geometry, c=c[spot], d=d[spot]),
+            "part_mm": values.ravel(),
+            "whole_mm": worth[spot, m, -1],
+        }
+    )
+
+
+def eyes(geometry: Geometry, *, c: np.ndarray) -> Eye:
+    """The geometry at each eccentricity (mm) as the chain takes it: arrays of n."""
+    r = geometry.eye_radius
+    shared = {
+        "scale": geometry.scale,
+        "inverse_working_distance": 1.0 / (geometry.pinhole_height + r),
+        "radius": r,
+        "half_angle": geometry.half_angle,
+        "apex_offset": geometry.apex_offset,
+        "incidence": geometry.incidence,
+        "incidence_azimuth": geometry.incidence_azimuth,
+        "eccentricity": c,
+    }
+    return Eye(**{n: jnp.broadcast_to(jnp.asarray(v, float), c.shape) for n, v in shared.items()})
+
+
+def worths(eye: Eye, *, d: np.ndarray, shift: Shift) -> np.ndarray:
+    """Error of every model with every set of causes, mm: n x models x 1,024."""
+    columns = [np.asarray(column, float) for column in (*eye, d, *shift)]
+    # In parts of one size, so that one compilation serves every trial.
+    filled = np.pad(np.stack(columns), ((0, 0), (0, -len(d) % _AT_A_TIME)), mode="edge")
+    parts = np.split(filled, filled.shape[1] // _AT_A_TIME, axis=1)
+    return np.concatenate([np.asarray(_worths(jnp.asarray(part))) for part in parts])[: len(d)]
+
+
+@jax.jit
+def _worths(columns: Float[Array, "columns n"]) -> Float[Array, "n models sets"]:
+    sets = jnp.asarray(coalitions(len(CAUSES)))
+
+    def of(spot: Float[Array, "columns"]) -> Float[Array, "models sets"]:
+        *eye, d, edge, pixels, spread = spot
+        shift = jnp.stack([edge, pixels, spread])
+        return jax.vmap(lambda causes: _model_errors(Eye(*eye), d, shift, causes), out_axes=1)(sets)
+
+    return jax.vmap(of, in_axes=1)(columns)
+
+
+def _model_errors(
+    eye: Eye,
+    d: Float[Array, ""],
+    shift: Float[Array, "3"],
+    causes: Float[Array, "10"],
+) -> Float[Array, "models"]:
+    """Every model's error with one set of causes, mm."""
+    links = Links(*causes[: len(LINKS)])
+    *shifted, r_on, c_on = causes[len(LINKS) :]
+    seen = semi_minor(eye, d, links) + jnp.stack(shifted) @ shift
+    # The working distance is the microscope's, so it does not change with the wrong r.
+    believed = eye._replace(
+        radius=eye.radius + r_on * WRONG_R_MM, eccentricity=eye.eccentricity + c_on * WRONG_C_MM
+    )
+    found = distances(believed, seen, links)
+    return jnp.stack([found[model] for model in optics.MODELS]) - d

@@ -1,0 +1,755 @@
+"""`eyespot study eye`: distances through cornea, crystalline lens and viewing lens.
+
+DIR/eye_errors.csv  median and 95 % error of every recipe, by path and c
+    limits.csv      up to which c each recipe keeps 95 % of the eyes within 0.1 and 0.5 mm
+    eyes.csv        fitted pinhole and field of every eye behind every path
+    causes.csv      Shapley's share of each part of the eye
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Array, Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import optics
+from benchmarks.model_error import ECCENTRICITY
+from benchmarks.paper import coalitions, shapley_values
+from benchmarks.reporting import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    Claim,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    grouped,
+    number,
+    rows_of,
+    small_multiples,
+)
+from benchmarks.studies.eye_paths import (
+    NOMINAL_RADIUS_MM,
+    PARTS,
+    PATHS,
+    SCALE_MM_PX,
+    WITHDRAWALS_C_MM,
+    Drawn,
+    Pinhole,
+    Recipe,
+    Seen,
+    Spots,
+    cameras,
+    distance_by_area,
+    distance_by_closed_form,
+    distance_by_local_magnification,
+    distance_through_path,
+    drawn,
+    fitted_pinhole,
+    grid,
+    in_batches,
+    local_factor,
+    spots_through,
+    withdrawals,
+)
+from benchmarks.study import OutputFolder, Quick, Seed, Study
+from optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
+
+# Errors of every recipe in many eyes behind one viewing path.
+
+_OPEN_MM = 50.0  # radius of a pupil that hides nothing
+_EYES_AT_ONCE = 8  # few enough that their spots stay in the cache
+
+
+class PathErrors(NamedTuple):
+    """Errors behind one path; NaN where the optics show no whole contour.
+
+    Attributes:
+        errors: of each recipe, eyes x c x d x tilts, mm; as if the iris hid nothing.
+        kappas: fitted in each eye, 1/mm; the first is the schematic eye's.
+        paraxial_kappa: of the schematic eye's path, 1/mm.
+    """
+
+    errors: dict[Recipe, np.ndarray]
+    kappas: np.ndarray
+    paraxial_kappa: float
+
+
+def path_errors(
+    path: str,
+    eyes: Sequence[Eye],
+    spots: Spots,
+    *,
+    seed: int | None,
+    recipes: Sequence[Recipe] = tuple(Recipe),
+) -> PathErrors:
+    """Look at spots in every eye, calibrate each, and compute distances by every recipe.
+
+    Args:
+        path: name of the viewing path.
+        eyes: groups of eyes, each with a leading axis; all groups are joined. The first eye is the
+            schematic one, which stands for all others where no calibration is made; it is
+            calibrated without noise.
+        spots: c x d x tilts.
+        seed: of the noise of the calibrations; None for none.
+    """
+    axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
+    every = _path_cameras(path, eyes, pupil_radius=_OPEN_MM)
+    batches = every, axes, _noise(seed, len(axes))
+    seen, fitted = in_batches(lambda eyes: _calibrated(eyes, spots), batches, size=_EYES_AT_ONCE)
+    schematic = jax.tree.map(lambda leaf: leaf[0], fitted)
+    known = jax.tree.map(lambda leaf: leaf[0], every)
+    shape, minor = seen.visible.shape, seen.semi_axes[..., 0]
+    in_a_row = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(shape) :]), seen)
+    own = jax.tree.map(lambda leaf: leaf[:, None, None, None], fitted)
+    paraxial = float(known.inverse_working_distance)
+    uncalibrated = Pinhole(*map(jnp.asarray, (SCALE_MM_PX, 0.0, NOMINAL_RADIUS_MM)))
+
+    def closed_form(model: str, pinhole: Pinhole) -> np.ndarray:
+        return distance_by_closed_form(
+            model, minor, spots, pinhole=jax.tree.map(np.asarray, pinhole)
+        )
+
+    def by_area(pinhole: Pinhole) -> np.ndarray:
+        each = jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape).ravel(), pinhole)
+        return distance_by_area(in_a_row, each)
+
+    def by_magnification() -> np.ndarray:
+        factor = local_factor(known, np.asarray(spots.eccentricity).ravel())
+        return distance_by_local_magnification(minor, factor.reshape(spots.distance.shape))
+
+    ways: dict[Recipe, Callable[[], np.ndarray]] = {
+        Recipe.PLANAR: lambda: closed_form("planar", uncalibrated),
+        Recipe.SMALL_PLANE: lambda: closed_form("small_plane", uncalibrated),
+        Recipe.STEREOGRAPHIC: lambda: closed_form("stereographic", uncalibrated),
+        Recipe.PARAXIAL: lambda: closed_form(
+            "corrected", uncalibrated._replace(kappa=jnp.asarray(paraxial))
+        ),
+        Recipe.LOCAL: by_magnification,
+        Recipe.FITTED: lambda: closed_form("corrected", own),
+        Recipe.EXACT_SCHEMATIC: lambda: distance_through_path(in_a_row, known, axes[0]),
+        Recipe.AREA_SCHEMATIC: lambda: by_area(schematic),
+        Recipe.AREA: lambda: by_area(own),
+    }
+    truth = np.asarray(spots.distance)
+
+    def error(recipe: Recipe) -> np.ndarray:
+        read = ways[recipe]().reshape(shape)
+        return np.where(seen.visible, read - truth, np.nan)
+
+    return PathErrors(
+        errors={recipe: error(recipe) for recipe in recipes},
+        kappas=fitted.kappa,
+        paraxial_kappa=paraxial,
+    )
+
+
+def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
+    """Largest c that each eye's dilated pupil shows, mm; arguments as for `path_errors`."""
+    axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
+    every = _path_cameras(path, eyes, pupil_radius=DILATED_MM)
+    return in_batches(_fields, (every, axes), size=_EYES_AT_ONCE)
+
+
+@eqx.filter_jit
+def _calibrated(
+    eyes: tuple[PathCamera, Float[Array, "n 3"], Float[Array, "n trials frames 5"]], spots: Spots
+) -> tuple[Seen, Pinhole]:
+    """Images of the spots in every eye, n x c x d x tilts, and the pinhole fitted there."""
+    flat, calibration = jax.tree.map(jnp.ravel, spots), withdrawals()
+    count, shape = len(flat.distance), calibration.distance.shape
+    # All spots in one batch: XLA compiles the formula once.
+    together = jax.tree.map(lambda a, b: jnp.concatenate([a, jnp.ravel(b)]), flat, calibration)
+
+    def in_one(camera: PathCamera, semi_axes: Array, noise: Array) -> tuple[Seen, Pinhole]:
+        images = spots_through(camera, semi_axes, together)
+        last = jax.tree.map(lambda leaf: leaf[count:].reshape(shape + leaf.shape[1:]), images)
+        first = jax.tree.map(
+            lambda leaf: leaf[:count].reshape(spots.distance.shape + leaf.shape[1:]), images
+        )
+        return first, fitted_pinhole(last, noise)
+
+    return jax.vmap(in_one)(*eyes)
+
+
+def _path_cameras(path: str, eyes: Sequence[Eye], *, pupil_radius: float) -> PathCamera:
+    def of_batch(eyes: Eye) -> PathCamera:
+        return cameras(path, eyes, jnp.asarray(pupil_radius))
+
+    groups = [in_batches(of_batch, group, size=_EYES_AT_ONCE) for group in eyes]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *groups)
+
+
+@eqx.filter_jit
+def _fields(eyes: tuple[PathCamera, Float[Array, "n 3"]]) -> Float[Array, "n"]:
+    return jax.vmap(lambda camera, axes: camera.field(optics.Ellipsoid(axes)))(*eyes)
+
+
+def _noise(seed: int | None, count: int) -> Float[np.ndarray, "n trials frames 5"]:
+    """Noise of each eye's withdrawals; 0 without a seed, and for the schematic eye."""
+    shape = (*withdrawals().distance.shape, 5)
+    if seed is None:
+        return np.zeros((count, *shape))
+    drawn = [np.random.default_rng([seed, eye]).standard_normal(shape) for eye in range(count)]
+    return np.stack([np.zeros(shape), *drawn[1:]])
+
+
+def together(*groups: Eye) -> Eye:
+    """Groups of eyes of one structure as one group."""
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *groups)
+
+
+LIMITS_MM = (0.1, 0.5)
+REFRACTIONS_D = (-10.0, -6.0, -3.0, 0.0, 4.0)
+"""Of the schematic eyes that depend on it (Atchison 2006)."""
+
+QUANTILE = 0.95
+"""Share of the eyes that a recipe must serve."""
+_NM = 555.0
+_ECCENTRICITIES_MM = np.arange(0.0, 8.1, 1.0)
+_DISTANCES_MM = np.array([0.5, 2.0, 4.0, 6.0])
+_TILTS_DEG = ((0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0))
+_QUICK_DISTANCES_MM = np.array([1.0, 3.0, 5.0])
+_EYES, _QUICK_EYES = 1000, 47
+_CAUSES_EYES, _QUICK_CAUSES_EYES = 95, 31
+_CAUSES_PATH = "flat, phakic"
+_NOISE = "noise of the calibration"
+_PINHOLE = "a pinhole for the mean eye"
+_SCHEMATIC = "the mean eye is not Navarro's"
+_SHOWN_MM = (2.0, 3.0, 4.0)
+
+
+def _stacked(eyes: list[Eye]) -> Eye:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *eyes)
+
+
+def _causes(
+    path: str, eyes_drawn: Drawn, schematic: Eye, spots: Spots, *, seed: int
+) -> pd.DataFrame:
+    """Shares of the parts of the eye, and of the noise, in the 95 % error of the area recipes.
+
+    In a coalition of parts the eyes differ in these parts only; the other parts are the mean of the
+    population. What remains with no part is the error in the mean eye.
+
+    Args:
+        path: name of the viewing path.
+        schematic: the eye that stands for all where no calibration is made, with a leading axis.
+        spots: c x d x tilts; as for the errors in all eyes, so that nothing is compiled again.
+    """
+    players = (*PARTS, _NOISE)
+    recipes = (Recipe.AREA_SCHEMATIC, Recipe.AREA)
+    shown = np.isin(np.asarray(spots.eccentricity)[:, 0, 0], _SHOWN_MM)
+    worth = np.zeros((len(recipes), len(_SHOWN_MM), 2 ** len(players)))
+    for row, members in enumerate(coalitions(len(players))):
+        parts = [part for part, inside in zip(PARTS, members, strict=False) if inside]
+        eyes = together(schematic, eyes_drawn.eyes(parts))
+        noise = seed if members[-1] else None
+        found = path_errors(path, [eyes], spots, seed=noise, recipes=recipes)
+        for k, recipe in enumerate(recipes):
+            largest = np.abs(found.errors[recipe][1:]).max(axis=(2, 3))
+            worth[k, :, row] = np.quantile(largest[:, shown], QUANTILE, axis=0)
+    shares = shapley_values(worth)
+    rows = [
+        (recipe, float(c), cause, float(value))
+        for k, recipe in enumerate(recipes)
+        for j, c in enumerate(_SHOWN_MM)
+        for cause, value in (
+            (_SCHEMATIC if recipe is Recipe.AREA_SCHEMATIC else _PINHOLE, worth[k, j, 0]),
+            *zip(players, shares[k, j], strict=True),
+        )
+    ]
+    return pd.DataFrame(rows, columns=["recipe", "c_mm", "cause", "share_mm"])
+
+
+# What the page shows.
+
+
+@dataclass(frozen=True, kw_only=True)
+class EyeFindings:
+    """All results of a run.
+
+    Attributes:
+        eccentricities: c, mm.
+        names: of the eyes: Navarro's, the random ones, other schematic ones.
+        fields: largest c that each eye's dilated pupil shows, by path, mm.
+        causes: shares of the parts of the eye in one path.
+    """
+
+    eccentricities: np.ndarray
+    names: list[str]
+    population: int
+    paths: dict[str, PathErrors]
+    fields: dict[str, np.ndarray]
+    causes: pd.DataFrame
+    causes_path: str
+
+    @property
+    def random(self) -> slice:
+        """The random eyes among all."""
+        return slice(1, 1 + self.population)
+
+    def largest(self, path: str, recipe: Recipe, *, square: bool) -> np.ndarray:
+        """Largest |error| of each random eye at each c, over distances (and tilts), mm."""
+        errors = np.abs(self.paths[path].errors[recipe][self.random])
+        errors = errors[..., :1] if square else errors
+        # A spot that is not whole at any distance or tilt counts as not seen.
+        return errors.max(axis=(2, 3))
+
+    @cached_property
+    def summaries(self) -> pd.DataFrame:
+        """Content of eye_errors.csv: median and 95 % of the largest |error| over the random eyes.
+
+        `tilt` is "square" for perpendicular beams only, "any" with tilts of 30 degrees, too; only
+        eyes in which the spots are whole count.
+        """
+        rows = []
+        for path, recipe, square in product(self.paths, Recipe, (True, False)):
+            largest = self.largest(path, recipe, square=square)
+            for c, values in zip(self.eccentricities.tolist(), largest.T, strict=True):
+                seen = values[np.isfinite(values)]
+                # A quantile of the few eyes that show the spot would not be the eyes'.
+                enough = len(seen) > QUANTILE * self.population
+                middle, high = np.quantile(seen, [0.5, QUANTILE]) if enough else (np.nan, np.nan)
+                tilt = "square" if square else "any"
+                rows.append((path, recipe, tilt, c, len(seen), middle, high))
+        columns = "path recipe tilt c_mm eyes median_mm p95_mm"
+        return pd.DataFrame(rows, columns=columns.split())
+
+    @cached_property
+    def limits(self) -> pd.DataFrame:
+        """Content of limits.csv: c up to which half or 95 % of the eyes stay within each limit.
+
+        Interpolated between the c of the grid.
+        """
+        keys = ["path", "recipe", "tilt"]
+        rows = [
+            (
+                *key,
+                *(
+                    crossing(self.eccentricities, own[curve].to_numpy(float), limit)
+                    for curve in ("median_mm", "p95_mm")
+                    for limit in LIMITS_MM
+                ),
+            )
+            for key, own in grouped(self.summaries, *keys)
+        ]
+        columns = [
+            f"{part}_{limit}_mm" for part in ("median", "within") for limit in ("0_1", "0_5")
+        ]
+        return pd.DataFrame(rows, columns=keys + columns)
+
+    @cached_property
+    def pinholes(self) -> pd.DataFrame:
+        """Pinholes and fields of each path, over the random eyes."""
+        rows = []
+        for path, found in self.paths.items():
+            kappas, fields = found.kappas[self.random], self.fields[path][self.random]
+            quantiles = np.quantile(fields, [0.05, 0.5, 0.95])
+            known = (path, found.paraxial_kappa, found.kappas[0])
+            rows.append((*known, kappas.mean(), kappas.std(), *quantiles))
+        columns = "path paraxial schematic mean deviation field_low field field_high"
+        return pd.DataFrame(rows, columns=columns.split())
+
+    @cached_property
+    def eyes(self) -> pd.DataFrame:
+        """Content of eyes.csv: what every eye shows behind every path.
+
+        The errors are the largest at c = 3 mm over distances and tilts, with the ellipse's area.
+        """
+        place = int(np.flatnonzero(self.eccentricities == 3.0)[0])
+        tables = []
+        for path, found in self.paths.items():
+            own, schematic = (
+                np.abs(found.errors[recipe][:, place]).max(axis=(1, 2))
+                for recipe in (Recipe.AREA, Recipe.AREA_SCHEMATIC)
+            )
+            columns = {"path": path, "eye": self.names, "kappa_per_mm": found.kappas}
+            columns |= {"field_mm": self.fields[path], "fitted_error_mm": own}
+            tables.append(pd.DataFrame(columns | {"schematic_error_mm": schematic}))
+        return pd.concat(tables, ignore_index=True)
+
+    @property
+    def schematic_eyes(self) -> pd.DataFrame:
+        """The schematic eyes behind every path."""
+        return self.eyes[~self.eyes.eye.str.startswith("random")]
+
+
+def crossing(c: np.ndarray, error: np.ndarray, limit: float) -> float:
+    """Last c before the error first exceeds a limit; NaN if it does at once."""
+    beyond = ~(error <= limit)
+    if not beyond.any():
+        return float(c[-1])
+    first = int(np.argmax(beyond))
+    if first == 0:
+        return float("nan")
+    if np.isnan(error[first]):
+        return float(c[first - 1])
+    share = (limit - error[first - 1]) / (error[first] - error[first - 1])
+    return float(c[first - 1] + share * (c[first] - c[first - 1]))
+
+
+# Figures.
+
+_STYLES = {
+    Recipe.PLANAR: (VERMILION, ":"),
+    Recipe.SMALL_PLANE: (VERMILION, "-"),
+    Recipe.STEREOGRAPHIC: (VERMILION, "--"),
+    Recipe.PARAXIAL: (ORANGE, "-"),
+    Recipe.LOCAL: (PURPLE, "-"),
+    Recipe.FITTED: (SKY, "-"),
+    Recipe.EXACT_SCHEMATIC: (GREEN, "--"),
+    Recipe.AREA_SCHEMATIC: (GREEN, "-"),
+    Recipe.AREA: (BLUE, "-"),
+}
+"""Colour and line; recipes that know the same have one colour."""
+_SMALLEST_MM, _LARGEST_MM = 0.002, 8.0
+
+
+def error_figure(findings: EyeFindings, paths: Sequence[str]) -> Figure:
+    """95 % of the eyes' largest errors against c: a row for each path, a column for the tilts."""
+    curves = findings.summaries.set_index(["path", "recipe", "tilt"]).p95_mm
+
+    def draw(axes: Axes, path: str, tilt: str) -> None:
+        low, middle, high = np.quantile(findings.fields[path][findings.random], [0.05, 0.5, 0.95])
+        axes.axvspan(low, high, color="#EEEEEE", zorder=0)
+        axes.axvline(middle, color=GREY, lw=0.8, label="largest c that a 7 mm pupil shows")
+        for limit in LIMITS_MM:
+            axes.axhline(limit, color=BLACK, lw=0.8, ls="--")
+        for recipe, (colour, line) in _STYLES.items():
+            style: dict[str, Any] = {
+                "ls": line,
+                "marker": "o",
+                "ms": 3,
+                "color": colour,
+                "label": recipe,
+            }
+            axes.plot(findings.eccentricities, curves.loc[path, recipe, tilt], **style)
+        axes.set_yscale("log")
+        axes.set_xlim(-0.2, findings.eccentricities[-1] + 0.2)
+        axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
+
+    return small_multiples(
+        draw,
+        rows=paths,
+        columns=["square", "any"],
+        title=lambda path, tilt: f"{path}; {'square' if tilt == 'square' else 'tilted up to 30°'}",
+        x=ECCENTRICITY,
+        y="95 % of eyes, |error| (mm)",
+        height=2.5,
+        sharex=True,
+        sharey=True,
+    )
+
+
+def kappa_figure(findings: EyeFindings) -> Figure:
+    """The fitted pinhole of every random eye against its field, by path."""
+    colours = dict(zip(findings.paths, (BLUE, SKY, GREEN, ORANGE, PURPLE), strict=False))
+
+    def draw(axes: Axes, _: str, __: str) -> None:
+        for path, colour in colours.items():
+            found = findings.paths[path]
+            kappas = found.kappas[findings.random]
+            axes.hist(kappas, bins=40, histtype="step", density=True, color=colour, label=path)
+            axes.axvline(found.paraxial_kappa, color=colour, lw=0.8, ls=":")
+
+    return small_multiples(
+        draw, rows=[""], columns=[""], x="fitted κ (1/mm)", y="density (mm)", height=3.0
+    )
+
+
+# The page.
+
+
+def report(findings: EyeFindings) -> Report:
+    """The report of a run."""
+    return Report(
+        title="How wrong is the distance when the microscope looks through the eye's own optics?",
+        answer=_answer(findings),
+        lead=f"Exact spots of a cone (k 20, b −5.117 mm) in {findings.population} random eyes of a "
+        "healthy adult population (Rozema et al. 2016) and in schematic eyes, seen by a microscope "
+        "through a viewing lens, the cornea and the crystalline or an artificial lens. Each recipe "
+        "says what has to be known of the eye. Errors are the largest over the distances and, "
+        "where tilted, over tilts of 30° in three directions; the beam's direction is known.",
+        first=[
+            Picture(
+                "error",
+                error_figure(findings, [*findings.paths][:1] + [*findings.paths][3:4]),
+                "Fitting one pinhole in the eye and using the spot's area keeps the error small. "
+                "Largest error of 95 % of the eyes. Left: perpendicular beams; right: tilted, "
+                "too. Grey: the largest c that a pupil of 7 mm shows (5 to 95 % of the eyes); "
+                "spots beyond it are computed as if the iris were open. Dashed: 0.1 and "
+                "0.5 mm. A line ends where fewer than 95 % of the eyes show a whole spot.",
+                data="eye_errors.csv",
+            ),
+            Table.of(
+                _first_path(findings)[::-1],
+                {
+                    "recipe": Column("recipe"),
+                    "within_0_1_mm": Column("c for 0.1 mm", 1),
+                    "within_0_5_mm": Column("c for 0.5 mm", 1),
+                },
+                f"c in mm up to which 95 % of the eyes stay within 0.1 and 0.5 mm, through "
+                f"{next(iter(findings.paths))}, tilted beams included.",
+                data="limits.csv",
+            ),
+        ],
+        claims=list(_claims(findings)),
+        sections=[
+            Section(
+                "Error against eccentricity",
+                Picture(
+                    "error_others",
+                    error_figure(findings, [*findings.paths][1:3] + [*findings.paths][4:]),
+                    "The same through the other lenses and eyes.",
+                    data="eye_errors.csv",
+                ),
+                Table.of(
+                    findings.limits,
+                    {
+                        "path": Column("path"),
+                        "recipe": Column("recipe"),
+                        "tilt": Column("tilt"),
+                        "median_0_1_mm": Column("half of the eyes, 0.1 mm", 1),
+                        "median_0_5_mm": Column("half, 0.5 mm", 1),
+                        "within_0_1_mm": Column("95 %, 0.1 mm", 1),
+                        "within_0_5_mm": Column("95 %, 0.5 mm", 1),
+                    },
+                    "c in mm up to which half and 95 % of the eyes stay within 0.1 and 0.5 mm: "
+                    "perpendicular beams (square), and tilted ones, too (any). Empty if the limit "
+                    "is exceeded at c = 0. No c is counted at which fewer than 95 % of the eyes "
+                    "show the whole spot: an artificial lens ends within the pupil.",
+                    data="limits.csv",
+                ),
+                _RECIPES,
+            ),
+            Section(
+                "The pinhole that stands for an eye",
+                Picture(
+                    "kappa",
+                    kappa_figure(findings),
+                    "Reciprocal working distance κ = 1/(z_F + r) fitted in each random eye. "
+                    "Dotted: that of the paraxial pinhole of Navarro's eye. Negative: the pinhole "
+                    "lies behind the retina.",
+                    data="eyes.csv",
+                ),
+                Table.of(
+                    findings.pinholes,
+                    {
+                        "path": Column("path"),
+                        "paraxial": Column("paraxial κ, 1/mm", 3, sign=True),
+                        "schematic": Column("κ, Navarro", 3, sign=True),
+                        "mean": Column("κ, mean", 3, sign=True),
+                        "deviation": Column("σ of κ", 3),
+                        "field_low": Column("field, 5 %", 1),
+                        "field": Column("50 %", 1),
+                        "field_high": Column("95 %, mm", 1),
+                    },
+                    "Pinholes, and the largest c that a dilated pupil of 7 mm shows.",
+                    data="eyes.csv",
+                ),
+                Table.of(
+                    findings.schematic_eyes,
+                    {
+                        "path": Column("path"),
+                        "eye": Column("eye"),
+                        "kappa_per_mm": Column("κ, 1/mm", 3, sign=True),
+                        "field_mm": Column("field, mm", 2),
+                        "fitted_error_mm": Column("own pinhole, mm"),
+                        "schematic_error_mm": Column("Navarro's, mm"),
+                    },
+                    "Schematic eyes: fitted κ, field, and largest |error| at c = 3 mm by the area "
+                    "with the eye's own and with Navarro's pinhole. The random eyes have Navarro's "
+                    "kind of lens, of one index; the lenses of the others have a gradient.",
+                    data="eyes.csv",
+                ),
+            ),
+            Section(
+                "Why",
+                Table.of(
+                    findings.causes,
+                    {
+                        "recipe": Column("recipe"),
+                        "c_mm": Column("c, mm", 1),
+                        "cause": Column("cause"),
+                        "share_mm": Column("share of the 95 % error, mm", sign=True),
+                    },
+                    f"Shapley's shares in the error of 95 % of the eyes, {findings.causes_path}, "
+                    "tilted beams included. The first row of each block is the error in the mean "
+                    "eye without noise, which the shares add to.",
+                    data="causes.csv",
+                ),
+            ),
+        ],
+        data={
+            "eye_errors.csv": findings.summaries,
+            "limits.csv": findings.limits,
+            "eyes.csv": findings.eyes,
+            "causes.csv": findings.causes,
+        },
+    )
+
+
+_RECIPES = (
+    f"“{Recipe.SMALL_PLANE}” is the paper's; like “{Recipe.PLANAR}” and “{Recipe.STEREOGRAPHIC}” "
+    f"it knows nothing of the eye but a sphere of {NOMINAL_RADIUS_MM:g} mm. "
+    f"“{Recipe.PARAXIAL}” and “{Recipe.LOCAL}” take the "
+    "pinhole or the magnification from Navarro's eye behind the same viewing lens. "
+    f"“{Recipe.FITTED}” and “{Recipe.AREA}” fit δ, κ and the radius of a sphere in the eye itself, "
+    f"from three withdrawals at c = {', '.join(f'{c:g}' for c in WITHDRAWALS_C_MM)} mm with nine "
+    "frames each, like `eyespot fit --model eye`: the robot's axis known, 25° from the retina's "
+    "normal and sideways; 0.1 px of noise on the centre and each semi-axis and 0.05 mm on each "
+    "touch. "
+    f"“{Recipe.EXACT_SCHEMATIC}” traces the spot through Navarro's eye onto its retina. "
+    f"“{Recipe.AREA_SCHEMATIC}” uses the pinhole and the sphere that this fit finds in Navarro's "
+    "eye. The recipes with “area” or “exact” look for the exact spot that has the ellipse's centre "
+    "and area. The others use the semi-minor axis, know c and assume a perpendicular beam."
+)
+
+
+def _claims(findings: EyeFindings) -> Iterator[Claim]:
+    limits = findings.limits
+    for path, field in zip(findings.pinholes.path, findings.pinholes.field, strict=True):
+        tilted = limits[(limits.path == path) & (limits.tilt == "any")].set_index("recipe")
+        within = tilted.within_0_1_mm.fillna(0.0)  # exceeded at c = 0: it is kept up to 0
+        yield Claim(
+            name=f"within {LIMITS_MM[0]:g} mm, {path}",
+            sentence="Through {path}, 95 % of the eyes stay within {limit:g} mm up to c = "
+            "{value:.1f} mm with a pinhole fitted in the eye and the ellipse's area, up to "
+            "{schematic:.1f} mm with the pinhole of Navarro's eye, and up to {small:.1f} mm with "
+            "small_plane. A pupil of 7 mm shows c = {field:.1f} mm (median).",
+            value=within[Recipe.AREA],
+            numbers={
+                "path": path,
+                "limit": LIMITS_MM[0],
+                "schematic": within[Recipe.AREA_SCHEMATIC],
+                "small": within[Recipe.SMALL_PLANE],
+                "field": field,
+            },
+        )
+    eyes = findings.schematic_eyes
+    for path, gradient in grouped(eyes[eyes.eye != "navarro"], "path"):
+        yield _gradient_lenses(path, gradient)
+    yield _small_plane(findings)
+    yield _largest_cause(findings)
+
+
+def _gradient_lenses(path: str, eyes: pd.DataFrame) -> Claim:
+    return Claim(
+        name=f"other schematic eyes, {path}",
+        sentence="Through {path}, at c = 3 mm, the schematic eyes with a gradient lens (Liou and "
+        "Brennan, Atchison from {low:g} to {high:g} D) are off by up to {value:.3f} mm with their "
+        "own pinhole and the area, and by up to {navarro:.2f} mm with Navarro's pinhole.",
+        value=eyes.fitted_error_mm.max(),
+        numbers={
+            "path": path,
+            "low": min(REFRACTIONS_D),
+            "high": max(REFRACTIONS_D),
+            "navarro": eyes.schematic_error_mm.max(),
+        },
+    )
+
+
+def _first_path(findings: EyeFindings) -> pd.DataFrame:
+    limits = findings.limits
+    return limits[(limits.path == next(iter(findings.paths))) & (limits.tilt == "any")]
+
+
+def _answer(findings: EyeFindings) -> str:
+    path = next(iter(findings.paths))
+    reached = _first_path(findings).set_index("recipe").within_0_5_mm
+    return (
+        f"Through {path}, 95 % of the eyes stay within 0.5 mm up to c = "
+        f"{number(reached[Recipe.AREA], 1)} mm with a pinhole fitted in the eye and the ellipse's "
+        f"area, and up to c = {number(reached[Recipe.SMALL_PLANE], 1)} mm with the paper's model."
+    )
+
+
+def _small_plane(findings: EyeFindings) -> Claim:
+    c = 3.0
+    place = int(np.flatnonzero(findings.eccentricities == c)[0])
+    medians = {
+        path: np.nanmedian(found.errors[Recipe.SMALL_PLANE][findings.random, place, :, 0], axis=0)
+        for path, found in findings.paths.items()
+    }
+    worst = {path: float(m[np.argmax(np.abs(m))]) for path, m in medians.items()}
+    return Claim(
+        name="small_plane at c = 3",
+        sentence="At c = {c:g} mm and a perpendicular beam small_plane errs by {listed} (median of "
+        "the eyes at the worst distance).",
+        value=tuple(worst.values()),
+        numbers={"c": c, "listed": "; ".join(f"{e:+.2f} mm, {p}" for p, e in worst.items())},
+    )
+
+
+def _largest_cause(findings: EyeFindings) -> Claim:
+    of = findings.causes
+    rows = rows_of(of[(of.recipe == Recipe.AREA) & (of.c_mm == 3.0)])
+    largest = max(rows, key=lambda row: row.share_mm)
+    return Claim(
+        name="largest remaining cause",
+        sentence="With the fitted pinhole and the area the largest share of what remains at "
+        "c = {row.c_mm:g} mm is {value:.3f} mm: {row.cause} ({path}).",
+        value=largest.share_mm,
+        numbers={"row": largest, "path": findings.causes_path},
+    )
+
+
+# The command.
+
+
+def eye(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> EyeFindings:
+    """Look through contact and wide-field lenses into many eyes: the error of each model.
+
+    Exact contours only; nothing is rendered. To repeat a run, start it again with a new folder.
+    """
+    study = Study("eye", out=out, quick=quick, seed=seed)
+    random = drawn(_QUICK_EYES if quick else _EYES, study.seed)
+    distances = _QUICK_DISTANCES_MM if quick else _DISTANCES_MM
+    spots = grid(_ECCENTRICITIES_MM, distances, _TILTS_DEG)
+    navarro = _stacked([load_eye("navarro", wavelength_nm=_NM)])
+    # Eyes of one structure are one group, which is compiled once.
+    groups, gradient = [together(navarro, random.eyes())], []
+    if not quick:
+        gradient = [load_eye("liou-brennan", wavelength_nm=_NM)]
+        gradient += [load_eye("atchison", wavelength_nm=_NM, refraction_d=d) for d in REFRACTIONS_D]
+        groups.append(_stacked(gradient))
+    with study.timed("errors in all eyes"):
+        paths = {path: path_errors(path, groups, spots, seed=study.seed) for path in PATHS}
+    with study.timed("fields"):
+        seen = {path: fields(path, groups) for path in PATHS}
+    count = len(random.values)
+    some = random._replace(values=random.values[: _QUICK_CAUSES_EYES if quick else _CAUSES_EYES])
+    with study.timed("causes"):
+        shares = _causes(_CAUSES_PATH, some, navarro, spots, seed=study.seed)
+    names = ["navarro", *(f"random {k}" for k in range(count))]
+    if gradient:
+        names += ["liou-brennan", *(f"atchison {d:+g} D" for d in REFRACTIONS_D)]
+    findings = EyeFindings(
+        eccentricities=_ECCENTRICITIES_MM,
+        names=names,
+        population=count,
+        paths=paths,
+        fields=seen,
+        causes=shares,
+        causes_path=_CAUSES_PATH,
+    )
+    study.publish(report, findings)
+    return findings

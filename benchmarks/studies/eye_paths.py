@@ -1,0 +1,512 @@
+"""Images of spots on the retinas of many eyes, through viewing paths and through pinholes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from concurrent.futures import ThreadPoolExecutor
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
+
+import optics
+from calibration.solvers import gauss_newton_in_blocks
+from calibration.spots import NUISANCES, RETINA, SIZE_PER_MM, Group, misfit, whitening_of
+from optics import read_toml
+from optics.viewing import (
+    Conic,
+    Eye,
+    Medium,
+    PathCamera,
+    Refracting,
+    ViewingLens,
+    load_viewing_lens,
+    local_magnification,
+    path_camera,
+    viewing_path,
+)
+
+SCALE_MM_PX = 0.0067
+NOMINAL_RADIUS_MM = 12.0
+"""Radius of the sphere that models assume where no eye is calibrated."""
+
+CONE = {"half_angle": float(np.arctan(1 / 20.0)), "apex_offset": -5.117}
+PINHOLE_ABOVE_MM = 200.0
+_POINTS = 48  # of a contour: its ellipse is within 1e-6 px of 128 points
+PATHS: dict[str, tuple[str, str]] = {
+    "flat, phakic": ("flat", "phakic"),
+    "flat, pseudophakic": ("flat", "pseudophakic"),
+    "flat, aphakic": ("flat", "aphakic"),
+    "wide-field 90 D, phakic": ("wide-field-90", "phakic"),
+    "wide-field 130 D, phakic": ("wide-field-130", "phakic"),
+}
+"""Viewing lens and form of each path."""
+
+
+class Spots(NamedTuple):
+    """Spots on a retina; mm and rad, arrays of one shape.
+
+    Attributes:
+        eccentricity: c, mm.
+        distance: d, mm.
+        incidence: angle against the local normal, rad.
+        incidence_azimuth: of the tilt, rad; as in `optics.beam_at_spot`.
+    """
+
+    eccentricity: Float[Array, "*batch"]
+    distance: Float[Array, "*batch"]
+    incidence: Float[Array, "*batch"]
+    incidence_azimuth: Float[Array, "*batch"]
+
+
+class Seen(NamedTuple):
+    """The images of spots.
+
+    Attributes:
+        centre: of the ellipses, px.
+        semi_axes: semi-minor and semi-major, px.
+        angle: of the semi-major axis, rad.
+        axis: unit vectors of the beams.
+        visible: whether the whole contour is inside the pupil and the field.
+    """
+
+    centre: Float[Array, "*batch 2"]
+    semi_axes: Float[Array, "*batch 2"]
+    angle: Float[Array, "*batch"]
+    axis: Float[Array, "*batch 3"]
+    visible: Bool[Array, "*batch"]
+
+
+class Pinhole(NamedTuple):
+    """A pinhole over a sphere, which stands for a path and its retina.
+
+    Attributes:
+        scale: delta, mm/px at the pole.
+        kappa: 1/(z_F + r), 1/mm; negative behind the retina.
+        radius: r of the sphere, mm.
+    """
+
+    scale: Float[Array, "*batch"]
+    kappa: Float[Array, "*batch"]
+    radius: Float[Array, "*batch"]
+
+    @property
+    def wall(self) -> optics.Sphere:
+        """The sphere."""
+        return optics.Sphere(self.radius)
+
+    @property
+    def microscope(self) -> optics.Microscope:
+        """The pinhole."""
+        return optics.Microscope(
+            scale=self.scale,
+            inverse_working_distance=self.kappa,
+            pole_height=-self.radius,
+            principal_point=jnp.zeros(2),
+            distortion=jnp.zeros(5),
+        )
+
+
+def grid(
+    eccentricities: np.ndarray, distances: np.ndarray, tilts_deg: tuple[tuple[float, float], ...]
+) -> Spots:
+    """All combinations; tilts are pairs of incidence and its azimuth, degrees. n x m x k each."""
+    c, d, tilt = np.meshgrid(eccentricities, distances, np.arange(len(tilts_deg)), indexing="ij")
+    incidence, azimuth = np.radians(np.asarray(tilts_deg, float)).T
+    return Spots(*map(jnp.asarray, (c, d, incidence[tilt], azimuth[tilt])))
+
+
+def cameras(path: str, eyes: Eye, pupil_radius: Float[Array, ""]) -> PathCamera:
+    """The cameras of one path into many eyes, with a leading axis."""
+    lens, form = PATHS[path]
+    return _cameras(load_viewing_lens(lens), form, eyes, pupil_radius)
+
+
+@eqx.filter_jit
+def _cameras(
+    viewing_lens: ViewingLens, form: str, eyes: Eye, pupil_radius: Float[Array, ""]
+) -> PathCamera:
+    # Lenses of one structure differ in numbers only, and are compiled once.
+    def camera(eye: Eye) -> PathCamera:
+        found = viewing_path(
+            eye,
+            viewing_lens,
+            form=form,
+            pupil_radius=pupil_radius,
+            pinhole_distance=PINHOLE_ABOVE_MM + viewing_lens.above_cornea,
+        )
+        # A robot's axes belong to an upright image, so a wide-field lens needs its inverter.
+        return path_camera(found, scale=SCALE_MM_PX, upright=True)
+
+    return jax.vmap(camera)(eyes)
+
+
+@eqx.filter_jit
+def spots_through(camera: PathCamera, semi_axes: Float[Array, "3"], spots: Spots) -> Seen:
+    """Spots in a row, on one eye's own retina, seen through its path."""
+    retina = optics.Ellipsoid(semi_axes)
+
+    def one(spot: Spots) -> Seen:
+        return image(camera, retina, spot, sees=camera.sees)
+
+    return jax.vmap(one)(spots)
+
+
+def image(
+    camera: optics.Camera,
+    wall: optics.Surface,
+    spot: Spots,
+    *,
+    sees: Callable[[Float[Array, "n 3"]], Bool[Array, "n"]] = lambda _: jnp.ones((), bool),
+) -> Seen:
+    """One spot on a wall.
+
+    Args:
+        camera: by which it is seen.
+        wall: on which it lies.
+        sees: which points of the wall are not hidden.
+    """
+    beam = optics.beam_at_spot(
+        wall,
+        eccentricity=spot.eccentricity,
+        distance=spot.distance,
+        incidence=spot.incidence,
+        incidence_azimuth=spot.incidence_azimuth,
+        **CONE,
+    )
+    contour = optics.cone_contour(beam, wall, points=_POINTS).point
+    ellipse = optics.ellipse_of_contour(camera.project(contour))
+    axes = jnp.stack([ellipse.semi_minor, ellipse.semi_major])
+    return Seen(ellipse.centre, axes, ellipse.angle, beam.axis, jnp.all(sees(contour)))
+
+
+def in_batches(function: Callable[[Any], Any], items: PyTree, *, size: int) -> PyTree:
+    """Results of a function that treats arrays with a leading axis item by item.
+
+    All batches have one shape, whatever the number of items, so that it is compiled once. One batch
+    is too small for several cores, so each core takes a batch of its own.
+
+    Args:
+        items: arrays with a leading axis of one length.
+        size: items per batch; the last batch is filled up with its last item.
+    """
+    items = jax.tree.map(np.asarray, items)
+    count = len(jax.tree.leaves(items)[0])
+
+    def batch(first: int) -> Any:
+        rows = np.minimum(np.arange(first, first + size), count - 1)
+        return jax.tree.map(np.asarray, function(jax.tree.map(lambda leaf: leaf[rows], items)))
+
+    first, *rest = range(0, count, size)
+    with ThreadPoolExecutor() as pool:
+        # The first batch runs alone, so that only one thread compiles.
+        done = [batch(first), *pool.map(batch, rest)]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *done)
+
+
+# Eyes of a healthy adult population, drawn from published means and covariances.
+
+_FILE = Path(__file__).with_name("eye_population.toml")
+
+
+PARTS: dict[str, tuple[str, ...]] = {
+    "cornea": ("cornea_",),
+    "lens": ("lens_",),
+    "axial length": ("axial_",),
+    "shape of the retina": ("retina_",),
+}
+"""The parts in which eyes differ, by the prefix of their parameters."""
+
+
+def drawn(count: int, seed: int) -> Drawn:
+    """Random eyes (Rozema et al. 2016; `eye_population.toml` says how they were reduced)."""
+    content = read_toml(_FILE)
+    mean = np.array([*content["mean"].values()])
+    spread = np.array([*content["standard_deviation"].values()])
+    correlation = np.eye(len(mean))
+    for row, values in enumerate(content["correlation"]["rows"], start=1):
+        correlation[row, :row] = correlation[:row, row] = values
+    # Two radii are proportional, so rounding can make the smallest eigenvalue negative.
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    standard = np.random.default_rng(seed).standard_normal((count, len(mean)))
+    return Drawn([*content["mean"]], mean, mean + spread * (standard @ root.T), content)
+
+
+class Drawn(NamedTuple):
+    """The parameters of random eyes.
+
+    Attributes:
+        values: eyes x parameters.
+        constant: what is the same in all eyes.
+    """
+
+    names: list[str]
+    mean: np.ndarray
+    values: np.ndarray
+    constant: dict[str, float]
+
+    def eyes(self, parts: Collection[str] = tuple(PARTS)) -> Eye:
+        """The eyes, with a leading axis on every leaf; only the named parts are not the mean."""
+        own = [any(name.startswith(PARTS[part]) for part in parts) for name in self.names]
+        rows = jnp.asarray(np.where(own, self.values, self.mean))
+        return jax.vmap(lambda row: _eye(dict(zip(self.names, row, strict=True)), self.constant))(
+            rows
+        )
+
+
+def _eye(of: dict[str, Float[Array, ""]], constant: dict[str, float]) -> Eye:
+    cornea = Conic(
+        depth=0.0,
+        curvature=1.0 / of["cornea_front_radius"],
+        asphericity=of["cornea_front_asphericity"],
+    )
+    back = Conic(
+        depth=of["cornea_thickness"],
+        curvature=1.0 / of["cornea_back_radius"],
+        asphericity=of["cornea_back_asphericity"],
+    )
+    lens_front = Conic(
+        depth=of["lens_depth"],
+        curvature=1.0 / of["lens_front_radius"],
+        asphericity=constant["lens_front_asphericity"],
+    )
+    lens_back = Conic(
+        depth=of["lens_depth"] + of["lens_thickness"],
+        curvature=1.0 / of["lens_back_radius"],
+        asphericity=constant["lens_back_asphericity"],
+    )
+    return Eye(
+        cornea=(
+            Refracting(cornea, Medium(constant["cornea_index"])),
+            Refracting(back, Medium(constant["aqueous_index"])),
+        ),
+        iris_depth=of["lens_depth"],
+        lens=(
+            Refracting(lens_front, Medium(of["lens_index"])),
+            Refracting(lens_back, Medium(constant["vitreous_index"])),
+        ),
+        axial_length=of["axial_length"],
+        retina_semi_axes=jnp.stack([of["retina_x"], of["retina_y"], of["retina_z"]]),
+    )
+
+
+# Recipes: what a person calibrates at the table, and how a distance is then computed.
+
+_SIGMA_PX = 0.1
+"""Standard deviation of a measured semi-axis; the sub-pixel mode's RMS on textured walls is 0.05 to
+0.1 px (`eyespot validate`)."""
+_TOUCH_MM = 0.05
+"""Standard deviation of the distance at which a withdrawal starts: the operator's touch."""
+_SPOTS_AT_ONCE = 1024
+
+WITHDRAWALS_C_MM = (0.5, 1.5, 3.0)
+_TILT_DEG, _TOWARDS_DEG = 25.0, 90.0
+"""Of the withdrawals' beams: sideways. Eyes with a gradient lens bend the spots of beams that lean
+towards the axis or away from it as no pinhole does."""
+
+
+class Recipe(StrEnum):
+    """Ways to a distance, from what has to be known least to most."""
+
+    PLANAR = "planar"
+    """The closed form for a plane; nothing is known of the eye."""
+
+    SMALL_PLANE = "small_plane"
+    """The paper's closed form; nothing is known of the eye."""
+
+    STEREOGRAPHIC = "stereographic"
+    """The closed form for a pinhole on the sphere; nothing is known of the eye."""
+
+    PARAXIAL = "corrected, paraxial pinhole"
+    """`corrected` with the paraxial pinhole of the schematic eye's path."""
+
+    LOCAL = "corrected, schematic eye"
+    """`corrected` with the schematic eye's own local magnification."""
+
+    FITTED = "corrected, fitted pinhole"
+    """`corrected` with a pinhole and a sphere fitted in this eye."""
+
+    EXACT_SCHEMATIC = "exact, schematic eye"
+    """Exact geometry through the schematic eye's surfaces onto its retina, and the ellipse's area.
+    """
+
+    AREA_SCHEMATIC = "area, schematic pinhole"
+    """Exact geometry and the ellipse's area; pinhole and sphere fitted in the schematic eye."""
+
+    AREA = "area, fitted pinhole"
+    """Exact geometry and the ellipse's area; pinhole and sphere fitted in this eye."""
+
+
+def withdrawals() -> Spots:
+    """The spots of the calibration: three withdrawals through a trocar, nine frames each."""
+    c, distance = np.meshgrid(WITHDRAWALS_C_MM, np.linspace(1.0, 5.0, 9), indexing="ij")
+    tilt, towards = (np.full(c.shape, np.radians(a)) for a in (_TILT_DEG, _TOWARDS_DEG))
+    return Spots(*map(jnp.asarray, (c, distance, tilt, towards)))
+
+
+@eqx.filter_jit
+def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhole:
+    """Fit a pinhole over a sphere to the ellipses of three withdrawals in one eye.
+
+    As `eyespot fit --model eye`, with the same residuals: the place on the retina is known only
+    from the image. Where each withdrawal starts is known to 0.05 mm. The priors of the retina's
+    radius and of the spots' sizes are those of the command. The beams' axes and the cone are known
+    exactly. Frames whose contour is hidden do not count.
+
+    Args:
+        seen: images of `withdrawals()`.
+        noise: of centres, semi-major and semi-minor axes and angles, in standard deviations of the
+            sub-pixel mode.
+    """
+    distance, count = withdrawals().distance[0], len(WITHDRAWALS_C_MM)
+    # A hidden contour may have no values, and its weight is 0.
+    centre, minor, major, angle = (
+        jnp.where(seen.visible, value, instead)
+        for value, instead in (
+            (jnp.moveaxis(seen.centre, -1, 0), 0.0),
+            (seen.semi_axes[..., 0], 1.0),
+            (seen.semi_axes[..., 1], 1.0),
+            (seen.angle, 0.0),
+        )
+    )
+    sigma = jnp.broadcast_to(_SIGMA_PX, (*minor.shape, 5))
+    # Noise turns an outline that is nearly round by much.
+    sigma = sigma.at[..., 4].divide(jnp.maximum(major - minor, _SIGMA_PX))
+    off = sigma * noise
+    ellipses = optics.Ellipse(
+        jnp.moveaxis(centre, 0, -1) + off[..., :2],
+        major + off[..., 2],
+        minor + off[..., 3],
+        angle + off[..., 4],
+    )
+    covariances = sigma[..., None] ** 2 * jnp.eye(5)
+    nothing = jnp.zeros(count)
+    whitening = jax.vmap(whitening_of)(ellipses, covariances, nothing)
+    every = Group(
+        ellipses=ellipses,
+        whitening=jnp.where(seen.visible[..., None, None], whitening, 0.0),
+        readings=jnp.broadcast_to(distance - distance[0], minor.shape),
+        motions=seen.axis[:, 0],
+        axes=seen.axis[:, 0],
+        principal_points=jnp.zeros((count, 2)),
+        touch_means=jnp.full(count, distance[0]),
+        touch_sigmas=jnp.full(count, _TOUCH_MM),
+        lean_sigma=nothing,
+        boresight_sigma=nothing,
+        size_sigmas=SIZE_PER_MM * jnp.array(WITHDRAWALS_C_MM),
+        kind="eyeball",
+        data=5 * minor.size,
+        numbers=tuple(range(count)),
+    )
+
+    def pinhole(unknown: Float[Array, "3"]) -> Pinhole:
+        scale = SCALE_MM_PX * jnp.exp(unknown[0])
+        return Pinhole(scale, unknown[1], RETINA.mean + RETINA.sigma * unknown[2])
+
+    def residuals(eye: Float[Array, "3"], own: Float[Array, "4"], trial: Group) -> Array:
+        found = pinhole(eye)
+        values = _NO_TILT | {
+            "half_angle": CONE["half_angle"],
+            "b": CONE["apex_offset"],
+            "eye_radius": found.radius,
+        }
+        # The robot's axis is known, so only these nuisances are free.
+        nuisances = jnp.zeros(len(NUISANCES)).at[_FREE].set(own)
+        alone = jax.tree.map(lambda leaf: leaf[None], trial)
+        missed = misfit(alone, found.microscope, values, nuisances[None])
+        # Without a visible frame the place would have no value. Every trial carries its part of the
+        # retina's prior.
+        held = own[1:3] / _ANYWHERE_PX, eye[2:] / math.sqrt(count)
+        return jnp.concatenate([missed, *held])
+
+    start = jnp.zeros(3), jnp.zeros((count, len(_FREE)))
+    # The problem is nearly linear. 1e-6 of kappa or of a touch moves no distance by 1e-5 mm.
+    eye, _, _ = gauss_newton_in_blocks(residuals, *start, every, tolerance=1e-6)
+    return pinhole(eye)
+
+
+_ANYWHERE_PX = 1e4
+_FREE = np.array([NUISANCES.index(name) for name in ("touch", "u", "v", "size")])
+_NO_TILT = {"tilt_x": 0.0, "tilt_y": 0.0}
+
+
+def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[np.ndarray, "n"]:
+    """Distances at which exact spots have the measured centres and areas, mm.
+
+    Each spot is seen by its own pinhole over its own sphere; the robot knows the beams' axes.
+    """
+    return in_batches(_through_pinholes, (seen, pinhole), size=_SPOTS_AT_ONCE)
+
+
+def distance_through_path(
+    seen: Seen, camera: PathCamera, semi_axes: Float[ArrayLike, "3"]
+) -> Float[np.ndarray, "n"]:
+    """As `distance_by_area`, with all spots seen through one path onto one retina, mm."""
+    retina = optics.Ellipsoid(jnp.asarray(semi_axes))
+    return in_batches(lambda spots: _through_path(spots, camera, retina), seen, size=_SPOTS_AT_ONCE)
+
+
+@eqx.filter_jit
+def _through_pinholes(spots: tuple[Seen, Pinhole]) -> Float[Array, "n"]:
+    def one(seen: Seen, pinhole: Pinhole) -> Float[Array, ""]:
+        return _by_area(seen, pinhole.wall, pinhole.microscope)
+
+    return jax.vmap(one)(*spots)
+
+
+@eqx.filter_jit
+def _through_path(seen: Seen, camera: PathCamera, retina: optics.Surface) -> Float[Array, "n"]:
+    return jax.vmap(lambda spot: _by_area(spot, retina, camera))(seen)
+
+
+def _by_area(seen: Seen, wall: optics.Surface, camera: optics.Camera) -> Float[Array, ""]:
+    minor, major = seen.semi_axes
+    ellipse = optics.Ellipse(seen.centre, major, minor, jnp.zeros(()))
+    return optics.distance_by_area(ellipse, wall, camera, axis=seen.axis, **CONE)
+
+
+def distance_by_closed_form(
+    model: str,
+    semi_minor: np.ndarray,
+    spots: Spots,
+    *,
+    pinhole: Pinhole,
+) -> np.ndarray:
+    """Distance by one of `optics.CLOSED_FORMS` for one pinhole, or for one an eye, mm."""
+    return np.asarray(
+        optics.closed_form_distance(
+            model,
+            semi_minor_px=semi_minor,
+            scale=pinhole.scale,
+            k=1.0 / np.tan(CONE["half_angle"]),
+            b=CONE["apex_offset"],
+            eccentricity=np.asarray(spots.eccentricity),
+            eye_radius=pinhole.radius,
+            inverse_working_distance=pinhole.kappa,
+        )
+    )
+
+
+def distance_by_local_magnification(semi_minor: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """Distance with e1 = delta e1' times a factor that depends on c, mm (`local_factor`)."""
+    return np.asarray(
+        optics.sphere_distance(
+            spot_radius=SCALE_MM_PX * semi_minor * factor,
+            k=1.0 / np.tan(CONE["half_angle"]),
+            b=CONE["apex_offset"],
+            eye_radius=NOMINAL_RADIUS_MM,
+        )
+    )
+
+
+def local_factor(camera: PathCamera, eccentricity: np.ndarray) -> np.ndarray:
+    """1/min(h/c, dh/ds): mm on the wall per mm of a small spot's semi-minor image, by c."""
+    wall = optics.Sphere(NOMINAL_RADIUS_MM)
+    return 1.0 / np.asarray(local_magnification(camera, wall, eccentricity=eccentricity))[..., 1]

@@ -1,0 +1,541 @@
+"""`eyespot study medium`: calibrated in air, used in vitreous.
+
+DIR/medium_error.csv  every estimate, analytic and rendered, with its error
+    medium_cones.csv  the cone that each lens makes in each medium
+    stacks/, spots/   rendered frames, and the spots measured in them
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import optics
+import scenes
+from benchmarks.model_error import DISTANCE
+from benchmarks.paper import ACCEPTABLE_ERROR_MM, SUBPIXEL, Tracked, largest, mean, rms, track_stack
+from benchmarks.reporting import (
+    BLUE,
+    GREEN,
+    VERMILION,
+    Claim,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    limit_lines,
+    number,
+    small_multiples,
+)
+from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from calibration import PlaneFit, fit_plane
+from estimator import Calibration, Ranger, Spot, Stack, read_microscope
+from scenes import Scene, SceneError
+from scenes.world import Cone, World, lens_light, study_calibration, true_calibration
+
+# Half-maximum radius of a light in a medium against distance, in closed form.
+
+AIR, VITREOUS = "air", "vitreous"
+NEAREST_MM, FARTHEST_MM = 0.5, 6.0
+"""Range of distances of calibration and measurement, as in the paper's trials."""
+
+CONE = "cone"
+"""The light without a lens: the control."""
+
+
+class Method(StrEnum):
+    """Methods to compute a distance from a radius."""
+
+    AIR_CONE = "cone of air"
+    """The cone calibrated in air."""
+
+    LENS_CONE = "cone of the lens model"
+    """The cone that the same lens makes in the medium, computed."""
+
+    LENS = "lens model"
+    """The lens's own curve in the medium."""
+
+
+class Regression(NamedTuple):
+    """Row of medium_cones.csv: the cone d = kR + b that a lens makes in a medium.
+
+    Between the two ambiguous distances one radius has more than one solution.
+    """
+
+    light: str
+    medium: str
+    k: float
+    b_mm: float
+    r_squared: float
+    ambiguous_from_mm: float
+    ambiguous_to_mm: float
+
+    def distance(self, radius: float) -> float:
+        """d = kR + b, mm (Zhou et al. 2020, eq. 1)."""
+        return self.k * radius + self.b_mm
+
+
+class Curve(NamedTuple):
+    """Half-maximum radius (mm) of a light in a medium against distance (mm), and its cone."""
+
+    distance: np.ndarray
+    radius: np.ndarray
+    cone: Regression
+
+    def distances_of(self, radius: float) -> np.ndarray:
+        """All distances at which the light has this radius, mm; there may be none or several."""
+        over = self.radius - radius
+        before, after = over[:-1], over[1:]
+        step = np.flatnonzero((before < 0) != (after < 0))
+        share = before[step] / (before[step] - after[step])
+        return self.distance[step] + share * np.diff(self.distance)[step]
+
+
+_LOOKED_UP_MM = np.linspace(0.05, 8.0, 1600)  # distances whose radii are compared with a given one
+
+
+def lens_curve(lens: str, medium: str) -> Curve:
+    """The curve of a glue lens; its light takes half a minute the first time and is then kept.
+
+    Args:
+        lens: preset name or path of a lens file.
+        medium: of `optics.MEDIA`.
+    """
+    table = lens_light(lens, optics.MEDIA[medium]).table
+    cone = optics.effective_cone(table, from_distance=NEAREST_MM, to_distance=FARTHEST_MM)
+    unclear = optics.ambiguous_distances(table, from_distance=NEAREST_MM, to_distance=FARTHEST_MM)
+    first, last = (unclear[0][0], unclear[-1][1]) if unclear else (np.nan, np.nan)
+    radius = np.asarray(optics.half_maximum_radius(table, distance=_LOOKED_UP_MM))
+    k, b, r_squared = float(cone.k), float(cone.b), float(cone.r_squared)
+    regression = Regression(lens, medium, k, b, r_squared, first, last)
+    return Curve(_LOOKED_UP_MM, radius, regression)
+
+
+def cone_curve(cone: Cone, medium: str) -> Curve:
+    """The curve of the ideal cone, which is the same in every medium."""
+    k = 1.0 / np.tan(cone.half_angle)
+    radius = (_LOOKED_UP_MM - cone.apex_offset) / k
+    regression = Regression(CONE, medium, float(k), cone.apex_offset, 1.0, np.nan, np.nan)
+    return Curve(_LOOKED_UP_MM, radius, regression)
+
+
+COLUMNS = "source light medium method d_mm radius_mm estimate_mm error_mm ambiguous".split()
+"""Of medium_error.csv; error = estimate - truth.
+
+If the result is ambiguous, the analytic estimate is the solution farthest from the truth and the
+rendered one is the most likely solution; without a result the estimate is empty.
+"""
+
+
+def analytic_errors(air: Curve, medium: Curve, *, distances: np.ndarray) -> pd.DataFrame:
+    """Errors of the three methods on the square wall's half-maximum radii in a medium.
+
+    Args:
+        air: the light in air, where it was calibrated.
+        medium: the same light where it is used; may be air.
+        distances: mm.
+    """
+    rows = []
+    for d in distances.tolist():
+        radius = float(np.interp(d, medium.distance, medium.radius))
+        solutions = medium.distances_of(radius)
+        solutions = solutions[(solutions >= NEAREST_MM) & (solutions <= FARTHEST_MM)]
+        farthest = solutions[np.argmax(np.abs(solutions - d))] if solutions.size else d
+        for method, estimate, ambiguous in (
+            (Method.AIR_CONE, air.cone.distance(radius), False),
+            (Method.LENS_CONE, medium.cone.distance(radius), False),
+            (Method.LENS, float(farthest), solutions.size > 1),
+        ):
+            light = ("analytic", medium.cone.light, medium.cone.medium, method)
+            rows.append((*light, d, radius, estimate, estimate - d, ambiguous))
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+# The rendered part: calibrated on a plane in air, used in an eyeball full of another medium.
+
+_HEIGHT_PX = 600  # the dome's spot in air outgrows the default window
+
+
+def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Scene]:
+    """Withdrawals with each light: on a plane in air, in an eyeball in both media.
+
+    Args:
+        lights: lenses, and "cone".
+    """
+    return {
+        f"{_slug(light)}-{medium}-{phantom}": scenes.changed(
+            scene,
+            {
+                **({"source.kind": CONE} if light == CONE else {"source.lens": light}),
+                "source.medium": medium,
+                "phantom.kind": phantom,
+                "motion.kind": "withdrawal",
+                "motion.start_mm": NEAREST_MM,
+                "motion.travel_mm": FARTHEST_MM - NEAREST_MM,
+                "motion.frames": frames,
+                "exposures.kinds": ["metered"],
+                "microscope.height_px": _HEIGHT_PX,
+            },
+        )
+        for light in lights
+        for medium, phantom in ((AIR, "plane"), (AIR, "eyeball"), (VITREOUS, "eyeball"))
+    }
+
+
+def measure(study: Study, *, frames: int, curves: Mapping[tuple[str, str], Curve]) -> pd.DataFrame:
+    """Render, track, calibrate in air and use: errors in the eyeball.
+
+    Args:
+        curves: by light and medium: what the lens model says without another fit.
+    """
+    lights = list(dict.fromkeys(light for light, _ in curves))
+    every = trials(study.scene, lights=lights, frames=frames)
+    spots = study.folder / "spots"
+    spots.mkdir(exist_ok=True)
+
+    def track(name: str, stack: Stack) -> tuple[Stack, Tracked]:
+        return stack, track_stack(stack, SUBPIXEL, spots_file=spots / f"{name}.csv")
+
+    tracked = study.measured(every, track)
+    errors = []
+    for light in lights:
+        _, seen = tracked[f"{_slug(light)}-{AIR}-plane"]
+        # The robot's reading since the first frame, whose distance is known here.
+        reading = NEAREST_MM + seen.travel_mm
+        fit = fit_plane(semi_minor_px=seen.semi_minor_px, distance=reading)
+        for medium in (AIR, VITREOUS):
+            name = f"{_slug(light)}-{medium}-eyeball"
+            calibrations = {Method.AIR_CONE: _of_fit(fit, study.scene)}
+            if light != CONE and medium == VITREOUS:
+                regression = curves[light, medium].cone
+                values = {"k": regression.k, "b": regression.b_mm}
+                calibrations[Method.LENS_CONE] = study_calibration("planar", values, medium=medium)
+                calibrations[Method.LENS] = true_calibration(every[name])
+            errors.append(_errors(every[name], *tracked[name], calibrations))
+    return pd.concat(errors, ignore_index=True)
+
+
+def _slug(light: str) -> str:
+    """For names of folders: a lens may be a file."""
+    return Path(light).stem
+
+
+def _errors(
+    scene: Scene, stack: Stack, tracked: Tracked, calibrations: Mapping[Method, Calibration]
+) -> pd.DataFrame:
+    light = CONE if scene.source.kind == CONE else scene.source.lens
+    microscope = read_microscope(stack.folder / "microscope.json")
+    rows = []
+    for method, known in calibrations.items():
+        # `corrected` is the cone of a plane, taken to the sphere.
+        model = None if known.model == "lens" else "corrected"
+        ranger = Ranger(known, microscope, model=model)
+        for label, result, used in zip(tracked.labels, tracked.results, tracked.used, strict=True):
+            if not (used and isinstance(result, Spot)):
+                continue
+            found = ranger.distance(result, frame=stack.image(label))
+            radius, estimate = result.semi_minor_px * microscope.scale_mm_px, found.distance_mm
+            values = (label.d_mm, radius, estimate, estimate - label.d_mm, bool(found.others_mm))
+            rows.append(("rendered", light, scene.source.medium, method, *values))
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _of_fit(fit: PlaneFit, scene: Scene) -> Calibration:
+    """What the plane in air gave: k and b, with their covariance."""
+    to_k = np.diag([1.0 / scene.microscope.scale_mm_px, 1.0])
+    values = {"k": fit.delta_k / scene.microscope.scale_mm_px, "b": fit.b}
+    return study_calibration("planar", values, medium=AIR, covariance=to_k @ fit.covariance @ to_k)
+
+
+_LENSES = ("paper-candidate", "dome")
+"""A flat end and a round cap: the two kinds of drop."""
+
+
+def check(scene: Scene) -> None:
+    """Refuse a scene without a lens; the ideal cone, the control, does not change with the medium.
+
+    Raises:
+        SceneError: saying what to change.
+    """
+    if scene.source.kind != "lens":
+        raise SceneError(
+            "the study compares one lens in two media, and the ideal cone beside it; got "
+            f"source.kind '{scene.source.kind}'. Set source.kind=lens."
+        )
+
+
+# Figures.
+
+_COLOURS = {Method.AIR_CONE: VERMILION, Method.LENS_CONE: BLUE, Method.LENS: GREEN}
+
+
+def _error_figure(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> Figure:
+    """Error of each method against distance: a panel for each light."""
+
+    def draw(axes: Axes, _: str, light: str) -> None:
+        limit_lines(axes, ACCEPTABLE_ERROR_MM)
+        cone = curves[light, VITREOUS].cone
+        if math.isfinite(cone.ambiguous_from_mm):
+            axes.axvspan(cone.ambiguous_from_mm, cone.ambiguous_to_mm, color="#EEEEEE", zorder=0)
+        shown = [(method, VITREOUS, "-", "o") for method in Method]
+        for method, medium, style, shape in [(Method.AIR_CONE, AIR, "--", "s"), *shown]:
+            colour = _COLOURS[method]
+            line = _some(errors, "analytic", light, medium, method)
+            marks = _some(errors, "rendered", light, medium, method)
+            clear = line.error_mm.mask(line.ambiguous)
+            axes.plot(line.d_mm, clear, ls=style, color=colour, label=f"{method}, in {medium}")
+            if line.ambiguous.any():
+                axes.plot(line.d_mm, line.error_mm, ls=":", lw=0.9, color=colour)
+            for unclear, chosen in marks.groupby("ambiguous"):
+                face = "none" if unclear or medium == AIR else colour
+                points = chosen.d_mm, chosen.error_mm
+                axes.plot(*points, ls="", marker=shape, ms=4, color=colour, mfc=face)
+
+    y = "estimate − truth (mm)"
+    return small_multiples(draw, rows=[""], columns=_lights(curves), x=DISTANCE, y=y, height=3.4)
+
+
+def _radius_figure(curves: Mapping[tuple[str, str], Curve]) -> Figure:
+    """Half-maximum radius against distance: a panel for each light."""
+
+    def draw(axes: Axes, _: str, light: str) -> None:
+        for medium, colour in ((AIR, VERMILION), (VITREOUS, BLUE)):
+            curve = curves[light, medium]
+            inside = (curve.distance >= NEAREST_MM) & (curve.distance <= FARTHEST_MM)
+            d, radius = curve.distance[inside], curve.radius[inside]
+            axes.plot(d, radius, color=colour, label=medium)
+            cone = curve.cone
+            axes.plot(d, (d - cone.b_mm) / cone.k, color=colour, lw=0.9, ls="--")
+
+    y = "half-maximum radius (mm)"
+    return small_multiples(
+        draw, rows=[""], columns=_lights(curves), x=DISTANCE, y=y, height=3.4, sharey=True
+    )
+
+
+def _lights(curves: Mapping[tuple[str, str], Curve]) -> list[str]:
+    """The lenses and the cone, in order."""
+    return list(dict.fromkeys(light for light, _ in curves))
+
+
+def _some(
+    errors: pd.DataFrame, source: str, light: str, medium: str, method: Method
+) -> pd.DataFrame:
+    return errors[
+        (errors.source == source)
+        & (errors.light == light)
+        & (errors.medium == medium)
+        & (errors.method == method)
+    ]
+
+
+# The page.
+
+
+def _report(scene: Scene, curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> Report:
+    cones = pd.DataFrame([curve.cone for curve in curves.values()])
+    by_method = errors.groupby(["source", "light", "medium", "method"], sort=False)
+    summary = by_method.error_mm.agg(spots="size", mean_mm=mean, rms_mm=rms, largest_mm=largest)
+    summary = summary.join(by_method.ambiguous.mean()).reset_index()
+    indices = ", ".join(f"{medium} {float(optics.MEDIA[medium]):g}" for medium in (AIR, VITREOUS))
+    return Report(
+        title="How large is the error of a calibration in air when it is used in vitreous?",
+        answer=_answer(scene, errors),
+        lead="The cone fitted to a glue lens in air is used in vitreous, and compared with the "
+        "lens model for the same spots, which needs no other fit. The control is an ideal cone, "
+        "whose light no medium refracts.",
+        first=[
+            Picture(
+                "error",
+                _error_figure(curves, errors),
+                "A cone from air is wrong in vitreous; the lens model is not. Lines: computed from "
+                "the lens's light on a square plane. Marks: rendered frames of an eyeball "
+                f"(incidence {scene.spot.incidence_deg:g}°), with the cone fitted to rendered "
+                "frames of a plane in air. Squares are in air; open circles are flagged "
+                "ambiguous. In the grey bands one radius belongs to several distances; the "
+                "dotted green line is the solution farthest from the truth. Dashed: the "
+                f"clinically acceptable {ACCEPTABLE_ERROR_MM:g} mm.",
+                data="medium_error.csv",
+            ),
+            Table.of(
+                summary[(summary.source == "rendered") & (summary.light == scene.source.lens)],
+                {
+                    "medium": Column("medium"),
+                    "method": Column("method"),
+                    "spots": Column("spots"),
+                    "rms_mm": Column("rms, mm"),
+                    "largest_mm": Column("largest, mm"),
+                },
+                f"Errors of rendered spots of {scene.source.lens}.",
+                data="medium_summary.csv",
+            ),
+        ],
+        claims=list(_claims(curves, errors)),
+        sections=[
+            Section("Methods", _METHODS),
+            Section(
+                "Why",
+                Picture(
+                    "radius",
+                    _radius_figure(curves),
+                    "Half-maximum radius of each light in each medium, and the cone that a "
+                    "regression makes of it (dashed).",
+                    data="medium_cones.csv",
+                ),
+                Table.of(
+                    cones,
+                    {
+                        "light": Column("light"),
+                        "medium": Column("medium"),
+                        "k": Column("k"),
+                        "b_mm": Column("b, mm"),
+                        "r_squared": Column("R²"),
+                        "ambiguous_from_mm": Column("ambiguous from d, mm", 2),
+                        "ambiguous_to_mm": Column("to d, mm", 2),
+                    },
+                    f"Cones d = kR + b of the half-maximum radius over d = {NEAREST_MM:g} to "
+                    f"{FARTHEST_MM:g} mm, and the distances between which one radius belongs to "
+                    f"several. Refractive indices: {indices}.",
+                    data="medium_cones.csv",
+                ),
+            ),
+        ],
+        data={
+            "medium_error.csv": errors,
+            "medium_summary.csv": summary,
+            "medium_cones.csv": cones,
+        },
+    )
+
+
+def _answer(scene: Scene, errors: pd.DataFrame) -> str:
+    lens = (errors.light == scene.source.lens) & (errors.medium == VITREOUS)
+    computed = errors[lens & (errors.source == "analytic") & (errors.method == Method.AIR_CONE)]
+    rendered = errors[lens & (errors.source == "rendered")]
+    median = rendered.error_mm.abs().groupby(rendered.method).median()
+    return (
+        "Calibrated as a cone in air, a distance in vitreous is off by up to "
+        f"{number(largest(computed.error_mm), 2)} mm; on rendered spots the median error is "
+        f"{number(median.get(Method.AIR_CONE, math.nan), 2)} mm by that cone and "
+        f"{number(median.get(Method.LENS, math.nan), 3)} mm by the lens model, which needs "
+        "only the medium's name."
+    )
+
+
+_METHODS = (
+    f"“{Method.AIR_CONE}”: d = kR + b with k and b from air. “{Method.LENS_CONE}”: k and b "
+    f"computed for vitreous from the lens's parameters. “{Method.LENS}”: the distance at which the "
+    "lens makes this spot in vitreous. On its own curve the lens model has no error by "
+    "construction if only one distance has this radius, so its lines show only the ambiguity. Its "
+    "rendered marks show its accuracy, because there the shape of the profile also contributes. "
+    "The lens's parameters are those of the scene, without the uncertainty of a fit in air."
+)
+
+
+def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> Iterator[Claim]:
+    lenses = [light for light in _lights(curves) if light != CONE]
+    for lens in lenses:
+        air, vitreous = (curves[lens, medium].cone for medium in (AIR, VITREOUS))
+
+        def worst(lens: str, medium: str, method: Method) -> float:
+            return largest(_some(errors, "analytic", lens, medium, method).error_mm)
+
+        yield Claim(
+            name=f"air to vitreous, {lens}",
+            sentence="Calibrated in air, the distance in vitreous is off by up to {value:.2f} mm "
+            "(acceptable: {high:g} mm). In air it is off by up to {in_air:.2f} mm, because a lens "
+            "is no cone. In vitreous k is {vitreous.k:.1f} instead of {air.k:.1f} and b is "
+            "{vitreous.b_mm:.2f} instead of {air.b_mm:.2f} mm. The cone that the lens model "
+            "computes for vitreous is off by up to {lens_cone:.2f} mm.",
+            value=worst(lens, VITREOUS, Method.AIR_CONE),
+            high=ACCEPTABLE_ERROR_MM,
+            numbers={
+                "in_air": worst(lens, AIR, Method.AIR_CONE),
+                "air": air,
+                "vitreous": vitreous,
+                "lens_cone": worst(lens, VITREOUS, Method.LENS_CONE),
+            },
+        )
+    for lens in lenses:
+        rows = _some(errors, "rendered", lens, VITREOUS, Method.LENS)
+        sure = rows.error_mm[~rows.ambiguous].dropna().abs()
+        cone = _some(errors, "rendered", lens, VITREOUS, Method.AIR_CONE).error_mm.abs()
+        yield Claim(
+            name=f"lens model, {lens}",
+            sentence="In rendered vitreous the lens model is off by {value:.3f} mm and the cone of "
+            "air by {cone:.2f} mm (medians). Of {spots} spots {ambiguous} are flagged ambiguous "
+            "and {unanswered} have no answer. Of the other {sure} spots {beyond} are off by more "
+            "than {limit:g} mm, the worst by {worst:.3f} mm.",
+            value=float(sure.median()),
+            numbers={
+                "cone": float(cone.median()),
+                "spots": len(rows),
+                "ambiguous": int(rows.ambiguous.sum()),
+                "unanswered": int(rows.error_mm.isna().sum()),
+                "sure": len(sure),
+                "beyond": int((sure > ACCEPTABLE_ERROR_MM).sum()),
+                "limit": ACCEPTABLE_ERROR_MM,
+                "worst": largest(sure),
+            },
+        )
+    in_air, in_vitreous = (
+        _some(errors, "rendered", CONE, medium, Method.AIR_CONE).set_index("d_mm").error_mm
+        for medium in (AIR, VITREOUS)
+    )
+    differences = (in_vitreous - in_air).dropna()
+    yield Claim(
+        name="control",
+        sentence="The ideal cone's rendered distances differ by {value:.4f} mm at most between the "
+        "media ({pairs} pairs of frames of the same seed). No medium refracts the cone, so any "
+        "difference would be an error of the study itself.",
+        value=largest(differences),
+        numbers={"pairs": len(differences)},
+    )
+
+
+# The command.
+
+
+def medium(
+    scene: StartingScene = None,
+    /,
+    *,
+    out: OutputFolder,
+    changes: Changes = (),
+    quick: Quick = False,
+    seed: Seed = None,
+) -> pd.DataFrame:
+    """Calibrate in air, measure in vitreous: the error, and how much the lens model corrects.
+
+    To continue a run that was stopped, start it again with the same folder.
+    """
+    study = Study(
+        "medium", out=out, scene=scene, changes=changes, quick=quick, seed=seed, check=check
+    )
+    base = study.scene
+    own = base.source.lens
+    lenses = (own,) if quick else tuple(dict.fromkeys((own, *_LENSES)))
+    with study.timed("light of the lenses"):
+        curves = {(n, m): lens_curve(n, m) for n in lenses for m in (AIR, VITREOUS)}
+    ideal = scenes.changed(base, {"source.kind": CONE})
+    for medium in (AIR, VITREOUS):
+        curves[CONE, medium] = cone_curve(World(ideal).cone, medium)
+    distances = np.linspace(NEAREST_MM, FARTHEST_MM, 23 if quick else 111)
+    errors = [
+        analytic_errors(curves[name, AIR], curve, distances=distances)
+        for (name, _), curve in curves.items()
+    ]
+    with study.timed("render and measure"):
+        errors.append(measure(study, frames=6 if quick else 23, curves=curves))
+    table = pd.concat(errors, ignore_index=True)
+    study.publish(_report, base, curves, table)
+    return table

@@ -1,0 +1,980 @@
+"""`eyespot study pose`: tip and axis of the tool from one spot and from three.
+
+DIR/pose_error.csv  every pose, analytic and rendered, with its errors and bounds
+    poses/          the rendered poses of the beams
+    stacks/, spots/ the frames, and the spots measured in them
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from enum import StrEnum
+from functools import partial
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.stats import qmc
+
+import optics
+import scenes
+from benchmarks.model_error import ECCENTRICITY
+from benchmarks.paper import MICROSCOPE_MM, mean, require_roomy_eyeball, rms
+from benchmarks.reporting import (
+    BLUE,
+    VERMILION,
+    Claim,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    grouped,
+    limit_lines,
+    number,
+    rows_of,
+    small_multiples,
+)
+from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from calibration.spots import (
+    Tool,
+    ToolPose,
+    contour_mismatch_covariance,
+    contour_normals,
+    fit_tool,
+    tool_beams,
+    tool_contours,
+    tool_pose_bound,
+)
+from estimator import (
+    MicroscopeFile,
+    NoSpot,
+    Ranger,
+    Spot,
+    SpotRecord,
+    Stack,
+    SubpixelSettings,
+    TrackState,
+    read_microscope,
+    write_spots,
+)
+from estimator import measure as measured
+from estimator.files import written_whole
+from scenes import Scene, SceneError
+from scenes.world import World, true_calibration
+
+# The working volume, a pose in it, and how far an estimate is from it.
+
+HALF_WIDTH_MM = 5.0
+"""Half the side of the square around the microscope's axis in which O lies: 10 mm x 10 mm."""
+NEAREST_MM, FARTHEST_MM = 0.5, 5.5
+"""Distances from tip to wall along the beam: 5 mm of depth."""
+INCIDENCE_DEG = (10.0, 30.0)
+NOISE_PX = 0.05
+"""Standard deviation across the contour of each of 128 points."""
+LARGEST_C_MM = 5.0
+"""Largest eccentricity of the rendered spots."""
+PRIOR_DEG = 5.0
+"""Standard deviation of the direction prior across the axis, as for a rough robot calibration."""
+
+REPORTED = {1: (0.029, 0.124), 3: (0.025, 0.101)}
+"""Mean errors of tip (mm) and axis (degrees) by number of spots: Zhou et al., "Theoretical error
+analysis of spotlight-based instrument localization for retinal surgery", Robotica 2023; rendered
+in Blender, with another light and eye."""
+
+
+class Prior(StrEnum):
+    """Prior knowledge of the axis."""
+
+    ROUGH = "5 deg"
+    NONE = "none"
+    KNOWN = "axis known"
+
+    @property
+    def sigma_rad(self) -> float:
+        """The solver's standard deviation of the prior across the axis, rad."""
+        return {Prior.ROUGH: math.radians(PRIOR_DEG), Prior.NONE: 1e6, Prior.KNOWN: 1e-6}[self]
+
+
+_MIRRORED_DEG = 2.0
+"""An axis farther off than this, and nearer to the mirror image than to the truth, is mirrored."""
+
+_FIBRE_MM, _SPLAY_DEG = 0.5, 10.0
+
+
+def one_spot(half_angle: float, apex_offset: float) -> Tool:
+    """A cone (rad, mm) along the tool's axis."""
+    return Tool(half_angle, apex_offset, 1, 0.0, 0.0)
+
+
+def three_spots(half_angle: float, apex_offset: float) -> Tool:
+    """Three fibres that touch each other, splayed, with equal cones (rad, mm).
+
+    The tool of Zhou et al. (2023) has three spotlights; more of it is not published. Here they are
+    lit one after the other, so that spots neither overlap nor are confused.
+    """
+    circle = _FIBRE_MM / math.sqrt(3.0)
+    return Tool(half_angle, apex_offset, 3, circle, math.radians(_SPLAY_DEG))
+
+
+class Place(NamedTuple):
+    """A pose of the working volume.
+
+    Attributes:
+        c_mm, d_mm, incidence_deg, azimuth_deg: the same by where the axis meets the wall.
+        outward: wall's normal at O.
+    """
+
+    pose: ToolPose
+    c_mm: float
+    d_mm: float
+    incidence_deg: float
+    azimuth_deg: float
+    outward: np.ndarray
+
+
+def place_at(
+    wall: optics.Sphere,
+    *,
+    c: float,
+    around_deg: float,
+    d: float,
+    incidence_deg: float,
+    azimuth_deg: float,
+    roll: float = 0.0,
+) -> Place:
+    """The pose whose axis meets the wall there; arguments as of `optics.beam_at_spot`."""
+    beam = optics.beam_at_spot(
+        wall,
+        eccentricity=c,
+        azimuth=math.radians(around_deg),
+        distance=d,
+        incidence=math.radians(incidence_deg),
+        incidence_azimuth=math.radians(azimuth_deg),
+        half_angle=0.0,
+        apex_offset=0.0,
+    )
+    tip, axis = np.asarray(beam.tip), np.asarray(beam.axis)
+    outward = (tip + d * axis) / float(wall.radius)
+    return Place(ToolPose(tip, axis, roll), c, d, incidence_deg, azimuth_deg, outward)
+
+
+class Estimate(NamedTuple):
+    """An estimated pose: tip (3,) and distance in mm, axis (3,), the distance's own sigma in mm."""
+
+    tip: np.ndarray
+    axis: np.ndarray
+    distance: float
+    sigma_distance: float
+
+
+def pose_error(
+    place: Place,
+    found: Estimate,
+    *,
+    source: str,
+    spots: int,
+    prior: Prior,
+    pinhole_height: float,
+    noise_px: float,
+    covariance: np.ndarray,
+) -> dict[str, Any]:
+    """Row of pose_error.csv; errors are estimate - truth, or lengths and angles between the two.
+
+    `mirrored`: whether the solution has the reversed incidence. The bounds are the Cramér-Rao
+    standard deviations of the same quantities for the row's noise. `sigma_distance_mm` is the
+    standard deviation that the estimator reports.
+
+    Args:
+        place: the true pose.
+        source: "analytic" or "rendered".
+        pinhole_height: z_F, mm.
+        noise_px: of the contour's points.
+        covariance: the bound, of tip and axis or of the tip only.
+    """
+    true = np.asarray(place.pose.axis)
+    return {
+        "source": source,
+        "spots": spots,
+        "prior": prior,
+        "z_f_mm": pinhole_height,
+        "c_mm": place.c_mm,
+        "d_mm": place.d_mm,
+        "incidence_deg": place.incidence_deg,
+        "azimuth_deg": place.azimuth_deg,
+        "noise_px": noise_px,
+        "mirrored": is_mirrored(found.axis, true, place.outward),
+        "tip_error_mm": float(np.linalg.norm(found.tip - np.asarray(place.pose.tip))),
+        "axis_error_deg": angle_deg(found.axis, true),
+        "distance_error_mm": float(found.distance - place.d_mm),
+        "tip_bound_mm": tip_bound(covariance),
+        "axis_bound_deg": axis_bound_deg(covariance),
+        "sigma_distance_mm": float(found.sigma_distance),
+    }
+
+
+def tip_bound(covariance: np.ndarray) -> float:
+    """Standard deviation of the tip in three dimensions, mm."""
+    return float(np.sqrt(np.trace(covariance[:3, :3])))
+
+
+def axis_bound_deg(covariance: np.ndarray) -> float:
+    """Standard deviation of the axis, both perpendiculars together; 0 if the axis is known."""
+    return math.degrees(np.sqrt(np.trace(covariance[3:, 3:])))
+
+
+def drawn_prior(axis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A direction that is off by `PRIOR_DEG` (standard deviation) along each perpendicular."""
+    first, second = (np.asarray(v) for v in optics.perpendicular_frame(axis))
+    off = np.radians(PRIOR_DEG) * rng.standard_normal(2)
+    turned = axis + off[0] * first + off[1] * second
+    return turned / np.linalg.norm(turned)
+
+
+def angle_deg(axis: np.ndarray, other: np.ndarray) -> float:
+    """Angle between unit vectors, accurate for small ones too."""
+    sine = np.linalg.norm(np.cross(axis, other))
+    return math.degrees(math.atan2(sine, float(np.dot(axis, other))))
+
+
+def is_mirrored(found: np.ndarray, true: np.ndarray, outward: np.ndarray) -> bool:
+    """Whether an axis is nearer to the true one's mirror image at the wall than to the true one."""
+    mirror = 2.0 * np.dot(outward, true) * outward - true
+    off = angle_deg(found, true)
+    return off > _MIRRORED_DEG and angle_deg(found, mirror) < off
+
+
+# The analytic part: exact contours with noise, over the working volume.
+
+
+def places(wall: optics.Sphere, *, count: int, seed: int) -> list[Place]:
+    """Poses that fill the working volume evenly (scrambled Sobol points).
+
+    Args:
+        count: of poses; a power of two is balanced.
+    """
+    engine = qmc.Sobol(d=6, scramble=True, rng=np.random.default_rng(seed))
+    low = [-HALF_WIDTH_MM, -HALF_WIDTH_MM, NEAREST_MM, INCIDENCE_DEG[0], 0.0, 0.0]
+    high = [HALF_WIDTH_MM, HALF_WIDTH_MM, FARTHEST_MM, INCIDENCE_DEG[1], 360.0, 360.0]
+    return [
+        place_at(
+            wall,
+            c=math.hypot(x, y),
+            around_deg=math.degrees(math.atan2(y, x)),
+            d=d,
+            incidence_deg=incidence,
+            azimuth_deg=azimuth,
+            roll=math.radians(roll),
+        )
+        for x, y, d, incidence, azimuth, roll in qmc.scale(engine.random(count), low, high)
+    ]
+
+
+def errors(
+    tool: Tool, every: list[Place], wall: optics.Sphere, view: optics.Microscope, *, seed: int
+) -> list[dict[str, Any]]:
+    """Errors of the poses from a noisy contour at each place, with each kind of prior.
+
+    One spot is solved by `optics.pose_from_contour`, several by `calibration.spots.fit_tool` from
+    the ellipses of the same noisy contours.
+    """
+    rng = np.random.default_rng([seed, tool.cones])
+    poses = ToolPose(*map(np.array, zip(*(place.pose for place in every), strict=True)))
+    clean, bounds, known = map(np.asarray, _contours_and_bounds(tool, poses, wall, view))
+    noise = NOISE_PX * rng.standard_normal(clean.shape[:-1])
+    noisy = clean + noise[..., None] * np.asarray(contour_normals(clean))
+    drawn = np.stack([drawn_prior(np.asarray(place.pose.axis), rng) for place in every])
+    truth = np.stack([np.asarray(place.pose.axis) for place in every])
+    return [
+        pose_error(
+            place,
+            found,
+            source="analytic",
+            spots=tool.cones,
+            prior=prior,
+            pinhole_height=float(view.pinhole_height),
+            noise_px=NOISE_PX,
+            covariance=covariance,
+        )
+        for prior, axes, covariances in (
+            (Prior.ROUGH, drawn, bounds),
+            (Prior.NONE, drawn, bounds),
+            (Prior.KNOWN, truth, known),
+        )
+        for place, found, covariance in zip(
+            every, _solved(tool, noisy, axes, prior.sigma_rad, wall, view), covariances, strict=True
+        )
+    ]
+
+
+def _solved(
+    tool: Tool,
+    noisy: np.ndarray,
+    axes: np.ndarray,
+    sigma: float,
+    wall: optics.Sphere,
+    view: optics.Microscope,
+) -> list[Estimate]:
+    """Estimates at all places; the distance's sigma is NaN for several spots."""
+    if tool.cones == 1:
+        best = _one_by_contour(
+            noisy[:, 0], axes, np.asarray(sigma), wall, view, tool.half_angle, tool.apex_offset
+        )
+        columns = (best.tip, best.axis, best.distance, best.distance_error)
+        return [Estimate(*row) for row in zip(*map(np.asarray, columns), strict=True)]
+    ellipses, covariances = _ellipses(noisy)
+    fits = [
+        fit_tool(
+            tool,
+            jax.tree.map(itemgetter(i), ellipses),
+            covariances[i],
+            wall,
+            view,
+            optics.DirectionPrior(jnp.asarray(axes[i]), sigma),
+        )
+        for i in range(len(noisy))
+    ]
+    return [
+        Estimate(np.asarray(f.best.tip), np.asarray(f.best.axis), f.distance, math.nan)
+        for f in fits
+    ]
+
+
+@partial(jax.jit, static_argnums=0)
+def _contours_and_bounds(
+    tool: Tool, poses: ToolPose, wall: optics.Sphere, view: optics.Microscope
+) -> tuple[Any, Any, Any]:
+    def of(pose: ToolPose) -> tuple[Any, Any, Any]:
+        given = tool, pose, wall, view
+        return (
+            tool_contours(*given),
+            tool_pose_bound(*given, sigma_px=NOISE_PX),
+            tool_pose_bound(*given, sigma_px=NOISE_PX, axis_known=True),
+        )
+
+    return jax.vmap(of)(poses)
+
+
+@jax.jit
+def _one_by_contour(
+    noisy: Any, axes: Any, sigma: Any, wall: Any, view: Any, half_angle: Any, b: Any
+) -> optics.BeamPose:
+    def one(contour: Any, axis: Any) -> optics.BeamPose:
+        return optics.pose_from_contour(
+            contour,
+            wall,
+            view,
+            half_angle=half_angle,
+            apex_offset=b,
+            sigma_px=NOISE_PX,
+            prior=optics.DirectionPrior(axis, sigma),
+        ).best
+
+    return jax.vmap(one)(noisy, axes)
+
+
+@jax.jit
+def _ellipses(noisy: Any) -> tuple[optics.Ellipse, Any]:
+    ellipses = optics.ellipse_of_contour(noisy)
+    of = jax.vmap(jax.vmap(lambda c, e: contour_mismatch_covariance(c, e, NOISE_PX)))
+    return ellipses, of(noisy, ellipses)
+
+
+# The rendered part: frames of an even wall, spots by the estimator, poses by its exact model.
+
+STILL = {
+    "phantom.wall": "uniform",
+    "instrument.visible": False,
+    "exposures.kinds": ["metered"],
+    "microscope.width_px": 800,  # three spots need more room than one
+    "microscope.height_px": 720,
+    "clocks.camera_hz": 1.0,
+}
+"""A frame a second, in which the tool stands still."""
+
+_REST_S = 0.45  # time at rest before and after the middle of an exposure
+_INCIDENCES_DEG = (10.0, 20.0, 30.0)
+_FAR_MM = 4.0  # farther, splayed spots leave the window
+_GOLDEN_DEG = 180.0 * (3.0 - math.sqrt(5.0))  # the golden angle: azimuths never repeat
+_POINTS = 128
+
+
+def places_at(scene: Scene, *, c: float, poses: int) -> list[Place]:
+    """Poses with their axis through one point of the wall, at several distances and incidences."""
+    surface = World(scene).wall
+    assert isinstance(surface, optics.Sphere)  # by the study's check
+    return [
+        place_at(
+            surface,
+            c=c,
+            around_deg=scene.spot.azimuth_deg,
+            d=1.0 + (_FAR_MM - 1.0) * (i + 0.5) / poses,
+            incidence_deg=_INCIDENCES_DEG[i % len(_INCIDENCES_DEG)],
+            azimuth_deg=(i * _GOLDEN_DEG) % 360.0,
+            roll=i * math.radians(_GOLDEN_DEG),
+        )
+        for i in range(poses)
+    ]
+
+
+def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[dict[str, Any]]:
+    """Render, track and solve with one spot and with three.
+
+    Args:
+        eccentricities: c of the wall points, mm.
+        poses: at each of them.
+    """
+    given = World(study.scene).cone
+    tools = (one_spot(*given), three_spots(*given))
+    trials, every = {}, {}
+    for c in eccentricities:
+        name = f"c-{c:g}"
+        every[name] = places_at(study.scene, c=c, poses=poses)
+        file = study.folder / "poses" / f"{name}.csv"
+        write_poses(file, tools, every[name])
+        trials[name] = scenes.changed(
+            study.scene,
+            STILL | {"spot.eccentricity_mm": c, "motion": {"kind": "recorded", "file": str(file)}},
+        )
+    spots = study.folder / "spots"
+    spots.mkdir(exist_ok=True)
+
+    def track(name: str, stack: Stack) -> tuple[MicroscopeFile, list[Spot | NoSpot]]:
+        microscope = read_microscope(stack.folder / "microscope.json")
+        return microscope, _spots(stack, spots / f"{name}.csv")
+
+    rng = np.random.default_rng([study.seed, 2])
+    rows = []
+    for name, (microscope, measured_spots) in study.measured(trials, track).items():
+        results = iter(measured_spots)
+        ranger = Ranger(true_calibration(trials[name]), microscope)
+        for place in every[name]:
+            of_tool = {tool: [next(results) for _ in range(tool.cones)] for tool in tools}
+            prior = drawn_prior(np.asarray(place.pose.axis), rng)
+            for tool, seen in of_tool.items():
+                found = [result for result in seen if isinstance(result, Spot)]
+                if len(found) == tool.cones:
+                    rows += _errors(tool, place, found, prior, ranger)
+    return rows
+
+
+def _spots(stack: Stack, file: Path) -> list[Spot | NoSpot]:
+    """Spots of single frames, since a tracker rejects the jumps from one frame to the next."""
+    results = [
+        measured(stack.image(label), TrackState(), SubpixelSettings())[0] for label in stack.labels
+    ]
+    write_spots(
+        file,
+        [
+            SpotRecord(
+                frame=label.frame,
+                file_name=label.file_name,
+                time_s=label.time_s,
+                mode="subpixel",
+                result=result,
+            )
+            for label, result in zip(stack.labels, results, strict=True)
+        ],
+    )
+    return results
+
+
+def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None:
+    """Write one beam a second, at rest while the camera exposes."""
+    file.parent.mkdir(exist_ok=True)
+    lit = [
+        pose
+        for place in every
+        for tool in tools
+        for pose in np.hstack([*map(np.asarray, _tips_and_axes(tool, place.pose))]).tolist()
+    ]
+    with (
+        written_whole(file, replace=True) as partial,
+        partial.open("w", newline="", encoding="utf-8") as output,
+    ):
+        writer = csv.writer(output)
+        writer.writerow("time_s x_mm y_mm z_mm axis_x axis_y axis_z".split())
+        for i, pose in enumerate(lit):
+            # The first frame is due at the first row, the last at the last.
+            for time in (i - _REST_S * (i > 0), i + _REST_S * (i < len(lit) - 1)):
+                writer.writerow([time, *pose])
+
+
+def _errors(
+    tool: Tool, place: Place, seen: list[Spot], prior: np.ndarray, ranger: Ranger
+) -> list[dict[str, Any]]:
+    """Errors with each kind of prior, all from the same spots."""
+    microscope = ranger.microscope
+    surface, view = optics.Sphere(microscope.eye_radius_mm), microscope.pinhole()
+    # The noise of each of n = 128 points that gives a circle's semi-axis this standard error. The
+    # semi-axis is the sum of two independent terms of the radius, of 1 and of cos 2t, whose
+    # variances are 1/n and 2/n of the noise's.
+    sigma = float(np.mean([spot.sigma_semi_minor_px for spot in seen])) * math.sqrt(_POINTS / 3)
+    true = np.asarray(place.pose.axis)
+    rows = []
+    for kind in Prior:
+        known = kind == Prior.KNOWN
+        axis = true if known else prior
+        covariance = np.asarray(
+            tool_pose_bound(tool, place.pose, surface, view, sigma_px=sigma, axis_known=known)
+        )
+        # With a fixed axis the ranger may end with the cone's apex on the wall; see `fit_tool`.
+        if tool.cones == 1 and not known:
+            alone = ranger.distance(seen[0], axis=axis, axis_sigma_rad=kind.sigma_rad)
+            pose = alone.poses[0]
+            found = Estimate(pose.tip_mm, pose.axis, alone.distance_mm, alone.sigma_mm)
+        else:
+            ellipses = _ellipses_of(seen)
+            spread = jnp.stack([jnp.asarray(spot.covariance) for spot in seen])
+            covariances = np.asarray(_mismatch_covariances(ellipses, spread))
+            led = optics.DirectionPrior(jnp.asarray(axis), kind.sigma_rad)
+            fit = fit_tool(tool, ellipses, covariances, surface, view, led)
+            # A shift of the tip along the wall does not change the distance, to first order.
+            per_mm = place.outward / float(place.outward @ true)
+            sigma_distance = math.sqrt(per_mm @ covariance @ per_mm) if known else math.nan
+            tip, towards = np.asarray(fit.best.tip), np.asarray(fit.best.axis)
+            found = Estimate(tip, towards, fit.distance, sigma_distance)
+        rows.append(
+            pose_error(
+                place,
+                found,
+                source="rendered",
+                spots=tool.cones,
+                prior=kind,
+                pinhole_height=microscope.pinhole_height_mm,
+                noise_px=sigma,
+                covariance=covariance,
+            )
+        )
+    return rows
+
+
+def _ellipses_of(spots: list[Spot]) -> optics.Ellipse:
+    return optics.Ellipse(
+        centre=jnp.array([[spot.x_px, spot.y_px] for spot in spots]),
+        semi_major=jnp.array([spot.semi_major_px for spot in spots]),
+        semi_minor=jnp.array([spot.semi_minor_px for spot in spots]),
+        angle=jnp.array([spot.angle_rad for spot in spots]),
+    )
+
+
+@partial(jax.jit, static_argnums=0)
+def _tips_and_axes(tool: Tool, pose: ToolPose) -> tuple[jax.Array, jax.Array]:
+    lit = tool_beams(tool, pose)
+    return lit.tip, lit.axis
+
+
+_mismatch_covariances = jax.jit(jax.vmap(optics.mismatch_covariance))
+
+
+LARGEST_C_MM = 5.0
+"""Largest eccentricity of the rendered spots."""
+SOURCES = ("analytic", "rendered")
+NAMES = {1: "one spot", 3: "three spots"}
+REQUIRED_TIP_MM, REQUIRED_AXIS_DEG, REQUIRED_DISTANCE_MM = 0.010, 0.1, 0.005
+"""Required root mean square errors of rendered spots."""
+
+
+def check(scene: Scene) -> None:
+    """Refuse a scene whose spots have no pose in the working volume.
+
+    Raises:
+        SceneError: saying what to change.
+    """
+    reach = np.sqrt(2) * HALF_WIDTH_MM
+    require_roomy_eyeball(scene, f"spots reach {reach:.1f} mm from the axis")
+    if scene.source.kind != "cone":
+        raise SceneError(
+            "the study computes poses from a spot's sharp edge; got source.kind "
+            f"'{scene.source.kind}'. Set source.kind=cone."
+        )
+
+
+def _analytic(study: Study, *, one: int, three: int) -> list[dict[str, Any]]:
+    """Errors on exact contours, with the scene's pinhole and with a microscope's."""
+    scene = study.scene
+    surface = World(scene).wall
+    assert isinstance(surface, optics.Sphere)  # by `check`
+    given = World(scene).cone
+    rows = []
+    for height in dict.fromkeys((scene.microscope.pinhole_height_mm, MICROSCOPE_MM)):
+        view = optics.microscope(
+            scale=scene.microscope.scale_mm_px,
+            pinhole_height=height,
+            eye_radius=scene.phantom.radius_mm,
+        )
+        for tool, count in ((one_spot(*given), one), (three_spots(*given), three)):
+            every = places(surface, count=count, seed=study.seed)
+            rows += errors(tool, every, surface, view, seed=study.seed)
+    return rows
+
+
+# Summaries.
+
+
+def some(errors: pd.DataFrame, source: str, spots: int, prior: Prior) -> pd.DataFrame:
+    """The rows of one source, number of spots and prior."""
+    return errors[(errors.source == source) & (errors.spots == spots) & (errors.prior == prior)]
+
+
+def scatter(rows: pd.DataFrame) -> pd.Series:
+    """Root mean squares and means; rows that share a source, number of spots and prior.
+
+    The errors of tip and axis exclude mirrored solutions; `tip_all_mm` and `distance_mm` include
+    them.
+    """
+    right = rows[~rows.mirrored]
+    first = rows.iloc[0]
+    return pd.Series(
+        {
+            "source": first.source,
+            "spots": first.spots,
+            "prior": first.prior,
+            "z_f_mm": first.z_f_mm if rows.z_f_mm.nunique() == 1 else np.nan,
+            "poses": len(rows),
+            "mirrored": 1.0 - len(right) / len(rows),
+            "tip_mm": rms(right.tip_error_mm),
+            "tip_mean_mm": mean(right.tip_error_mm),
+            "tip_bound_mm": rms(right.tip_bound_mm),
+            "tip_all_mm": rms(rows.tip_error_mm),
+            "axis_deg": rms(right.axis_error_deg),
+            "axis_mean_deg": mean(right.axis_error_deg),
+            "axis_bound_deg": rms(right.axis_bound_deg),
+            "distance_mm": rms(rows.distance_error_mm),
+            "sigma_distance_mm": rms(rows.sigma_distance_mm),
+        }
+    )
+
+
+# Figures.
+
+_COLOURS = {1: BLUE, 3: VERMILION}
+_MARKS: dict[str, dict[str, Any]] = {
+    "analytic": {"marker": ".", "ms": 4, "alpha": 0.45},
+    "rendered": {"marker": "x", "ms": 6},
+}
+_ASIDE = 0.1
+"""Spots of one eccentricity are drawn side by side, in the order of their distances."""
+
+_QUANTITIES = {"error of the tip (mm)": "tip_{}_mm", "error of the axis (°)": "axis_{}_deg"}
+
+
+def _by_incidence(errors: pd.DataFrame) -> Figure:
+    """Errors of tip and axis against the incidence, for the first row's pinhole."""
+    height = errors.z_f_mm.iloc[0]
+    edges = np.linspace(*INCIDENCE_DEG, 6)
+
+    def draw(axes: Axes, _: str, quantity: str) -> None:
+        error, bound = (_QUANTITIES[quantity].format(name) for name in ("error", "bound"))
+        for spots, colour in _COLOURS.items():
+            for source, marks in _MARKS.items():
+                rows = some(errors, source, spots, Prior.ROUGH)
+                shown = rows[~rows.mirrored & (rows.z_f_mm == height)]
+                points = shown.incidence_deg, shown[error]
+                axes.plot(*points, ls="", color=colour, label=f"{NAMES[spots]}, {source}", **marks)
+            rows = some(errors, "analytic", spots, Prior.ROUGH)
+            bins = pd.cut(rows.incidence_deg, edges.tolist(), right=False)
+            bounds = rows[bound].groupby(bins, observed=False).agg(rms)
+            axes.plot(0.5 * (edges[:-1] + edges[1:]), bounds, color=colour, lw=1.6)
+            reported = dict(zip(_QUANTITIES, REPORTED[spots], strict=True))[quantity]
+            axes.axhline(reported, color=colour, ls=":", lw=1.0)
+        axes.set(yscale="log")
+
+    columns = list(_QUANTITIES)
+    return small_multiples(draw, rows=[""], columns=columns, x="incidence (°)", y="", height=3.7)
+
+
+def _known_axis(errors: pd.DataFrame) -> Figure:
+    """Errors of the distance in rendered frames with a known axis, against c."""
+    rows = some(errors, "rendered", 1, Prior.KNOWN)
+
+    def draw(axes: Axes, *_: str) -> None:
+        limit_lines(axes, 1e3 * REQUIRED_DISTANCE_MM)
+        axes.errorbar(
+            rows.c_mm + _ASIDE * (rows.d_mm - rows.d_mm.mean()),
+            1e3 * rows.distance_error_mm,
+            yerr=1e3 * rows.sigma_distance_mm,
+            fmt="x",
+            capsize=2,
+            color=BLUE,
+        )
+
+    y = "error of $d$ (µm)"
+    return small_multiples(
+        draw, rows=[""], columns=[""], x=ECCENTRICITY, y=y, height=3.2, legend_columns=0
+    )
+
+
+# The page.
+
+_FILE = "pose_error.csv"
+
+
+_COLUMNS = {
+    "source": Column("source"),
+    "spots": Column("spots"),
+    "prior": Column("prior"),
+    "z_f_mm": Column("z_F, mm", 1),
+    "poses": Column("poses"),
+    "mirrored": Column("mirrored, %", 1, scale=100),
+    "tip_mm": Column("tip, µm", scale=1e3),
+    "tip_mean_mm": Column("mean, µm", scale=1e3),
+    "tip_bound_mm": Column("bound, µm", scale=1e3),
+    "tip_all_mm": Column("tip with mirrored, µm", scale=1e3),
+    "axis_deg": Column("axis, °"),
+    "axis_mean_deg": Column("mean, °"),
+    "axis_bound_deg": Column("bound, °"),
+    "distance_mm": Column("distance, µm", scale=1e3),
+    "sigma_distance_mm": Column("its σ, µm", scale=1e3),
+}
+
+_FIRST = "source spots z_f_mm tip_mm tip_bound_mm axis_deg axis_bound_deg".split()
+
+
+def _report(scene: Scene, errors: pd.DataFrame) -> Report:
+    def scatters(*priors: Prior) -> pd.DataFrame:
+        """Summaries by prior, source, number of spots and pinhole."""
+        return pd.DataFrame(
+            [
+                scatter(rows)
+                for prior in priors
+                for source in SOURCES
+                for spots in REPORTED
+                for _, rows in grouped(some(errors, source, spots, prior), "z_f_mm")
+            ]
+        )
+
+    return Report(
+        title="How accurately do one spot and three spots give the tool's pose?",
+        answer=_answer(errors),
+        lead="Tip and axis, five parameters, of an ideal cone: from exact contours with noise "
+        "over a working volume of 10 × 10 × 5 mm, and from rendered frames.",
+        first=[
+            Picture(
+                "incidence",
+                _by_incidence(errors),
+                "A tilted beam tells tip and axis better than a square one. Dots: contours with "
+                f"noise of {NOISE_PX:g} px. Crosses: rendered frames. Lines: root mean square of "
+                f"the Cramér–Rao bound. Direction prior {PRIOR_DEG:g}°, without mirrored "
+                "solutions. Dotted: the mean errors reported by Zhou et al. (2023).",
+                data=_FILE,
+            ),
+            Table.of(
+                scatters(Prior.ROUGH),
+                {name: _COLUMNS[name] for name in _FIRST},
+                "Root mean square errors and bounds, without mirrored solutions.",
+                data=_FILE,
+            ),
+        ],
+        claims=list(_claims(errors)),
+        sections=[
+            Section("Method", _method(scene, errors)),
+            Section(
+                "The mirror solution",
+                Table.of(
+                    scatters(Prior.ROUGH, Prior.NONE),
+                    _COLUMNS,
+                    "How often the mirrored solution is taken, and the tip's root mean square "
+                    "error without and with it.",
+                    data=_FILE,
+                ),
+                _MIRROR,
+            ),
+            Section(
+                "Axis known",
+                Table.of(
+                    scatters(Prior.KNOWN),
+                    _COLUMNS,
+                    "Root mean square errors if the robot gives the axis. The last column is the "
+                    "standard deviation of the distance that the estimator reports.",
+                    data=_FILE,
+                ),
+                Picture(
+                    "known",
+                    _known_axis(errors),
+                    "Error of the distance with the axis known, one spot in rendered frames, "
+                    "against the eccentricity (farther ones to the right of nearer ones). Bars: "
+                    "the estimator's own standard deviation. Dashed: the requirement.",
+                    data=_FILE,
+                ),
+            ),
+        ],
+        data={_FILE: errors},
+    )
+
+
+def _answer(errors: pd.DataFrame) -> str:
+    one, three = (
+        rows_of(pd.DataFrame([scatter(some(errors, "rendered", spots, Prior.ROUGH))]))[0]
+        for spots in REPORTED
+    )
+    return (
+        f"One rendered spot gives the tip to {number(1e3 * one.tip_mm, 1)} µm and the axis to "
+        f"{number(one.axis_deg, 3)}°, three spots give them to {number(1e3 * three.tip_mm, 1)} µm "
+        f"and {number(three.axis_deg, 3)}° (root mean square, the direction known to "
+        f"{PRIOR_DEG:g}°)."
+    )
+
+
+def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
+    def found_for(source: str, spots: int, prior: Prior) -> Any:
+        """The summary of one source, number of spots and prior."""
+        return rows_of(pd.DataFrame([scatter(some(errors, source, spots, prior))]))[0]
+
+    for source in SOURCES:
+        for spots, (tip, axis) in REPORTED.items():
+            found = found_for(source, spots, Prior.ROUGH)
+            yield Claim(
+                name=f"{source}, {NAMES[spots]}, tip",
+                sentence="The mean error of the tip is {value:.4f} mm (reported by others, with "
+                "another light, eye and camera: {high:g} mm). Root mean square {all.tip_mm:.4f} "
+                "mm over {all.poses} poses without mirrored ones; the bound is "
+                "{all.tip_bound_mm:.4f} mm.",
+                value=found.tip_mean_mm,
+                high=tip,
+                numbers={"all": found},
+            )
+            yield Claim(
+                name=f"{source}, {NAMES[spots]}, axis",
+                sentence="The mean error of the axis is {value:.3f}° (reported by others: "
+                "{high:g}°). Root mean square {all.axis_deg:.3f}°; the bound is "
+                "{all.axis_bound_deg:.3f}°.",
+                value=found.axis_mean_deg,
+                high=axis,
+                numbers={"all": found},
+            )
+    single = some(errors, "rendered", 1, Prior.ROUGH)
+    found = found_for("rendered", 1, Prior.ROUGH)
+    by_incidence = [(deg, scatter(rows)) for deg, rows in single.groupby("incidence_deg")]
+    incidences = tuple(deg for deg, _ in by_incidence)
+    yield Claim(
+        name="requirement, tip",
+        sentence="Single rendered spots give the tip to {value:.4f} mm (required: {high:g} mm), "
+        "root mean square of {all.poses} frames without mirrored ones. At incidences of "
+        "{incidences:g}° it is {each:.4f} mm. In {all.mirrored:.0%} of the frames a prior drawn "
+        "with {prior:g}° led to the mirrored solution; with these the tip is off by "
+        "{all.tip_all_mm:.3f} mm.",
+        value=found.tip_mm,
+        high=REQUIRED_TIP_MM,
+        numbers={
+            "all": found,
+            "incidences": incidences,
+            "each": tuple(part.tip_mm for _, part in by_incidence),
+            "prior": PRIOR_DEG,
+        },
+    )
+    yield Claim(
+        name="requirement, axis",
+        sentence="Single rendered spots give the axis to {value:.3f}° (required: {high:g}°). At "
+        "incidences of {incidences:g}° it is {each:.3f}°, with bounds of {bounds:.3f}°.",
+        value=found.axis_deg,
+        high=REQUIRED_AXIS_DEG,
+        numbers={
+            "incidences": incidences,
+            "each": tuple(part.axis_deg for _, part in by_incidence),
+            "bounds": tuple(part.axis_bound_deg for _, part in by_incidence),
+        },
+    )
+    known = some(errors, "rendered", 1, Prior.KNOWN)
+    yield Claim(
+        name="requirement, distance",
+        sentence="With the axis known the distance is off by {value:.4f} mm (root mean square) at "
+        "the worst eccentricity up to c = {largest_c:g} mm (required: {high:g} mm), and by "
+        "{rms:.4f} mm over all {frames} rendered frames.",
+        value=float(known.groupby("c_mm").distance_error_mm.agg(rms).max()),
+        high=REQUIRED_DISTANCE_MM,
+        numbers={
+            "largest_c": LARGEST_C_MM,
+            "rms": rms(known.distance_error_mm),
+            "frames": len(known),
+        },
+    )
+    free, led = (found_for("analytic", 1, p) for p in (Prior.NONE, Prior.ROUGH))
+    yield Claim(
+        name="mirror",
+        sentence="Without a prior, one spot gives the mirror solution in {value:.1%} of the "
+        "poses, three spots in {three.mirrored:.1%}. With a direction prior of {prior:g}° it is "
+        "{led.mirrored:.1%} for one spot, and the tip is off by {led.tip_all_mm:.3f} mm (root mean "
+        "square of all poses; {free.tip_all_mm:.3f} mm without a prior). The distance is off by "
+        "{free.distance_mm:.4f} mm "
+        "without a prior, mirrored solutions included.",
+        value=free.mirrored,
+        numbers={
+            "three": found_for("analytic", 3, Prior.NONE),
+            "free": free,
+            "led": led,
+            "prior": PRIOR_DEG,
+        },
+    )
+
+
+_MIRROR = (
+    "A beam that is tilted the other way explains a spot almost as well, at the same distance but "
+    "with another tip. For one spot the two differ only in the contour's deviation from an "
+    "ellipse. This deviation decreases with the incidence, and an estimator that reports ellipses "
+    "does not measure it. For three splayed spots their positions distinguish the two solutions."
+)
+
+
+def _method(scene: Scene, errors: pd.DataFrame) -> str:
+    noise = errors.noise_px[errors.source == "rendered"].median()
+    low, high = INCIDENCE_DEG
+    source = scene.source
+    return (
+        f"k = {source.cone_k:g}, b = {source.cone_apex_offset_mm:g} mm, "
+        f"{1e3 * scene.microscope.scale_mm_px:g} µm/px; O anywhere in 10 × 10 mm round "
+        f"the microscope's axis, d = {NEAREST_MM:g} to {FARTHEST_MM:g} mm, incidence {low:g} to "
+        f"{high:g}° from all sides; {NOISE_PX:g} px of noise across each of 128 points of a "
+        "contour. Three spots are three such cones on one rigid tool, their tips 0.5 mm apart and "
+        "splayed by 10°, lit one after the other; the tool's roll is found with its pose. Rendered "
+        "frames have an even wall, camera noise and no instrument in front of the spot. The "
+        "estimator's standard errors of their ellipses correspond to noise of "
+        f"{noise:.3f} px on 128 points (median)."
+    )
+
+
+# The command.
+
+
+def pose(
+    scene: StartingScene = None,
+    /,
+    *,
+    out: OutputFolder,
+    changes: Changes = (),
+    quick: Quick = False,
+    seed: Seed = None,
+) -> pd.DataFrame:
+    """Estimate the tool's tip and axis from one spot and from three, beside their bounds.
+
+    To continue a run that was stopped, start it again with the same folder.
+    """
+    study = Study(
+        "pose",
+        out=out,
+        scene=scene,
+        changes=changes,
+        quick=quick,
+        seed=seed,
+        defaults=("source.kind=cone",),
+        check=check,
+    )
+    with study.timed("noise on exact contours"):
+        rows = _analytic(study, one=64 if quick else 1024, three=32 if quick else 128)
+    with study.timed("render and measure"):
+        rows += measure(
+            study,
+            eccentricities=np.linspace(0.0, LARGEST_C_MM, 2 if quick else 6).tolist(),
+            poses=3 if quick else 6,
+        )
+    errors = pd.DataFrame(rows)
+    study.publish(_report, study.scene, errors)
+    return errors

@@ -1,0 +1,844 @@
+"""`eyespot study sensors`: one distance by the spot, by the instrument's shadow, and by stereo.
+
+DIR/expected.csv     standard deviations of the three by stated noise of their marks
+    wrong.csv        errors if one of the things that they take as known is wrong
+    readings.csv     distances read from rendered pictures
+    stacks/, spots/  rendered spots, and what the estimator measured of them
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import optics
+import scenes
+from benchmarks.model_error import DISTANCE
+from benchmarks.paper import ACCEPTABLE_ERROR_MM, SUBPIXEL, VISIBLE_ENOUGH, largest, track_stack
+from benchmarks.reporting import (
+    BLUE,
+    ORANGE,
+    VERMILION,
+    Claim,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    grouped,
+    limit_lines,
+    number,
+    small_multiples,
+)
+from benchmarks.studies import sensor_views
+from benchmarks.studies import sensor_views as marks
+from benchmarks.studies import sensor_views as pictures
+from benchmarks.studies.sensor_views import (
+    CONE,
+    CONTOUR_PX,
+    CONVERGENCE_DEG,
+    LAMP_ABOVE_MM,
+    LAMP_RADIUS_MM,
+    MARK_PX,
+    PATHS,
+    PINHOLE_HEIGHT_MM,
+    RADIUS_MM,
+    REACH_PX,
+    SCALE_MM_PX,
+    WALL_PX,
+    Known,
+    Marks,
+    Numbers,
+    Outcome,
+    Pictures,
+    Place,
+    Sensor,
+    Views,
+    Wrong,
+    by_shadow,
+    by_spot,
+    by_stereo,
+    centred,
+    marks_of,
+    outcomes_at,
+    place,
+    project,
+    views,
+)
+from benchmarks.study import OutputFolder, Quick, Seed, Study
+from estimator import FrameLabels, NoSpot, Spot, Stack
+from estimator.run import progress
+from scenes import Scene
+
+# What each sensor can reach: exact marks with stated noise, and with one wrong assumption.
+
+_POINTS = 128
+_LAMP_OFF_MM, _AXIS_OFF_DEG, _RADIUS_OFF_MM = 1.0, 1.0, 0.5
+_DIRECTIONS = 4  # in which something is displaced
+_AFFECTED = {Wrong.LAMP: (Sensor.SHADOW,)}
+
+
+class Assumed(NamedTuple):
+    """What is assumed at each place.
+
+    Attributes:
+        lamp: end of the light guide, mm.
+        lower: by how much the wall's radius is taken too large, mm.
+    """
+
+    lamp: Numbers
+    axis: Numbers
+    lower: Numbers
+
+
+def expected(
+    path: str,
+    seen: Views,
+    pinholes: Views,
+    *,
+    eccentricities: np.ndarray,
+    distances: np.ndarray,
+    draws: int,
+    seed: int,
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Rows of expected.csv and of wrong.csv for one path.
+
+    The first are standard deviations of marks of the stated noise, with everything known; the
+    second are errors of exact marks if one assumption is wrong, RMS over directions.
+
+    Args:
+        pinholes: cameras at the same places without a path.
+        eccentricities: c, mm.
+        distances: d, mm.
+        draws: of the noise at each place.
+    """
+    every = [
+        place(eccentricity=c, distance=d)
+        for c in eccentricities.tolist()
+        for d in distances.tolist()
+    ]
+    places = Place(*map(np.stack, zip(*every, strict=True)))
+    true, outcomes = _marks(places, seen), outcomes_at(places, seen)
+    right = Assumed(places.lamp, places.axis, np.zeros(len(every)))
+    cases = {Wrong.PATH: [right], **_wrong(places, right)}
+    # All in one batch, so that each kind of path is compiled once: noise, then wrong assumptions.
+    assumed = [right] * draws + [one for several in cases.values() for one in several]
+    batch = jax.tree.map(lambda *leaves: np.stack(leaves), *assumed)
+    noise = _noise(true, draws, len(assumed), seed)
+    read = {sensor: np.asarray(d) for sensor, d in _read(true, noise, batch, seen).items()}
+    by_pinhole = read if path == "pinhole" else _read(true, noise, batch, pinholes)
+    where = {"path": path, "c_mm": places.eccentricity, "d_mm": places.distance}
+    noisy, biases, first = [], [], draws
+    for sensor in Sensor:
+        done = np.array(outcomes[sensor]) == Outcome.READ
+        sigma = np.where(done, read[sensor][:draws].std(axis=0), np.nan)
+        about = {"sensor": sensor, **where, "outcome": outcomes[sensor]}
+        noisy.append(pd.DataFrame(about | {"sigma_mm": sigma}))
+    for wrong, several in cases.items():
+        part = slice(first, first + len(several))
+        first = part.stop
+        if wrong == Wrong.PATH and path == "pinhole":
+            continue
+        for sensor in _AFFECTED.get(wrong, tuple(Sensor)):
+            values = by_pinhole[sensor] if wrong == Wrong.PATH else read[sensor]
+            error = np.asarray(values)[part] - places.distance
+            # Displacements in opposite directions have opposite effects; their size counts.
+            size = error[0] if len(error) == 1 else np.sqrt(np.mean(error**2, axis=0))
+            rows = pd.DataFrame({"sensor": sensor, **where, "wrong": wrong, "error_mm": size})
+            biases.append(rows[np.array(outcomes[sensor]) == Outcome.READ])
+    columns = ["sensor", "path", "wrong", "c_mm", "d_mm", "error_mm"]
+    wrongs = pd.concat(biases, ignore_index=True)[columns]
+    return pd.concat(noisy, ignore_index=True), wrongs
+
+
+@eqx.filter_jit
+def _marks(places: Place, seen: Views) -> Marks:
+    return jax.vmap(lambda one: marks_of(one, seen, points=_POINTS))(places)
+
+
+@eqx.filter_jit
+def _read(marks: Marks, noise: Marks, assumed: Assumed, seen: Views) -> dict[Sensor, Any]:
+    """Readings, cases x places: of marks (places) with noise (cases x places), as assumed."""
+
+    def one(own: Marks, off: Marks, given: Assumed) -> dict[Sensor, Any]:
+        own = jax.tree.map(jnp.add, own, off)
+        known = Known(
+            views=_lowered(seen, given.lower),
+            radius=RADIUS_MM + given.lower,
+            # The centre of a larger sphere lies higher above the pole.
+            lamp=given.lamp - given.lower * jnp.array([0.0, 0.0, 1.0]),
+            axis=given.axis,
+        )
+        return {
+            Sensor.SPOT: by_spot(optics.ellipse_of_contour(own.contour), known),
+            Sensor.SHADOW: by_shadow(own.tip, own.shadow, known),
+            Sensor.STEREO: by_stereo(own.tip_pair, own.wall_pair, known),
+        }
+
+    return jax.vmap(jax.vmap(one), (None, 0, 0))(marks, noise, assumed)
+
+
+def _lowered(seen: Views, lower: Any) -> Views:
+    """The cameras in the frame of a larger sphere, whose pole lies lower; they stay in place."""
+    return Views(
+        *(
+            eqx.tree_at(lambda c: c.pole_height, camera, camera.pole_height - lower)
+            for camera in seen
+        )
+    )
+
+
+def _noise(marks: Marks, draws: int, cases: int, seed: int) -> Marks:
+    """Noise of the first cases; the others have none."""
+    rng = np.random.default_rng(seed)
+    sigma = Marks(CONTOUR_PX, MARK_PX, MARK_PX, MARK_PX, WALL_PX)
+
+    def of(leaf: Any, s: float) -> np.ndarray:
+        found = np.zeros((cases, *leaf.shape))
+        found[:draws] = s * rng.standard_normal((draws, *leaf.shape))
+        return found
+
+    return jax.tree.map(of, marks, sigma)
+
+
+def _wrong(places: Place, right: Assumed) -> dict[Wrong, list[Assumed]]:
+    """Wrong assumptions, each in the directions in which it can be wrong."""
+    off = math.tan(math.radians(_AXIS_OFF_DEG))
+    return {
+        Wrong.LAMP: [
+            right._replace(lamp=places.lamp + aside)
+            for aside in _aside(places.lamp_axis, _LAMP_OFF_MM)
+        ],
+        Wrong.AXIS: [
+            right._replace(axis=_units(places.axis + aside)) for aside in _aside(places.axis, off)
+        ],
+        Wrong.RADIUS: [right._replace(lower=right.lower + _RADIUS_OFF_MM)],
+    }
+
+
+def _aside(axes: np.ndarray, size: float) -> list[np.ndarray]:
+    """Vectors across axes, in evenly spaced directions."""
+    first, second = (np.asarray(v) for v in optics.perpendicular_frame(axes))
+    angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    return [size * (math.cos(a) * first + math.sin(a) * second) for a in angles]
+
+
+def _units(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+# The rendered part: all three sensors read distances from pictures of the same places.
+
+Reading = tuple[Sensor, str, str, float, float, Outcome, float, float]
+READING = "sensor path wall c_mm d_mm outcome error_mm mark_error_px".split()
+"""Row of readings.csv, and its columns; error = estimate - truth.
+
+The marks' errors are the largest of the reading's marks: the semi-minor axis for the spot, the
+place of tip and shadow otherwise; empty if nothing was read.
+"""
+
+_by_spot, _by_shadow, _in_space, _distance_along = (
+    eqx.filter_jit(function)
+    for function in (
+        sensor_views.by_spot,
+        sensor_views.by_shadow,
+        sensor_views.in_space,
+        sensor_views.distance_along,
+    )
+)
+
+
+class Trial(NamedTuple):
+    """Places with one path, one wall and one eccentricity.
+
+    Attributes:
+        c: mm.
+        scene: that all places have in common.
+    """
+
+    path: str
+    wall: str
+    c: float
+    scene: Scene
+    places: list[Place]
+
+    @property
+    def name(self) -> str:
+        """For folders and files."""
+        return f"{self.path}-{self.wall}-{self.c:g}".replace(" ", "-")
+
+
+def trials(
+    scene: Scene,
+    *,
+    paths: Sequence[str],
+    walls: Sequence[str],
+    eccentricities: Sequence[float],
+    distances: Sequence[float],
+) -> list[Trial]:
+    """All combinations of paths, walls and eccentricities, each with all distances."""
+    return [
+        Trial(
+            path,
+            wall,
+            c,
+            pictures.base_scene(scene, path, wall, eccentricity=c),
+            [place(eccentricity=c, distance=d) for d in distances],
+        )
+        for path in paths
+        for wall in walls
+        for c in eccentricities
+    ]
+
+
+def by_spots(study: Study, every: Sequence[Trial]) -> list[Reading]:
+    """Readings of the spot: a withdrawal with each trial's distances, tracked and read exactly."""
+    folder = study.folder / "spots"
+    folder.mkdir(exist_ok=True)
+    named = {trial.name: trial for trial in every}
+    cameras = {path: views(path) for path in dict.fromkeys(trial.path for trial in every)}
+
+    def read(name: str, stack: Stack) -> list[Reading]:
+        tracked = track_stack(stack, SUBPIXEL, spots_file=folder / f"{name}.csv")
+        trial = named[name]
+        return [
+            _spot_reading(trial, one, cameras[trial.path], result, label)
+            for one, result, label in zip(
+                trial.places, tracked.results, tracked.labels, strict=True
+            )
+        ]
+
+    found = study.measured({name: _withdrawal(t) for name, t in named.items()}, read)
+    return [reading for readings in found.values() for reading in readings]
+
+
+def by_pictures(
+    every: Sequence[Trial],
+) -> tuple[list[Reading], dict[tuple[str, float], pictures.Pictures]]:
+    """Readings of shadow and stereo; and the pictures of the first wall by path and distance."""
+    cameras = {path: views(path) for path in dict.fromkeys(trial.path for trial in every)}
+    readings, kept = [], {}
+    with progress("Photographing", total=sum(len(trial.places) for trial in every)) as advance:
+        for trial in every:
+            seen = cameras[trial.path]
+            in_view = outcomes_at(Place(*map(np.stack, zip(*trial.places, strict=True))), seen)
+            for k, one in enumerate(trial.places):
+                taken = pictures.pictures(trial.scene, one, seen)
+                readings.append(_shadow(trial, one, taken, in_view[Sensor.SHADOW][k]))
+                readings.append(_stereo(trial, one, taken, in_view[Sensor.STEREO][k]))
+                if trial.wall == every[0].wall and trial.c == every[0].c:
+                    kept[trial.path, float(one.distance)] = taken
+                advance(note=trial.name)
+    return readings, kept
+
+
+def _withdrawal(trial: Trial) -> Scene:
+    """Frames at the trial's distances, which are evenly spaced."""
+    first, last = trial.places[0], trial.places[-1]
+    frame = optics.Sphere(RADIUS_MM).frame_at(
+        eccentricity=trial.c, azimuth=math.radians(trial.scene.spot.azimuth_deg)
+    )
+    along, across, out = (
+        float(first.axis @ np.asarray(v))
+        for v in (frame.meridional, frame.azimuthal, frame.outward)
+    )
+    return scenes.changed(
+        trial.scene,
+        {
+            "source.cone_k": 1.0 / math.tan(CONE["half_angle"]),
+            "source.cone_apex_offset_mm": CONE["apex_offset"],
+            "spot.incidence_deg": math.degrees(math.acos(out)),
+            "spot.incidence_azimuth_deg": math.degrees(math.atan2(across, along)),
+            "motion.kind": "withdrawal",
+            "motion.start_mm": float(first.distance),
+            "motion.travel_mm": float(last.distance - first.distance),
+            "motion.frames": len(trial.places),
+            "exposures.kinds": ["metered"],
+        },
+    )
+
+
+def _known(one: Place, seen: Views) -> Known:
+    return Known(seen, jnp.asarray(RADIUS_MM), jnp.asarray(one.lamp), jnp.asarray(one.axis))
+
+
+def _reading(
+    sensor: Sensor,
+    trial: Trial,
+    one: Place,
+    outcome: Outcome,
+    distance: float = math.nan,
+    mark_error: float = math.nan,
+) -> Reading:
+    d = float(one.distance)
+    return sensor, trial.path, trial.wall, trial.c, d, outcome, distance - d, mark_error
+
+
+def _spot_reading(
+    trial: Trial, one: Place, seen: Views, result: Spot | NoSpot, label: FrameLabels
+) -> Reading:
+    if not isinstance(result, Spot):
+        return _reading(Sensor.SPOT, trial, one, Outcome.NO_SPOT)
+    if label.visible_fraction < VISIBLE_ENOUGH:
+        return _reading(Sensor.SPOT, trial, one, Outcome.HIDDEN)
+    centre = centred(seen.centre, one.spot)
+    ellipse = optics.Ellipse(
+        centre=jnp.array([result.x_px, result.y_px]),
+        semi_major=jnp.asarray(result.semi_major_px),
+        semi_minor=jnp.asarray(result.semi_minor_px),
+        angle=jnp.asarray(result.angle_rad),
+    )
+    distance = float(_by_spot(ellipse, _known(one, seen._replace(centre=centre))))
+    off = abs(result.semi_minor_px - label.half_max_semi_minor_px)
+    return _reading(Sensor.SPOT, trial, one, Outcome.READ, distance, off)
+
+
+def _shadow(trial: Trial, one: Place, taken: pictures.Pictures, outcome: Outcome) -> Reading:
+    if outcome != Outcome.READ:
+        return _reading(Sensor.SHADOW, trial, one, outcome)
+    camera, image = taken.seen.centre, pictures.grey(taken.centre)
+    tip = marks.found_shift(image, marks.tool_outline(one, camera), dark=False)
+    shadow = marks.found_shift(image, marks.shadow_outline(one, camera), dark=True)
+    distance = _by_shadow(
+        _image(camera, one.tip) + tip,
+        _image(camera, np.asarray(sensor_views.shadow_of(one.tip, one.lamp))) + shadow,
+        _known(one, taken.seen),
+    )
+    off = max(np.linalg.norm(shift) for shift in (tip, shadow))
+    return _reading(Sensor.SHADOW, trial, one, Outcome.READ, float(distance), float(off))
+
+
+def _stereo(trial: Trial, one: Place, taken: pictures.Pictures, outcome: Outcome) -> Reading:
+    if outcome != Outcome.READ:
+        return _reading(Sensor.STEREO, trial, one, outcome)
+    images = [pictures.grey(photograph) for photograph in (taken.left, taken.right)]
+    height = marks.wall_height(images[0], images[1], one, taken.seen)
+    if height is None:
+        return _reading(Sensor.STEREO, trial, one, Outcome.NO_TEXTURE)
+    pair = [taken.seen.left, taken.seen.right]
+    shifts = [
+        marks.found_shift(image, marks.tool_outline(one, camera), dark=False)
+        for image, camera in zip(images, pair, strict=True)
+    ]
+    places = [_image(camera, one.tip) + shift for camera, shift in zip(pair, shifts, strict=True)]
+    (tip,) = _in_space(jnp.stack(places)[:, None], taken.seen)
+    wall = optics.Sphere(RADIUS_MM - height)
+    distance = float(_distance_along(wall, tip, _known(one, taken.seen)))
+    off = max(float(np.linalg.norm(shift)) for shift in shifts)
+    return _reading(Sensor.STEREO, trial, one, Outcome.READ, distance, off)
+
+
+def _image(camera: optics.Camera, point: np.ndarray) -> np.ndarray:
+    return np.asarray(project(camera, point[None]))[0]
+
+
+_ECCENTRICITIES_MM = np.array([0.0, 1.5, 3.0])
+_DISTANCES_MM = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0])
+_DRAWS, _QUICK_DRAWS = 200, 50
+_WALLS = ("printed paper", "retina", "uniform")
+_RENDERED_C_MM, _QUICK_C_MM = (0.0, 3.0), (0.0,)
+_RENDERED_D_MM, _QUICK_D_MM = [1.0, 3.0, 5.0], [1.0, 4.0]
+
+
+# What the page shows.
+
+
+@dataclass(frozen=True, kw_only=True)
+class RivalFindings:
+    """All results of a run.
+
+    Attributes:
+        scene: the study's; its seed and its camera are used.
+        expected: with stated noise.
+        wrong: with one wrong assumption.
+        photographs: of the first wall, by path and distance.
+    """
+
+    scene: Scene
+    expected: pd.DataFrame
+    wrong: pd.DataFrame
+    readings: pd.DataFrame
+    photographs: dict[tuple[str, float], Pictures]
+
+    @property
+    def paths(self) -> list[str]:
+        """Names of the viewing paths."""
+        return list(dict.fromkeys(self.expected.path))
+
+    def sigma(self, sensor: Sensor, path: str) -> pd.Series:
+        """Standard deviations of the places that the sensor can read, mm."""
+        of = self.expected
+        return of.sigma_mm[(of.sensor == sensor) & (of.path == path) & (of.outcome == Outcome.READ)]
+
+    def bias(self, sensor: Sensor, path: str, wrong: Wrong) -> pd.Series:
+        """Errors under one wrong assumption at the places that the sensor can read, mm."""
+        of = self.wrong
+        return of.error_mm[(of.sensor == sensor) & (of.path == path) & (of.wrong == wrong)]
+
+    def summaries(self) -> pd.DataFrame:
+        """The readings by sensor, path and wall."""
+        rows = []
+        for key, every in grouped(self.readings, "sensor", "path", "wall"):
+            done = every[every.outcome == Outcome.READ]
+            reasons = every.outcome[every.outcome != Outcome.READ]
+            why = [f"{why} {(reasons == why).sum()}" for why in dict.fromkeys(reasons)]
+            errors = done.error_mm.abs()
+            sizes = (errors.median(), errors.max(), done.mark_error_px.median())
+            rows.append((*key, len(every), len(done), *sizes, ", ".join(why)))
+        columns = "sensor path wall asked read median_mm largest_mm mark_px why_not"
+        return pd.DataFrame(rows, columns=columns.split())
+
+
+# Figures.
+
+_COLOURS = {Sensor.SPOT: BLUE, Sensor.SHADOW: ORANGE, Sensor.STEREO: VERMILION}
+_MARKS = {Sensor.SPOT: "o", Sensor.SHADOW: "^", Sensor.STEREO: "s"}
+_LINES = ("-", "--", ":")
+_SMALLEST_MM, _LARGEST_MM = 1e-4, 5.0
+
+
+def noise_figure(findings: RivalFindings) -> Figure:
+    """Standard deviation against distance: a panel for each path, a line style for each c."""
+    expected = findings.expected
+
+    def draw(axes: Axes, _: str, path: str) -> None:
+        for sensor in _COLOURS:
+            _lines(axes, sensor, expected[expected.path == path], "sigma_mm")
+        axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--")
+        axes.set_yscale("log")
+        axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
+
+    return small_multiples(
+        draw,
+        rows=[""],
+        columns=findings.paths[:4],
+        x=DISTANCE,
+        y="σ of d (mm)",
+        legend_columns=3,
+        sharey=True,
+    )
+
+
+def path_figure(findings: RivalFindings) -> Figure:
+    """Error against distance if the path is taken for a pinhole: a panel for each path."""
+    wrong = findings.wrong[findings.wrong.wrong == Wrong.PATH]
+
+    def draw(axes: Axes, _: str, path: str) -> None:
+        limit_lines(axes, ACCEPTABLE_ERROR_MM)
+        for sensor in _COLOURS:
+            _lines(axes, sensor, wrong[wrong.path == path], "error_mm")
+
+    return small_multiples(
+        draw,
+        rows=[""],
+        columns=list(dict.fromkeys(wrong.path)),
+        x=DISTANCE,
+        y="estimate − truth (mm)",
+        height=3.2,
+        legend_columns=3,
+        sharey=True,
+    )
+
+
+def _lines(axes: Axes, sensor: Sensor, rows: pd.DataFrame, value: str) -> None:
+    """Lines of a sensor's values against distance, one for each c."""
+    own = grouped(rows[rows.sensor == sensor], "c_mm")
+    for (c, line), style in zip(own, _LINES, strict=False):
+        marks: dict[str, Any] = {"color": _COLOURS[sensor], "marker": _MARKS[sensor], "ms": 3}
+        label = f"{sensor}, c = {c:g} mm"
+        axes.plot(line.d_mm, line[value], style, label=label, **marks)
+
+
+def reading_figure(findings: RivalFindings) -> Figure:
+    """|Error| of the rendered readings against distance: rows of paths, columns of walls."""
+    read = findings.readings[findings.readings.outcome == Outcome.READ]
+
+    def draw(axes: Axes, path: str, wall: str) -> None:
+        for sensor, colour in _COLOURS.items():
+            of = (read.sensor == sensor) & (read.path == path) & (read.wall == wall)
+            axes.plot(
+                read.d_mm[of],
+                read.error_mm[of].abs().clip(lower=_SMALLEST_MM),
+                ls="",
+                marker=_MARKS[sensor],
+                ms=4,
+                color=colour,
+                label=sensor,
+            )
+        axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--")
+        axes.set_yscale("log")
+        axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
+
+    return small_multiples(
+        draw,
+        rows=findings.paths[:2],
+        columns=list(dict.fromkeys(findings.readings.wall)),
+        x=DISTANCE,
+        y="|error| (mm)",
+        height=2.2,
+        sharex=True,
+        sharey=True,
+    )
+
+
+def photograph_figure(findings: RivalFindings) -> Figure:
+    """What the sensors see: the central image and the left one, a row for each path."""
+    distance = max(d for _, d in findings.photographs)
+
+    def draw(axes: Axes, path: str, view: str) -> None:
+        photograph = np.asarray(getattr(findings.photographs[path, distance], view), float)
+        axes.imshow(np.clip(photograph / findings.scene.camera.full_scale_dn, 0.0, 1.0))
+        axes.set_axis_off()
+
+    return small_multiples(
+        draw,
+        rows=findings.paths[:2],
+        columns=["left", "centre", "right"],
+        x="",
+        y="",
+        height=2.6,
+        legend_columns=0,
+    )
+
+
+# The page.
+
+
+def report(findings: RivalFindings) -> Report:
+    """The report of a run."""
+    return Report(
+        title="Which is the best sensor of the distance: the spot, the shadow, or a stereo pair?",
+        answer=_answer(findings),
+        lead="The same distance d, from the instrument's tip to the wall along its axis, is read "
+        "from the spot of its own light, from the shadow of its tip under a light guide, and from "
+        f"a stereo pair with {CONVERGENCE_DEG:g}° between the lines of sight, by the same "
+        f"microscope ({SCALE_MM_PX:g} mm/px at the pole) at the same places. All three know the "
+        "instrument's axis, the wall's shape and their cameras.",
+        first=[
+            Picture(
+                "noise",
+                noise_figure(findings),
+                "The spot is the most precise of the three sensors. Standard deviation of d, for "
+                f"noise of {CONTOUR_PX:g} px for each of 128 points of the spot's edge, "
+                f"{MARK_PX:g} px in x and y for a tip and for a shadow's tip, {WALL_PX:g} px for "
+                "the wall's texture in a pair; the last three are assumptions. Dashed: the "
+                "clinically acceptable error. A line ends where the window or the iris hides a "
+                "mark, or the instrument hides its shadow.",
+                data="expected.csv",
+            ),
+            Table.of(
+                findings.summaries()[findings.summaries().path == findings.paths[0]],
+                {
+                    "sensor": Column("sensor"),
+                    "wall": Column("wall"),
+                    "asked": Column("places"),
+                    "read": Column("read"),
+                    "median_mm": Column("median |error|, mm"),
+                    "largest_mm": Column("largest, mm"),
+                },
+                f"Readings from rendered pictures through {findings.paths[0]}.",
+                data="readings.csv",
+            ),
+            Picture(
+                "photographs",
+                photograph_figure(findings),
+                "The instrument and its shadow, by the left half of the pair, the central "
+                "microscope, and the right half.",
+                inline="jpeg",
+            ),
+        ],
+        claims=list(_claims(findings)),
+        sections=[
+            Section("Methods", _METHODS),
+            Section(
+                "What a wrong assumption gives",
+                Picture(
+                    "path",
+                    path_figure(findings),
+                    "Error without noise if the microscope's pinhole is known, but the viewing "
+                    f"lens and the eye in front of it (z_F = {PINHOLE_HEIGHT_MM:g} mm) are not.",
+                    data="wrong.csv",
+                ),
+                Table.of(
+                    findings.wrong[findings.wrong.d_mm == 2.0],
+                    {
+                        "sensor": Column("sensor"),
+                        "path": Column("path"),
+                        "wrong": Column("what is wrong"),
+                        "c_mm": Column("c, mm", 1),
+                        "d_mm": Column("d, mm", 1),
+                        "error_mm": Column("error, mm", sign=True),
+                    },
+                    "Errors at d = 2 mm if one assumption is wrong; RMS over directions, where "
+                    "something lies or points elsewhere.",
+                    data="wrong.csv",
+                ),
+            ),
+            Section(
+                "Read from rendered pictures",
+                Picture(
+                    "readings",
+                    reading_figure(findings),
+                    "Errors of the readings; a missing mark was not read.",
+                    data="readings.csv",
+                ),
+                Table.of(
+                    findings.summaries(),
+                    {
+                        "sensor": Column("sensor"),
+                        "path": Column("path"),
+                        "wall": Column("wall"),
+                        "asked": Column("places"),
+                        "read": Column("read"),
+                        "median_mm": Column("median |error|, mm"),
+                        "largest_mm": Column("largest, mm"),
+                        "mark_px": Column("median mark's error, px", 2),
+                        "why_not": Column("not read because"),
+                    },
+                    "Readings by sensor, path and wall. The mark's error is that of the semi-minor "
+                    "axis for the spot, and the largest of the places of tip and shadow otherwise.",
+                    data="readings.csv",
+                ),
+                _HELP,
+            ),
+        ],
+        data={
+            "expected.csv": findings.expected,
+            "wrong.csv": findings.wrong,
+            "readings.csv": findings.readings,
+        },
+    )
+
+
+_METHODS = (
+    "Spot: the exact spot with the ellipse's centre and area, as `--model area`. Shadow: the line "
+    "of sight of the shadow's tip meets the wall; from there a line to the light guide meets the "
+    "tip's line of sight at the tip. Stereo: two lines of sight meet at the tip, two more on the "
+    "wall below it. Shadows of instruments were used for the same task by Koyama et al. (2021, "
+    "arXiv 2107.11985) and by Yang et al. (ICRA 2024, “Shadow-Based 3D Pose Estimation of "
+    "Intraocular Instrument Using Only 2D Images”), who report errors of 1 to 2 mm without "
+    "knowing where the light is."
+)
+
+_HELP = (
+    "The labels help shadow and stereo where the literature needs a network: they say how the "
+    "outlines of the instrument's end and of its shadow run, and where they are to within "
+    f"{REACH_PX:g} px. The place is then measured from the picture, as the shift at which the "
+    "picture is steepest across the outline. The wall's height in a pair is the one at which the "
+    "textures of both images agree best; the instrument is left out. The light guide is a disc "
+    f"of {LAMP_RADIUS_MM:g} mm radius, {LAMP_ABOVE_MM:g} mm from the pole, for the shadow, and a "
+    "point for the pair. The spot is an ideal cone's. On the set `static-v1` a lens's bell-shaped "
+    "spot is measured with an error of 1.2 px, a cone's with 0.014 px (RMS of e₁′), "
+    "because the wall is textured; with a lens the spot's advantage is that much smaller."
+)
+
+
+def _answer(findings: RivalFindings) -> str:
+    rows = findings.readings[findings.readings.outcome == Outcome.READ]
+    sizes = 1e3 * rows.error_mm.abs().groupby(rows.sensor).median()
+    listed = ", ".join(f"{number(sizes[s], 1)} µm from the {s}" for s in Sensor if s in sizes)
+    return f"In rendered pictures the median error of a distance is {listed}."
+
+
+def _claims(findings: RivalFindings) -> Iterator[Claim]:
+    for path in findings.paths:
+        sigmas = [findings.sigma(sensor, path) for sensor in Sensor]
+        of = findings.expected
+        yield Claim(
+            name=f"noise, {path}",
+            sentence="Through {path}, marks of the stated noise give {value:.4f} mm "
+            "({sensors}; medians over the places in view). In view are {seen} of {places} places.",
+            value=tuple(float(sigma.median()) for sigma in sigmas),
+            numbers={
+                "path": path,
+                "sensors": ", ".join(Sensor),
+                "seen": tuple(map(len, sigmas)),
+                "places": int(((of.sensor == Sensor.SPOT) & (of.path == path)).sum()),
+            },
+        )
+    for path in findings.paths[1:]:
+        yield Claim(
+            name=f"unknown path, {path}",
+            sentence="If {path} is taken for a pinhole, the largest errors are {value:.2f} mm "
+            "({sensors}).",
+            value=tuple(largest(findings.bias(sensor, path, Wrong.PATH)) for sensor in Sensor),
+            numbers={"path": path, "sensors": ", ".join(Sensor)},
+        )
+    yield Claim(
+        name="light guide",
+        sentence="A light guide 1 mm beside the place where it is thought to be changes the "
+        "shadow's distance by up to {value:.2f} mm.",
+        value=largest(findings.wrong.error_mm[findings.wrong.wrong == Wrong.LAMP]),
+    )
+    for sensor in Sensor:
+        rows = findings.readings[findings.readings.sensor == sensor]
+        done = rows.error_mm[rows.outcome == Outcome.READ].abs()
+        yield Claim(
+            name=f"rendered, {sensor}",
+            sentence="From rendered pictures the {sensor} was read at {read} of {places} places, "
+            "with a median error of {value:.3f} mm and at most {worst:.3f} mm.",
+            value=float(done.median()),
+            numbers={
+                "sensor": str(sensor),
+                "read": len(done),
+                "places": len(rows),
+                "worst": largest(done),
+            },
+        )
+
+
+# The command.
+
+
+def sensors(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> RivalFindings:
+    """Read one distance from the spot, from the instrument's shadow and from a stereo pair.
+
+    To continue a run that was stopped, start it again with the same folder.
+    """
+    study = Study("sensors", out=out, quick=quick, seed=seed)
+    paths = [*PATHS][:2] if quick else [*PATHS]
+    noise, wrong = [], []
+    with study.timed("expected"):
+        pinholes = views("pinhole")
+        for path in paths:
+            some, biases = expected(
+                path,
+                views(path),
+                pinholes,
+                eccentricities=_ECCENTRICITIES_MM,
+                distances=_DISTANCES_MM,
+                draws=_QUICK_DRAWS if quick else _DRAWS,
+                seed=study.seed,
+            )
+            noise.append(some)
+            wrong.append(biases)
+    every = trials(
+        study.scene,
+        paths=paths,
+        walls=(_WALLS[0], _WALLS[-1]) if quick else _WALLS,
+        eccentricities=_QUICK_C_MM if quick else _RENDERED_C_MM,
+        distances=_QUICK_D_MM if quick else _RENDERED_D_MM,
+    )
+    with study.timed("render and measure spots"):
+        readings = by_spots(study, every)
+    with study.timed("render and measure shadows and stereo pairs"):
+        others, kept = by_pictures(every)
+    findings = RivalFindings(
+        scene=study.scene,
+        expected=pd.concat(noise, ignore_index=True),
+        wrong=pd.concat(wrong, ignore_index=True),
+        readings=pd.DataFrame(readings + others, columns=READING),
+        photographs=kept,
+    )
+    study.publish(report, findings)
+    return findings

@@ -1,0 +1,688 @@
+"""`eyespot study static`: the paper's Tables I and II over many runs, and what adds to their error.
+
+DIR/static_tables.csv  every run's Table I and II, in both modes
+    static_spread.csv  mean and standard deviation over runs beside the paper's figures
+    static_causes.csv  what touch, tilt, exposure, texture, threshold and noise add to the error
+    static_spots.csv   e1' of every frame of the first run
+    stacks/            rendered frames, with the noise-free ones that all runs photograph
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import scenes
+from benchmarks.model_error import MEASURED, READING, TRIAL_COLOURS
+from benchmarks.paper import (
+    ALL_PLANES,
+    LITERAL,
+    PAPERS_PLANES,
+    SUBPIXEL,
+    TABLE_I,
+    TABLE_II,
+    Photographer,
+    Shot,
+    StaticTrial,
+    Way,
+    paper_trials,
+)
+from benchmarks.reporting import (
+    BLUE,
+    GREY,
+    Claim,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    number,
+    rows_of,
+    small_multiples,
+)
+from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from calibration import Lines, fit_eccentricity, fit_lines
+from scenes import Scene, SceneError
+
+# The rendered withdrawals, photographed and measured under each set of causes.
+
+FROM_MM = 0.5
+"""Least reading that the fits use; nearer, the fibre hides a large part of the spot."""
+TOUCH_MM = 0.1
+TILT_DEG = 5.0
+LIGHT = 0.1
+THRESHOLD_DN = 10
+
+CAUSES = {
+    "noise": "the camera's",
+    "texture": "printed retina in place of an even wall",
+    "touch": f"{TOUCH_MM:g} mm, normal, a trial",
+    "tilt": f"plane {TILT_DEG:g}° either way, a trial",
+    "exposure": f"{100 * LIGHT:g} %, normal, a trial",
+    "threshold": f"{THRESHOLD_DN:g} grey levels, normal, a run",
+}
+"""The causes and their sizes, which are assumptions: the paper does not report them."""
+NONE, TOGETHER, ALL = "none", "together", "all"
+"""No cause; what all causes together add beyond their sum; all causes."""
+EVEN = -1
+"""Number of the even wall among the textures."""
+
+Key = tuple[int, int, int]
+"""Trial, texture, tilt (-1, 0 or 1)."""
+
+
+class Measured(NamedTuple):
+    """e1' (px, NaN where no spot counts) and d_r (mm) of runs x trials x frames."""
+
+    semi_minor: np.ndarray
+    readings: np.ndarray
+
+
+def check(scene: Scene) -> None:
+    """Refuse a scene that is not the paper's static experiment.
+
+    Raises:
+        SceneError: saying what to change.
+    """
+    motion = scene.motion
+    if motion.kind != "withdrawal" or motion.start_mm != "contact":
+        raise SceneError(
+            "the static experiment withdraws the tip from contact; got motion.kind "
+            f"'{motion.kind}'. Set motion.kind=withdrawal and motion.start_mm=contact."
+        )
+    if scene.spot.incidence_deg <= TILT_DEG:
+        raise SceneError(
+            f"the study tilts the plane by {TILT_DEG:g} deg either way; got spot.incidence_deg = "
+            f"{scene.spot.incidence_deg:g}. Raise it."
+        )
+
+
+# Rendered.
+
+
+def rendered_planes(study: Study, *, textures: int, frames: int) -> dict[Key, Photographer]:
+    """Every trial on the plane, on every wall and with every tilt."""
+    wanted = {
+        (trial, texture, tilt): plane(study.scene, place, texture=texture, tilt=tilt, frames=frames)
+        for trial, place in enumerate(_places("plane"))
+        for texture in (EVEN, *range(textures))
+        for tilt in (-1, 0, 1)
+    }
+    names = {key: "plane-{}-wall-{}-tilt-{}".format(*(x + 1 for x in key)) for key in wanted}
+    stacks = study.stacks({names[key]: scene for key, scene in wanted.items()})
+    return {
+        key: Photographer(scene=scene, stack=stacks[names[key]]) for key, scene in wanted.items()
+    }
+
+
+def plane(scene: Scene, place: StaticTrial, *, texture: int, tilt: int, frames: int) -> Scene:
+    """A trial on the plane; the instrument keeps its direction when the plane tilts under it.
+
+    Args:
+        scene: the study's.
+        place: the trial that gives the place on the wall.
+        texture: number of the wall, EVEN for the even one.
+        tilt: 1 if the plane's normal leans the way the beam travels, -1 against it, 0 for none.
+    """
+    base = scene.spot
+    travels = place.scene.spot.azimuth_deg + base.incidence_azimuth_deg
+    return scenes.changed(
+        scene,
+        {
+            **_shared(place, frames=frames),
+            "phantom.kind": "plane",
+            "phantom.pupil_radius_mm": 0.0,
+            "phantom.tilt_deg": TILT_DEG * abs(tilt),
+            "phantom.tilt_azimuth_deg": travels if tilt > 0 else travels + 180.0,
+            "spot.incidence_deg": base.incidence_deg + TILT_DEG * tilt,
+            **(
+                {"phantom.wall": "uniform"}
+                if texture == EVEN
+                else {"phantom.texture_seed": scene.phantom.texture_seed + texture}
+            ),
+        },
+    )
+
+
+def rendered_spheres(study: Study, *, frames: int) -> list[Photographer]:
+    """The trials in the eyeball."""
+    wanted = {
+        place.group.replace(" ", "-"): scenes.changed(
+            study.scene, {**_shared(place, frames=frames), "phantom.kind": "eyeball"}
+        )
+        for place in _places("sphere")
+    }
+    stacks = study.stacks(wanted)
+    return [Photographer(scene=scene, stack=stacks[name]) for name, scene in wanted.items()]
+
+
+def _places(kind: str) -> list[StaticTrial]:
+    return [t for t in paper_trials(source="lens", quick=True, seed=0) if t.kind == kind]
+
+
+def _shared(place: StaticTrial, *, frames: int) -> dict[str, object]:
+    return {
+        "spot.eccentricity_mm": place.scene.spot.eccentricity_mm,
+        "spot.azimuth_deg": place.scene.spot.azimuth_deg,
+        "motion.frames": frames,
+        "exposures.kinds": ["paper", "metered"],
+        "exposures.keep_linear": True,
+    }
+
+
+# Photographed and measured under each set of causes.
+
+
+class Draws(NamedTuple):
+    """Sizes of the causes by run (rows) and trial (columns).
+
+    `touch` is the distance since contact minus the reading, mm; `tilt` is -1 or 1; `light` is a
+    factor on the exposure. `threshold` of the literal mode and the number of the wall's `texture`
+    are by run.
+    """
+
+    touch: np.ndarray
+    tilt: np.ndarray
+    light: np.ndarray
+    threshold: np.ndarray
+    texture: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """Photographs and measures rendered withdrawals; the pool's workers measure."""
+
+    planes: Mapping[Key, Photographer]
+    spheres: Sequence[Photographer]
+    draws: Draws
+    pool: Executor
+
+    def variants(self) -> dict[str, Measured]:
+        """Literal mode on planes without causes, with each alone, and with all."""
+        draws = self.draws
+
+        def even(shot: Callable[[int, int], Shot]) -> Measured:
+            return self._planes(lambda run, trial: ((trial, EVEN, 0), shot(run, trial)))
+
+        without = even(lambda run, trial: Shot())
+        return {
+            NONE: without,
+            "noise": even(lambda run, trial: Shot(seed=_seed(run, trial))),
+            "texture": self._planes(
+                lambda run, trial: ((trial, int(draws.texture[run]), 0), Shot())
+            ),
+            "touch": self._touched(without),
+            "tilt": self._planes(
+                lambda run, trial: ((trial, EVEN, int(draws.tilt[run, trial])), Shot())
+            ),
+            "exposure": even(lambda run, trial: Shot(light=float(draws.light[run, trial]))),
+            "threshold": even(lambda run, trial: Shot(threshold=int(draws.threshold[run]))),
+            ALL: self.together(LITERAL),
+        }
+
+    def together(self, way: Way) -> Measured:
+        """Planes under all causes at once."""
+        texture, tilt = self.draws.texture, self.draws.tilt
+        return self._touched(
+            self._planes(
+                lambda run, trial: (
+                    (trial, int(texture[run]), int(tilt[run, trial])),
+                    self._shot(way, run, trial),
+                ),
+                way=way,
+            )
+        )
+
+    def curved(self, way: Way) -> Measured:
+        """Spheres under all causes that apply: they have one wall, and no plane to tilt."""
+        tasks = [
+            (self.spheres[trial], self._shot(way, run, trial))
+            for run, trial in np.ndindex(self.draws.touch.shape)
+        ]
+        return self._touched(self._measured(tasks, way))
+
+    def _shot(self, way: Way, run: int, trial: int) -> Shot:
+        shot = Shot(seed=_seed(run, trial))
+        if way is not LITERAL:  # metered frames, no threshold
+            return shot
+        return shot._replace(
+            light=float(self.draws.light[run, trial]), threshold=int(self.draws.threshold[run])
+        )
+
+    def _planes(
+        self, task: Callable[[int, int], tuple[Key, Shot]], *, way: Way = LITERAL
+    ) -> Measured:
+        tasks = [task(run, trial) for run, trial in np.ndindex(self.draws.touch.shape)]
+        return self._measured([(self.planes[key], shot) for key, shot in tasks], way)
+
+    def _measured(self, tasks: Sequence[tuple[Photographer, Shot]], way: Way) -> Measured:
+        """Measure every task once, however many runs share it."""
+        shots: dict[Photographer, dict[Shot, None]] = {}
+        for photographer, shot in tasks:
+            shots.setdefault(photographer, {})[shot] = None
+        spots = self.pool.map(lambda of: of[0].measure(way, list(of[1])), shots.items())
+        found = {
+            (photographer, shot): semi_minor
+            for (photographer, asked), measured in zip(shots.items(), spots, strict=True)
+            for shot, semi_minor in zip(asked, measured, strict=True)
+        }
+        shape = (*self.draws.touch.shape, -1)
+        semi_minor = np.reshape([found[task] for task in tasks], shape)
+        readings = np.reshape([photographer.readings for photographer, _ in tasks], shape)
+        return Measured(np.where(readings > FROM_MM - 1e-6, semi_minor, np.nan), readings)
+
+    def _touched(self, measured: Measured) -> Measured:
+        """The same with readings that count from a missed touch."""
+        return measured._replace(readings=measured.readings - self.draws.touch[..., None])
+
+
+def _seed(run: int, trial: int) -> int:
+    return 1 + 1000 * run + trial
+
+
+# Table I's R² and RMSE imply trials of 3.0, 3.5 and 3.7 mm (`eyespot study table-one`).
+_DEFAULTS = ("motion.travel_mm=3.5",)
+_FEWEST_SPOTS = 3
+OWN, POOLED = "each trial", "all trials"
+"""Whose mean square error is split: the mean over each trial's own line, or the line of all."""
+_WAYS = (LITERAL.name, SUBPIXEL.name)
+_QUANTITIES = {
+    "delta_k": Column("δk, mm/px", 4),
+    "b": Column("b, mm", 2),
+    "r_squared": Column("R²", 4),
+    "rmse": Column("RMSE, mm"),
+    "c": Column("c, mm", 2),
+    "standard_deviation": Column("standard deviation, mm"),
+    "mean_absolute_error": Column("mean |error|, mm"),
+    "max_error": Column("largest |error|, mm"),
+}
+"""The quantities of Tables I and II."""
+
+
+# Fits.
+
+
+def _lines(semi_minor: np.ndarray, reading: np.ndarray) -> tuple[Lines, Lines]:
+    """Each trial's line (runs x trials), and the line through all trials (runs)."""
+    runs = semi_minor.shape[0]
+    every = np.broadcast_to(reading, semi_minor.shape)
+    return (
+        fit_lines(semi_minor, every),
+        fit_lines(semi_minor.reshape(runs, -1), every.reshape(runs, -1)),
+    )
+
+
+def _tables(way: str, spots: Mapping[tuple[str, str], Measured], scene: Scene) -> pd.DataFrame:
+    """Tables I and II of every run: way, run, trial, quantity, value."""
+    own, pooled = _lines(*spots["plane", way])
+    rows: list[tuple[str, int, str, str, float]] = []
+    for quantity in TABLE_I[ALL_PLANES]._fields:
+        per_trial, of_all = getattr(own, quantity), getattr(pooled, quantity)
+        for run in range(of_all.size):
+            for trial, value in zip(PAPERS_PLANES, per_trial[run], strict=True):
+                rows.append((way, run, trial, quantity, float(value)))
+            rows.append((way, run, ALL_PLANES, quantity, float(of_all[run])))
+    spheres = spots["sphere", way]
+    for run, trial in np.ndindex(spheres.semi_minor.shape[:2]):
+        axis, reading = spheres.semi_minor[run, trial], spheres.readings[run, trial]
+        seen = np.isfinite(axis)
+        if np.count_nonzero(seen) < _FEWEST_SPOTS:
+            continue
+        fit = fit_eccentricity(
+            semi_minor_px=axis[seen],
+            distance=reading[seen],
+            delta_k=float(pooled.delta_k[run]),
+            b=float(pooled.b[run]),
+            scale=scene.microscope.scale_mm_px,
+            eye_radius=scene.phantom.radius_mm,
+        )
+        name = list(TABLE_II)[trial]
+        rows += [(way, run, name, q, getattr(fit, q)) for q in TABLE_II[name]._fields]
+    return pd.DataFrame(rows, columns=["way", "run", "trial", "quantity", "value"])
+
+
+def _spreads(tables: pd.DataFrame) -> pd.DataFrame:
+    """Mean and standard deviation over the runs, and the paper's value.
+
+    For c, `paper` is the value that the paper fitted; it is the true c of the trial here.
+    """
+    finite = tables[np.isfinite(tables.value)]
+    values = finite.groupby(["way", "trial", "quantity"], sort=False).value
+    found = values.agg(runs="size", mean="mean", standard_deviation="std")
+    found = found[found.runs >= 2].reset_index()
+    printed: dict[str, Any] = {**TABLE_I, **TABLE_II}
+    found["paper"] = [getattr(printed[row.trial], row.quantity) for row in rows_of(found)]
+    return found
+
+
+def parts(
+    semi_minor: Mapping[str, np.ndarray], readings: Mapping[str, np.ndarray], *, texture: np.ndarray
+) -> pd.DataFrame:
+    """Split the mean square error by cause, over paired runs.
+
+    The error without causes plus all parts and "together" is the error with all causes.
+
+    Args:
+        semi_minor: e1' by variant, runs x trials x frames, px: of NONE, of each cause, of ALL.
+        readings: d_r likewise, mm.
+        texture: which wall each run has; runs that share a wall count once in its standard error.
+    """
+    both = {name: _lines(semi_minor[name], readings[name]) for name in semi_minor}
+    squares = {
+        OWN: {name: (own.rmse**2).mean(axis=1) for name, (own, _) in both.items()},
+        POOLED: {name: pooled.rmse**2 for name, (_, pooled) in both.items()},
+    }
+    rows = []
+    for scope, of in squares.items():
+        alone = {name: of[name] - of[NONE] for name in CAUSES if name in of}
+        together = of[ALL] - of[NONE] - sum(alone.values())
+        for cause, size, part, whole in (
+            (NONE, "the light and pixels", of[NONE], of[NONE]),
+            *((name, CAUSES[name], part, of[name]) for name, part in alone.items()),
+            (TOGETHER, "beyond their sum", together, np.array([np.nan])),
+            (ALL, "", of[ALL], of[ALL]),
+        ):
+            sample = pd.Series(part)
+            if cause == "texture":
+                sample = sample.groupby(texture).mean()
+            rows.append((scope, cause, size, part.mean(), sample.sem(), whole.mean() ** 0.5))
+    columns = ["scope", "cause", "size", "part_mm2", "standard_error_mm2", "rmse_mm"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+# Figures.
+
+
+def _trials_figure(spots: Mapping[tuple[str, str], Measured]) -> Figure:
+    """d_r against e1' of all runs: planes and spheres (rows), by way of measuring (columns)."""
+    highest = max(np.nanmax(measured.readings) for measured in spots.values())
+
+    def draw(axes: Axes, wall: str, way: str) -> None:
+        measured = spots[wall, way]
+        names = PAPERS_PLANES if wall == "plane" else TABLE_II
+        for n, (name, colour) in enumerate(zip(names, TRIAL_COLOURS, strict=True)):
+            points = measured.semi_minor[:, n].ravel(), measured.readings[:, n].ravel()
+            axes.plot(*points, ".", ms=2.5, alpha=0.5, color=colour, label=name)
+        if wall == "plane":
+            d = np.array([0.0, highest])
+            for line, colour in zip(PAPERS_PLANES.values(), TRIAL_COLOURS, strict=True):
+                axes.plot((d - line.b) / line.delta_k, d, color=colour, lw=0.8)
+        axes.legend(loc="lower right", markerscale=3)
+
+    return small_multiples(
+        draw,
+        rows=["plane", "sphere"],
+        columns=_WAYS,
+        x=MEASURED,
+        y=READING,
+        height=3.2,
+        legend_columns=0,
+        sharex=True,
+        sharey=True,
+    )
+
+
+def _causes_figure(causes: pd.DataFrame) -> Figure:
+    """Parts of the mean square error, of each trial's line and of all trials' line."""
+
+    def draw(axes: Axes, _: str, scope: str) -> None:
+        rows = causes[causes.scope == scope][::-1]
+        axes.barh(
+            rows.cause,
+            1e3 * rows.part_mm2,
+            xerr=1e3 * rows.standard_error_mm2.fillna(0),
+            color=[GREY if cause in (NONE, ALL) else BLUE for cause in rows.cause],
+            height=0.6,
+        )
+        for line in [TABLE_I[ALL_PLANES]] if scope == POOLED else PAPERS_PLANES.values():
+            axes.axvline(1e3 * line.rmse**2, color=GREY, lw=0.8, ls=":")
+
+    x = "mean square error of the line (10$^{-3}$ mm²)"
+    return small_multiples(
+        draw, rows=[""], columns=[OWN, POOLED], x=x, y="", height=3.2, legend_columns=0
+    )
+
+
+# The page.
+
+
+def _report(
+    runs: int,
+    spots: Mapping[tuple[str, str], Measured],
+    tables: pd.DataFrame,
+    causes: pd.DataFrame,
+) -> Report:
+    spreads = _spreads(tables)
+    first_run = [
+        (trial, way, d, e)
+        for (wall, way), measured in spots.items()
+        for n, trial in enumerate(PAPERS_PLANES if wall == "plane" else TABLE_II)
+        for e, d in zip(measured.semi_minor[0, n], measured.readings[0, n], strict=True)
+    ]
+    return Report(
+        title="How much do the paper's Tables I and II scatter, and what causes their error?",
+        answer=_answer(causes),
+        lead=f"The paper's static experiment was rendered, photographed and fitted {runs} "
+        "times. Each run has its own noise, wall, touch, tilt, exposure and threshold. "
+        f"The fits use readings from {FROM_MM:g} mm on, because nearer to contact the fibre hides "
+        "a large part of the spot.",
+        first=[
+            Picture(
+                "static_causes",
+                _causes_figure(causes),
+                "What each cause adds alone to the mean square error, and all together beyond "
+                "their sum, with standard errors over paired runs; dotted: the paper's mean square "
+                "error.",
+                data="static_causes.csv",
+            ),
+            _beside_the_paper(
+                spreads,
+                {ALL_PLANES: TABLE_I[ALL_PLANES]},
+                "All planes of Table I with all causes, mean ± standard deviation over runs.",
+            ),
+        ],
+        claims=list(_claims(spreads, causes)),
+        sections=[
+            Section(
+                "Tables I and II over many runs",
+                Picture(
+                    "static_trials",
+                    _trials_figure(spots),
+                    "Spots of all runs with all causes, on the planes (top) and in the eyeball "
+                    "(bottom); lines: those of the paper's Table I.",
+                    data="static_spots.csv",
+                ),
+                _beside_the_paper(
+                    spreads,
+                    TABLE_I,
+                    "Table I with all causes, mean ± standard deviation over runs.",
+                ),
+                _beside_the_paper(
+                    spreads,
+                    TABLE_II,
+                    "Table II with all causes: the small-plane model with each run's own δk and b.",
+                ),
+            ),
+            Section(
+                "Causes of the RMSE",
+                Table.of(
+                    causes[causes.scope == POOLED],
+                    {
+                        "scope": Column("line of"),
+                        "cause": Column("cause"),
+                        "size": Column("size"),
+                        "part_mm2": Column("part, 10⁻³ mm²", scale=1e3),
+                        "standard_error_mm2": Column("standard error", scale=1e3),
+                        "rmse_mm": Column("RMSE, mm"),
+                    },
+                    "Parts of the mean square error in literal mode. The first row is the error "
+                    "without any cause, because a lens's light does not give an exact line. This "
+                    "error, the parts and “together” sum to “all”. The sizes of the causes are "
+                    "assumptions. A small cause adds an error in proportion to the square of its "
+                    "size. Several runs share a wall; the standard error of texture accounts for "
+                    "this.",
+                    data="static_causes.csv",
+                ),
+            ),
+        ],
+        data={
+            "static_tables.csv": tables,
+            "static_spread.csv": spreads,
+            "static_causes.csv": causes,
+            "static_spots.csv": pd.DataFrame(
+                first_run, columns=["trial", "way", "d_r_mm", "semi_minor_px"]
+            ),
+        },
+    )
+
+
+def _answer(causes: pd.DataFrame) -> str:
+    rmse = causes.set_index(["scope", "cause"]).rmse_mm
+    alone = causes[(causes.scope == POOLED) & causes.cause.isin(CAUSES)]
+    most = alone.loc[[alone.part_mm2.idxmax()]].cause.iloc[0]
+    return (
+        f"With all assumed causes a trial's RMSE is {number(rmse[OWN, ALL], 3)} mm and that of all "
+        f"planes together {number(rmse[POOLED, ALL], 3)} mm (the paper's: "
+        f"{TABLE_I[ALL_PLANES].rmse:.3f} mm); {most} adds most."
+    )
+
+
+def _claims(spreads: pd.DataFrame, causes: pd.DataFrame) -> Iterator[Claim]:
+    pooled = (spreads.trial == ALL_PLANES, lambda row: f"Table I, {row.way}")
+    fitted_c = (spreads.quantity == "c", lambda row: f"Table II, {row.way}, {row.trial}")
+    for chosen, where in (pooled, fitted_c):
+        for row in rows_of(spreads[chosen]):
+            column = _QUANTITIES[row.quantity]
+            digits = f".{column.digits}f"
+            yield Claim(
+                name=f"{where(row)}, {column.heading}",
+                sentence=f"{{value:{digits}}} ± {{spread.standard_deviation:{digits}}}, mean ± "
+                "standard deviation over {spread.runs} runs; the paper prints "
+                f"{{spread.paper:{digits}}}.",
+                value=row.mean,
+                numbers={"spread": row},
+            )
+    of = causes[causes.scope == POOLED].set_index("cause")
+    part, error = 1e3 * of.part_mm2, 1e3 * of.standard_error_mm2
+    ordered = list(part[list(CAUSES)].sort_values(ascending=False).index)
+    yield Claim(
+        name="causes",
+        sentence="The cause {causes[0]} adds most to the mean square error of all planes. "
+        "In 10⁻³ mm², {causes} add {parts:+.2f} (standard errors over runs: {errors:.2f}). "
+        "Together they add {together:+.2f} ± {together_error:.2f} beyond their sum. Without causes "
+        "the error is {none:.2f} (RMSE {none_rmse:.3f} mm), with all causes {value:.2f} (RMSE "
+        "{all_rmse:.3f} mm).",
+        value=part[ALL],
+        numbers={
+            "causes": tuple(ordered),
+            "parts": tuple(part[ordered]),
+            "errors": tuple(error[ordered]),
+            "together": part[TOGETHER],
+            "together_error": error[TOGETHER],
+            "none": part[NONE],
+            "none_rmse": of.rmse_mm[NONE],
+            "all_rmse": of.rmse_mm[ALL],
+        },
+    )
+    own = causes[causes.scope == OWN].set_index("cause")
+    printed = [row.rmse for row in PAPERS_PLANES.values()]
+    yield Claim(
+        name="the paper's RMSE",
+        sentence="With all causes a trial's RMSE is {value:.3f} mm (the paper's trials: {low:.3f} "
+        "to {high:.3f} mm). For all planes together it is {pooled:.3f} mm (the paper's: "
+        "{paper:.3f} mm).",
+        value=own.rmse_mm[ALL],
+        low=min(printed),
+        high=max(printed),
+        numbers={"pooled": of.rmse_mm[ALL], "paper": TABLE_I[ALL_PLANES].rmse},
+    )
+
+
+def _beside_the_paper(spreads: pd.DataFrame, printed: Mapping[str, Any], caption: str) -> Table:
+    quantities = next(iter(printed.values()))._fields
+    found = spreads.set_index(["way", "trial", "quantity"])
+
+    def text(quantity: str, *values: float) -> str:
+        return " ± ".join(number(value, _QUANTITIES[quantity].digits) for value in values)
+
+    def over_runs(*key: str) -> str:
+        if key not in found.index:
+            return "–"
+        return text(key[-1], *found.loc[key, ["mean", "standard_deviation"]])
+
+    rows = [
+        (way, trial, *(over_runs(way, trial, q) for q in quantities))
+        for way in _WAYS
+        for trial in printed
+    ]
+    rows += [
+        ("paper", trial, *(text(q, getattr(row, q)) for q in quantities))
+        for trial, row in printed.items()
+    ]
+    columns = [Column("way"), Column("trial"), *(_QUANTITIES[name] for name in quantities)]
+    return Table(columns, rows, caption, "static_spread.csv")
+
+
+# The command.
+
+
+def static(
+    scene: StartingScene = None,
+    /,
+    *,
+    out: OutputFolder,
+    changes: Changes = (),
+    quick: Quick = False,
+    seed: Seed = None,
+) -> pd.DataFrame:
+    """Repeat the paper's Tables I and II many times, and split their error by cause.
+
+    To continue a run that was stopped, start it again with the same folder.
+    """
+    study = Study(
+        "static",
+        out=out,
+        scene=scene,
+        changes=changes,
+        quick=quick,
+        seed=seed,
+        defaults=_DEFAULTS,
+        check=check,
+    )
+    runs, textures, frames = (4, 1, 5) if quick else (20, 4, 21)
+    with study.timed("render"):
+        planes = rendered_planes(study, textures=textures, frames=frames)
+        spheres = rendered_spheres(study, frames=frames)
+    rng = np.random.default_rng(study.seed)
+    shape = runs, len(spheres)
+    draws = Draws(
+        touch=TOUCH_MM * rng.standard_normal(shape),
+        tilt=rng.choice((-1, 1), shape),
+        light=np.exp(LIGHT * rng.standard_normal(shape)),
+        threshold=np.rint(200 + THRESHOLD_DN * rng.standard_normal(runs)).astype(int),
+        texture=np.arange(runs) % textures,
+    )
+    with study.timed("photograph and measure"), ThreadPoolExecutor(max_workers=2) as pool:
+        bench = Bench(planes=planes, spheres=spheres, draws=draws, pool=pool)
+        variants = bench.variants()
+        spots = {
+            ("plane", LITERAL.name): variants[ALL],
+            ("plane", SUBPIXEL.name): bench.together(SUBPIXEL),
+            **{("sphere", way.name): bench.curved(way) for way in (LITERAL, SUBPIXEL)},
+        }
+    with study.timed("fit"):
+        tables = pd.concat([_tables(way, spots, study.scene) for way in _WAYS], ignore_index=True)
+        causes = parts(
+            {name: m.semi_minor for name, m in variants.items()},
+            {name: m.readings for name, m in variants.items()},
+            texture=draws.texture,
+        )
+    study.publish(_report, runs, spots, tables, causes)
+    return causes

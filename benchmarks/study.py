@@ -1,0 +1,346 @@
+"""One run of a study: its request, its scene, its stacks, its folder."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import shlex
+import shutil
+import time
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal, ParamSpec, TypeVar
+
+import matplotlib
+from cyclopts import Parameter
+from cyclopts.types import NonNegativeInt
+
+import scenes
+from benchmarks.reporting import STYLE, Report, write_page
+from estimator import Stack, StackWriter, read_stack
+from estimator.files import (
+    errors_named,
+    lock,
+    object_in,
+    refuse_foreign,
+    require_space,
+    sweep,
+    written_whole,
+)
+from estimator.run import progress, say
+from optics import InputError, in_file, read_text, shortened
+from scenes import Scene
+from scenes.description import Changes as Changes
+from scenes.description import OutputFolder as OutputFolder
+
+StartingScene = Annotated[
+    Path | None,
+    Parameter(help="Scene file (TOML) to start from (default: the study's own scene)."),
+]
+Quick = Annotated[bool, Parameter(help="Run a smaller study, for a first look.")]
+Seed = Annotated[NonNegativeInt | None, Parameter(help="Random seed (default: the scene file's).")]
+LightSource = Annotated[
+    Literal["both", "lens", "cone"],
+    Parameter(help="The fibre with its glue lens, the ideal sharp cone, or both."),
+]
+
+
+_RUN_SCHEMA = 1
+_SUMMARY_SCHEMA = 2
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Study:
+    """One run of a study.
+
+    Args:
+        name: of the study.
+        out: folder for the results; a run with the same arguments is resumed.
+        scene: scene file, or None for the study's own.
+        changes: "table.key=value" each, set after reading.
+        quick: a smaller study, for a first look.
+        seed: random seed; None uses the scene's.
+        options: options of this study only, by their names on the command line without dashes.
+        defaults: changes of the default scene, used if no scene file is given, before `changes`.
+        check: raises if the study cannot use the scene.
+        command: what starts it; `eyespot study NAME` if not given.
+
+    Attributes:
+        scene: the scene to start from.
+        command: the command line that repeats this run.
+        seconds: wall time of this run by step.
+
+    Raises:
+        InputError: the scene is not valid, the folder has other files, or another process uses it.
+        RendererUnavailable: Mitsuba cannot run here.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        out: Path,
+        scene: Path | None = None,
+        changes: Sequence[str] = (),
+        quick: bool = False,
+        seed: int | None = None,
+        options: Mapping[str, int | float | str] | None = None,
+        defaults: Sequence[str] = (),
+        check: Callable[[Scene], None] = lambda scene: None,
+        command: str = "",
+    ) -> None:
+        self.name, self.quick, self.options = name, quick, options or {}
+        own = defaults if scene is None else ()
+        seeded = () if seed is None else (f"seed={seed}",)
+        self.scene = scenes.load_scene(scene, (*own, *changes, *seeded))
+        self.seed = self.scene.seed
+        self.folder = Path(out)
+        self.seconds: dict[str, float] = {}
+        start = command or f"eyespot study {name}"
+        words = [str(scene)] if scene else []
+        words += [word for change in changes for word in ("--set", change)]
+        words += [word for key, value in self.options.items() for word in (f"--{key}", str(value))]
+        words += ["--seed", str(self.seed), "--out", str(out), *(["--quick"] * quick)]
+        self.command = f"{start} {shlex.join(words)}"
+        check(self.scene)
+        scenes.load_mitsuba()  # before the folder is made, in case this machine cannot render
+        settings = {
+            "schema": _RUN_SCHEMA,
+            "study": name,
+            "scene": self.scene.model_dump(mode="json", by_alias=True),
+            "quick": quick,
+            **self.options,
+        }
+        claimed = claim(self.folder, settings, command=start)
+        weakref.finalize(self, os.close, claimed)
+
+    def stack(self, name: str, scene: Scene) -> Stack:
+        """A scene's stack in stacks/NAME, rendered unless an earlier run finished it."""
+        return self.stacks({name: scene})[name]
+
+    def stacks(self, trials: Mapping[str, Scene]) -> dict[str, Stack]:
+        """Stacks by name, in stacks/."""
+        return self.measured(trials, lambda name, stack: stack)
+
+    def measured(
+        self, trials: Mapping[str, Scene], measure: Callable[[str, Stack], T]
+    ) -> dict[str, T]:
+        """The results of `measure(name, stack)` by name.
+
+        A thread measures a stack while the next one is rendered, because rendering does not use all
+        cores fully.
+        """
+        folder = self.folder / "stacks"
+        folder.mkdir(exist_ok=True)
+        total = sum(scenes.frame_count(scene) for scene in trials.values())
+        new = [name for name in trials if not StackWriter(folder / name).has_begun]
+        new = [name for name in new if not (folder / name).exists()]
+        require_space(self.folder, sum(scenes.least_bytes(trials[name]) for name in new))
+        with (
+            ThreadPoolExecutor(max_workers=1) as beside,
+            progress("Rendering", total=total) as advance,
+        ):
+            try:
+                found = {}
+                for name, scene in trials.items():
+                    stack = finished_stack(
+                        scene, folder / name, progress=partial(advance, note=name)
+                    )
+                    found[name] = beside.submit(measure, name, stack)
+                return {name: future.result() for name, future in found.items()}
+            except BaseException:
+                beside.shutdown(cancel_futures=True)
+                raise
+
+    @contextlib.contextmanager
+    def timed(self, step: str) -> Iterator[None]:
+        """Measure the wall time of a step for the report."""
+        start = time.perf_counter()
+        yield
+        self.seconds[step] = time.perf_counter() - start
+
+    def publish(self, report: Callable[P, Report], *of: P.args, **named: P.kwargs) -> None:
+        """Write report.html, summary.json, scene.toml, CSV files and figures, all or none; say so.
+
+        Args:
+            report: function that makes the report; its figures use the common style.
+            of: what it takes.
+            named: likewise.
+        """
+        with matplotlib.rc_context(STYLE), published(self.folder) as folder:
+            self._write(report(*of, **named), folder)
+        say(f"Wrote {self.folder / 'report.html'}.", result=True)
+
+    def _write(self, report: Report, folder: Path) -> None:
+        scene_toml = scenes.scene_toml(self.scene)
+        (folder / "scene.toml").write_text(scene_toml, encoding="utf-8")
+        used = versions()
+        summary = {
+            "schema_version": _SUMMARY_SCHEMA,
+            "study": self.name,
+            "command": self.command,
+            "found": [claim.row for claim in report.claims],
+            **report.summary,
+            "versions": used,
+            "seconds": self.seconds,
+        }
+        write_json(folder / "summary.json", summary)
+        write_page(
+            folder,
+            report,
+            command=self.command,
+            versions=used,
+            study=self,
+            scene_toml=scene_toml,
+        )
+
+
+_PACKAGES = (
+    "eyespot",
+    "mitsuba",
+    "drjit",
+    "jax",
+    "equinox",
+    "optimistix",
+    "numpy",
+    "opencv-python-headless",
+    "scikit-image",
+    "matplotlib",
+)
+_MOST_KEYS = 2  # that a message names
+
+
+def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
+    """Use an empty folder, or one of an earlier run with the same settings, and write run.json.
+
+    Args:
+        out: the folder; created if missing.
+        command: command of the run, for the message.
+
+    Returns:
+        A file descriptor; until `os.close`, or the end of this process, no other run may use the
+        folder.
+
+    Raises:
+        BeingWrittenError: another process uses the folder.
+        InputError: the folder has a run with other settings, or other files.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    handle = lock(out.resolve(), of=out)
+    try:
+        _claim(out, settings, command=command)
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
+
+
+def _claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
+    file = out / "run.json"
+    if file.exists():
+        with in_file(file):
+            found = object_in(read_text(file))
+        if found != settings:
+            raise InputError(
+                f"{out} has a run with other settings: {_difference(found, settings)}. "
+                "Choose another --out, or remove the folder."
+            )
+    sweep(out)
+    if not file.exists():
+        if any(out.iterdir()):
+            raise InputError(
+                f"{out} has files that are not from `{command}`. Choose another --out."
+            )
+        with written_whole(file) as partial:
+            partial.write_text(json.dumps(settings) + "\n")
+
+
+def finished_stack(
+    scene: Scene, folder: Path, *, progress: Callable[[], None] = lambda: None
+) -> Stack:
+    """The scene's stack, rendered unless an earlier run finished it.
+
+    Args:
+        progress: called once for each frame.
+
+    Raises:
+        InputError: the folder has a stack of another scene.
+    """
+    if not folder.is_dir():
+        return scenes.render_stack(scene, folder, progress=progress)
+    stack = read_stack(folder)
+    if stack.description["scene"] != scene.model_dump(mode="json", by_alias=True):
+        raise InputError(
+            f"{folder} was rendered from another scene than this version would render. Remove it, "
+            "or choose another --out."
+        )
+    for _ in range(scenes.frame_count(scene)):
+        progress()
+    return stack
+
+
+@contextmanager
+def published(out: Path) -> Iterator[Path]:
+    """A folder whose files move into `out` if the block ends without an error.
+
+    Args:
+        out: a folder that this run has claimed; the files of its earlier report are replaced.
+
+    Raises:
+        InputError: a link, or no file, has the name of a file of the report.
+    """
+    folder = out / ".report.unfinished"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    try:
+        with errors_named(folder, out):
+            yield folder
+            for path in sorted(folder.rglob("*")):
+                target = out / path.relative_to(folder)
+                if path.is_dir() and not target.is_symlink():
+                    target.mkdir(exist_ok=True)
+                else:
+                    refuse_foreign(target)
+                    os.replace(path, target)
+    finally:
+        shutil.rmtree(folder)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON, with null for numbers that are not finite."""
+    text = json.dumps(_finite(value), indent=1, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on."""
+    found = {"python": platform.python_version()}
+    return found | {name: importlib.metadata.version(name) for name in _PACKAGES}
+
+
+def _difference(found: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
+    """The first keys in which two requests differ, each with both values."""
+    keys = [key for key in {**found, **asked} if found.get(key) != asked.get(key)]
+    said = [
+        f"{shortened(key)}: {shortened(found.get(key))} instead of {shortened(asked.get(key))}"
+        for key in keys[:_MOST_KEYS]
+    ]
+    return ", ".join(said) + ("" if len(keys) <= _MOST_KEYS else f", and {len(keys)} in all")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,101 @@
+"""Bright things that are no spots: lamps' reflexes, text, polygons and rings, drawn in NumPy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+from scipy.ndimage import gaussian_filter
+from scipy.special import erfc
+
+from estimator import Spot, SubpixelSettings, TrackState, measure
+from tests.own_frames import (
+    AMBIENT,
+    SHAPE,
+    STEP,
+    any_ellipse,
+    camera_image,
+    disc,
+    places_of,
+    textured_wall,
+)
+
+_LETTERS = list("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghklmnopqrstuvwxyz0123456789@&")
+"""No dots, not even those of i and j: thick ones are discs."""
+
+
+def lamps(rng: np.random.Generator) -> np.ndarray:
+    """One to three saturated blobs with halos; a third of them are squares."""
+    light = rng.uniform(10, 60) * textured_wall(rng)
+    for _ in range(int(rng.integers(1, 4))):
+        radius = rng.uniform(15, 70)
+        along, across = _turned(rng, squeezed=rng.uniform(0.6, 1))
+        square = rng.random() < 1 / 3
+        outside = np.maximum(abs(along), abs(across)) if square else np.hypot(along, across)
+        outside = outside - radius
+        light += rng.uniform(400, 3000) / (
+            1 + np.exp(np.clip(outside / rng.uniform(1, 4), -50, 50))
+        )
+        reach = radius * rng.uniform(0.2, 1.2)
+        light += rng.uniform(20, 150) * np.exp(-np.maximum(outside, 0) / reach)
+    return camera_image(rng, light)
+
+
+def text(rng: np.random.Generator) -> np.ndarray:
+    """One to three words of thin or thick letters."""
+    page = Image.new("L", SHAPE[::-1])
+    pen = ImageDraw.Draw(page)
+    for _ in range(int(rng.integers(1, 4))):
+        word = "".join(rng.choice(_LETTERS, int(rng.integers(1, 8))))
+        size = rng.uniform(40, 200)
+        at = rng.uniform(0, 300), rng.uniform(0, 350)
+        thickness = size * rng.uniform(0, 0.12)
+        pen.text(at, word, fill=255, font=ImageFont.load_default(size), stroke_width=thickness)
+    letters = gaussian_filter(np.asarray(page) / 255.0, rng.uniform(0.7, 2))
+    return camera_image(rng, (AMBIENT + rng.uniform(100, 230) * letters) * textured_wall(rng))
+
+
+def hexagon(rng: np.random.Generator) -> np.ndarray:
+    """A regular hexagon with edges blurred by 1 to 3 px, squeezed by up to a fifth."""
+    along, across = _turned(rng, squeezed=rng.uniform(0.8, 1))
+    normals = np.arange(6) * math.pi / 3
+    sides = [along * math.cos(normal) + across * math.sin(normal) for normal in normals]
+    outside = np.max(sides, axis=0) - rng.uniform(30, 100)
+    light = 0.5 * STEP * erfc(outside / (math.sqrt(2) * rng.uniform(1, 3)))
+    return camera_image(rng, (light + AMBIENT) * textured_wall(rng))
+
+
+def ring(rng: np.random.Generator) -> np.ndarray:
+    """An elliptical ring; its hole has 0.25 to 0.8 of its radius."""
+    outer, light = any_ellipse(rng, 30, 100), disc(2.0)
+    share = rng.uniform(0.25, 0.8)
+    inner = replace(outer, semi_major=share * outer.semi_major, semi_minor=share * outer.semi_minor)
+    lit = light(*places_of(outer)) - light(*places_of(inner))
+    return camera_image(rng, (STEP * lit + AMBIENT) * textured_wall(rng))
+
+
+LOOKALIKES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
+    "lamps' reflexes": lamps,
+    "text": text,
+    "hexagons": hexagon,
+    "rings": ring,
+}
+
+
+def taken_for_spots(name: str, number: int, seed: int) -> int:
+    """In how many of the frames the sub-pixel mode finds a spot."""
+    frames = (LOOKALIKES[name](np.random.default_rng([seed, k])) for k in range(number))
+    results = (measure(frame, TrackState(), SubpixelSettings())[0] for frame in frames)
+    return sum(isinstance(result, Spot) for result in results)
+
+
+def _turned(rng: np.random.Generator, squeezed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates about a random place in a random direction; the second one is stretched."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    u, v = u - rng.uniform(130, SHAPE[1] - 130), v - rng.uniform(130, SHAPE[0] - 130)
+    turn = rng.uniform(0, 2 * math.pi)
+    along = u * math.cos(turn) + v * math.sin(turn)
+    return along, (v * math.cos(turn) - u * math.sin(turn)) / squeezed
