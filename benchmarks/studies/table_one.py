@@ -867,7 +867,7 @@ def report(
             Picture(
                 "table_one",
                 _figure(isophotes, choices, confirmed),
-                "Several lenses give the same table. Left: the worst violation of Table I's "
+                "How near lenses come to Table I. Left: the worst violation of Table I's "
                 "criteria, in units of their tolerance, for each lens at its best threshold and "
                 "range near contact; below 1 the lens fits. Middle and right: spots on rendered "
                 "planes (marks) by the fixed threshold and by the half maximum, and the same in "
@@ -1045,9 +1045,9 @@ def _answer(
     fitting = sum(choice.miss <= 1 for choice in _asked(choices, Demand.AT_SCALE))
     rendered = sum(one.reproduces for one in confirmed)
     return (
-        f"{fitting} of {len(isophotes)} lenses give Table I's line by a fixed threshold, so the "
-        f"table does not identify the lens; {rendered} of {len(confirmed)} rendered ones meet all "
-        "its criteria, and a missed moment of contact explains why its trials differ."
+        f"{fitting} of {len(isophotes)} lenses give Table I's line by a fixed threshold"
+        f"{', so the table does not identify the lens' if fitting > 1 else ''}; {rendered} of "
+        f"{len(confirmed)} rendered ones meet all its criteria."
     )
 
 
