@@ -60,7 +60,7 @@ class Findings:
         return {file.stem: file for file in sorted(self.folder.rglob("*.svg"))}
 
 
-def _study(command: Callable[P, None]) -> Callable[P, Findings]:
+def _study(command: Callable[P, Any]) -> Callable[P, Findings]:
     @functools.wraps(command)
     def study(*args: P.args, **kwargs: P.kwargs) -> Findings:
         folder = Path(str(kwargs["out"]))

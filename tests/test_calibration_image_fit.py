@@ -330,7 +330,9 @@ def test_slopes_are_those_of_central_differences():
     light = Light(footage, Cells.over((128, 128), 4), names, None)
     states = np.zeros((1, len(STATES)))
     states[0, 0] = 0.1
-    (at,) = light.frames(values, states, [0])
+    found = light.frames(values, states, [0])
+    assert found is not None
+    at = found[0]
 
     def ends(change: dict[str, float], moved: np.ndarray) -> np.ndarray:
         low, high = (
@@ -339,10 +341,11 @@ def test_slopes_are_those_of_central_differences():
                 states + sign * moved,
                 [0],
                 slopes=False,
-            )[0].light
+            )
             for sign in (-1, 1)
         )
-        return np.asarray(high - low)
+        assert low is not None and high is not None
+        return np.asarray(high[0].light - low[0].light)
 
     still = np.zeros((1, len(STATES)))
     for name, slope in zip(names, at.slopes, strict=True):

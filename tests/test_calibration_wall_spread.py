@@ -62,10 +62,12 @@ def of_one_frame(length: float, *, radius_px: float, table: LensTable | None) ->
     values |= {"touch": 3.0, "u": 47.5, "v": 47.5, "scale": 0.015, "eye_radius": 11.5}
     values |= {"sensitivity": 1.0, "power": 1.0, "reflectance": 0.5, "illumination": 0.0}
     light = Light(footage, cells, (), lens)
-    (frame,) = light.frames(values, np.zeros((1, 7)), [0], slopes=False)
-    seen = np.zeros(cells.count**2)
+    found = light.frames(values, np.zeros((1, 7)), [0], slopes=False)
+    assert found is not None
+    frame = found[0]
+    seen = np.zeros(cells.along**2)
     seen[frame.cells] = frame.direct * math.pi / 0.5
-    return seen.reshape(cells.count, cells.count)[16:-16, 16:-16]
+    return seen.reshape(cells.along, cells.along)[16:-16, 16:-16]
 
 
 @pytest.mark.parametrize("length", [0.02, 0.05, 0.1])

@@ -342,8 +342,8 @@ def _result(solver: Solver, failed: Failure | None, of_table: np.ndarray | None)
     errors = np.sqrt(np.diag(covariance)).tolist()
     residuals = np.full(solver.footage.light.shape, np.nan, np.float32)
     cells = solver.cells
-    side, count = cells.side, cells.count
-    height, width = residuals.shape[1:]
+    side, count = cells.side, cells.along
+    height, width = solver.footage.light[0].shape
     for k, own in enumerate(frames):
         off = np.full(count**2, np.nan, np.float32)
         weight = np.sqrt(solver.weight[k, own.cells])

@@ -93,7 +93,8 @@ class LensLight:
     def reach_mm(self, distance: float) -> float:
         """Radius within which all light is, at a distance from the tip."""
         assert self._table is not None
-        return float(self._table.grid.contact_radius + self._table.grid.slope * distance)
+        grid = self._table.grid
+        return float(np.asarray(grid.contact_radius) + np.asarray(grid.slope) * distance)
 
     def follow(self, values: Mapping[str, float]) -> None:
         """Compute the table anew if a free parameter of the lens has changed by much."""

@@ -68,27 +68,27 @@ class Cells(NamedTuple):
         return cls(left, top, side, tiles)
 
     @property
-    def count(self) -> int:
+    def along(self) -> int:
         """Cells along each side."""
         return self.tiles * TILE
 
     def centres(self) -> Float[np.ndarray, "n 2"]:
         """(u, v) of the cells' centres, px."""
-        along = (np.arange(self.count) + 0.5) * self.side - 0.5
-        u, v = np.meshgrid(along + self.left, along + self.top)
+        centres = (np.arange(self.along) + 0.5) * self.side - 0.5
+        u, v = np.meshgrid(centres + self.left, centres + self.top)
         return np.stack([u.ravel(), v.ravel()], axis=-1)
 
     def means(
         self, image: Float[np.ndarray, "h w"], clear: Bool[np.ndarray, "h w"]
     ) -> tuple[Float[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
         """Mean of each cell, and whether all of its pixels are inside the image and clear."""
-        size = self.count * self.side
+        size = self.along * self.side
         begins = -self.top, -self.left
         room = [(at, size - at - length) for at, length in zip(begins, image.shape, strict=True)]
 
         def in_cells(values: np.ndarray) -> np.ndarray:
             padded = np.pad(values, room)
-            return padded.reshape(self.count, self.side, self.count, self.side)
+            return padded.reshape(self.along, self.side, self.along, self.side)
 
         mean = in_cells(image).mean(axis=(1, 3), dtype=float)
         return mean.ravel(), in_cells(clear).all(axis=(1, 3)).ravel()
@@ -96,7 +96,7 @@ class Cells(NamedTuple):
     def tile(self, row: int, column: int) -> Int[np.ndarray, "m"]:
         """Numbers of a tile's cells."""
         rows, columns = (at * TILE + np.arange(TILE) for at in (row, column))
-        return np.asarray((rows[:, None] * self.count + columns).ravel())
+        return np.asarray((rows[:, None] * self.along + columns).ravel())
 
     def tiles_near(self, at_px: Float[np.ndarray, "2"], reach_px: float) -> list[tuple[int, int]]:
         """Rows and columns of the tiles within some distance of a point."""
@@ -237,8 +237,9 @@ class Light:
         slopes: bool,
     ) -> FrameLight | None:
         tip, axis = pose[:3] + state[TIP], pose[3:]
-        beam = BeamFrame(*map(np.asarray, _beam(view.wall, tip, axis)))
-        if not beam.distance > 0:
+        beam = BeamFrame(*map(np.asarray, _beam(view.wall, jnp.asarray(tip), jnp.asarray(axis))))
+        distance = float(np.asarray(beam.distance))
+        if not distance > 0:
             return None
         cells, shine = self._shine(values, view, source, beam, slopes)
         # The light by a change of the tip and of the axis, through the five numbers of a pose.
@@ -280,12 +281,14 @@ class Light:
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "k n"]]:
         """Irradiance per unit power, 1/mm², by five changes of the pose and by the beam's own."""
         at_px = np.asarray(view.camera.project(beam.tip + beam.distance * beam.axis))
-        reach = self._reach_mm(values, float(beam.distance) + _AHEAD_MM) / values["scale"]
+        reach = (
+            self._reach_mm(values, float(np.asarray(beam.distance)) + _AHEAD_MM) / values["scale"]
+        )
         near = self.cells.tiles_near(at_px, reach + 2 * self.cells.side)
         if not near:
             near = self.cells.tiles_near(at_px, math.inf)[:1]
         every = CONE if self.lens is None else self.lens.free
-        own = {
+        own: dict[str, Any] = {
             "own": np.zeros(len(self.own)),
             "spread": np.array([[name == free for free in self.own] for name in every], float),
         }
@@ -327,7 +330,7 @@ class Light:
 
         Each is followed by a derivative. The variance of exp(-r/L) is 3 L² along each side.
         """
-        whole = np.zeros((len(shine), self.cells.count**2))
+        whole = np.zeros((len(shine), self.cells.along**2))
         whole[:, numbers] = shine
         growths: list[np.ndarray] = []
         for name in names:

@@ -120,7 +120,7 @@ class Solver:
         self.sizes = np.array([_size(name, point.values[name], priors) for name in names])
         self.spread = np.ones(len(STATES))  # of the states, in their units
         self.tau, self.error = _FREE, 0.0
-        self.map = np.ones(cells.count**2)
+        self.map = np.ones(cells.along**2)
         self._by_shift: list[np.ndarray] | None = None
 
     @property
@@ -169,7 +169,7 @@ class Solver:
 
     def _reached(self, own: FrameLight) -> Bool[np.ndarray, "n"]:
         """Cells that the beam reaches, and a ring around them."""
-        count = self.cells.count
+        count = self.cells.along
         lit = np.zeros(count**2, bool)
         lit[own.cells] = own.direct > _LIT * own.direct.max()
         near = binary_dilation(lit.reshape(count, count), np.ones((3, 3)), iterations=_RING)
@@ -330,7 +330,7 @@ class Solver:
             learnt[5:7] = np.sqrt(np.mean(np.square(learnt[5:7])))
             self.spread = np.clip(learnt, _LEAST / _UNITS, _MOST / _UNITS)
         self._learn_error()
-        count = self.cells.count
+        count = self.cells.along
         self._by_shift = []
         for own in self.now.frames:
             shown = self.map.copy()
