@@ -22,12 +22,12 @@ RECORDED = HOME / "docs" / "tutorials" / "recorded" / "lens.txt"
 STEPS = r"""
 eyespot scene init scene.toml
 eyespot render scene.toml --out table --set source.lens=dome --set source.medium=vitreous \
-    --set phantom.kind=plane --set phantom.wall=uniform --set spot.eccentricity_mm=1 \
-    --set motion.frames=13 --set instrument.visible=false --set microscope.width_px=320 \
+    --set phantom.kind=plane --set spot.eccentricity_mm=1 \
+    --set motion.frames=25 --set microscope.width_px=320 \
     --set microscope.height_px=240 --set microscope.scale_mm_px=0.0134 \
     --set 'exposures.kinds=["metered"]'
 
-eyespot fit table --lens dome --out lens.json
+eyespot fit table --out lens.json
 
 eyespot render scene.toml --out reading --set source.lens=dome --set source.medium=vitreous \
     --set phantom.wall=retina --set spot.eccentricity_mm=2 --set motion.frames=9 --set seed=3 \

@@ -57,7 +57,7 @@ def track(
     calibration: File | None = None,
     microscope: File | None = None,
     poses: File | None = None,
-    mode: Literal["subpixel", "literal", "pixels"] = "subpixel",
+    mode: Literal["auto", "subpixel", "literal", "pixels"] = "auto",
     exposure: Literal["metered", "paper"] = "metered",
     unrelated: bool | None = None,
     progress: bool = False,
@@ -72,7 +72,7 @@ def track(
         microscope: microscope file; None for the stack's own.
         poses: file with the robot's poses.
         mode: measure the half-maximum contour, repeat the paper's algorithm, or find the beam's
-            pose from all pixels.
+            pose from all pixels; auto takes the pixels for a lens if the camera's noise is known.
         exposure: of a stack that has two.
         unrelated: measure every image by itself; None if the images are not numbered one by one.
         progress: show a bar.

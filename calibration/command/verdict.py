@@ -57,7 +57,7 @@ class Fault(Enum):
 
 _PRIOR = "a prior (--prior NAME=MEAN,SIGMA)"
 _FEWER = "fewer parameters (--free)"
-_EVEN = "an even wall with nothing in front of it"
+_EVEN = "a wall that keeps still, with nothing in front of it"
 _SPREAD = "spread in --free, if the wall spreads light"
 _CONE = "--model cone, which fits the exact geometry"
 _LENS = "--model lens, if the spot's edge is soft"

@@ -49,7 +49,9 @@ def budget(
         )
     frames, options, poses = recorded.opened(source, options)
     with Console(stderr=True).status("Preparing"):
-        reader = options.reader()
+        # A budget is of an outline's distance.
+        outlines = {"mode": "subpixel"} if options.mode == "auto" else {}
+        reader = options.model_copy(update=outlines).reader()
     found: dict[int, Budget] = {}
     with progress("Measuring", total=frames.length) as advance:
         tracking = track_source(

@@ -73,7 +73,7 @@ def track(
             tracking, drawn = tracked(
                 frames, reader, poses, overlay=overlay, show=show, write=write
             )
-    summary = summary_of(tracking, frames, options.mode, time.perf_counter() - began) | {
+    summary = summary_of(tracking, frames, reader.mode, time.perf_counter() - began) | {
         "out": str(out),
         "overlay": str(drawn) if drawn else None,
     }

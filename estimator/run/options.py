@@ -119,8 +119,9 @@ class Options(Given):
     the rig's node.
     """
 
-    mode: Literal["subpixel", "literal", "pixels"] = "subpixel"
-    """The half-maximum contour, the paper's algorithm, or the pose from all pixels."""
+    mode: Literal["auto", "subpixel", "literal", "pixels"] = "auto"
+    """The half-maximum contour, the paper's algorithm, or the pose from all pixels; auto: pixels
+    for a lens if the camera's noise is known, else subpixel."""
     settings: Annotated[dict[str, float | str], Parameter(parse=False)] = {}
     """Values that differ from the defaults of `SubpixelSettings` or `LiteralSettings`."""
     start: Annotated[tuple[float, float] | None, BeforeValidator(_point), _text("X,Y|auto")] = None
@@ -173,6 +174,8 @@ class Options(Given):
                     f"{option(name)} needs {option(other)} for this source. Give both, or neither."
                 )
         microscope, ranger = self.microscope_file(), None
+        if self.mode == "auto":
+            return self.model_copy(update={"mode": self._best_mode(microscope)}).reader()
         settings = self._settings(microscope)
         if self.reference is not None and self.mode != "pixels":
             raise InputError(
@@ -203,6 +206,33 @@ class Options(Given):
             eye_from_robot=self.eye_from_robot,
             stated=self._stated(ranger.calibration if ranger else None),
         )
+
+    def _best_mode(self, microscope: MicroscopeFile | None) -> str:
+        """Pixels where an outline is not enough: behind a lens several distances may share one."""
+        from estimator.files import read_calibration
+
+        if self.calibration is None or microscope is None:
+            return "subpixel"
+        if read_calibration(self.calibration).model != "lens":
+            return "subpixel"
+        asked = [n for n in ("model", "eccentricity_mm") if getattr(self, n) is not None]
+        hindrance = (
+            f"{option(asked[0])} is one of outlines"
+            if asked
+            else "the microscope file lacks the camera's noise"
+            if microscope.noise is None
+            else "the microscope has distortion"
+            if microscope.camera() is not None
+            else ""
+        )
+        if hindrance:
+            say(
+                f"Mode subpixel, because {hindrance}. Behind a lens one outline may belong to "
+                "several distances."
+            )
+            return "subpixel"
+        say("Mode pixels, because behind a lens one outline may belong to several distances.")
+        return "pixels"
 
     def _pixels_reader(
         self, settings: LiteralSettings | SubpixelSettings, microscope: MicroscopeFile | None
