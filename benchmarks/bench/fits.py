@@ -26,6 +26,7 @@ from benchmarks.paper import rms
 from benchmarks.studies.pose import PRIOR_DEG, angle_deg, drawn_prior
 from calibration import Prior
 from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
+from calibration.command.verdict import MOST_MISFIT
 from calibration.pixels import Footage, ImageFit, fit_footage, read_footage
 from calibration.recordings import read_recording
 from calibration.solvers import least_squares
@@ -305,6 +306,81 @@ class LensFit(_PixelFit):
         self.fitted(footage, "lens", start | off)
 
 
+class UnknownWall:
+    """Random lenses over walls that nobody knows, from a start far off (full: 34 on each wall)."""
+
+    params = (["printed paper", "retina", "photograph"],)
+    param_names = ("wall",)
+    full = False
+
+    def setup(self, wall: str) -> None:
+        """Render and fit; z are errors of sag and numerical aperture over their sigma."""
+        load_mitsuba()
+        self.z, self.seconds, self.refused = [], [], 0
+        lenses = 34 if self.full else 3
+        for seed in range(lenses):
+            rng = np.random.default_rng([38, len(wall), seed])
+            core = rng.uniform(0.18, 0.25)
+            true = {"sag": rng.uniform(0.0, 0.15), "numerical_aperture": rng.uniform(0.09, 0.22)}
+            drop = {**true, "core_radius": core, "aperture_radius": rng.uniform(core, 0.28)}
+            drop |= {"glue_index": 1.49, "glue_length": true["sag"]}
+            lines = "\n".join(f"{name} = {value}" for name, value in drop.items())
+            with tempfile.TemporaryDirectory() as folder:
+                lens = Path(folder) / "lens.toml"
+                lens.write_text(f"schema = 1\n[lens]\n{lines}\n")
+                footage = _rendered(
+                    {
+                        "seed": seed,
+                        "phantom": {"wall": wall, "texture_seed": seed},
+                        "source": {
+                            "kind": "lens",
+                            "lens": str(lens),
+                            "medium": str(rng.choice(["air", "vitreous"])),
+                        },
+                        "spot": {"eccentricity_mm": rng.uniform(0.0, 2.0)},
+                        "motion": {"travel_mm": 4.0, "frames": 24},
+                        "microscope": {
+                            "width_px": 400,
+                            "height_px": 400,
+                            "scale_mm_px": 0.0134,
+                            "pinhole_height_mm": float(rng.choice([11.5, 200.0])),
+                        },
+                    }
+                )
+                start = calibration.lens_start(optics.load_lens(str(lens)))
+            begin = time.perf_counter()
+            start |= {"sag": 0.05, "numerical_aperture": 0.14}
+            fit = fit_footage(footage, source="lens", start=start)
+            self.seconds.append(time.perf_counter() - begin)
+            if fit.failed or fit.misfit.share > MOST_MISFIT:
+                self.refused += 1
+                continue
+            off = [
+                (fit.parameters[n][0] - value) / fit.parameters[n][1] for n, value in true.items()
+            ]
+            self.z.append(np.abs(off))
+
+    def track_refused(self, wall: str) -> float:
+        """Number of fits that are refused."""
+        return self.refused
+
+    def track_within_1_sigma(self, wall: str) -> float:
+        """Part of both parameters' errors."""
+        return float(np.mean(np.array(self.z) < 1.0))
+
+    def track_within_3_sigma(self, wall: str) -> float:
+        """Part of both parameters' errors."""
+        return float(np.mean(np.array(self.z) < 3.0))
+
+    def track_largest_z(self, wall: str) -> float:
+        """Largest error over its standard error."""
+        return float(np.max(self.z))
+
+    def track_seconds(self, wall: str) -> float:
+        """Median time of a fit."""
+        return float(np.median(self.seconds))
+
+
 # A lens through its own glass, with Mitsuba behind JAX.
 #
 # Data and model share no code of the lens. The data come from Mitsuba's particle tracer through a
@@ -314,7 +390,7 @@ class LensFit(_PixelFit):
 _GLASS = "dome"
 _SHOTS, _HEIGHT, _WIDTH = 2, 48, 64
 _DATA_SEEDS, _PHOTONS_PER_PIXEL = 64, 8
-# With more light, approximations of the model would be visible (docs/bridge.md).
+# With more light, approximations of the model would be visible (docs/python.md).
 _MODEL_SEEDS, _MODEL_PHOTONS = 8, 1 << 20
 _FREE = ("sag", "glue_length", "numerical_aperture", "tip_z", "power")
 _NAMES = ("sag_mm", "numerical_aperture", "tip_height_mm", "power_mw")

@@ -262,7 +262,7 @@ class _Run(NamedTuple):
             solver.choose(guess=number == 0)
             solver.minimise(_TOLERANCE[False], follow=False)
             solver.learn()
-        if not solver.surely_textured:
+        if solver.textured and not solver.surely_textured:
             solver.flatten()
         failed, of_table = self._settled(solver)
         return _result(solver, failed, of_table)

@@ -39,6 +39,7 @@ from optics import InputError
 _UNITS = np.array([0.02, 0.02, 0.003, 0.003, 0.003, 0.1, 0.1])
 """Standard deviations of the states before they are learnt."""
 _LEAST, _MOST = _UNITS / 3000.0, _UNITS * 30.0
+_FEW = 2  # frames
 _FREE = 1.0  # tau of a wall with texture: nothing is known
 _EVEN = 1e-9
 _LIT = 1e-3  # part of a frame's peak above which a cell counts as lit by the beam
@@ -119,7 +120,8 @@ class Solver:
         self.inside = cells.means(image, np.ones(image.shape, bool))[1]
         self.sizes = np.array([_size(name, point.values[name], priors) for name in names])
         self.spread = np.ones(len(STATES))  # of the states, in their units
-        self.tau, self.error = _FREE, 0.0
+        # In one or two frames nothing tells a wall from a beam, so the wall counts as even.
+        self.tau, self.error = _FREE if len(self.numbers) > _FEW else _EVEN, 0.0
         self.map = np.ones(cells.along**2)
         self._by_shift: list[np.ndarray] | None = None
 
@@ -159,7 +161,8 @@ class Solver:
                 self.variance[k, at] += (_GUESSED * level.max(where=usable, initial=0.0)) ** 2
             self.weight[k, at] = usable
         self._reweigh()
-        if self.data <= len(self.names) + len(self.numbers) + np.count_nonzero(self.weight.any(0)):
+        of_wall = np.count_nonzero(self.weight.any(axis=0)) if self.textured else 0
+        if self.data <= len(self.names) + len(self.numbers) + of_wall:
             raise InputError(
                 f"{self.data} cells of {side} x {side} pixels are usable; a fit of "
                 f"{len(self.names)} parameters and of the wall behind the cells needs more. The "
