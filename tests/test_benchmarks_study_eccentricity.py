@@ -379,7 +379,7 @@ def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
         changes=("spot.incidence_deg=20",),
         quick=True,
         seed=4,
-        options={"geometries": 64},
+        options={"geometries": 512},
         defaults=("source.kind=cone",),
     )
     with study.timed("a step"):
@@ -387,7 +387,7 @@ def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
     study.publish(small_report, None)
     html = (study.folder / "report.html").read_text(encoding="utf-8")
     command = (
-        "eyespot study eccentricity --set spot.incidence_deg=20 --geometries 64 --seed 4 --out "
+        "eyespot study eccentricity --set spot.incidence_deg=20 --geometries 512 --seed 4 --out "
         f"'{tmp_path / 'a run'}' --quick"
     )
     assert shlex.split(study.command) == shlex.split(command)
@@ -437,7 +437,7 @@ def test_a_persons_scene_file_is_not_overruled_by_the_studys_defaults(tmp_path):
 def test_a_scene_without_an_eyeball_is_refused_before_a_folder_is_made(tmp_path):
     with pytest.raises(scenes.SceneError, match=r"eyeball of 10 mm.*Set phantom\.kind=eyeball"):
         eccentricity.eccentricity(
-            out=tmp_path / "run", changes=("phantom.kind=plane",), geometries=64
+            out=tmp_path / "run", changes=("phantom.kind=plane",), geometries=512
         )
     assert not (tmp_path / "run").exists()
 

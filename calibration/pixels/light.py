@@ -25,7 +25,7 @@ from calibration.pixels.data import Footage
 from calibration.pixels.lens_light import LensLight
 from calibration.pixels.parameters import CONE, POSE, beam_names
 from calibration.spots import beam_directions, phantom_wall
-from estimator.pixels.beam import blurred, blurred_with_growth
+from estimator.pixels import blurred, blurred_with_growth
 from optics.wall_light import (
     BeamFrame,
     CellBeam,
