@@ -29,6 +29,7 @@ from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
 from calibration.pixels import Footage, ImageFit, fit_footage, read_footage
 from calibration.recordings import read_recording
 from calibration.solvers import least_squares
+from optics import InputError
 from scenes import Scene, load_mitsuba, render_stack
 
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}
@@ -352,7 +353,11 @@ class UnknownWall:
                 start = calibration.lens_start(optics.load_lens(str(lens)))
             begin = time.perf_counter()
             start |= {"sag": 0.05, "numerical_aperture": 0.14}
-            fit = fit_footage(footage, source="lens", start=start)
+            try:
+                fit = fit_footage(footage, source="lens", start=start)
+            except InputError:
+                self.refused += 1
+                continue
             self.seconds.append(time.perf_counter() - begin)
             if fit.failed or fit.misfit.share > _MOST_MISFIT:
                 self.refused += 1

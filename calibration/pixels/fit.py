@@ -145,19 +145,20 @@ def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
     """Centre (px) and typical radius (px) of the pixels much brighter than the frame's median.
 
     Raises:
-        InputError: a frame has no such pixels.
+        InputError: most frames have no such pixels.
     """
     dark = np.median(footage.light, axis=(1, 2), keepdims=True)
     excess = np.maximum(footage.light - dark, 0)
     peak = np.quantile(excess, 0.999, axis=(1, 2), keepdims=True)
-    excess = np.where(excess > peak / 2, excess, 0)
-    faint = peak.ravel() <= 4 * np.sqrt(footage.noise.variance(dark.min()))
-    if faint.any():
-        frames = ", ".join(map(str, np.flatnonzero(faint)[:_NAMED]))
-        more = f" and {faint.sum() - _NAMED} more" if faint.sum() > _NAMED else ""
+    # A frame that the instrument hides may show none.
+    shown = peak.ravel() > 4 * np.sqrt(footage.noise.variance(dark.min()))
+    if np.mean(shown) < 0.5:
+        frames = ", ".join(map(str, np.flatnonzero(~shown)[:_NAMED]))
         raise InputError(
-            f"the frames {frames}{more} show no spot. Leave them out of the image fit."
+            f"{np.count_nonzero(~shown)} of {shown.size} frames show no spot, such as {frames}. Leave "
+            "them out of the image fit."
         )
+    excess = np.where(excess > peak / 2, excess, 0)[shown]
     weight = excess.sum(axis=0)
     v, u = np.mgrid[: weight.shape[0], : weight.shape[1]]
     centre = np.array([np.sum(u * weight), np.sum(v * weight)]) / np.sum(weight)
