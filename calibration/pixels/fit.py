@@ -155,8 +155,8 @@ def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
     if np.mean(shown) < 0.5:
         frames = ", ".join(map(str, np.flatnonzero(~shown)[:_NAMED]))
         raise InputError(
-            f"{np.count_nonzero(~shown)} of {shown.size} frames show no spot, such as {frames}. Leave "
-            "them out of the image fit."
+            f"{np.count_nonzero(~shown)} of {shown.size} frames show no spot, such as {frames}. "
+            "Leave them out of the image fit."
         )
     excess = np.where(excess > peak / 2, excess, 0)[shown]
     weight = excess.sum(axis=0)
