@@ -25,7 +25,7 @@ from calibration.pixels.data import Footage
 from calibration.pixels.lens_light import LensLight
 from calibration.pixels.parameters import CONE, POSE, beam_names
 from calibration.spots import beam_directions, phantom_wall
-from estimator.pixels import blurred, blurred_with_growth
+from estimator.pixels import Pose, blurred, blurred_with_growth
 from optics.wall_light import (
     BeamFrame,
     CellBeam,
@@ -237,9 +237,8 @@ class Light:
         slopes: bool,
     ) -> FrameLight | None:
         tip, axis = pose[:3] + state[TIP], pose[3:]
-        beam = BeamFrame(*map(np.asarray, _beam(view.wall, jnp.asarray(tip), jnp.asarray(axis))))
-        distance = float(np.asarray(beam.distance))
-        if not distance > 0:
+        beam = Pose(*map(np.asarray, _beam(view.wall, jnp.asarray(tip), jnp.asarray(axis))))
+        if not beam.distance > 0:
             return None
         cells, shine = self._shine(values, view, source, beam, slopes)
         # The light by a change of the tip and of the axis, through the five numbers of a pose.
@@ -276,14 +275,12 @@ class Light:
         values: Mapping[str, float],
         view: _View,
         source: CellBeam,
-        beam: BeamFrame,
+        beam: Pose,
         slopes: bool,
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "k n"]]:
         """Irradiance per unit power, 1/mm², by five changes of the pose and by the beam's own."""
-        at_px = np.asarray(view.camera.project(beam.tip + beam.distance * beam.axis))
-        reach = (
-            self._reach_mm(values, float(np.asarray(beam.distance)) + _AHEAD_MM) / values["scale"]
-        )
+        at_px = np.asarray(view.camera.project(beam.spot))
+        reach = self._reach_mm(values, float(beam.distance) + _AHEAD_MM) / values["scale"]
         near = self.cells.tiles_near(at_px, reach + 2 * self.cells.side)
         if not near:
             near = self.cells.tiles_near(at_px, math.inf)[:1]
@@ -295,7 +292,7 @@ class Light:
         own["spread"] = own["spread"].reshape(len(every), len(self.own))
         parts = []
         for tile in near:
-            given = view.lattice(*tile), source, beam
+            given = view.lattice(*tile), source, BeamFrame(*beam)
             if slopes:
                 value, change = irradiance_and_slopes(*given, **own)
                 parts.append(np.concatenate([np.asarray(value)[None], change]))
@@ -411,15 +408,9 @@ def _beam(wall: optics.Surface, tip: Float[Array, "3"], axis: Float[Array, "3"])
 
 
 def _through(
-    beam: BeamFrame, turn: Float[np.ndarray, "6 7"], slopes: Float[np.ndarray, "5 n"]
+    beam: Pose, turn: Float[np.ndarray, "6 7"], slopes: Float[np.ndarray, "5 n"]
 ) -> tuple[Float[np.ndarray, "7 n"], Float[np.ndarray, "3 n"]]:
     """Derivatives by the parameters of a pose and by the tip, of those by its five changes."""
-    across = np.stack([np.asarray(beam.first), np.asarray(beam.second)])
-    of_change = np.zeros((5, 5))
-    # The tip moves with the spot, along the axis, and with the turns about the spot.
-    ways = [beam.right, beam.down, -np.asarray(beam.axis), *(-np.asarray(beam.distance) * across)]
-    of_change[:3] = np.stack(ways, axis=-1)
-    of_change[3, 3] = of_change[4, 4] = 1.0
-    change = np.linalg.inv(of_change)
-    of_turn = np.concatenate([turn[:3], across @ turn[3:]])
+    change = np.linalg.inv(beam.slopes)
+    of_turn = np.concatenate([turn[:3], np.stack([beam.first, beam.second]) @ turn[3:]])
     return (change @ of_turn).T @ slopes, change[:, :3].T @ slopes

@@ -30,7 +30,7 @@ from scipy.optimize import brentq
 
 from calibration.pixels.data import Footage
 from calibration.pixels.lens_light import NEAREST_MM, LensLight
-from calibration.pixels.light import SHIFT, STATES, Cells, FrameLight, Light
+from calibration.pixels.light import SHIFT, STATES, TIP, Cells, FrameLight, Light
 from calibration.pixels.parameters import possible
 from calibration.solvers import Minimum, NormalEquations, minimise
 from calibration.spots import Prior
@@ -312,11 +312,11 @@ class Solver:
         """Learn the states' variances and the model's error; cells far off lose their weight."""
         p, q = len(self.names), len(STATES)
         states = (self.point.states[self.numbers] / _UNITS).ravel()
-        data = self.equations.information.copy()
+        data, pull = self.equations.information.copy(), -self.equations.gradient
         at = np.arange(p, len(data))
-        data[at, at] -= np.tile(self.spread**-2.0, len(self.numbers))
-        pull = -self.equations.gradient.copy()
-        pull[p:] += np.tile(self.spread**-2.0, len(self.numbers)) * states
+        stiff = np.tile(self.spread**-2.0, len(self.numbers))
+        data[at, at] -= stiff
+        pull[p:] += stiff * states
         for _ in range(_LEARNINGS):
             stiff = np.tile(self.spread**-2.0, len(self.numbers))
             whole = data.copy()
@@ -329,17 +329,15 @@ class Solver:
             free = np.maximum(share.sum(axis=0), 1e-3)
             learnt = np.sqrt(np.square(moved).sum(axis=0) / free)
             # A robot errs alike along all axes, and a microscope shakes alike along both.
-            learnt[2:5] = np.sqrt(np.mean(np.square(learnt[2:5])))
-            learnt[5:7] = np.sqrt(np.mean(np.square(learnt[5:7])))
+            for alike in (TIP, SHIFT):
+                learnt[alike] = np.sqrt(np.mean(np.square(learnt[alike])))
             self.spread = np.clip(learnt, _LEAST / _UNITS, _MOST / _UNITS)
         self._learn_error()
         count = self.cells.along
         self._by_shift = []
         for own in self.now.frames:
-            shown = self.map.copy()
-            shown[own.cells] *= own.light
             lit = np.zeros(count**2)
-            lit[own.cells] = shown[own.cells]
+            lit[own.cells] = self.map[own.cells] * own.light
             down, right = np.gradient(lit.reshape(count, count), self.cells.side)
             self._by_shift.append(-np.stack([right.ravel()[own.cells], down.ravel()[own.cells]]))
 

@@ -1,4 +1,5 @@
 from .beam import NODES as NODES
+from .beam import Pose as Pose
 from .beam import Sweep as Sweep
 from .beam import blurred as blurred
 from .beam import blurred_with_growth as blurred_with_growth
