@@ -159,9 +159,11 @@ def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
             "Leave them out of the image fit."
         )
     excess = np.where(excess > peak / 2, excess, 0)[shown]
-    weight = excess.sum(axis=0)
-    v, u = np.mgrid[: weight.shape[0], : weight.shape[1]]
-    centre = np.array([np.sum(u * weight), np.sum(v * weight)]) / np.sum(weight)
+    # The median, because a frame whose spot is hidden shows what else is bright, over a wide area.
+    v, u = np.mgrid[: excess.shape[1], : excess.shape[2]]
+    light = excess.sum(axis=(1, 2))
+    centres = [np.sum(excess * along, axis=(1, 2)) / light for along in (u, v)]
+    centre = np.median(centres, axis=1)
     areas = np.count_nonzero(excess, axis=(1, 2))
     return centre, float(np.sqrt(np.median(areas) / np.pi))
 
