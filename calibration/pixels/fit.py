@@ -13,7 +13,7 @@ from jaxtyping import Float
 import optics
 from calibration.pixels.data import Footage, read_footage
 from calibration.pixels.image_fit import Criterion, Failure, ImageFit
-from calibration.pixels.lens_light import LensLight
+from calibration.pixels.lens_light import NEAREST_MM, LensLight
 from calibration.pixels.light import STATES, Cells
 from calibration.pixels.misfit import Pixels, found_misfit
 from calibration.pixels.parameters import DEFAULTS, FREE, NUISANCES, check_names
@@ -213,12 +213,14 @@ class _Run(NamedTuple):
         spreads = "blur" in point.values or "spread" in point.values
         share = _COARSE_CELL if first else _SPREAD_CELL if spreads else _CELL
         side = int(np.clip(round(share * self.radius_px), 1, _WIDEST_PX[first]))
-        frames = len(self.footage.readings)
-        count = frames if every else min(frames, _SOME[first])
+        # A table is not valid near the tip, and a beam whose tip is behind the wall lights nothing.
+        nearest = 0.5 * NEAREST_MM if self.lens else 0.0
+        usable = np.flatnonzero(self.footage.readings + self.priors["touch"].mean > nearest)
+        count = len(usable) if every else min(len(usable), _SOME[first])
         return Solver(
             self.footage,
             Cells.over(self.footage.light.shape[1:], side, beyond=spreads),
-            [int(k) for k in np.linspace(0, frames - 1, count).round()],
+            usable[np.linspace(0, len(usable) - 1, count).round().astype(int)].tolist(),
             point,
             names=self.names,
             priors=self.priors,
