@@ -41,7 +41,7 @@ class ImageFit:
         misfit: the light that the model lacks.
         chi_squared: sum of squared residuals over their sigma, priors included.
         degrees_of_freedom: number of pixels and priors minus number of parameters.
-        tips: tips of the frames, mm, eye frame.
+        tips: tips of the frames that were fitted, mm, eye frame.
         axis: unit vector along the beam from the tip towards the wall, eye frame.
         undetermined: parameters that neither data nor priors determine, in words; may be empty.
         failed: the criterion of convergence that the fit does not meet; None if it converged.
