@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import tomli_w
 
+import optics
 import scenes
 from calibration.command.fitting import chosen_model
-from calibration.command.pixel_models import guessed_lens
+from calibration.command.pixel_models import guessed_lenses
+from calibration.pixels import lens_start
 from calibration.recordings.trials import read_recording
 
 LENS = {"kind": "lens", "lens": "paper-candidate", "medium": "air"}
@@ -79,10 +81,11 @@ def test_of_two_exposures_the_metered_one_is_measured(stack):
 
 
 def test_a_lens_to_start_from_is_guessed_within_the_steps_of_the_grid(stack):
-    guess = guessed_lens(read_recording(stack("lens", LENS)))
+    kind = lens_start(optics.load_lens("dome"))  # another lens on the same fibre
+    guess, *_ = guessed_lenses(read_recording(stack("lens", LENS)), kind)
     # The preset: a flat end, numerical aperture 0.10; neighbours on the grid are a third away.
-    assert float(guess.numerical_aperture) == pytest.approx(0.10, rel=0.3)
-    assert float(guess.sag) < 0.05
+    assert guess["numerical_aperture"] == pytest.approx(0.10, rel=0.3)
+    assert guess["sag"] < 0.05
 
 
 def test_several_recordings_of_a_lens_are_refused_with_a_remedy(stack):

@@ -5,6 +5,7 @@ command       The command
 cone_models   Models cone and eye: the exact geometry fitted to the spots' ellipses
 fitted        The result that all models share
 fitting       A whole fit, from recordings to a report, a table, a calibration file
+page          The templates of all HTML pages
 paper_models  Models plane and sphere: the fits of Zhou et al. 2020
 pixel_models  Models image and lens, fitted to every pixel of one stack
 report        The report: one HTML page with its pictures inside

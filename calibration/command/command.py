@@ -8,15 +8,16 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from calibration.command.choices import Choices
-from estimator.run import OUTPUT, Rerun
+from estimator.run import OUT, OUTPUT, Rerun
 
 
 def fit(
     *sources: Annotated[Path, Parameter(required=True)],
-    out: Path,
+    out: Annotated[Path, OUT],
     choices: Choices = Choices(),
     overwrite: Annotated[bool, OUTPUT] = False,
     rerun: Rerun = None,
+    as_json: Annotated[bool, OUTPUT, Parameter("--json")] = False,
 ) -> None:
     """Fit a model of the light beam to recordings and write a calibration file.
 
@@ -32,7 +33,8 @@ def fit(
         overwrite: Replace both if they exist.
         rerun: Record frames, spots, distances and residuals of a good fit for the viewer rerun
             (.rrd), or show them in it at once.
+        as_json: Print verdict and parameters as one JSON object.
     """
     from calibration.command.fitting import run
 
-    run(sources, out, choices, rerun, overwrite=overwrite)
+    run(sources, out, choices, rerun, overwrite=overwrite, as_json=as_json)

@@ -114,6 +114,9 @@ of 4 px would be a camera far out of focus. With a lens the edge is as wide as t
 caps of sag 0 to 0.12 mm and numerical apertures of 0.05 to 0.3, the upper quartile over distances
 of 0.5 to 6 mm is 0.25 to 0.8.
 """
+SHARP_EDGE = 0.05
+"""The same, below which the edge is surely a cone's. Between the two it may also be that of a small
+core behind a nearly flat end, such as 0.2 mm with a sag of 0.015 mm in air: 0.10."""
 
 
 def _cone(choices: Choices) -> Calibration | None:
@@ -152,10 +155,9 @@ def chosen_model(recordings: Sequence[Recording]) -> tuple[str, str]:
     Raises:
         InputError: the spots need a lens, but there are several recordings or no stack.
     """
-    widths = np.concatenate([recording.relative_edge_width for recording in recordings])
-    if np.isnan(widths).any():
+    width = _edge_width(recordings)
+    if math.isnan(width):
         return ("cone", "the spots' edges were not measured")
-    width = float(np.quantile(widths, 0.75))
     seen = (
         f"the spots' edges are {{}}: {width:.2f} of the radius wide (a cone's: at most {SOFT_EDGE})"
     )
@@ -168,6 +170,12 @@ def chosen_model(recordings: Sequence[Recording]) -> tuple[str, str]:
             "add --model cone."
         )
     return ("lens", seen.format("soft"))
+
+
+def _edge_width(recordings: Sequence[Recording]) -> float:
+    """Upper quartile of the edges' widths over the spots' radii; NaN if not all were measured."""
+    widths = np.concatenate([recording.relative_edge_width for recording in recordings])
+    return float(np.quantile(widths, 0.75))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -235,6 +243,13 @@ class Fit:
             "software": ", ".join(packages),
         }
 
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Verdict and parameters for JSON; null for what is not determined."""
+        parameters = json.loads(self.parameters.to_json(orient="index", double_precision=15))
+        about = {"model": self.model, "good": self.good, "verdict": self.verdict}
+        return {**about, "parameters": parameters}
+
     def plot(self) -> Figure:
         """The residuals over their standard deviations."""
         return fit_report.residuals_figure(self.fitted)
@@ -272,6 +287,27 @@ def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
         model, reason = chosen_model(recordings)
         say(f"Model {model}: {reason}.")
         _check(model, choices, sources=len(sources), others=len(others))
+    fit = _fit(model, recordings, choices)
+    if (
+        (choices.model, model, choices.free) != ("auto", "cone", None)
+        or fit.good
+        or not _has_pixels(recordings)
+    ):
+        return fit
+    of_pixels = "lens" if _edge_width(recordings) > SHARP_EDGE else "image"
+    say(f"The spots are {fit.verdict.splitlines()[0]} Trying model {of_pixels}, of all pixels.")
+    other = _fit(of_pixels, recordings, choices)
+    return other if other.good else fit
+
+
+def _has_pixels(recordings: Sequence[Recording]) -> bool:
+    """Whether a beam can be fitted to all pixels of the only recording."""
+    first, *others = recordings
+    known = first.is_stack and first.microscope.noise is not None
+    return known and not others and not any(first.tilt)
+
+
+def _fit(model: str, recordings: list[Recording], choices: Choices) -> Fit:
     fitted = MODELS[model].fit(recordings, choices)
     return Fit(
         model=model,
@@ -289,6 +325,7 @@ def run(
     rerun: str | None = None,
     *,
     overwrite: bool = False,
+    as_json: bool = False,
 ) -> None:
     """Fit a model to withdrawals and write a report, and a calibration file if the fit is good.
 
@@ -308,13 +345,18 @@ def run(
         with written_whole(report, replace=overwrite) as page:
             require_space(out, _MOST_BYTES)
             fit = fit_recordings(sources, choices)
-            Console().print(_table(fit.fitted, fit.recordings))
+            if as_json:
+                print(json.dumps(fit.summary))
+            else:
+                Console().print(_table(fit.fitted, fit.recordings))
             page.write_text(fit.page(), encoding="utf-8", errors="backslashreplace")
         if not fit.good:
             raise InputError(refusal(fit.doubts, model=fit.model, report=report))
         write_calibration(partial, fit.calibration)
     if rerun is not None:
         record_fit(rerun, fit)
+    if as_json:
+        return
     print(f"{fit.verdict}. Wrote {out} and {report}.")
     print(f"Next: eyespot track SOURCE --calibration {shlex.quote(str(out))} --out spots.csv")
 

@@ -5,10 +5,11 @@ The fit of a lens starts from one that is chosen by the sizes and edge widths of
 
 from __future__ import annotations
 
-import itertools
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from operator import itemgetter
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -20,14 +21,14 @@ import optics
 from calibration.command.choices import Choices
 from calibration.command.cone_models import cone_start
 from calibration.command.fitted import Fitted, PixelResiduals, bounds_hit
-from calibration.pixels import FREE, LENS, UNITS, ImageFit, fit_footage, lens_start, read_footage
+from calibration.pixels import LENS, UNITS, ImageFit, fit_footage, lens_start, read_footage
 from calibration.recordings import Recording
 from calibration.spots import Prior
 from estimator import read_stack
 from estimator.files import BEAM, LENS_PARAMETERS
 from estimator.run import progress, say
 from optics import InputError
-from optics.wall_light import TABLE_ERROR
+from optics.wall_light import lens_of
 
 _SAGS = (0.02, 0.08, 0.25, 0.5)
 """Heights of the cap over the core's radius: nearly flat to a round drop."""
@@ -36,48 +37,44 @@ _APERTURES = (0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4)
 deviate."""
 _GLUE_INDEX = 1.49
 """Refractive index of cyanoacrylate: 1.48 to 1.50 in data sheets."""
-_DISTANCES, _RADII = 24, 257
+_DISTANCES, _RADII = 6, 65
+_STARTS = 3  # lenses to start from
 _SIZE_ERROR, _EDGE_ERROR = 0.05, 0.1
 """Weights: expected errors of a guess's radius (relative) and of its relative edge width."""
 
 
-def guessed_lens(recording: Recording) -> optics.GlueLens:
-    """The lens on a coarse grid whose spots are most similar to the measured ones.
+def guessed_lenses(recording: Recording, kind: Mapping[str, float]) -> list[dict[str, float]]:
+    """Lenses whose spots resemble those measured, one for each height of the cap on a coarse grid.
 
     Compares the half-maximum radius and the edge width on perpendicular planes with the semi-minor
     axis and the edge width of the spots, at the distances given by the readings and the touch.
 
     Args:
-        recording: the measured spots; the core is assumed to be as wide as the fibre.
+        recording: the measured spots.
+        kind: `optics.wall_light.PARAMETERS` of a lens of the same fibre, which is compared too.
+
+    Returns:
+        The parameters of those that resemble them most, the best one first.
     """
     trial = recording.trial
     distance = np.maximum(trial.readings + trial.touch.mean, 0.05)
     sampled = np.geomspace(distance.min(), distance.max(), _DISTANCES)
     measured = _radii_on_wall(recording)
-    best: tuple[float, optics.GlueLens] | None = None
-    for sag, aperture in itertools.product(_SAGS, _APERTURES):
-        lens = _drop(recording.fibre_radius_mm, sag * recording.fibre_radius_mm, aperture)
-        field = optics.LensField(lens, optics.MEDIA[recording.medium])
+
+    def misfit(lens: Mapping[str, float]) -> float:
+        field = optics.LensField(lens_of(lens), optics.MEDIA[recording.medium])
         radius, width = (np.interp(distance, sampled, y) for y in _spots(field, sampled))
-        misfit = (np.log(radius / measured) / _SIZE_ERROR) ** 2
-        misfit += ((width - recording.relative_edge_width) / _EDGE_ERROR) ** 2
+        far = (np.log(radius / measured) / _SIZE_ERROR) ** 2
+        far += ((width - recording.relative_edge_width) / _EDGE_ERROR) ** 2
         # The median tolerates outliers; no spot agrees exactly with a coarse grid.
-        if best is None or float(np.median(misfit)) < best[0]:
-            best = float(np.median(misfit)), lens
-    assert best is not None
-    return best[1]
+        return float(np.median(far))
 
-
-def _drop(core_radius: float, sag: float, numerical_aperture: float) -> optics.GlueLens:
-    """A drop of glue on the core's face, as wide as the core."""
-    return optics.glue_lens(
-        core_radius=core_radius,
-        aperture_radius=core_radius,
-        glue_length=sag,
-        sag=sag,
-        glue_index=_GLUE_INDEX,
-        numerical_aperture=numerical_aperture,
-    )
+    ranked = [(misfit(kind), dict(kind))]
+    for share in _SAGS:
+        cap = {**kind, "sag": share * kind["core_radius"]}
+        lenses = [{**cap, "numerical_aperture": aperture} for aperture in _APERTURES]
+        ranked.append(min(((misfit(lens), lens) for lens in lenses), key=itemgetter(0)))
+    return [lens for _, lens in sorted(ranked, key=itemgetter(0))[:_STARTS]]
 
 
 def _spots(
@@ -128,9 +125,11 @@ _STATED = 1.05
 _MAPS, _SMOOTHING = 6, 0.03
 """Number of the maps of residuals, and the sigma of their smoothing over the lit part's size."""
 _WIDTHS = ("core_radius", "aperture_radius")
-_CORE, _CAP = (0.9, 0.15), (1.06, 0.12)
+_CORE, _CAP, _HELD = (0.9, 0.15), (1.06, 0.12), 0.002
 """Radii of a fibre's core and of a drop's rim over the fibre's radius, and their standard
-deviations: cladding and jacket take up to a quarter of it, and glue may run over the edge."""
+deviations: cladding and jacket take up to a quarter of it, and glue may run over the edge. Of a cap
+that is lit within its rim, the light shows the curvature only, so the rim is held while all else is
+fitted; then what its own standard deviation does to that is added."""
 _HOLLOW_MM = 1e-4
 """Depth of a hollow end that counts as flat: a fifth of a wavelength, which no light shows."""
 _BRIGHTNESS = ("sensitivity", "power", "reflectance")
@@ -143,31 +142,37 @@ def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitt
     start = cone_start(recordings)
     if "blur" in choices.names:
         start["blur"] = _BLUR_PX
-    return _fitted(recording, choices, "cone", start)
+    return _fitted(recording, choices, "cone", [start])
 
 
 def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit shape, aperture and brightness of a glue lens to pixels.
 
-    Starts from the lens that was chosen, or else from one guessed from the spots. If that lens
-    misses light, its core and its cap may be narrower or wider than the fibre, so they are free.
+    Starts from the lenses that resemble the spots most, among them the one that was chosen. If
+    none was, and the light is not that of a drop as wide as the fibre, the radii of core and cap
+    are free.
     """
     (recording,) = recordings
     if choices.lens:
-        return _fitted(recording, choices, "lens", lens_start(optics.load_lens(choices.lens)))
-    start = lens_start(guessed_lens(recording))
+        kind = lens_start(optics.load_lens(choices.lens))
+    else:
+        radii = dict.fromkeys(_WIDTHS, recording.fibre_radius_mm)
+        kind = {**radii, "rim_height": 0.0, "sag": 0.0, "glue_index": _GLUE_INDEX}
+        kind["numerical_aperture"] = _APERTURES[0]
+    starts = guessed_lenses(recording, kind)
     say(
-        f"Starting from a lens with sag {start['sag']:.3g} mm and numerical aperture "
-        f"{start['numerical_aperture']:.3g}, guessed from the spots.",
+        f"Starting from a lens with sag {starts[0]['sag']:.3g} mm and numerical aperture "
+        f"{starts[0]['numerical_aperture']:.3g}, by the spots.",
     )
-    return _fitted(recording, choices, "lens", start, widths=not choices.names)
+    widths = not choices.lens and not choices.names
+    return _fitted(recording, choices, "lens", starts, widths=widths)
 
 
 def _fitted(
     recording: Recording,
     choices: Choices,
     source: Literal["cone", "lens"],
-    start: dict[str, float],
+    starts: Sequence[dict[str, float]],
     *,
     widths: bool = False,
 ) -> Fitted:
@@ -177,11 +182,11 @@ def _fitted(
         recording: the stack with its measured spots.
         choices: what was asked for.
         source: kind of the light source.
-        start: start values.
+        starts: start values, the likeliest first.
         widths: whether the radii of core and cap may be fitted too, if the light asks for it.
     """
     if "spread" in choices.names:
-        start["spread"] = _SPREAD_MM
+        starts = [start | {"spread": _SPREAD_MM} for start in starts]
     if any(recording.tilt):
         raise InputError(
             f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
@@ -195,28 +200,21 @@ def _fitted(
         f"Fitting a {source} to {len(footage.readings)} frames: {rounded} min on two cores.",
     )
     with progress("Fitting", total=None) as advance:
-        told: dict[str, Any] = {
-            "source": source,
-            "progress": lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
-        }
+        radius = recording.fibre_radius_mm
+        core, rim = (Prior(mean * radius, sigma * radius) for mean, sigma in (_CORE, _CAP))
+        held = Prior(rim.mean, _HELD * radius)
         fit = fit_footage(
-            footage, start=start, free=choices.names or None, priors=choices.priors, **told
+            footage,
+            source=source,
+            start=starts[0],
+            others=starts[1:],
+            free=choices.names or None,
+            priors=choices.priors,
+            spare=dict(zip(_WIDTHS, (core, held), strict=True)) if widths else None,
+            progress=lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
         )
-        radii = {
-            name: Prior(share * recording.fibre_radius_mm, sigma * recording.fibre_radius_mm)
-            for name, (share, sigma) in zip(_WIDTHS, (_CORE, _CAP), strict=True)
-        }
-        if widths and (fit.failed or fit.misfit.share > TABLE_ERROR):
-            wider = fit_footage(
-                footage,
-                start={name: fit.values[name] for name in LENS}
-                | {name: prior.mean for name, prior in radii.items()},
-                free=(*_WIDTHS, *FREE["lens"]),
-                priors=radii | choices.priors,
-                **told,
-            )
-            if not wider.failed and wider.misfit.share < fit.misfit.share:
-                fit = wider
+    if widths and _WIDTHS[1] in fit.parameters:
+        fit = _released(fit, _WIDTHS[1], rim.sigma)
 
     def in_file(fitted: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """The calibration's parameters; with the beam's direction, if it is determined."""
@@ -269,6 +267,22 @@ def _fitted(
         notes=_notes(fit),
         pixels=PixelResiduals(maps, groups, numbers, of_frames, fit.misfit),
     )
+
+
+def _released(fit: ImageFit, name: str, sigma: float) -> ImageFit:
+    """The fit with a larger standard deviation of a parameter that was held by its prior.
+
+    The others follow it as their covariance says (a consider parameter, Schmidt 1966).
+    """
+    at = list(fit.parameters).index(name)
+    column = np.where(np.isfinite(fit.covariance[:, at]), fit.covariance[:, at], 0.0)
+    more = sigma**2 / column[at] - 1.0
+    covariance = fit.covariance + max(more, 0.0) * np.outer(column, column) / column[at]
+    parameters = {
+        own: (value, math.sqrt(covariance[k, k]))
+        for k, (own, (value, _)) in enumerate(fit.parameters.items())
+    }
+    return dataclasses.replace(fit, parameters=parameters, covariance=covariance)
 
 
 def _notes(fit: ImageFit) -> list[str]:

@@ -9,13 +9,13 @@ import statistics
 from collections.abc import Sequence
 from typing import Any
 
-import jinja2
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calibration.command.fitted import Fitted, PixelResiduals
+from calibration.command.page import templates
 from calibration.command.verdict import SIGNIFICANCE, Doubt, Fault, runs_probability
 from calibration.recordings import Recording
 from calibration.solvers import accepted_range, correlations
@@ -50,35 +50,32 @@ def render(
     software: str,
 ) -> str:
     """The HTML page of a fit of a model to recordings."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("calibration.command"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     with matplotlib.rc_context(_STYLE):
         figures = {"residuals": _svg(residuals_figure(fitted))}
         if fitted.lines:
             figures["lines"] = _svg(_lines(fitted))
-    return environment.get_template("fit.html.j2").render(
-        fitted=fitted,
-        model=model,
-        recordings=recordings,
-        doubts=doubts,
-        data_sha256=data_sha256,
-        software=software,
-        figures=figures,
-        correlations=correlations(fitted.covariance),
-        runs=[
-            (name, runs_probability(values), float(np.mean(values**2)))
-            for name, values in fitted.residuals.items()
-        ],
-        level=SIGNIFICANCE / max(len(fitted.residuals), 1),
-        accepted=accepted_range(fitted.degrees_of_freedom),
-        stated=any(doubt.fault is Fault.STATED_MISFIT for doubt in doubts),
-        significance=SIGNIFICANCE,
-        number=_number,
+    return (
+        templates()
+        .get_template("fit.html.j2")
+        .render(
+            fitted=fitted,
+            model=model,
+            recordings=recordings,
+            doubts=doubts,
+            data_sha256=data_sha256,
+            software=software,
+            figures=figures,
+            correlations=correlations(fitted.covariance),
+            runs=[
+                (name, runs_probability(values), float(np.mean(values**2)))
+                for name, values in fitted.residuals.items()
+            ],
+            level=SIGNIFICANCE / max(len(fitted.residuals), 1),
+            accepted=accepted_range(fitted.degrees_of_freedom),
+            stated=any(doubt.fault is Fault.STATED_MISFIT for doubt in doubts),
+            significance=SIGNIFICANCE,
+            number=_number,
+        )
     )
 
 
@@ -95,41 +92,28 @@ def residuals_figure(fitted: Fitted) -> Figure:
 
 
 def _residuals(fitted: Fitted) -> Figure:
-    """One row per kind of residual: against reading, position and normal quantiles."""
-    names = list(fitted.residuals)
-    figure = Figure(figsize=(10.0, 2.1 * len(names) + 0.5), layout="constrained")
-    grid = figure.subplots(len(names), 4, squeeze=False, sharey="row", sharex="col")
-    for (name, values), row in zip(fitted.residuals.items(), grid, strict=True):
+    """Each kind of residual against the reading; the last panel has all against a normal's."""
+    rows = math.ceil((len(fitted.residuals) + 1) / 3)
+    figure = Figure(figsize=(10.0, 2.4 * rows + 0.5), layout="constrained")
+    panels = figure.subplots(rows, 3, squeeze=False).flat
+    normal = statistics.NormalDist()
+    quantiles = panels[len(fitted.residuals)]
+    for kind, (name, values) in enumerate(fitted.residuals.items()):
         at = 0
         for number, recording in enumerate(fitted.recordings):
-            trial = recording.trial
-            own = values[at : at + trial.readings.size]
-            at += own.size
-            places = np.asarray(trial.ellipses.centre) - trial.principal_point
-            for axes, x in zip(row, (trial.readings, *places.T), strict=False):
-                _marks(axes, x, own, number, recording.name)
-        normal = statistics.NormalDist()
+            readings = recording.trial.readings
+            _marks(panels[kind], readings, values[at : at + readings.size], number, recording.name)
+            at += readings.size
+        panels[kind].axhline(0.0, color="#999999", lw=0.8)
+        panels[kind].set(title=in_figure(name), xlabel="reading (mm)", ylabel="residual / σ")
         expected = [normal.inv_cdf((k + 0.5) / values.size) for k in range(values.size)]
-        row[3].plot(expected, np.sort(values), ".", color="#444444", ms=4)
-        ends = np.array([expected[0], expected[-1]])
-        row[3].plot(ends, ends, color="#999999", lw=0.8)
-        for axes in row[:3]:
-            axes.axhline(0.0, color="#999999", lw=0.8)
-        row[0].set_ylabel("residual / σ")
-        row[0].set_title(in_figure(name))
-    for axes, label in zip(
-        grid[-1],
-        (
-            "reading (mm)",
-            "$u - u_0$ (px)",
-            "$v - v_0$ (px)",
-            "quantile of the normal distribution",
-        ),
-        strict=True,
-    ):
-        axes.set_xlabel(label)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4)
+        _marks(quantiles, expected, np.sort(values), kind, name)
+    quantiles.axline((0.0, 0.0), slope=1.0, color="#999999", lw=0.8)
+    quantiles.set(xlabel="quantile of the normal distribution", ylabel="sorted residual / σ")
+    quantiles.legend(loc="upper left")
+    for unused in panels[len(fitted.residuals) + 1 :]:
+        unused.set_axis_off()
+    panels[0].legend()
     return figure
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from operator import attrgetter
 from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -18,11 +19,11 @@ from calibration.pixels.light import STATES, Cells
 from calibration.pixels.misfit import Pixels, found_misfit
 from calibration.pixels.parameters import DEFAULTS, FREE, NUISANCES, check_names
 from calibration.pixels.solver import Point, Solver
-from calibration.solvers import covariance_and_lost
+from calibration.solvers import MOST_STEPS, covariance_and_lost
 from calibration.spots import BORESIGHT_SIGMA, Prior, phantom_wall
 from estimator import Stack
 from optics import InputError
-from optics.wall_light import TABLE_ERROR, lens_parameters
+from optics.wall_light import lens_parameters
 
 _TOUCH_SIGMA_MM = 0.02
 _CELL, _SPREAD_CELL, _COARSE_CELL = 1 / 8, 1 / 16, 1 / 2.2
@@ -36,11 +37,17 @@ _TOLERANCE = {True: 0.5, False: 0.04}
 """A fit ends if a step would lower chi squared by less, in the first rounds and in the last. The
 root is the step in standard errors."""
 _OTHER_SAGS = (0.3, 3.0)
-"""Factors of the sag for further starts, if the first fit misses more light than a table's error.
-Two drops can have nearly the same light, and a drop that focuses it near the tip is found from
-flatter ones only (numbers 42 and 41 of `tests.photon_fits coverage`)."""
+"""Factors of the sag for further starts. Two drops can have nearly the same light, and a drop that
+focuses it near the tip is found from flatter ones only (numbers 42 and 41 of `tests.photon_fits
+coverage`)."""
+_POOR, _MISSED = 1.0, 0.25
+"""Chi squared per cell above which a fit in wide cells, and then one in small cells, is not that of
+the right beam. Its unit is an error of 1 % of a frame's peak, so the latter is one of 0.5 %. Of
+right fits it was at most 0.13 (0.36 %), of a core that is 20 % too wide 0.9."""
 _HOPELESS = 0.04
-"""Part of the light, RMS, that a beam may miss after the first round: no later step mends that."""
+"""Part of the light, RMS, that a beam may miss after the first rounds: no later step mends that."""
+_COARSE_STEPS = 15
+"""Most steps of a fit in wide cells. From a start within 30 % it takes 3 to 10."""
 _ROUNDS = 2  # of the last fit, each with weights and variances learnt from the one before
 _NEAR = 1.0
 """Step, in standard errors, after which a lens's table is as good as one computed at its end: what
@@ -108,18 +115,22 @@ def fit_footage(
     start: Mapping[str, float],
     free: Sequence[str] | None = None,
     priors: Mapping[str, Prior] | None = None,
+    others: Sequence[Mapping[str, float]] = (),
+    spare: Mapping[str, Prior] | None = None,
     lean_sigma: float = np.radians(1.0),
     boresight_sigma: float = BORESIGHT_SIGMA,
     progress: Callable[[float], None] = lambda chi_squared: None,
 ) -> ImageFit:
-    """`fit_image` for frames in memory; calls `progress` with chi squared at every step."""
+    """`fit_image` for frames in memory; calls `progress` with chi squared at every step.
+
+    Args:
+        others: further start values, tried in order while a fit misses light.
+        spare: priors of further parameters, free if the fit from `start` misses light.
+    """
     free = FREE[source] if free is None else tuple(free)
     check_names(source, start, free, priors or {})
     place, radius = bright_spot(footage)
     known = _known(footage, place, lean_sigma, boresight_sigma) | dict(priors or {})
-    names = (*free, *(name for name in NUISANCES if name not in free))
-    lens = LensLight(footage, names) if source == "lens" else None
-    run = _Run(footage, names, known, lens, radius, progress)
     at_start = {
         **dict.fromkeys(NUISANCES, 0.0),
         **DEFAULTS,
@@ -130,15 +141,28 @@ def fit_footage(
         **{name: prior.mean for name, prior in known.items()},
         **start,
     }
-    solver = run.first_fit(at_start, vary="sag" in free)
-    if solver.share > _HOPELESS:
-        why = (
-            f"after the first round the {source} misses {100 * solver.share:.2g} % of the light; "
-            f"{100 * _HOPELESS:g} % are allowed"
-        )
-        solver.learn()
-        return _result(solver, Failure(Criterion.FIRST_ROUND, why), None)
-    return run.whole_fit(solver.point)
+    starts = [at_start, *({**at_start, **other} for other in others)]
+    if "sag" in free and not others:
+        # A half ball is the highest drop; a fit that starts there cannot move.
+        highest = 0.5 * (start["sag"] + start["aperture_radius"])
+        sags = [min(factor * max(start["sag"], 0.01), highest) for factor in _OTHER_SAGS]
+        starts += [{**at_start, "sag": sag} for sag in sags]
+
+    def run_of(free: Sequence[str], priors: dict[str, Prior]) -> _Run:
+        names = (*free, *(name for name in NUISANCES if name not in free))
+        lens = LensLight(footage, names) if source == "lens" else None
+        return _Run(footage, names, priors, lens, radius, progress)
+
+    run = run_of(free, known)
+    # From what the first start leads to, wrong radii are likelier than a wrong start.
+    solver = run.first_fit(starts[:1] if spare else starts)
+    if spare and solver.misfit > _MISSED:
+        wider = run_of((*free, *spare), known | dict(spare))
+        means = {name: prior.mean for name, prior in spare.items()}
+        found = wider.first_fit([at | means for at in (solver.point.values, *starts[1:])])
+        if found.misfit < 0.5 * solver.misfit:
+            run, solver = wider, found
+    return run.whole_fit(solver)
 
 
 def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
@@ -228,41 +252,47 @@ class _Run(NamedTuple):
             progress=self.progress,
         )
 
-    def first_fit(self, start: dict[str, float], *, vary: bool) -> Solver:
-        """The best of the fits in wide cells, from the start and if need be from other sags."""
-
-        def fitted(values: dict[str, float]) -> Solver:
-            states = np.zeros((len(self.footage.readings), len(STATES)))
-            solver = self.solver(Point(dict(values), states), first=True)
-            if self.lens is not None:
-                self.lens.tabulate(values, coarse=True)
-            solver.choose(guess=True)
-            solver.brighten()
-            solver.minimise(_TOLERANCE[True], follow=True)
-            return solver
-
-        best = fitted(start)
-        for factor in _OTHER_SAGS if vary else ():
-            if best.equations.cost < best.data * (TABLE_ERROR / 0.01) ** 2:
+    def first_fit(self, starts: Sequence[dict[str, float]]) -> Solver:
+        """The best of the fits of some frames from the starts, of which the first may do."""
+        tried: list[Solver] = []
+        found: list[Solver] = []
+        for left, start in zip(range(len(starts) - 1, -1, -1), starts, strict=True):
+            still = np.zeros((len(self.footage.readings), len(STATES)))
+            tried.append(self._guess(Point(dict(start), still), first=True))
+            best = min(tried, key=attrgetter("misfit"))
+            if best.misfit > _POOR and (left or found):
+                continue
+            tried.remove(best)
+            found.append(self._guess(best.point, first=False))
+            if found[-1].misfit < _MISSED:
                 break
-            # A half ball is the highest drop; a fit that starts there cannot move.
-            highest = 0.5 * (start["sag"] + start["aperture_radius"])
-            other = fitted({**start, "sag": min(factor * max(start["sag"], 0.01), highest)})
-            if other.equations.cost < best.equations.cost:
-                best = other
-        return best
+        return min(found, key=attrgetter("misfit"))
 
-    def whole_fit(self, point: Point) -> ImageFit:
-        """The fit in small cells: of some frames, and then of all."""
-        solver = self.solver(point, first=False)
-        self._tabulate(solver)
+    def _guess(self, point: Point, *, first: bool) -> Solver:
+        """A fit of some frames, in wide or in small cells, from a point that may be far off."""
+        solver = self.solver(point, first=first)
+        self._tabulate(solver, coarse=first)
         solver.choose(guess=True)
-        solver.minimise(_TOLERANCE[True], follow=True)
-        solver.learn()
-        spread, error = solver.spread, solver.error
-        solver = self.solver(solver.point, first=False, every=True)
-        solver.spread, solver.error = spread, error
-        self._tabulate(solver)
+        if first:
+            solver.brighten()
+        steps = _COARSE_STEPS if first else MOST_STEPS
+        solver.minimise(_TOLERANCE[True], follow=True, most_steps=steps)
+        return solver
+
+    def whole_fit(self, some: Solver) -> ImageFit:
+        """The fit of all frames in small cells, after that of some."""
+        some.choose(guess=False)
+        some.minimise(_TOLERANCE[True], follow=True)
+        some.learn()
+        if some.error > _HOPELESS:
+            why = (
+                f"after the first rounds the model misses {100 * some.error:.2g} % of the light; "
+                f"{100 * _HOPELESS:g} % are allowed"
+            )
+            return _result(some, Failure(Criterion.FIRST_ROUND, why), None)
+        solver = self.solver(some.point, first=False, every=True)
+        solver.spread, solver.error = some.spread, some.error
+        self._tabulate(solver, coarse=False)
         for number in range(_ROUNDS):
             solver.choose(guess=number == 0)
             solver.minimise(_TOLERANCE[False], follow=False)
@@ -272,22 +302,23 @@ class _Run(NamedTuple):
         failed, of_table = self._settled(solver)
         return _result(solver, failed, of_table)
 
-    def _tabulate(self, solver: Solver) -> None:
+    def _tabulate(self, solver: Solver, *, coarse: bool) -> None:
         if self.lens is not None:
-            self.lens.tabulate(solver.point.values, coarse=False)
+            self.lens.tabulate(solver.point.values, coarse=coarse)
 
     def _settled(self, solver: Solver) -> tuple[Failure | None, np.ndarray | None]:
         """Iterate until a lens's table is exact at the minimum; say why if it never is.
 
         Within a minimisation the table is linear in the lens's parameters. Each new table corrects
         the terms of second order, and brings new errors of its quadrature, which finds or misses
-        arcs. If a step is not half as long as the one before, these errors are what remains. Their
-        effect on the parameters is then known from the steps, and becomes part of the covariance.
+        arcs. A step to a table with a larger cost went too far, and is halved. If that ends where
+        the step began, or steps do not become short, the last whole step shows these errors' effect
+        on the parameters, which becomes part of the covariance.
         """
-        steps: list[np.ndarray] = []
-        while True:
-            before = np.array([solver.point.values[name] for name in self.names])
-            self._tabulate(solver)
+        best, least, asked = solver.point, math.inf, np.zeros(len(self.names))
+        for _ in range(_MOST_TABLES):
+            self._tabulate(solver, coarse=False)
+            point = solver.point
             found = solver.minimise(_TOLERANCE[False], follow=False)
             if not found.converged:
                 why = (
@@ -295,22 +326,33 @@ class _Run(NamedTuple):
                     f"{found.gain:.2g}; {_TOLERANCE[False]:g} is allowed"
                 )
                 return Failure(Criterion.STEPS, why), None
-            after = np.array([solver.point.values[name] for name in self.names])
-            steps.append((after - before) / solver.sizes)
-            information, _ = solver.effective()
-            lengths = [math.sqrt(float(step @ information @ step)) for step in steps[-2:]]
-            if self.lens is None or lengths[-1] < _NEAR:
-                return None, None
-            if (len(steps) > 2 and lengths[1] > lengths[0] / 2) or len(steps) >= _MOST_TABLES:
-                last = np.stack(steps[-2:])
-                of_table = last.T @ last / 2
-                if max(lengths) < _MOST_OF_TABLE:
-                    return None, of_table
-                why = (
-                    f"the last two tables of the lens's light differ by {max(lengths):.1f} "
-                    f"standard errors of the result; {_MOST_OF_TABLE:g} are allowed"
-                )
-                return Failure(Criterion.TABLES, why), of_table
+            too_far = found.first > least
+            if too_far:
+                solver.point = point.halfway(best)
+            else:
+                best, least, asked = point, found.first, self._step(solver, point, solver.point)
+            step = self._step(solver, best, solver.point)
+            left = math.sqrt(float(step @ solver.effective()[0] @ step))
+            if self.lens is None or left < _NEAR:
+                break
+        if too_far:
+            solver.point = best
+            self._tabulate(solver, coarse=False)
+            solver.evaluate()
+        elif self.lens is None or left < _NEAR:
+            return None, None
+        elif left > _MOST_OF_TABLE:
+            why = (
+                f"the last two tables of the lens's light differ by {left:.1f} standard errors of "
+                f"the result; {_MOST_OF_TABLE:g} are allowed"
+            )
+            return Failure(Criterion.TABLES, why), np.outer(asked, asked)
+        return None, np.outer(asked, asked)
+
+    def _step(self, solver: Solver, before: Point, after: Point) -> Float[np.ndarray, "p"]:
+        """Difference of the parameters, over their sizes."""
+        values = [[point.values[name] for name in self.names] for point in (before, after)]
+        return (np.array(values[1]) - values[0]) / solver.sizes
 
 
 def _result(solver: Solver, failed: Failure | None, of_table: np.ndarray | None) -> ImageFit:

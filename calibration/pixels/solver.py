@@ -32,7 +32,7 @@ from calibration.pixels.data import Footage
 from calibration.pixels.lens_light import NEAREST_MM, LensLight
 from calibration.pixels.light import SHIFT, STATES, TIP, Cells, FrameLight, Light
 from calibration.pixels.parameters import possible
-from calibration.solvers import Minimum, NormalEquations, minimise
+from calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
 from calibration.spots import Prior
 from optics import InputError
 
@@ -43,7 +43,7 @@ _FEW = 2  # frames
 _FREE = 1.0  # tau of a wall with texture: nothing is known
 _EVEN = 1e-9
 _LIT = 1e-3  # part of a frame's peak above which a cell counts as lit by the beam
-_RING = 2  # cells around these
+_RING = {True: 4, False: 2}  # cells around these; more while the beam is a guess
 _MARGIN_PX = {True: 10.0, False: 3.0}  # around the instrument; larger while its pose is a guess
 _GUESSED = 0.01
 """Error of the model in the first fit, relative to a frame's brightest cell."""
@@ -66,6 +66,11 @@ class Point:
 
     values: dict[str, float]
     states: Float[np.ndarray, "frames 7"]
+
+    def halfway(self, other: Point) -> Point:
+        """The point in the middle of the two."""
+        values = {name: 0.5 * (own + other.values[name]) for name, own in self.values.items()}
+        return Point(values, 0.5 * (self.states + other.states))
 
 
 class _At(NamedTuple):
@@ -122,8 +127,10 @@ class Solver:
         self.spread = np.ones(len(STATES))  # of the states, in their units
         # In one or two frames nothing tells a wall from a beam, so the wall counts as even.
         self.tau, self.error = _FREE if len(self.numbers) > _FEW else _EVEN, 0.0
+        self.trust = np.ones(self.seen.shape)  # of cells that are far off
         self.map = np.ones(cells.along**2)
-        self._by_shift: list[np.ndarray] | None = None
+        # Of all cells, because the tiles near a beam change with its pose; zero until learnt.
+        self._by_shift = np.zeros((len(self.numbers), 2, cells.along**2), np.float32)
 
     @property
     def data(self) -> int:
@@ -147,7 +154,7 @@ class Solver:
         found = self.light.frames(self.point.values, self.point.states, self.numbers, slopes=False)
         for k, own in enumerate(found or ()):
             at = own.cells
-            usable = (own.along > nearest) & self._reached(own)
+            usable = (own.along > nearest) & self._reached(own, _RING[guess])
             if footage.in_view:
                 usable &= ~footage.instrument.hides(
                     view.point[at], view.sight[at], tip=own.tip, axis=own.axis, margin=margin
@@ -170,20 +177,18 @@ class Solver:
                 "Change the exposure or withdraw farther."
             )
 
-    def _reached(self, own: FrameLight) -> Bool[np.ndarray, "n"]:
+    def _reached(self, own: FrameLight, ring: int) -> Bool[np.ndarray, "n"]:
         """Cells that the beam reaches, and a ring around them."""
         count = self.cells.along
         lit = np.zeros(count**2, bool)
         lit[own.cells] = own.direct > _LIT * own.direct.max()
-        near = binary_dilation(lit.reshape(count, count), np.ones((3, 3)), iterations=_RING)
+        near = binary_dilation(lit.reshape(count, count), np.ones((3, 3)), iterations=ring)
         return np.asarray(near.ravel()[own.cells])
 
-    def _reweigh(self, error: float | None = None) -> None:
-        """Weights of the used cells by the noise and the relative error of the model."""
-        self.error = self.error if error is None else error
-        used = self.weight > 0
+    def _reweigh(self) -> None:
+        """Weights of the used cells by the noise, the model's relative error, and their trust."""
         total = self.variance + (self.error * self.seen) ** 2
-        self.weight = np.where(used, 1.0 / total, 0.0)
+        self.weight = np.where(self.weight > 0, self.trust / total, 0.0)
 
     def brighten(self) -> None:
         """Set sensitivity and illumination by linear least squares, with all else fixed.
@@ -209,12 +214,13 @@ class Solver:
         self.point.values["illumination"] = max(product / sensitivity, 0.0)
         self.sizes[self.names.index("sensitivity")] = sensitivity
 
-    def minimise(self, tolerance: float, *, follow: bool) -> Minimum:
+    def minimise(self, tolerance: float, *, follow: bool, most_steps: int = MOST_STEPS) -> Minimum:
         """Fit with the weights and variances as they are.
 
         Args:
             tolerance: of chi squared.
             follow: whether a lens's table is computed anew where the lens moves far.
+            most_steps: after which it ends anyway.
         """
         start, size, best = self.point, len(self.names), math.inf
 
@@ -240,11 +246,16 @@ class Solver:
                 best, self.point, self.now, self.equations = found.cost, point, at, found
             return found
 
-        found = minimise(
-            evaluate, np.zeros(size + len(STATES) * len(self.numbers)), tolerance=tolerance
-        )
+        start_at = np.zeros(size + len(STATES) * len(self.numbers))
+        found = minimise(evaluate, start_at, tolerance=tolerance, most_steps=most_steps)
         self.map = self.now.map
         return found
+
+    def evaluate(self) -> None:
+        """Compute the model at the point where the fit is, which a fit has reached before."""
+        at = self._at(self.point)
+        assert at is not None
+        self.now, self.equations, self.map = at, self._equations(self.point, at), at.map
 
     def _at(self, point: Point) -> _At | None:
         frames = self.light.frames(point.values, point.states, self.numbers)
@@ -255,8 +266,7 @@ class Solver:
         lights = []
         for k, own in enumerate(frames):
             light = self.seen[k, own.cells]
-            if self._by_shift is not None:
-                light = light - point.states[self.numbers[k], SHIFT] @ self._by_shift[k]
+            light = light - point.states[self.numbers[k], SHIFT] @ self._by_shift[k][:, own.cells]
             weighted = self.weight[k, own.cells] * own.light
             information[own.cells] += weighted * own.light
             pull[own.cells] += weighted * light
@@ -303,7 +313,7 @@ class Solver:
 
     def _slopes(self, k: int, own: FrameLight, texture: np.ndarray) -> Float[np.ndarray, "p+7 n"]:
         """Derivatives of a frame's light by the parameters, over their sizes, and by its states."""
-        by_shift = np.zeros((2, own.cells.size)) if self._by_shift is None else self._by_shift[k]
+        by_shift = self._by_shift[k][:, own.cells]
         by_state = np.concatenate([texture[own.cells] * own.by_state, by_shift])
         by_name = self.sizes[:, None] * own.slopes * texture[own.cells]
         return np.concatenate([by_name, _UNITS[:, None] * by_state])
@@ -334,12 +344,11 @@ class Solver:
             self.spread = np.clip(learnt, _LEAST / _UNITS, _MOST / _UNITS)
         self._learn_error()
         count = self.cells.along
-        self._by_shift = []
-        for own in self.now.frames:
+        for k, own in enumerate(self.now.frames):
             lit = np.zeros(count**2)
             lit[own.cells] = self.map[own.cells] * own.light
             down, right = np.gradient(lit.reshape(count, count), self.cells.side)
-            self._by_shift.append(-np.stack([right.ravel()[own.cells], down.ravel()[own.cells]]))
+            self._by_shift[k] = -np.stack([right.ravel(), down.ravel()])
 
     def _learn_error(self) -> None:
         """The relative error that makes chi squared what it should be, and robust weights."""
@@ -356,10 +365,11 @@ class Solver:
 
         self.chi_squared = float(np.sum(square / noise))
         error = 0.0 if excess(0.0) <= 0 else brentq(excess, 0.0, 1.0) if excess(1.0) < 0 else 1.0
-        self._reweigh(float(error))
-        far = np.abs(rest) * np.sqrt(self.weight)
+        self.error = float(error)
+        far = np.abs(rest) / np.sqrt(self.variance + (self.error * self.seen) ** 2)
         # The weight of Geman and McClure, as in the estimator.
-        self.weight *= (_FAR / np.maximum(far, _FAR)) ** 4
+        self.trust = (_FAR / np.maximum(far, _FAR)) ** 4
+        self._reweigh()
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -368,14 +378,13 @@ class Solver:
         return max(self.data - round(float(known.sum())) - len(self.names), 1)
 
     @property
-    def share(self) -> float:
-        """Part of the light that the model misses, RMS, beyond the camera's noise."""
-        square = sum(
-            float(self.weight[k, own.cells] @ np.square(rest))
+    def misfit(self) -> float:
+        """Mean square of the residuals, in variances; cells that are far off count as `_FAR`."""
+        squares = (
+            np.minimum(self.weight[k, own.cells] * np.square(rest), _FAR**2).sum()
             for k, (own, rest) in enumerate(zip(self.now.frames, self.now.rest, strict=True))
         )
-        signal = float(np.sum(self.weight * np.square(self.seen)))
-        return math.sqrt(max(square - self.degrees_of_freedom, 0.0) / signal)
+        return float(sum(squares)) / self.data
 
     def flatten(self) -> None:
         """Take the wall for even, unless that explains the frames worse than chance allows."""

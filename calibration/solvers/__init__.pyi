@@ -9,6 +9,7 @@ from .levenberg_marquardt import GAUSS_NEWTON as GAUSS_NEWTON
 from .levenberg_marquardt import Solution as Solution
 from .levenberg_marquardt import least_squares as least_squares
 from .levenberg_marquardt import padded as padded
+from .normal_equations import MOST_STEPS as MOST_STEPS
 from .normal_equations import Minimum as Minimum
 from .normal_equations import NormalEquations as NormalEquations
 from .normal_equations import minimise as minimise

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-_MOST_STEPS = 40
+MOST_STEPS = 40
 _DAMPING, _MOST_DAMPING = 1e-6, 1e8
 _RIDGE, _NOTHING = 1e-12, 1e-300  # of a parameter's information
 
@@ -37,6 +37,7 @@ class Minimum(NamedTuple):
     Attributes:
         x: parameters.
         at: the normal equations there.
+        first: cost at the start.
         gain: by how much another step would lower the cost, to first order.
         steps: number of evaluations after the first.
         converged: whether the gain is less than the tolerance.
@@ -44,6 +45,7 @@ class Minimum(NamedTuple):
 
     x: Float[np.ndarray, "p"]
     at: NormalEquations
+    first: float
     gain: float
     steps: int
     converged: bool
@@ -54,6 +56,7 @@ def minimise(
     start: Float[np.ndarray, "p"],
     *,
     tolerance: float,
+    most_steps: int = MOST_STEPS,
 ) -> Minimum:
     """Levenberg-Marquardt with Nielsen's damping.
 
@@ -65,13 +68,15 @@ def minimise(
         evaluate: function that returns the normal equations at a point.
         start: first guess.
         tolerance: tolerance of the cost.
+        most_steps: evaluations after which it ends anyway.
     """
     x, at = start, evaluate(start)
+    first = at.cost
     damping, growth = _DAMPING, 2.0
-    for steps in range(_MOST_STEPS):
+    for steps in range(most_steps):
         gain = expected_gain(at)
         if gain < tolerance:
-            return Minimum(x, at, gain, steps, True)
+            return Minimum(x, at, first, gain, steps, True)
         damped = at.information + damping * np.diag(np.diag(at.information))
         step = -_solved(damped, at.gradient)
         tried = evaluate(x + step)
@@ -84,7 +89,7 @@ def minimise(
             damping, growth = damping * growth, 2 * growth
             if damping > _MOST_DAMPING:
                 break
-    return Minimum(x, at, expected_gain(at), steps + 1, False)
+    return Minimum(x, at, first, expected_gain(at), steps + 1, False)
 
 
 def expected_gain(at: NormalEquations) -> float:

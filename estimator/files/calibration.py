@@ -155,24 +155,26 @@ def read_calibration(path: str | Path) -> Calibration:
 
 
 class _Medium(Strict):
-    name: str
-    index: float
+    name: str = Field(description="Of the medium.")
+    index: float = Field(description="Refractive index of the medium.")
 
 
 class _Parameter(Strict):
-    value: float
-    unit: str
-    sigma: Annotated[float, Field(ge=0)]
+    value: float = Field(description="Of the parameter.")
+    unit: str = Field(description="Of the parameter.")
+    sigma: Annotated[float, Field(ge=0)] = Field(description="Standard error of the parameter.")
 
 
 class _Covariance(Strict):
-    order: list[str]
-    matrix: list[list[Annotated[float, AllowInfNan()]]]
+    order: list[str] = Field(description="Names of the parameters in the order of the matrix.")
+    matrix: list[list[Annotated[float, AllowInfNan()]]] = Field(
+        description="Covariance, in products of the parameters' units."
+    )
 
 
 class _Origin(Strict):
-    description: str
-    sha256: str
+    description: str = Field(description="The data of the fit, in words.")
+    sha256: str = Field(description="Fingerprint of those data.")
 
 
 class _CalibrationFile(Strict):
@@ -181,7 +183,7 @@ class _CalibrationFile(Strict):
     schema_: Annotated[int, Field(alias="schema")]
     model: str
     medium: _Medium
-    parameters: dict[str, _Parameter]
+    parameters: dict[str, _Parameter] = Field(description="Values with standard errors, by name.")
     covariance: _Covariance
     fitted_on: _Origin
     sigma_inflation: Annotated[float, Field(ge=1, le=_LARGEST)] = 1.0

@@ -26,13 +26,13 @@ Fingerprint = dict[str, Any]
 
 
 class _Fingerprint(Strict):
-    bytes: int
-    sha256: str
+    bytes: int = Field(description="Size of the file.")
+    sha256: str = Field(description="Of the file.")
 
 
 class _Manifest(Strict):
     schema_: Annotated[int, Field(alias="schema")]
-    files: dict[str, _Fingerprint]
+    files: dict[str, _Fingerprint] = Field(description="By path in the folder.")
 
 
 def fingerprint(path: Path) -> Fingerprint:

@@ -1,9 +1,10 @@
 """Tip and axis of the beam, frame by frame, from all pixels of the spot.
 
 The wall is learnt while it is looked at: a few earlier frames are kept, and the newest one is
-fitted together with them (`solver`). The first is always among them, because a chain of frames that
-forgets its beginning drifts. `PixelRanger` makes the tracker from a calibration and a microscope
-file, and states distances with the calibration's errors.
+fitted together with them (`solver`). The first is among them as long as its spot is not small
+beside the newest, because a chain of frames that forgets its beginning drifts. `PixelRanger` makes
+the tracker from a calibration and a microscope file, and states distances with the calibration's
+errors.
 """
 
 from __future__ import annotations

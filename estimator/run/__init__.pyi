@@ -9,12 +9,14 @@ from .offline import Tracking as Tracking
 from .offline import record_of as record_of
 from .offline import track_source as track_source
 from .offline import track_whole_source as track_whole_source
+from .options import OUT as OUT
 from .options import OUTPUT as OUTPUT
 from .options import Exposure as Exposure
 from .options import Given as Given
 from .options import Options as Options
 from .options import Recorded as Recorded
 from .options import Rerun as Rerun
+from .overlay import overlay_writer as overlay_writer
 from .progress_bar import Advance as Advance
 from .progress_bar import duration as duration
 from .progress_bar import progress as progress

@@ -9,6 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
+from estimator.run.options import OUT
 from optics import InputError
 
 
@@ -17,7 +18,7 @@ def camera(
     /,
     *,
     microscope: Path,
-    out: Path,
+    out: Annotated[Path, OUT],
     bit_depth: Annotated[int, Parameter(validator=Number(gte=8, lte=16))] = 8,
     bayer: bool = False,
 ) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from estimator.run.options import OUTPUT, Options, Recorded, Rerun
+from estimator.run.options import OUT, OUTPUT, Options, Recorded, Rerun
 from estimator.run.progress_bar import progress
 from optics import InputError
 
@@ -34,7 +34,7 @@ def track(
     source: str,
     /,
     *,
-    out: Path,
+    out: Annotated[Path, OUT],
     unrelated: Annotated[bool | None, Parameter(negative="--sequence")] = None,
     options: Options = Options(),
     recorded: Recorded = Recorded(),

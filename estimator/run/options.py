@@ -38,12 +38,13 @@ _NEEDS = {
 
 Exposure = Annotated[
     Literal["paper", "metered"] | None,
-    Parameter(help="Of a stack that has two (default: metered)."),
+    Parameter(help="Which exposure to use if the stack has two (default: metered)."),
 ]
 _CALIBRATION, _MICROSCOPE, _POSES, OUTPUT = (
     Parameter(group=Group.create_ordered(name))
     for name in ("Calibration", "Microscope", "Poses", "Output")
 )
+OUT = Parameter(alias="-o")
 Rerun = Annotated[str | None, OUTPUT, Parameter(metavar="FILE|live")]
 _POINT = TypeAdapter(tuple[FiniteFloat, FiniteFloat])
 _QUATERNION = TypeAdapter(Quaternion)
