@@ -10,6 +10,7 @@ from .machine import RendererUnavailable as RendererUnavailable
 from .machine import load_mitsuba as load_mitsuba
 from .rendering import LinearFrame as LinearFrame
 from .rendering import Renderer as Renderer
+from .stacks import LiveCamera as LiveCamera
 from .stacks import check_scene as check_scene
 from .stacks import least_bytes as least_bytes
 from .stacks import render_image as render_image

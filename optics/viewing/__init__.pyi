@@ -18,7 +18,6 @@ from .eye import WideFieldLens as WideFieldLens
 from .eye import eye_names as eye_names
 from .eye import load_eye as load_eye
 from .eye import load_viewing_lens as load_viewing_lens
-from .eye import viewing_lens_names as viewing_lens_names
 from .path import DILATED_MM as DILATED_MM
 from .path import FORMS as FORMS
 from .path import LinesOfSight as LinesOfSight

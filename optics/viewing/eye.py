@@ -93,34 +93,38 @@ Layers = Annotated[list[float], Field(min_length=1)]
 class CorneaFile(Strict):
     """The cornea's two surfaces."""
 
-    front_radius_mm: Radius
-    front_asphericity: Number
-    thickness_mm: Number
-    back_radius_mm: Radius
-    back_asphericity: Number
+    front_radius_mm: Radius = Field(description="Radius of curvature of the front surface.")
+    front_asphericity: Number = Field(description="Q of the front surface; 0 is a sphere.")
+    thickness_mm: Number = Field(description="On the axis.")
+    back_radius_mm: Radius = Field(description="Radius of curvature of the back surface.")
+    back_asphericity: Number = Field(description="Q of the back surface.")
 
 
 class LensFile(Strict):
     """The crystalline lens; layers of a gradient lens meet in planes."""
 
-    depth_mm: Number
-    front_radius_mm: Radius
-    front_asphericity: Number
-    thickness_mm: Layers
-    back_radius_mm: Radius
-    back_asphericity: Number
-    gradient: list[Terms] | None = None
+    depth_mm: Number = Field(description="Of the front vertex below the cornea's.")
+    front_radius_mm: Radius = Field(description="Radius of curvature of the front surface.")
+    front_asphericity: Number = Field(description="Q of the front surface; 0 is a sphere.")
+    thickness_mm: Layers = Field(description="Of each layer, on the axis.")
+    back_radius_mm: Radius = Field(description="Radius of curvature of the back surface.")
+    back_asphericity: Number = Field(description="Q of the back surface.")
+    gradient: list[Terms] | None = Field(
+        None, description="Per layer the change of the index with z, z² and r²."
+    )
 
 
 class IndicesFile(Strict):
     """Indices at wavelengths, or at one wavelength with a dispersion common to all media."""
 
-    wavelength_nm: list[float] = Field(min_length=1)
-    dispersion: Pair = (0.0, 0.0)
-    cornea: list[Index]
-    aqueous: list[Index]
-    lens: list[list[Index]]
-    vitreous: list[Index]
+    wavelength_nm: list[float] = Field(
+        min_length=1, description="Where the indices are known; they are interpolated."
+    )
+    dispersion: Pair = Field((0.0, 0.0), description="Change of all indices per µm and µm².")
+    cornea: list[Index] = Field(description="Index at each wavelength.")
+    aqueous: list[Index] = Field(description="Index at each wavelength.")
+    lens: list[list[Index]] = Field(description="Of each layer the index at each wavelength.")
+    vitreous: list[Index] = Field(description="Index at each wavelength.")
 
     @model_validator(mode="after")
     def _one_index_a_wavelength(self) -> Self:
@@ -153,12 +157,16 @@ class IndicesFile(Strict):
 class EyeFile(Strict):
     """An eye; lengths in mm, depths from the cornea's vertex."""
 
-    refractions_d: Pair = (0.0, 0.0)
-    axial_length_mm: Number
-    retina_semi_axes_mm: Annotated[tuple[Number, Number, Number], BeforeValidator(_tuple)]
-    cornea: CorneaFile
-    lens: LensFile
-    indices: IndicesFile
+    refractions_d: Pair = Field(
+        (0.0, 0.0), description="Least and largest refraction that the eye may have, D."
+    )
+    axial_length_mm: Number = Field(description="From the cornea's vertex to the retina.")
+    retina_semi_axes_mm: Annotated[tuple[Number, Number, Number], BeforeValidator(_tuple)] = Field(
+        description="Across (x, y) and along the axis (z)."
+    )
+    cornea: CorneaFile = Field(description="Two conic surfaces.")
+    lens: LensFile = Field(description="The crystalline lens.")
+    indices: IndicesFile = Field(description="Refractive indices.")
 
     @model_validator(mode="after")
     def _one_entry_a_layer(self) -> Self:
@@ -327,18 +335,13 @@ class _LensFile(Strict):
     lens: _ContactLensFile | _WideFieldFile = Field(discriminator="kind")
 
 
-def viewing_lens_names() -> tuple[str, ...]:
-    """Names of the viewing lenses that come with the package."""
-    return names_in("lenses")
-
-
 def load_viewing_lens(name_or_path: str | Path) -> ViewingLens:
     """Read a viewing lens from its name or from a TOML file in the same format.
 
     A wide-field lens is held one focal length above the cornea.
 
     Args:
-        name_or_path: one of `viewing_lens_names()`, or the path of a `.toml` file.
+        name_or_path: name of a lens that comes with the package, or the path of a `.toml` file.
 
     Raises:
         InputError: no such lens, or an unknown, missing or wrong key.

@@ -9,9 +9,11 @@ from .lens import TABLE_ERROR as TABLE_ERROR
 from .lens import LensSamples as LensSamples
 from .lens import LensTable as LensTable
 from .lens import halvings_for as halvings_for
+from .lens import lens_of as lens_of
 from .lens import lens_parameters as lens_parameters
 from .lens import lens_samples as lens_samples
 from .lens import lens_table as lens_table
+from .lens import lens_toml as lens_toml
 from .pose_light import BeamFrame as BeamFrame
 from .pose_light import Steps as Steps
 from .pose_light import beam_meets as beam_meets
@@ -19,3 +21,7 @@ from .pose_light import irradiance_alone as irradiance_alone
 from .pose_light import irradiance_and_slopes as irradiance_and_slopes
 from .pose_light import pixels_see as pixels_see
 from .pose_light import square_lattice as square_lattice
+from .unknown_wall import SpotCells as SpotCells
+from .unknown_wall import distance_sigmas as distance_sigmas
+from .unknown_wall import spot_cells as spot_cells
+from .unknown_wall import texture as texture

@@ -26,6 +26,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import tomli_w
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, ScalarLike
 from scipy.interpolate import CubicSpline
@@ -68,6 +69,17 @@ def lens_parameters(lens: optics.GlueLens) -> dict[str, float]:
     fields = {name: getattr(lens, name) for name in PARAMETERS if name != "rim_height"}
     fields["rim_height"] = lens.glue_length - lens.sag
     return {name: float(fields[name]) for name in PARAMETERS}
+
+
+def lens_toml(values: Mapping[str, float], *, provenance: str) -> str:
+    """The text of a lens file, which `optics.load_lens` reads.
+
+    Args:
+        values: all `PARAMETERS`.
+        provenance: where they come from.
+    """
+    lens = {name: float(x) for name, x in vars(lens_of(values)).items() if x is not None}
+    return tomli_w.dumps({"schema": 1, "provenance": provenance, "lens": lens})
 
 
 class Grid(NamedTuple):
@@ -146,6 +158,37 @@ class LensTable(eqx.Module):
     def changed(self, by: Float[Array, "p"]) -> LensTable:
         """The table with the lens's parameters changed."""
         return eqx.tree_at(lambda table: table.moved, self, self.moved + by)
+
+    def parts(self) -> list[LensTable]:
+        """The table without its derivatives, and its derivatives, as tables of their own."""
+        shares = [self.transmitted_value, *self.transmitted_slopes]
+        return [
+            LensTable(
+                values=values,
+                slopes=self.slopes[:0],
+                transmitted_value=share,
+                transmitted_slopes=self.transmitted_slopes[:0],
+                at=self.at[:0],
+                moved=self.moved[:0],
+                grid=self.grid,
+            )
+            for values, share in zip([self.values, *self.slopes], shares, strict=True)
+        ]
+
+    def half_maximum_radius(self, distance: float) -> float:
+        """Outermost radius with half of the peak irradiance on a plane square to the beam, mm.
+
+        To a four-hundredth of the light's reach; `optics.half_maximum_radius` is exact.
+
+        Args:
+            distance: of the plane from the tip, mm.
+        """
+        contact, slope = map(np.asarray, self.grid[:2])
+        reach = float(contact + slope * distance)
+        radius = np.linspace(0.0, reach, 400)
+        mean = np.asarray(self(radius=jnp.asarray(radius), distance=jnp.full(400, distance)))
+        rings = np.diff(mean * radius**2) / np.diff(radius**2)
+        return float(radius[1:][rings >= 0.5 * rings.max()][-1])
 
     def arrays(self) -> dict[str, Any]:
         """All that `of_arrays` needs, by name."""

@@ -34,8 +34,7 @@ def light_information(
     """
     per_light = exposure * settings.full_well_e
     electrons = np.asarray(light, dtype=float) * per_light + settings.dark_signal_e
-    rounding = 1 / (12 * settings.system_gain**2)
-    variance = np.maximum(electrons, 0.0) + settings.read_noise_e**2 + rounding
+    variance = np.maximum(electrons, 0.0) + settings.dark_variance_e2
     z = (settings.full_well_e - electrons) / np.sqrt(variance)
     density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
     below = np.exp(log_ndtr(z))

@@ -60,6 +60,11 @@ class CameraSettings(BaseModel):
         description="JPEG quality, with 4:2:2 colour as in USB video; 0: no JPEG.",
     )
 
+    @property
+    def dark_variance_e2(self) -> float:
+        """Variance of a pixel without electrons, electrons²: of reading and of rounding."""
+        return self.read_noise_e**2 + 1 / (12 * self.system_gain**2)
+
     @model_validator(mode="after")
     def _black_is_below_white(self) -> CameraSettings:
         if self.black_level_dn >= self.full_scale_dn:

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 SceneFile = Annotated[Path, Parameter(help="Scene file (TOML).")]
-OutputFolder = Annotated[Path, Parameter(help="Output folder; created if missing.")]
+OutputFolder = Annotated[Path, Parameter(alias="-o", help="Output folder; created if missing.")]
 Changes = Annotated[
     tuple[str, ...],
     Parameter(

@@ -14,4 +14,3 @@ from .profiles import bell as bell
 from .profiles import domed_edge as domed_edge
 from .profiles import erf_edge as erf_edge
 from .profiles import flank as flank
-from .profiles import lens_profile as lens_profile

@@ -168,8 +168,7 @@ class Renderer:
         """Largest change of a pixel in standard deviations of the temporal noise (EMVA 1288)."""
         camera = self.scene.camera
         electrons = exposure_s * self.scene.exposures.sensitivity_mm2_sr_mj * camera.full_well_e
-        rounding = 1 / (12 * camera.system_gain**2)
-        fixed = camera.dark_signal_e + camera.read_noise_e**2 + rounding
+        fixed = camera.dark_signal_e + camera.dark_variance_e2
         return float(np.max(np.abs(new - old) * electrons / np.sqrt(new * electrons + fixed)))
 
     def fine_wall(self, frame: int, *, window: tuple[int, int, int, int], factor: int) -> FineWall:

@@ -1,3 +1,4 @@
+from .image import LiveCamera as LiveCamera
 from .image import render_image as render_image
 from .preview import write_preview as write_preview
 from .stack import check_scene as check_scene

@@ -1,10 +1,11 @@
-"""One image of a scene, without a stack on disk."""
+"""Images of a scene without a stack on disk: one of its own, or where the tip is told to be."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from optics import InputError
+from scenes.camera import Camera
 from scenes.description import Scene
 from scenes.rendering import Renderer
 from scenes.stacks.photography import Photography
@@ -44,3 +45,42 @@ def render_image(
     return photography.written(
         photography.raw(light, exposure_s=duration, frame=frame, order=kinds.index(kind))
     )
+
+
+class LiveCamera:
+    """A scene's camera while something else moves the tip, such as a simulated robot.
+
+    Args:
+        scene: its motion is not used, but must be possible.
+        variant: Mitsuba's variant.
+
+    Raises:
+        SceneError: the scene is impossible.
+        RendererUnavailable: Mitsuba cannot run that variant here.
+    """
+
+    def __init__(self, scene: Scene, *, variant: str = "llvm_ad_rgb") -> None:
+        self._images = Renderer(scene, variant=variant).images
+        self._camera, self._seed = Camera(scene), scene.seed
+
+    def image(
+        self, tips: np.ndarray, axes: np.ndarray, *, exposure_s: float, frame: int
+    ) -> np.ndarray:
+        """An image while the tip moves.
+
+        Args:
+            tips: at the beginning, middle and end of the exposure, 3 x 3, mm, eye frame. The light
+                is their mean by Simpson's rule.
+            axes: of the beam, likewise; unit vectors from the tip towards the wall.
+            exposure_s: exposure time, s.
+            frame: number of the image, for its noise.
+
+        Returns:
+            H x W x 3 (R, G, B), uint8 or uint16, before JPEG.
+        """
+        light = sum(
+            share * self._images.at(tip=tip, axis=axis, seed=frame)[0]
+            for share, tip, axis in zip((1 / 6, 2 / 3, 1 / 6), tips, axes, strict=True)
+        )
+        seed = [self._seed, frame]
+        return self._camera.raw(np.asarray(light), exposure_s=exposure_s, noise_seed=seed)

@@ -3,6 +3,7 @@
 fundus_image  A drawn fundus: reflectance of disc, macula, vessels and choroid from a random seed
 landmarks     Coordinates of the map; positions and sizes of fovea and optic disc
 picture       The picture that a scene selects, also from an image file, and its mean colour
+random_wall   A wall without a picture: grain, vessels and shading drawn at random
 spread        How far walls scatter light sideways: lengths for each colour, with their sources
 vessels       The vessel tree of the drawn fundus
 """

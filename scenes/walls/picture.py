@@ -50,7 +50,8 @@ def wall_image(
     steps = across * np.float32(extent_mm * width / width_mm)  # image pixels from its centre
     columns, rows = np.meshgrid(steps + (width - 1) / 2, steps + (height - 1) / 2)
     mapped = cv2.remap(linear, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(white * mapped, np.float32)
+    colours = np.broadcast_to(np.atleast_3d(mapped), (pixels, pixels, 3))  # grey is all three
+    return np.asarray(white * colours, np.float32)
 
 
 def _image(path: Path) -> tuple[NDArray, float]:

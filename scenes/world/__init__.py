@@ -7,6 +7,7 @@ light_cache   Irradiance of a glue lens; takes half a minute to compute, so it i
 limits        Checks: the tip stays out of the wall, the spot stays in the window
 motion        Position of the tip over time, and the clocks of camera and robot
 photometry    Brightness: indirect light, and the exposure time of the `paper` frames
+unknown_wall  What one frame says of the distance, if nobody knows the wall
 unrest        Where the view, the eyeball and the source's power are at a time
 reflections   The microscope's lamp as the surfaces of a viewing path reflect it
 view          The camera: a pinhole, or the microscope behind a lens and the eye's optics

@@ -9,6 +9,8 @@ from .motion import kinematics as kinematics
 from .motion import longest_exposure as longest_exposure
 from .photometry import paper_exposure as paper_exposure
 from .photometry import uniform_irradiance as uniform_irradiance
+from .unknown_wall import SpotLight as SpotLight
+from .unknown_wall import UnknownWall as UnknownWall
 from .unrest import Moment as Moment
 from .view import colour_cameras as colour_cameras
 from .world import Cone as Cone

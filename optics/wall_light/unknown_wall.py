@@ -1,0 +1,155 @@
+r"""What one frame says of a distance, if nobody knows the wall: its Cramér-Rao bound.
+
+The log light of cell i is $\log g + \log\rho_i + \log(E_i + A)$ plus noise. The log reflectance
+$\log\rho$ of the wall is a Gaussian process with the covariance K (`texture`), and it is eliminated
+exactly. The pose, the gain g and the ambient light A are free. With the derivatives J by these
+seven and the variances N of the camera's noise and of a model error,
+
+$$ F = J^T (K + N)^{-1} J, \qquad \sigma_d^2 = (F^{-1})_{dd}. $$
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float, ScalarLike
+
+import optics
+from optics.wall_light.cells import CellBeam
+from optics.wall_light.cone import UniformCone
+from optics.wall_light.pose_light import BeamFrame, irradiance_and_slopes, square_lattice
+
+COUNT, REACH = 26, 2.0
+"""Cells along a side of the window, and half of its side over the half-maximum ellipse's."""
+LENGTHS_MM, CONTRASTS = (0.08, 0.25, 1.0), (0.02, 0.05, 0.07)
+"""Grain, vessels and shading of a wall: correlation lengths, and relative standard deviations."""
+MODEL_ERROR = 0.003
+"""Relative error of a cell's light by the image model."""
+_WITHIN = 0.52  # mean distance of two points of a square, over its side
+_UNSEEN = 1e6  # variance of a cell that says nothing
+
+
+def texture(apart_mm: Float[ArrayLike, "*n"]) -> Float[Array, "*n"]:
+    """Covariance of the log reflectance of places that are some way apart on the wall.
+
+    Grain is rough, exp(-x). The rest is smooth in small: Matérn covariances of the order 3/2
+    (Stein 1999).
+
+    Args:
+        apart_mm: mm along the wall.
+    """
+    grain, *smooth = (apart_mm / length for length in LENGTHS_MM)
+    parts = [jnp.exp(-grain), *((1 + 3**0.5 * x) * jnp.exp(-(3**0.5) * x) for x in smooth)]
+    return jnp.tensordot(jnp.square(jnp.array(CONTRASTS)), jnp.stack(parts), 1)
+
+
+class SpotCells(NamedTuple):
+    """The light of a spot on COUNT x COUNT cells around it, and how it changes.
+
+    Attributes:
+        light: irradiance per unit power, 1/mm², and its derivatives by the five numbers of a pose
+            (`BeamFrame`); for each part of the beam.
+        seen: cells within the image.
+        side_px: of a cell.
+        side_mm: of a cell on the wall.
+    """
+
+    light: Float[np.ndarray, "parts 6 n"]
+    seen: Bool[np.ndarray, "n"]
+    side_px: ScalarLike
+    side_mm: ScalarLike
+
+
+def spot_cells(
+    parts: Sequence[CellBeam],
+    *,
+    camera: optics.Camera,
+    wall: optics.Surface,
+    tip: Float[np.ndarray, "3"],
+    axis: Float[np.ndarray, "3"],
+    half_maximum_mm: float,
+    size_px: tuple[int, int],
+) -> SpotCells:
+    """The cells around a beam's spot.
+
+    Args:
+        parts: a beam, and tables of its derivatives by its own parameters (`LensTable.parts`).
+        camera: the microscope.
+        wall: the wall.
+        tip: S, mm.
+        axis: unit vector from the tip towards the wall.
+        half_maximum_mm: larger semi-axis of the half-maximum ellipse on the wall.
+        size_px: width and height of the image.
+    """
+    meeting = wall.intersect(jnp.asarray(tip), jnp.asarray(axis))
+    along, across = (optics.perpendicular_frame(v) for v in (meeting.normal, axis))
+    pose = BeamFrame(*map(np.asarray, (tip, axis, meeting.distance, *along, *across)))
+    middle, right = np.asarray(camera.project(jnp.stack([meeting.point, meeting.point + along[0]])))
+    reach_mm = REACH * half_maximum_mm
+    reach_px = reach_mm * float(np.linalg.norm(right - middle))
+    corner, side = middle - reach_px, 2 * reach_px / COUNT
+    lattice = square_lattice(camera, wall, corner=corner, right=np.array([side, 0.0]), count=COUNT)
+    light = []
+    for part in parts:
+        own = jnp.zeros((2 if isinstance(part, UniformCone) else 0, 0))
+        both = irradiance_and_slopes(lattice, part, pose, own=jnp.zeros(0), spread=own)
+        light.append(np.vstack([both[0], both[1]]))
+    first = corner + side * np.arange(COUNT)[:, None]
+    inside = np.all([first > -0.5, first + side < np.array(size_px) - 0.5], axis=0)
+    seen = np.logical_and.outer(inside[:, 1], inside[:, 0]).ravel()
+    return SpotCells(np.array(light), seen, side, 2 * reach_mm / COUNT)
+
+
+@partial(jax.jit, static_argnames="outline")
+def distance_sigmas(
+    spots: SpotCells,
+    change: Float[ArrayLike, "parts-1"],
+    *,
+    ambient: Float[ArrayLike, "parts"],
+    dose: ScalarLike,
+    electrons: Float[ArrayLike, "channels"],
+    dark_e2: ScalarLike,
+    outline: bool = False,
+) -> Float[Array, "n"]:
+    """Bounds of the standard deviation of d by one frame each, mm; see the formula above.
+
+    Args:
+        spots: of n frames.
+        change: of the beam's own parameters.
+        ambient: A, light that is everywhere, per unit power, 1/mm²; of each part of the beam.
+        dose: radiant exposure of the brightest cell in a frame, mJ/mm².
+        electrons: of a pixel in each colour, per mJ/mm² on the wall.
+        dark_e2: variance of a pixel without light, electrons².
+        outline: use only cells between a quarter and three quarters of the spot's peak.
+
+    Returns:
+        Infinite where the cells that are seen do not determine the pose.
+    """
+    by_change = jnp.concatenate([jnp.ones(1), jnp.asarray(change)])
+    everywhere = by_change @ jnp.asarray(ambient)
+    squares = jnp.square(jnp.arange(COUNT)[:, None] - jnp.arange(COUNT))
+    apart = jnp.add.outer(squares, squares).transpose(0, 2, 1, 3).reshape(COUNT**2, COUNT**2)
+
+    def sigma(spot: SpotCells) -> Float[Array, ""]:
+        direct, *slopes = jnp.tensordot(by_change, spot.light, 1)
+        total = direct + everywhere
+        mean = dose * total / jnp.max(total) * jnp.asarray(electrons)[:, None]
+        information = jnp.square(spot.side_px) * jnp.sum(mean**2 / (mean + dark_e2), axis=0)
+        share = direct / jnp.max(direct)
+        used = spot.seen & (share > 0.25) & (share < 0.75) if outline else spot.seen
+        noise = jnp.where(used, 1.0 / information + MODEL_ERROR**2, _UNSEEN)
+        # Means over cells vary less than points do: even those of one cell are some way apart.
+        covariance = texture(spot.side_mm * jnp.sqrt(apart + _WITHIN**2)) + jnp.diag(noise)
+        states = jnp.stack([*(s / total for s in slopes), jnp.ones_like(total), everywhere / total])
+        size = jnp.linalg.norm(states, axis=1)  # mm and rad would make F ill-conditioned
+        root = jnp.linalg.cholesky(covariance)
+        white = jax.scipy.linalg.solve_triangular(root, (states / size[:, None]).T, lower=True)
+        variance = jnp.linalg.inv(white.T @ white)[2, 2] / size[2] ** 2
+        return jnp.where(variance > 0, jnp.sqrt(jnp.abs(variance)), jnp.inf)
+
+    return jax.vmap(sigma)(spots)
