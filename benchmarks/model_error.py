@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import optics
-from benchmarks.paper import ACCEPTABLE_ERROR_MM, largest
+from benchmarks.paper import ACCEPTABLE_ERROR_MM, first_reached, largest
 from benchmarks.reporting import (
     BLACK,
     BLUE,
@@ -22,12 +22,10 @@ from benchmarks.reporting import (
     ORANGE,
     SKY,
     VERMILION,
-    Column,
     limit_lines,
     small_multiples,
 )
 from calibration import SphereFit, fit_eccentricity
-from estimator import FrameLabels
 from scenes import Scene
 from scenes.world import World
 
@@ -57,16 +55,6 @@ MODEL_ERROR = (
 spots, as the paper does, and `c_mm` is the true one.
 """
 
-ACCURACY = {
-    "model": Column("model"),
-    "z_f_mm": Column("z_F, mm", 1),
-    "azimuth_deg": Column("azimuth, °", 0),
-    "spots": Column("spots"),
-    "mean_error_mm": Column("mean error, mm", 4, sign=True),
-    "max_abs_error_mm": Column("largest |error|, mm", 4),
-}
-"""Columns of `accuracy`."""
-
 
 def geometry_of(scene: Scene) -> Geometry:
     """The geometry that the models are given of a scene."""
@@ -92,20 +80,16 @@ def analytic_errors(
 
 
 def measured_errors(
-    geometry: Geometry,
-    *,
-    labels: Sequence[FrameLabels],
-    semi_minor_px: np.ndarray,
-    models: Sequence[str] = COMPARED,
+    geometry: Geometry, spots: pd.DataFrame, *, models: Sequence[str] = COMPARED
 ) -> pd.DataFrame:
-    """Errors of the models on measured spots whose truth is known."""
+    """Errors of the models on measured spots whose truth is known (`spots_of`, those used)."""
     return model_errors(
         geometry,
         source="rendered",
-        medium=labels[0].medium,
-        c=np.array([row.c_mm for row in labels]),
-        d=np.array([row.d_mm for row in labels]),
-        semi_minor_px=semi_minor_px,
+        medium=spots.medium.iloc[0],
+        c=spots.c_mm.to_numpy(),
+        d=spots.d_mm.to_numpy(),
+        semi_minor_px=spots.semi_minor_px.to_numpy(),
         models=models,
     )
 
@@ -199,15 +183,7 @@ def limit_eccentricity(errors: pd.DataFrame, limit: float) -> float:
     Linear between the eccentricities computed; NaN if the limit is never reached.
     """
     worst = largest_errors(errors)
-    c, size = worst.index.to_numpy(float), worst.to_numpy(float)
-    reached = np.flatnonzero(size >= limit)
-    if not reached.size:
-        return math.nan
-    n = reached[0]
-    if n == 0:
-        return float(c[0])
-    share = (limit - size[n - 1]) / (size[n] - size[n - 1])
-    return float(c[n - 1] + (c[n] - c[n - 1]) * share)
+    return first_reached(worst.index, worst, limit)
 
 
 def _rows(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -11,6 +10,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
 
 from benchmarks.reporting import Claim
 from calibration import PlaneFit
@@ -52,6 +53,19 @@ def largest(errors: Iterable[float]) -> float:
 
 def _there(errors: Iterable[float]) -> list[float]:
     return [float(e) for e in errors if not math.isnan(e)]
+
+
+def first_reached(x: ArrayLike, size: ArrayLike, limit: float) -> float:
+    """Least x at which a size reaches a limit, linear between the values; NaN if it never does."""
+    x, size = np.asarray(x, float), np.asarray(size, float)
+    reached = np.flatnonzero(size >= limit)
+    if not reached.size:
+        return math.nan
+    n = reached[0]
+    if n == 0:
+        return float(x[0])
+    share = (limit - size[n - 1]) / (size[n] - size[n - 1])
+    return float(x[n - 1] + share * (x[n] - x[n - 1]))
 
 
 def coalitions(players: int) -> np.ndarray:
@@ -144,7 +158,6 @@ def reproduction(
     trial must be as straight as the paper's.
 
     Args:
-        fits: by the rows of Table I.
         name: of the claims, before the criterion.
     """
     trials = [fits[trial] for trial in PAPERS_PLANES if trial in fits]
@@ -279,7 +292,6 @@ def require_roomy_eyeball(scene: Scene, reach: str) -> None:
     """Refuse a scene whose wall ends before a study's spots do.
 
     Args:
-        scene: the study's.
         reach: what reaches how far, for the message.
 
     Raises:
@@ -335,79 +347,48 @@ SUBPIXEL = Way("sub-pixel, metered", "metered", SubpixelSettings(), False)
 WAYS = (LITERAL, LITERAL_METERED, SUBPIXEL)
 
 
-@dataclass(frozen=True)
-class Tracked:
-    """What one way of measuring made of one trial.
+_ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
 
-    Attributes:
-        results: a spot or a typed failure, one a frame.
+
+def spots_of(labels: Sequence[FrameLabels], results: Sequence[Spot | NoSpot]) -> pd.DataFrame:
+    """The labels of frames, and what was measured in them; a row a frame.
+
+    Besides the labels' columns: `result`; the ellipse's five parameters, NaN without a spot;
+    `d_r_mm`, the robot's reading since the first frame; `outcome`, `USED` or why the frame does not
+    enter the fits; `used`: a spot was found, and half of its contour can be seen.
     """
-
-    labels: tuple[FrameLabels, ...]
-    results: tuple[Spot | NoSpot, ...]
-
-    @property
-    def used(self) -> np.ndarray:
-        """Frames that enter the fits: a spot was found, and half of its contour can be seen."""
-        return np.array(
-            [
-                bool(result) and row.visible_fraction >= VISIBLE_ENOUGH
-                for row, result in zip(self.labels, self.results, strict=True)
-            ]
-        )
-
-    @property
-    def semi_minor_px(self) -> np.ndarray:
-        """e1' of the frames used, px."""
-        return np.array(
-            [
-                result.semi_minor_px
-                for result, used in zip(self.results, self.used, strict=True)
-                if used and isinstance(result, Spot)
-            ]
-        )
-
-    @property
-    def truth_px(self) -> np.ndarray:
-        """e1' of the half-maximum label of the frames used, px."""
-        return np.array([row.half_max_semi_minor_px for row in self.used_labels])
-
-    @property
-    def used_labels(self) -> tuple[FrameLabels, ...]:
-        """Labels of the frames used."""
-        return tuple(row for row, used in zip(self.labels, self.used, strict=True) if used)
-
-    @property
-    def travel_mm(self) -> np.ndarray:
-        """d_r, the robot's reading since contact, of the frames used, mm."""
-        return np.array([row.d_mm - self.labels[0].d_mm for row in self.used_labels])
-
-    @property
-    def outcomes(self) -> tuple[str, ...]:
-        """Outcome of each frame: "used", or why it does not count."""
-
-        def outcome(result: Spot | NoSpot, used: bool) -> str:
-            if isinstance(result, NoSpot):
-                return result.reason.value.replace("_", " ")
-            return USED if used else "less than half of the contour in view"
-
-        return tuple(map(outcome, self.results, self.used))
-
-    @property
-    def left_out(self) -> Counter[str]:
-        """Number of frames left out, by reason."""
-        return Counter(outcome for outcome in self.outcomes if outcome != USED)
+    found = pd.DataFrame([vars(row) for row in labels])
+    found["result"] = pd.Series(list(results), dtype=object)
+    for name in _ELLIPSE:
+        found[name] = [getattr(result, name, math.nan) for result in results]
+    found["d_r_mm"] = found.d_mm - found.d_mm.iloc[0]
+    found["outcome"] = [
+        result.reason.value.replace("_", " ")
+        if isinstance(result, NoSpot)
+        else USED
+        if row.visible_fraction >= VISIBLE_ENOUGH
+        else "less than half of the contour in view"
+        for row, result in zip(labels, results, strict=True)
+    ]
+    return found.assign(used=found.outcome == USED)
 
 
-def track_stack(stack: Stack, way: Way, *, spots_file: Path) -> Tracked:
-    """Measure every frame of a stack in one way and write the spots file."""
+def track_stack(stack: Stack, way: Way, *, spots_file: Path) -> pd.DataFrame:
+    """Measure every frame of a stack in one way and write the spots file; see `spots_of`."""
     labels = stack.exposed(way.exposure)
-    first = labels[0]
-    start = (first.half_max_x_px, first.half_max_y_px) if way.clicked else None
+    start = (labels[0].half_max_x_px, labels[0].half_max_y_px) if way.clicked else None
     results = tuple(track(stack.images(way.exposure), way.settings, start=start))
     mode = "literal" if isinstance(way.settings, LiteralSettings) else "subpixel"
+    write_results(spots_file, labels, results, mode=mode)
+    return spots_of(labels, results)
+
+
+def write_results(
+    file: Path, labels: Sequence[FrameLabels], results: Sequence[Spot | NoSpot], *, mode: str
+) -> None:
+    """Write what was measured in a stack's frames as a spots file."""
     write_spots(
-        spots_file,
+        file,
         [
             SpotRecord(
                 frame=row.frame,
@@ -419,7 +400,6 @@ def track_stack(stack: Stack, way: Way, *, spots_file: Path) -> Tracked:
             for row, result in zip(labels, results, strict=True)
         ],
     )
-    return Tracked(labels, results)
 
 
 # Photographs of kept linear frames, taken and measured again without rendering or files.

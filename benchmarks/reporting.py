@@ -17,6 +17,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from calibration.command import templates
+
 # Style, small multiples and files of figures.
 
 # Palette of Okabe and Ito, which colour-blind readers can distinguish.
@@ -320,6 +322,13 @@ def rows_of(frame: pd.DataFrame) -> list[Any]:
     return list(frame.itertuples(index=False))
 
 
+def where(frame: pd.DataFrame, **values: Any) -> pd.DataFrame:
+    """The rows of a frame whose columns have these values."""
+    for column, value in values.items():
+        frame = frame[frame[column] == value]
+    return frame
+
+
 def grouped(frame: pd.DataFrame, *columns: str) -> list[tuple[Any, pd.DataFrame]]:
     """Parts of a frame by the values of columns, in the order of their first rows."""
     return list(frame.groupby(columns[0] if len(columns) == 1 else list(columns), sort=False))
@@ -333,14 +342,7 @@ _MOST_ROWS = 8
 
 def environment() -> jinja2.Environment:
     """The templates of pages and cards."""
-    made = jinja2.Environment(
-        loader=jinja2.PackageLoader("benchmarks"),
-        autoescape=lambda name: name is not None and ".html" in name,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    made = templates("benchmarks")
     made.globals |= {"number": number, "most_rows": _MOST_ROWS}
     made.tests["table"] = lambda part: isinstance(part, Table)
     made.tests["picture"] = lambda part: isinstance(part, Picture)

@@ -25,7 +25,7 @@ from cyclopts.types import NonNegativeInt
 
 import scenes
 from benchmarks.reporting import STYLE, Report, write_page
-from estimator import Stack, StackWriter, read_stack
+from estimator import Reader, Stack, StackWriter, read_stack, write_calibration
 from estimator.files import (
     errors_named,
     lock,
@@ -35,11 +35,12 @@ from estimator.files import (
     sweep,
     written_whole,
 )
-from estimator.run import progress, say
+from estimator.run import Options, progress, say
 from optics import InputError, in_file, read_text, shortened
 from scenes import Scene
 from scenes.description import Changes as Changes
 from scenes.description import OutputFolder as OutputFolder
+from scenes.world import true_calibration
 
 StartingScene = Annotated[
     Path | None,
@@ -64,7 +65,6 @@ class Study:
     """One run of a study.
 
     Args:
-        name: of the study.
         out: folder for the results; a run with the same arguments is resumed.
         scene: scene file, or None for the study's own.
         changes: "table.key=value" each, set after reading.
@@ -76,7 +76,6 @@ class Study:
         command: what starts it; `eyespot study NAME` if not given.
 
     Attributes:
-        scene: the scene to start from.
         command: the command line that repeats this run.
         seconds: wall time of this run by step.
 
@@ -161,6 +160,27 @@ class Study:
             except BaseException:
                 beside.shutdown(cancel_futures=True)
                 raise
+
+    def spots_file(self, name: str) -> Path:
+        """The file of a stack's spots, in spots/."""
+        folder = self.folder / "spots"
+        folder.mkdir(exist_ok=True)
+        return folder / f"{name}.csv"
+
+    def reader(self, stack: Stack, scene: Scene, mode: str, **options: Any) -> Reader:
+        """A reader of a stack's frames that knows the true light of its scene.
+
+        Args:
+            stack: whose microscope file is used.
+            scene: of the stack.
+            mode: "subpixel", "literal" or "pixels".
+            options: others of `eyespot track`.
+        """
+        calibration = self.folder / f"{stack.folder.name}.json"
+        if not calibration.exists():
+            write_calibration(calibration, true_calibration(scene))
+        files = {"calibration": calibration, "microscope": stack.folder / "microscope.json"}
+        return Options.of({"mode": mode, **files, **options}).reader()
 
     @contextlib.contextmanager
     def timed(self, step: str) -> Iterator[None]:

@@ -71,10 +71,7 @@ def verdict(plan: Plan, scene: Scene, folder: Path, **changes: Any) -> Judgement
     name = "-".join(f"{key}{value}" for key, value in sorted(values.items())) or "as planned"
     stack = folder / name[:200]
     render_stack(changed(scene, values), stack)
-    seen = measured_as_planned(
-        plan, str(stack), poses=None, eye_from_robot="0,0,0,1", microscope=None, start_s=0.0
-    )
-    return judged(plan, seen)
+    return judged(plan, measured_as_planned(plan, str(stack)))
 
 
 def drawn(plan: Plan, number: int) -> dict[str, float | int]:

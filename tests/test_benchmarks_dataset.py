@@ -18,9 +18,17 @@ from pathlib import Path
 import pytest
 from distributed import Client
 
-from benchmarks.sets.make import Shard, estimate, local_workers, make_set, running_scheduler
+from benchmarks.sets.make import (
+    Shard,
+    check,
+    estimate,
+    local_workers,
+    make_set,
+    running_scheduler,
+)
 from benchmarks.sets.read import SetError, read_set, verify_set
 from benchmarks.sets.spec import SetSpec, load_spec, plan
+from scenes import SceneError
 
 SPEC = """\
 name = "tiny"
@@ -232,19 +240,18 @@ def test_a_damaged_manifest_is_named(copy):
             verify_set(copy)
 
 
-def test_scenes_that_cannot_be_are_named_before_any_is_rendered(spec_file, tmp_path):
+def test_scenes_that_cannot_be_are_drawn_again_before_any_is_rendered(spec_file, tmp_path):
     # At k < 15, b = -5.117 and d = 5.9 mm the spot is 1.47 mm wide; 72 px of 0.02 mm show 1.44 mm.
-    wide = load_spec(spec_file, ["microscope.scale_mm_px = 0.02", "motion.start_mm = 5.9"])
-    too_wide = {(s.split, s.name) for s in plan(wide) if s.scene.source.cone_k < 15}
-    assert too_wide
-    with pytest.raises(SetError, match="the spot leaves the 96 x 72 px window") as caught:
-        make_set(wide, tmp_path / "set", workers=here())
+    changes = ["microscope.scale_mm_px = 0.02", "motion.start_mm = 5.9"]
+    wide = load_spec(spec_file, changes)
+    assert any(stack.scene.source.cone_k < 15 for stack in plan(wide))
+    possible = plan(wide, check)
+    assert all(stack.scene.source.cone_k > 15 for stack in possible)
+    assert len(possible) == len(plan(wide))
+    never = load_spec(spec_file, [*changes, "source.cone_k = 14"])
+    with pytest.raises(SceneError, match=r"\w+/0000: .*the spot leaves the 96 x 72 px window"):
+        make_set(never, tmp_path / "set", workers=here())
     assert not (tmp_path / "set").exists()
-    told = str(caught.value)
-    assert all(f"{split}/{name}: at " in told for split, name in too_wide)
-    with pytest.raises(SetError, match="the spot leaves") as warned:
-        estimate(plan(wide))
-    assert str(warned.value) == told
 
 
 def test_an_estimate_counts_the_images_and_weighs_them(spec, whole):

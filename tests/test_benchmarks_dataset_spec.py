@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.sets.make import image_counts
+from benchmarks.sets.make import check
 from benchmarks.sets.spec import SEED_KEYS, SetSpec, SpecError, load_spec, named_specs, plan
 from scenes import Scene, SceneError, changed, scene_toml
 
@@ -80,6 +80,23 @@ def test_a_scene_key_that_does_not_exist_is_answered_with_the_nearest_one(load):
         plan(load(PLAIN.replace("cone_k", "cone_l")))
 
 
+def test_an_impossible_scene_is_drawn_again_and_the_others_stay(load):
+    def narrow(scene):
+        if scene.spot.eccentricity_mm > 6.0:
+            raise SceneError("too far out")
+
+    spec = load(PLAIN)
+    before, after = plan(spec), plan(spec, narrow)
+    assert max(stack.scene.spot.eccentricity_mm for stack in after) <= 6.0
+    again = [stack for stack in after if stack.redrawn]
+    # Each split's points are even, so that a fourth of the eccentricities of 0 to 8 is above 6.
+    assert len(again) == len(before) // 4
+    assert [a for a in after if not a.redrawn] == [
+        b for b in before if b.scene.spot.eccentricity_mm <= 6.0
+    ]
+    assert len({stack.scene.spot.eccentricity_mm for stack in after}) == len(after)
+
+
 def test_an_impossible_draw_names_its_stack_before_anything_is_rendered(load):
     # An eyeball of 11.5 mm has no wall at eccentricity 20 mm.
     with pytest.raises(SceneError, match=r"(train|validation|test)/000\d: .*eccentricity_mm"):
@@ -144,7 +161,7 @@ def test_no_two_stacks_share_noise_wall_motion_or_place(name):
 @pytest.mark.parametrize("name", named_specs())
 def test_every_scene_of_a_named_set_can_be_rendered(name):
     spec = load_spec(name)
-    assert len(image_counts(plan(spec))) == len(plan(spec))
+    assert plan(spec, check) == plan(spec)  # none is drawn again
 
 
 def test_no_two_named_sets_share_a_seed_or_lack_the_licence():

@@ -26,18 +26,20 @@ from benchmarks.paper import (
     WAYS,
     Criterion,
     StaticTrial,
-    Tracked,
     Way,
     grid_trials,
     paper_trials,
+    spots_of,
 )
-from benchmarks.reporting import Claim, Picture, Table, number
+from benchmarks.reporting import Claim, Picture, Report, Table, number, rows_of
+from benchmarks.rivals.entries import plain_spot
 from benchmarks.studies import validate
 from benchmarks.studies.validate import ValidateFindings, claims, report
 from benchmarks.study import Study
 from calibration import PlaneFit, SphereFit
 from estimator import FrameLabels, NoSpot, Reason, Spot, StackError, StackWriter
 from scenes.description.motion_settings import Withdrawal
+from tests.drawn_sets import labels_of
 
 K, B, SCALE = 19.7, -5.1, 0.0067
 CONTACT_MM = 0.144
@@ -57,11 +59,14 @@ def paper_like_run(
     return ValidateFindings(
         stacks=stacks,
         trials=trials,
-        tracked={
-            (trial.name, way.name): tracked(trial, way)
-            for trial in trials
-            for way in (WAYS if trial.kind != "grid" else WAYS[-1:])
-        },
+        spots=pd.concat(
+            [
+                measured(trial, way)
+                for trial in trials
+                for way in (WAYS if trial.kind != "grid" else WAYS[-1:])
+            ],
+            ignore_index=True,
+        ),
         plane_fits={key: {**planes, "all planes": plane_fit(spots=39)} for key in keys},
         sphere_fits={key: dict(spheres) for key in keys},
         analytic=pd.concat(
@@ -74,63 +79,39 @@ def paper_like_run(
     )
 
 
-def tracked(trial: StaticTrial, way: Way) -> Tracked:
+def measured(trial: StaticTrial, way: Way) -> pd.DataFrame:
+    labels = frames_of(trial, way)
+    results: list[Spot | NoSpot] = [spot(row.half_max_semi_minor_px) for row in labels]
+    if way is LITERAL_METERED:
+        results = [NoSpot(Reason.NONE_FOUND) for _ in labels]
+    about = {"trial": trial.name, "source": trial.source, "kind": trial.kind}
+    return spots_of(labels, results).assign(**about, group=trial.group, way=way.name)
+
+
+def frames_of(trial: StaticTrial, way: Way) -> list[FrameLabels]:
     assert isinstance(trial.scene.motion, Withdrawal)
     travel = np.linspace(0.0, trial.scene.motion.travel_mm, trial.scene.motion.frames)
     start = CONTACT_MM if trial.kind != "grid" else 0.5
     distances = (travel + start).tolist()
-    labels = tuple(label(trial, way.exposure, n, d) for n, d in enumerate(distances))
-    if way is LITERAL_METERED:
-        return Tracked(labels, tuple(NoSpot(Reason.NONE_FOUND) for _ in labels))
-    return Tracked(labels, tuple(spot(row.half_max_semi_minor_px) for row in labels))
+    return [label(trial, way.exposure, n, d) for n, d in enumerate(distances)]
 
 
 def label(trial: StaticTrial, exposure: str, frame: int, d: float) -> FrameLabels:
     axis = (d - CONTACT_MM - B) / (K * SCALE)
     ellipse = {"x_px": 32.0, "y_px": 24.0, "semi_minor_px": axis, "semi_major_px": 1.15 * axis}
-    return FrameLabels(
+    ellipses = {f"{k}_{n}": x for k in ("cone", "half_max") for n, x in ellipse.items()}
+    return labels_of(
+        frame,
         file_name=f"frames/{exposure}-{frame:02d}.png",
-        mask_file_name=f"masks/{frame:02d}.png",
-        frame=frame,
-        time_s=float(frame),
         exposure=exposure,
-        exposure_s=0.01,
         d_mm=d,
-        nearest_mm=d,
         c_mm=trial.scene.spot.eccentricity_mm,
-        azimuth_rad=0.0,
-        phi_rad=0.0,
-        incidence_rad=math.radians(30),
-        incidence_azimuth_rad=0.0,
-        tip_mm=(0.0, 0.0, 0.0),
-        axis=(0.0, 0.0, -1.0),
-        spot_mm=(0.0, 0.0, -11.5),
-        visible_fraction=1.0,
-        saturated_fraction=0.0,
-        speed_mm_s=0.1,
-        medium="air",
-        seed=0,
-        **{
-            f"{kind}_{name}": value
-            for kind in ("cone", "half_max")
-            for name, value in (ellipse | {"angle_rad": 0.3}).items()
-        },
+        **ellipses,
     )
 
 
 def spot(semi_minor_px: float) -> Spot:
-    return Spot(
-        x_px=32.0,
-        y_px=24.0,
-        semi_major_px=1.15 * semi_minor_px,
-        semi_minor_px=semi_minor_px,
-        angle_rad=0.3,
-        covariance=np.full((5, 5), math.nan),
-        edge_width_px=2.0,
-        coverage=1.0,
-        inlier_fraction=1.0,
-        saturated=0.0,
-    )
+    return plain_spot(32.0, 24.0, 1.15 * semi_minor_px, semi_minor_px, 0.3)
 
 
 def plane_fit(**changes: Any) -> PlaneFit:
@@ -204,7 +185,7 @@ def write_stacks(findings: ValidateFindings) -> None:
         with StackWriter(findings.stacks / trial.name) as writer:
             writer.describe(stack={"run": {"versions": {"mitsuba": "3.9.1"}}}, microscope={})
             for way in (LITERAL, SUBPIXEL):
-                for row in findings.tracked[trial.name, way.name].labels:
+                for row in frames_of(trial, way):
                     writer.add(np.full((48, 64, 3), 90, np.uint8), row, None)
 
 
@@ -213,7 +194,8 @@ def study_in(out: Path) -> Study:
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Report]:
+    """The folder of a published report, and the report."""
     out = tmp_path_factory.mktemp("run")
     findings = paper_like_run(stacks=out / "stacks")
     findings.sphere_fits["lens", LITERAL.name]["sphere 1"] = sphere_fit(c=0.0, at_bound=True)
@@ -223,8 +205,19 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     findings.trials[0] = replace(findings.trials[0], scene=named)
     study = study_in(out)
     write_stacks(findings)
-    study.publish(report, findings)
-    return out
+    made: list[Report] = []
+
+    def kept(findings: ValidateFindings) -> Report:
+        made.append(report(findings))
+        return made[0]
+
+    study.publish(kept, findings)
+    return out, made[0]
+
+
+@pytest.fixture(scope="module")
+def written(run: tuple[Path, Report]) -> Path:
+    return run[0]
 
 
 class Page(HTMLParser):
@@ -290,13 +283,13 @@ def test_every_figure_of_the_page_lies_beside_it_as_png_and_svg(written: Path, p
 
 
 def test_a_page_shows_the_answer_first_and_no_more_than_a_person_looks_at(
-    written: Path, page: Page
+    run: tuple[Path, Report], page: Page
 ) -> None:
+    written, made = run
     first = [tag for tag, _ in page.tags].index("h2")
     opening = [attributes.get("class") for tag, attributes in page.tags[:first] if tag == "p"]
     assert opening[0] == "answer"
     assert [tag for tag, _ in page.tags[:first]].count("img") == 3  # a film and two panels
-    made = report(paper_like_run(stacks=written / "stacks"))
     for part in made.first:
         assert not isinstance(part, Table) or len(part.rows) <= 8
         assert not isinstance(part, Picture) or sum(len(f.axes) for f in part.figures.values()) <= 4
@@ -379,13 +372,12 @@ def test_a_report_that_fails_leaves_the_earlier_one(written: Path, tmp_path: Pat
 
 
 def test_a_run_without_a_lens_is_reported_without_it(tmp_path: Path) -> None:
-    findings = paper_like_run(("cone",), stacks=tmp_path / "run" / "stacks")
-    study = study_in(tmp_path / "run")
+    findings = paper_like_run(("cone",), stacks=tmp_path / "stacks")
     write_stacks(findings)
-    study.publish(report, findings)
-    page = Page((study.folder / "report.html").read_text(encoding="utf-8"))
-    assert "half_maximum" not in {attributes.get("id") for _, attributes in page.tags}
-    assert not (study.folder / "figures/half_maximum.png").exists()
+    parts = [part for section in report(findings).sections for part in section.parts]
+    names = {part.name for part in parts if isinstance(part, Picture)}
+    assert "bias" in names
+    assert "half_maximum" not in names
 
 
 def find(findings: ValidateFindings, start: str) -> Claim:
@@ -430,10 +422,10 @@ def test_table_one_is_not_reproduced_where_one_criterion_is_missed(
 
 def bent(findings: ValidateFindings, source: str, axis_px: Callable[[float, int], float]) -> None:
     """Replace what literal mode measured on the planes: e1' from d_r (mm) and frame."""
-    for trial in findings.planes(source):
-        old = findings.tracked[trial.name, LITERAL.name]
-        results = (spot(axis_px(row.d_mm - CONTACT_MM, row.frame)) for row in old.labels)
-        findings.tracked[trial.name, LITERAL.name] = Tracked(old.labels, tuple(results))
+    spots = findings.spots
+    which = (spots.source == source) & (spots.kind == "plane") & (spots.way == LITERAL.name)
+    bent_px = [axis_px(row.d_mm - CONTACT_MM, row.frame) for row in rows_of(spots[which])]
+    spots.loc[which, "semi_minor_px"] = bent_px
 
 
 def test_the_part_of_the_range_that_reproduces_table_one_is_found() -> None:
@@ -456,11 +448,10 @@ def test_half_maximum_verdict_follows_the_labels() -> None:
     findings = paper_like_run()
     name = "the lens's half-maximum radius grows with distance"
     assert find(findings, name).holds
-    key = "lens-plane-1", SUBPIXEL.name
-    old = findings.tracked[key]
-    labels = list(old.labels)
-    labels[4] = replace(labels[4], half_max_semi_minor_px=labels[2].half_max_semi_minor_px)
-    findings.tracked[key] = Tracked(tuple(labels), old.results)
+    spots = findings.spots
+    of_trial = (spots.trial == "lens-plane-1") & (spots.way == SUBPIXEL.name)
+    sizes = spots.half_max_semi_minor_px[of_trial & (spots.frame == 2)]
+    spots.loc[of_trial & (spots.frame == 4), "half_max_semi_minor_px"] = sizes.to_numpy()
     found = find(findings, name)
     assert found.holds is False
     # Contact is at 0.144 mm and frames are 0.75 mm apart: frames 2 to 4 share a radius.

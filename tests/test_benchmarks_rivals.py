@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.rivals.entries import KINDS, Entry, Recording, plain_spot
+from benchmarks.rivals.entries import KINDS, Entry, plain_spot
 from benchmarks.rivals.learned.network import WEIGHTS
 from benchmarks.rivals.pupil import why_unavailable
 from benchmarks.rivals.running import read_constants, run_entries, tune
@@ -52,8 +52,9 @@ def beam() -> Calibration:
 def measured(name: str, image: np.ndarray, constants: Mapping[str, Any] | None = None) -> Any:
     known = read_constants().get(name, {}) if constants is None else constants
     entry: Entry = KINDS[name].make(known, WEIGHTS)
-    entry.begin(Recording(microscope(), beam(), (TRUTH.x, TRUTH.y)))
-    return entry.read(Frame(index=0, file_name="", time_s=0.0, image=image)).result
+    entry.begin(microscope(), beam(), (TRUTH.x, TRUTH.y))
+    result, _ = entry.read(Frame(index=0, file_name="", time_s=0.0, image=image))
+    return result
 
 
 @pytest.mark.parametrize(

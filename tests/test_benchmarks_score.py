@@ -132,7 +132,20 @@ def test_perfect_spots_have_no_error_and_miss_nothing(images: pd.DataFrame) -> N
         "centre_px": 0.0,
         "semi_major_px": 0.0,
         "semi_minor_px": 0.0,
+        "angle_rad": 0.0,
     }
+
+
+def test_the_angle_is_scored_where_the_ellipse_is_not_round(images: pd.DataFrame) -> None:
+    # The axis at 0.3 rad, turned by 2.9 rad: a half turn less is the same axis.
+    turned = scored(images, records_of(images, lambda row: spot_at(row, angle_rad=2.9)))
+    assert errors_in(turned, "angle_rad").bias == pytest.approx(2.9 - math.pi, abs=1e-12)
+    in_degrees = math.degrees(0.3) - 0.3
+    wrong = scored(images, records_of(images, lambda row: spot_at(row, angle_rad=in_degrees)))
+    assert errors_in(wrong, "angle_rad").rmse > 1.0
+    round_ = images.assign(half_max_semi_minor_px=images.half_max_semi_major_px - 0.5)
+    found = scored(round_, records_of(round_, spot_at)).errors
+    assert "angle_rad" not in {*found.quantity}
 
 
 def test_the_other_ellipse_is_another_truth(images: pd.DataFrame) -> None:

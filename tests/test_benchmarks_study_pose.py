@@ -12,8 +12,9 @@ import pytest
 import optics
 import scenes
 from benchmarks.paper import rms
+from benchmarks.reporting import where
 from benchmarks.studies import pose
-from benchmarks.studies.pose import Prior, one_spot, scatter, some, three_spots
+from benchmarks.studies.pose import Prior, one_spot, scatter, three_spots
 from calibration.spots.tool_pose import (
     Tool,
     ToolPose,
@@ -194,7 +195,7 @@ def test_a_scene_whose_spots_have_no_such_pose_is_refused(tmp_path, changes, mes
 def test_a_quick_run_is_within_what_was_asked(tmp_path):
     errors = pose.pose(out=tmp_path / "run", quick=True)
     assert set(errors.spots[errors.source == "rendered"]) == {1, 3}
-    found = scatter(some(errors, "rendered", 1, Prior.ROUGH))
+    found = scatter(where(errors, source="rendered", spots=1, prior=Prior.ROUGH))
     assert found.tip_mm < 0.010
     assert found.axis_deg < 0.1
     known = errors[(errors.source == "rendered") & (errors.prior == Prior.KNOWN)]

@@ -1,4 +1,4 @@
-"""The study of rivals: closed forms of stereo and of shadows, marks in drawn pictures."""
+"""The study of sensors: closed forms of stereo and of shadows, marks in drawn pictures."""
 
 import json
 

@@ -25,7 +25,6 @@ CHECKS = {
         *("-k", "telecentric or accounted_for or by_name"),
     ],
     "source": ["tests/test_estimator_sources.py", "-k", "array"],
-    "study": ["tests/test_benchmarks_study_scale.py"],
 }
 HOUSE = ["tests/test_house_rooms.py", "-k", "face or map or circle or itself"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import ast
 import csv
-import importlib
 import json
+import pkgutil
 import re
 import sys
 import tomllib
@@ -18,7 +18,6 @@ import pytest
 
 import eyespot
 from calibration.command.verdict import Fault
-from docs.cited import cited_names, cited_source, cited_test
 from docs.generated import write_pages
 from docs.messages import _ERRORS, PACKAGES
 from docs.schemas import KINDS, rows_of, schema_of
@@ -99,23 +98,28 @@ def test_every_error_that_a_user_can_correct_is_known() -> None:
                     assert node.name in _ERRORS, f"{path}:{node.lineno}"
 
 
+PAGES = {
+    path: path.read_text(encoding="utf-8")
+    for path in sorted((HOME / "docs").rglob("*.md"))
+    if "generated" not in path.parts
+}
+CITED = re.compile(rf"`((?:{'|'.join(PACKAGES)})(?:\.\w+)+)`")
+
+
 def test_what_pages_cite_exists() -> None:
-    for name in cited_names("test"):
-        assert cited_test(name)
-    for name in cited_names("source"):
-        assert cited_source(name)
-    for path in (HOME / "docs" / "theory").glob("*.md"):
-        for name in re.findall(r"\{api\}`([\w.]+)`", path.read_text(encoding="utf-8")):
-            module, _, part = name.rpartition(".")
-            assert hasattr(importlib.import_module(module), part), f"{path}: {name}"
+    tests = "".join(path.read_text(encoding="utf-8") for path in HOME.glob("tests/test_*.py"))
+    for path, text in PAGES.items():
+        for name in re.findall(r"`(test_\w+)`", text):
+            assert f"def {name}(" in tests, f"{path}: {name}"
+        for name in CITED.findall(text):
+            assert pkgutil.resolve_name(name), f"{path}: {name}"
 
 
 def test_every_page_of_the_theory_cites_functions_and_tests() -> None:
-    for path in (HOME / "docs" / "theory").glob("*.md"):
-        text = path.read_text(encoding="utf-8")
-        if path.name != "index.md":
-            assert "{test}`" in text, path
-            assert "{api}`" in text or "{source}`" in text, path
+    for path, text in PAGES.items():
+        if path.parent.name == "theory" and path.name != "index.md":
+            assert re.search(r"`test_\w+`", text), path
+            assert CITED.search(text), path
 
 
 SCHEMAS = {kind.slug: kind for kind in KINDS}

@@ -55,7 +55,7 @@ def test_nothing_is_printed(tmp_path: Path) -> None:
 def test_track_returns_what_the_command_writes(made: Path) -> None:
     spots = eyespot.track(made / "stack", calibration=made / "beam.json")
     out = made / "spots.csv"
-    words = ["track", made / "stack", "--calibration", made / "beam.json", "--out", out]
+    words = ["track", made / "stack", "--calibration", made / "beam.json", "-o", out]
     for again in ([], ["--overwrite"]):
         assert call([str(word) for word in [*words, *again]]).exit_code == 0
     written = pd.read_csv(out)
@@ -84,6 +84,8 @@ def test_a_fit_has_its_parameters_with_standard_deviations(made: Path) -> None:
         assert fit.parameters.value[name] == pytest.approx(value, rel=1e-9)
         assert fit.parameters.sigma[name] == pytest.approx(calibration.sigma(name), rel=1e-9)
     assert fit.covariance.loc["b", "b"] == pytest.approx(fit.parameters.sigma["b"] ** 2)
+    written = fit.summary["parameters"]["b"]["value"]  # in 15 digits
+    assert written == pytest.approx(fit.parameters.value["b"], rel=1e-14)
     assert fit.plot().axes
     with pytest.raises(InputError, match=r"beam\.json"):
         fit.save(made / "beam.json")
@@ -100,7 +102,9 @@ def test_a_study_has_its_commands_options() -> None:
     import inspect
 
     parameters = inspect.signature(eyespot.studies.eccentricity).parameters
-    assert {"out", "quick", "seed", "geometries"} <= {*parameters}
+    assert {"out", "quick", "seed", "geometries", "progress"} <= {*parameters}
+    with pytest.raises(TypeError, match="'out'"):
+        eyespot.studies.eccentricity(quick=True)  # type: ignore[call-arg]
     with pytest.raises(InputError, match="at least 512"):
         eyespot.studies.eccentricity(out=Path("never"), geometries=64)
 

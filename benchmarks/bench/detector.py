@@ -7,6 +7,7 @@ import time
 import cv2
 import numpy as np
 
+from benchmarks.bench import tracks
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
 
@@ -20,6 +21,12 @@ _MODES: tuple[SubpixelSettings | LiteralSettings, ...] = (
 )  # these frames are darker than the paper
 
 
+@tracks(
+    subpixel_median_ms=lambda speed, *_: float(speed.median[0]),
+    subpixel_99_percent_ms=lambda speed, *_: float(speed.late[0]),
+    literal_median_ms=lambda speed, *_: float(speed.median[1]),
+    literal_over_subpixel=lambda speed, *_: float(speed.median[1] / speed.median[0]),
+)
 class Speed:
     """A spot that moves slowly and jumps out of the search region every 50 frames; one thread."""
 
@@ -48,19 +55,3 @@ class Speed:
                 seconds.append(time.perf_counter() - began)
         ms = 1e3 * np.reshape(seconds, (-1, 2))[_WARM:]
         self.median, self.late = np.median(ms, axis=0), np.percentile(ms, 99, axis=0)
-
-    def track_subpixel_median_ms(self, *_: object) -> float:
-        """Sub-pixel mode."""
-        return float(self.median[0])
-
-    def track_subpixel_99_percent_ms(self, *_: object) -> float:
-        """Sub-pixel mode, the slowest frame of a hundred."""
-        return float(self.late[0])
-
-    def track_literal_median_ms(self, *_: object) -> float:
-        """Literal mode."""
-        return float(self.median[1])
-
-    def track_literal_over_subpixel(self, *_: object) -> float:
-        """How much faster the sub-pixel mode is."""
-        return float(self.median[1] / self.median[0])

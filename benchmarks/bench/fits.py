@@ -9,7 +9,7 @@ import itertools
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,14 +22,16 @@ from scipy.ndimage import gaussian_filter1d
 
 import calibration
 import optics
+from benchmarks.bench import tracks
 from benchmarks.paper import rms
 from benchmarks.studies.pose import PRIOR_DEG, angle_deg, drawn_prior
 from calibration import Prior
 from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
-from calibration.pixels import Footage, ImageFit, fit_footage, read_footage
+from calibration.command import Choices, fit_recordings
+from calibration.pixels import Footage, fit_footage, read_footage
 from calibration.recordings import read_recording
 from calibration.solvers import least_squares
-from optics import InputError
+from optics.wall_light import lens_toml
 from scenes import Scene, load_mitsuba, render_stack
 
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}
@@ -49,6 +51,14 @@ _PLACES = (("plane", 1.5, 0.0), ("plane", 3.0, 120.0), ("eyeball", 4.0, 0.0), ("
 """Phantom, c in mm, azimuth in degrees."""
 
 
+@tracks(
+    error=lambda _, fit, name: fit.values[name] - _CONE[name],  # rad or mm
+    sigma=lambda _, fit, name: float(np.sqrt(np.diag(fit.covariance))[fit.free.index(name)]),
+    c_rms_um=lambda _, fit, name: (
+        1e3 * rms(np.array(fit.eccentricity) - [c for _, c, _ in _PLACES])
+    ),
+    chi_squared_per_dof=lambda _, fit, name: fit.chi_squared / fit.degrees_of_freedom,
+)
 class ConeFit:
     """Four withdrawals of 13 rendered frames of a cone, from starts 30 % off."""
 
@@ -61,7 +71,7 @@ class ConeFit:
         with tempfile.TemporaryDirectory() as folder:
             recordings = []
             for number, (kind, c, azimuth) in enumerate(_PLACES):
-                scene = {
+                scene: dict[str, Any] = {
                     "schema": 1,
                     "phantom": {"kind": kind, "wall": "uniform"},
                     "source": {"kind": "cone", "cone_k": 20.0, "cone_apex_offset_mm": _CONE["b"]},
@@ -77,22 +87,6 @@ class ConeFit:
             start={"half_angle": 1.3 * _CONE["half_angle"], "b": 0.7 * _CONE["b"]},
         )
 
-    def track_error(self, fit: calibration.ConeFit, name: str) -> float:
-        """Error, rad or mm."""
-        return fit.values[name] - _CONE[name]
-
-    def track_sigma(self, fit: calibration.ConeFit, name: str) -> float:
-        """Stated standard deviation."""
-        return float(np.sqrt(np.diag(fit.covariance))[fit.free.index(name)])
-
-    def track_c_rms_um(self, fit: calibration.ConeFit, name: str) -> float:
-        """Error of the fitted eccentricities."""
-        return 1e3 * rms(np.array(fit.eccentricity) - [c for _, c, _ in _PLACES])
-
-    def track_chi_squared_per_dof(self, fit: calibration.ConeFit, name: str) -> float:
-        """Chi squared per degree of freedom."""
-        return fit.chi_squared / fit.degrees_of_freedom
-
 
 # Tip and axis, from all pixels of one frame.
 
@@ -101,6 +95,22 @@ _LIGHT = {"sensitivity": Prior(200.0, 0.2), "illumination": Prior(0.05, 5e-4)}
 """Prior knowledge of the camera's sensitivity and the microscope light."""
 
 
+def _of_poses(column: str, unit: float = 1.0) -> Callable[..., float]:
+    """RMS of a column over a row's frames."""
+
+    def number(_: Any, frames: pd.DataFrame, source: str, incidence: float) -> float:
+        here = (frames.source == source) & (frames.incidence_deg == incidence)
+        return unit * rms(frames[column][here])
+
+    return number
+
+
+@tracks(
+    tip_um=_of_poses("tip_mm", 1e3),
+    axis_deg=_of_poses("axis_deg"),
+    stated_axis_deg=_of_poses("sigma_axis_deg"),
+    distance_um=_of_poses("distance_mm", 1e3),
+)
 class FramePose:
     """Single frames of a known beam on an even wall; the robot's axis is 5 degrees off.
 
@@ -122,7 +132,7 @@ class FramePose:
         ):
             rng = np.random.default_rng(0)
             for incidence, c in itertools.product(self.params[1], (0.0, 2.5, 5.0)):
-                scene = {
+                scene: dict[str, Any] = {
                     "schema": 1,
                     "seed": int(10 * c + incidence),
                     "phantom": {"wall": "uniform"},
@@ -161,26 +171,6 @@ class FramePose:
                     )
         return pd.DataFrame(rows)
 
-    def _rms(self, column: str, frames: pd.DataFrame, source: str, incidence: float) -> float:
-        here = (frames.source == source) & (frames.incidence_deg == incidence)
-        return rms(frames[column][here])
-
-    def track_tip_um(self, *row: Any) -> float:
-        """Error of the tip."""
-        return 1e3 * self._rms("tip_mm", *row)
-
-    def track_axis_deg(self, *row: Any) -> float:
-        """Error of the axis."""
-        return self._rms("axis_deg", *row)
-
-    def track_stated_axis_deg(self, *row: Any) -> float:
-        """Its stated standard deviation."""
-        return self._rms("sigma_axis_deg", *row)
-
-    def track_distance_um(self, *row: Any) -> float:
-        """Error of the distance."""
-        return 1e3 * self._rms("distance_mm", *row)
-
 
 def _some(footage: Footage, frames: list[int]) -> Footage:
     arrays = ("light", "clear", "exposure_s", "readings")
@@ -190,65 +180,37 @@ def _some(footage: Footage, frames: list[int]) -> Footage:
 # Beams, from all pixels of a withdrawal.
 
 
-class _PixelFit:
-    """A fit to pixels with two free numbers of the beam; errors in standard errors and per cent."""
+def _off(number: int, *, percent: bool) -> Callable[..., float]:
+    """Error of a free number of the beam, in standard errors or in per cent of its value."""
 
-    full = False
-    true: Mapping[str, float]
-    fit: ImageFit
-    seconds: tuple[float, float]
+    def error(bench: BeamFit, *_: Any) -> float:
+        name, true = list(bench.true.items())[number]
+        value, sigma = bench.fit.parameters[name]
+        return (value - true) / (0.01 * true if percent else sigma)
 
-    def fitted(
-        self, footage: Footage, source: Any, start: Mapping[str, float], **free: Any
-    ) -> None:
-        """Fit, and keep wall and processor time."""
-        began = time.perf_counter(), time.process_time()
-        self.fit = fit_footage(footage, source=source, start=start, **free)
-        self.seconds = time.perf_counter() - began[0], time.process_time() - began[1]
-
-    def _error(self, number: int, *, relative: bool = False) -> float:
-        name, true = list(self.true.items())[number]
-        value, sigma = self.fit.parameters[name]
-        return (value - true) / (0.01 * true if relative else sigma)
-
-    def track_first_off_in_sigmas(self, *_: object) -> float:
-        """Error of the half-angle or the sag."""
-        return self._error(0)
-
-    def track_first_off_percent(self, *_: object) -> float:
-        """The same of its value."""
-        return self._error(0, relative=True)
-
-    def track_second_off_in_sigmas(self, *_: object) -> float:
-        """Error of b or the numerical aperture."""
-        return self._error(1)
-
-    def track_second_off_percent(self, *_: object) -> float:
-        """The same of its value."""
-        return self._error(1, relative=True)
-
-    def track_chi_squared_per_dof(self, *_: object) -> float:
-        """Chi squared per datum."""
-        return self.fit.chi_squared_per_dof
-
-    def track_data(self, *_: object) -> int:
-        """Data that the pixels are fitted as."""
-        return self.fit.degrees_of_freedom
-
-    def track_wall_s(self, *_: object) -> float:
-        """Time with compilation."""
-        return self.seconds[0]
-
-    def track_processor_s(self, *_: object) -> float:
-        """Processor time with compilation."""
-        return self.seconds[1]
+    return error
 
 
-class BeamFit(_PixelFit):
-    """A cone and the dome lens, from starts 30 % off (full: 40 frames of 640 x 480 px)."""
+@tracks(
+    first_off_in_sigmas=_off(0, percent=False),
+    first_off_percent=_off(0, percent=True),
+    second_off_in_sigmas=_off(1, percent=False),
+    second_off_percent=_off(1, percent=True),
+    chi_squared_per_dof=lambda bench, *_: bench.fit.chi_squared_per_dof,
+    data=lambda bench, *_: bench.fit.degrees_of_freedom,
+    # With compilation.
+    wall_s=lambda bench, *_: bench.seconds[0],
+    processor_s=lambda bench, *_: bench.seconds[1],
+)
+class BeamFit:
+    """A cone and the dome lens, from starts 30 % off (full: 40 frames of 640 x 480 px).
+
+    The two free numbers of the beam are the half-angle and b, or sag and aperture.
+    """
 
     params = (["cone", "dome in air", "dome in vitreous"],)
     param_names = ("beam",)
+    full = False
 
     def setup(self, beam: str) -> None:
         """Render and fit."""
@@ -269,48 +231,25 @@ class BeamFit(_PixelFit):
         start |= {name: start[name] * x for name, x in zip(free, (1.3, 0.7), strict=True)}
         spot = {"eccentricity_mm": 2.0}
         scene = {"seed": 11, "source": source, "spot": spot, "motion": motion, "microscope": view}
-        self.fitted(_rendered(scene), kind, start, free=free)
+        footage = _rendered(scene)
+        began = time.perf_counter(), time.process_time()
+        self.fit = fit_footage(footage, source=kind, start=start, free=free)  # type: ignore[arg-type]
+        self.seconds = time.perf_counter() - began[0], time.process_time() - began[1]
 
 
-class LensFit(_PixelFit):
-    """A drop with a rim, from starts 26 % off (full: 200 frames of 640 x 480 px in 90 s)."""
-
-    params = (["plane in air", "eyeball in vitreous"],)
-    param_names = ("wall",)
-    true = {"sag": 0.07, "numerical_aperture": 0.15}  # noqa: RUF012
-
-    def setup(self, wall: str) -> None:
-        """Render and fit."""
-        frames, width, height, scale = (
-            (200, 640, 480, 0.0067) if self.full else (24, 320, 240, 0.0134)
-        )
-        kind, _, medium = wall.partition(" in ")
-        sizes = {"core_radius": 0.25, "aperture_radius": 0.30, "glue_index": 1.49}
-        drop = {**sizes, "glue_length": 0.11, **self.true}
-        lines = "\n".join(f"{name} = {value}" for name, value in drop.items())
-        with tempfile.TemporaryDirectory() as folder:
-            lens = Path(folder) / "lens.toml"
-            lens.write_text(f"schema = 1\n[lens]\n{lines}\n")
-            footage = _rendered(
-                {
-                    "seed": 3,
-                    "phantom": {"kind": kind},
-                    "source": {"kind": "lens", "lens": str(lens), "medium": medium},
-                    "spot": {"eccentricity_mm": 2.0},
-                    "motion": {"travel_mm": 5.0, "frames": frames},
-                    "microscope": {"width_px": width, "height_px": height, "scale_mm_px": scale},
-                }
-            )
-            start = calibration.lens_start(optics.load_lens(str(lens)))
-        off = {"sag": 1.26 * 0.07, "numerical_aperture": 0.74 * 0.15}
-        self.fitted(footage, "lens", start | off)
-
-
-_MOST_MISFIT = 0.02  # part of the light; `eyespot fit` refuses more
-
-
+@tracks(
+    refused=lambda bench, wall: bench.refused,
+    within_1_sigma=lambda bench, wall: float(np.mean(np.array(bench.z) < 1.0)),
+    within_3_sigma=lambda bench, wall: float(np.mean(np.array(bench.z) < 3.0)),
+    largest_z=lambda bench, wall: float(np.max(bench.z)),
+    seconds=lambda bench, wall: float(np.median(bench.seconds)),
+)
 class UnknownWall:
-    """Random lenses over walls that nobody knows, from a start far off (full: 34 on each wall)."""
+    """Random lenses over walls that nobody knows, as `eyespot fit` finds them.
+
+    The fit knows the radii; sag and numerical aperture of its start are those of another lens
+    (full: 34 on each wall).
+    """
 
     params = (["printed paper", "retina", "photograph"],)
     param_names = ("wall",)
@@ -325,67 +264,45 @@ class UnknownWall:
             rng = np.random.default_rng([38, len(wall), seed])
             core = rng.uniform(0.18, 0.25)
             true = {"sag": rng.uniform(0.0, 0.15), "numerical_aperture": rng.uniform(0.09, 0.22)}
-            drop = {**true, "core_radius": core, "aperture_radius": rng.uniform(core, 0.28)}
-            drop |= {"glue_index": 1.49, "glue_length": true["sag"]}
-            lines = "\n".join(f"{name} = {value}" for name, value in drop.items())
+            radii = {"core_radius": core, "aperture_radius": rng.uniform(core, 0.28)}
+            scene: dict[str, Any] = {
+                "seed": seed,
+                "phantom": {"wall": wall, "texture_seed": seed},
+                "source": {"kind": "lens", "medium": str(rng.choice(["air", "vitreous"]))},
+                "spot": {"eccentricity_mm": rng.uniform(0.0, 2.0), "incidence_deg": 15.0},
+                "motion": {"travel_mm": 4.0, "frames": 24},
+                "microscope": {
+                    "width_px": 400,
+                    "height_px": 400,
+                    "scale_mm_px": 0.0134,
+                    "pinhole_height_mm": float(rng.choice([11.5, 200.0])),
+                },
+                "exposures": {"kinds": ["metered"]},
+            }
             with tempfile.TemporaryDirectory() as folder:
-                lens = Path(folder) / "lens.toml"
-                lens.write_text(f"schema = 1\n[lens]\n{lines}\n")
-                footage = _rendered(
-                    {
-                        "seed": seed,
-                        "phantom": {"wall": wall, "texture_seed": seed},
-                        "source": {
-                            "kind": "lens",
-                            "lens": str(lens),
-                            "medium": str(rng.choice(["air", "vitreous"])),
-                        },
-                        "spot": {"eccentricity_mm": rng.uniform(0.0, 2.0), "incidence_deg": 15.0},
-                        "motion": {"travel_mm": 4.0, "frames": 24},
-                        "microscope": {
-                            "width_px": 400,
-                            "height_px": 400,
-                            "scale_mm_px": 0.0134,
-                            "pinhole_height_mm": float(rng.choice([11.5, 200.0])),
-                        },
-                    }
+                drop = _lens_file(Path(folder) / "lens.toml", **true, **radii)
+                start = _lens_file(
+                    Path(folder) / "start.toml", sag=0.05, numerical_aperture=0.14, **radii
                 )
-                start = calibration.lens_start(optics.load_lens(str(lens)))
-            begin = time.perf_counter()
-            start |= {"sag": 0.05, "numerical_aperture": 0.14}
-            try:
-                fit = fit_footage(footage, source="lens", start=start)
-            except InputError:
-                self.refused += 1
-                continue
+                scene["source"] |= {"lens": drop}
+                stack = Path(folder) / "stack"
+                render_stack(Scene.model_validate({"schema": 1, **scene}), stack)
+                begin = time.perf_counter()
+                fit = fit_recordings([stack], Choices(model="lens", lens=start))
             self.seconds.append(time.perf_counter() - begin)
-            if fit.failed or fit.misfit.share > _MOST_MISFIT:
+            if not fit.good:
                 self.refused += 1
                 continue
-            off = [
-                (fit.parameters[n][0] - value) / fit.parameters[n][1] for n, value in true.items()
-            ]
+            found = fit.parameters
+            off = [(found.value[name] - value) / found.sigma[name] for name, value in true.items()]
             self.z.append(np.abs(off))
 
-    def track_refused(self, wall: str) -> float:
-        """Number of fits that are refused."""
-        return self.refused
 
-    def track_within_1_sigma(self, wall: str) -> float:
-        """Part of both parameters' errors."""
-        return float(np.mean(np.array(self.z) < 1.0))
-
-    def track_within_3_sigma(self, wall: str) -> float:
-        """Part of both parameters' errors."""
-        return float(np.mean(np.array(self.z) < 3.0))
-
-    def track_largest_z(self, wall: str) -> float:
-        """Largest error over its standard error."""
-        return float(np.max(self.z))
-
-    def track_seconds(self, wall: str) -> float:
-        """Median time of a fit."""
-        return float(np.median(self.seconds))
+def _lens_file(path: Path, *, sag: float, **drop: float) -> str:
+    """The path of a lens file of a drop with its rim on the core's face."""
+    values = {**drop, "sag": sag, "rim_height": 0.0, "glue_index": 1.49}
+    path.write_text(lens_toml(values, provenance="a random drop of the bench"))
+    return str(path)
 
 
 # A lens through its own glass, with Mitsuba behind JAX.
@@ -412,6 +329,15 @@ _BLUR_PX = 1.5
 makes steps and errors too small; the blur reduces this noise by a factor of ten."""
 
 
+@tracks(
+    truth=lambda _, fits, medium, name: float(fits[medium].truth[name]),
+    fitted=lambda _, fits, medium, name: float(fits[medium].fitted[name]),
+    off_in_sigmas=lambda _, fits, medium, name: float(
+        (fits[medium].fitted - fits[medium].truth)[name] / fits[medium].sigma[name]
+    ),
+    # Over its expectation from the seeds.
+    chi_squared_over_expected=lambda _, fits, medium, name: float(fits[medium].chi_squared[name]),
+)
 class PhotonFit:
     """The dome lens in 2 frames of 64 x 48 px, fitted to photons through its glass."""
 
@@ -422,25 +348,6 @@ class PhotonFit:
         """Fit in both media."""
         load_mitsuba()
         return {medium: photon_fit(medium) for medium in self.params[0]}
-
-    def track_truth(self, fits: dict[str, pd.DataFrame], medium: str, name: str) -> float:
-        """The rendered value."""
-        return float(fits[medium].truth[name])
-
-    def track_fitted(self, fits: dict[str, pd.DataFrame], medium: str, name: str) -> float:
-        """The fitted value."""
-        return float(fits[medium].fitted[name])
-
-    def track_off_in_sigmas(self, fits: dict[str, pd.DataFrame], medium: str, name: str) -> float:
-        """Its error in standard errors."""
-        fit = fits[medium]
-        return float((fit.fitted[name] - fit.truth[name]) / fit.sigma[name])
-
-    def track_chi_squared_over_expected(
-        self, fits: dict[str, pd.DataFrame], medium: str, name: str
-    ) -> float:
-        """Chi squared over its expectation from the seeds."""
-        return float(fits[medium].chi_squared[name])
 
 
 def photon_fit(medium: str) -> pd.DataFrame:

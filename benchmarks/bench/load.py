@@ -23,6 +23,7 @@ from distributed import Client, as_completed
 from distributed.scheduler import heartbeat_interval
 from skimage.io import imsave
 
+from benchmarks.bench import tracks
 from benchmarks.sets.make import Shard, local_workers, make_set, versions
 from benchmarks.sets.read import verify_set
 from benchmarks.sets.spec import SetSpec, load_spec, plan
@@ -41,41 +42,25 @@ def memory_mb(process: int | None = None) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+@tracks(
+    frame_median_ms=lambda run, *_: float(1e3 * np.median(run.seconds)),
+    slowest_ms=lambda run, *_: float(1e3 * run.seconds.max()),
+    lost=lambda run, *_: run.lost,
+    late=lambda run, *_: run.late,
+    start_mb=lambda run, *_: run.memory[0],
+    middle_mb=lambda run, *_: run.memory[len(run.memory) // 2],
+    end_mb=lambda run, *_: run.memory[-1],
+)
 class _Run:
-    """What a long run left: times of its frames (s), memory (MB), lost and late frames."""
+    """What a long run left: times of its frames (s), memory (MB), frames that were lost or late.
+
+    A frame is late if its result comes after the next frame.
+    """
 
     full = False
     seconds: np.ndarray
     memory: list[float]
     lost = late = 0
-
-    def track_frame_median_ms(self, *_: object) -> float:
-        """Time of a frame."""
-        return float(1e3 * np.median(self.seconds))
-
-    def track_slowest_ms(self, *_: object) -> float:
-        """The slowest frame."""
-        return float(1e3 * self.seconds.max())
-
-    def track_lost(self, *_: object) -> int:
-        """Frames without a result."""
-        return self.lost
-
-    def track_late(self, *_: object) -> int:
-        """Frames whose result comes after the next frame."""
-        return self.late
-
-    def track_start_mb(self, *_: object) -> float:
-        """Memory after the first frames."""
-        return self.memory[0]
-
-    def track_middle_mb(self, *_: object) -> float:
-        """Memory in the middle of the run."""
-        return self.memory[len(self.memory) // 2]
-
-    def track_end_mb(self, *_: object) -> float:
-        """Memory at the end."""
-        return self.memory[-1]
 
 
 def _frames() -> list[np.ndarray]:
@@ -153,6 +138,12 @@ class Tracking(_Run):
         return found
 
 
+@tracks(
+    plan_ms_a_stack=lambda books, stacks: float(books.ms[0]),
+    card_and_manifest_ms_a_stack=lambda books, stacks: float(books.ms[1]),
+    verify_ms_a_stack=lambda books, stacks: float(books.ms[2]),
+    peak_mb=lambda *_: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+)
 class Books:
     """A set's books by its stacks, copies of one small stack, so that rendering does not count."""
 
@@ -187,22 +178,6 @@ class Books:
             finishing = made - copied - planning  # it plans again
             self.ms = 1e3 * np.array([planning, finishing, verifying]) / stacks
 
-    def track_plan_ms_a_stack(self, stacks: int) -> float:
-        """Planning."""
-        return float(self.ms[0])
-
-    def track_card_and_manifest_ms_a_stack(self, stacks: int) -> float:
-        """What is written when all stacks are there."""
-        return float(self.ms[1])
-
-    def track_verify_ms_a_stack(self, stacks: int) -> float:
-        """Looking for missing and changed files."""
-        return float(self.ms[2])
-
-    def track_peak_mb(self, stacks: int) -> float:
-        """Peak memory of the process."""
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-
 
 def _sized(spec: SetSpec, count: int) -> SetSpec:
     """A spec of so many stacks, spread over the splits."""
@@ -212,6 +187,10 @@ def _sized(spec: SetSpec, count: int) -> SetSpec:
     return spec.model_copy(update={"splits": spec.splits.model_copy(update=numbers)})
 
 
+@tracks(
+    task_ms=lambda scheduler: 1e3 * scheduler.task_s,
+    heartbeat_ms=lambda scheduler: 1e3 * scheduler.heartbeat_s,
+)
 class Scheduler:
     """Processor time of the scheduler's thread; 200 workers are to cost it 5 % of a core."""
 
@@ -234,14 +213,6 @@ class Scheduler:
                 idle.append((_thread_s(client) - began) / self.idle_s)
         self.heartbeat_s = (idle[1] - idle[0]) / (self.more - self.few)
         self.heartbeat_s *= heartbeat_interval(self.more)
-
-    def track_task_ms(self) -> float:
-        """A task."""
-        return 1e3 * self.task_s
-
-    def track_heartbeat_ms(self) -> float:
-        """A worker's heartbeat."""
-        return 1e3 * self.heartbeat_s
 
 
 def _nothing(scene: Mapping[str, Any], folder: str, wanted: Mapping[str, str]) -> None:

@@ -14,7 +14,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import partial, partialmethod
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ import pandas as pd
 from scipy.stats import chi2
 
 import optics
+from benchmarks.bench import tracks
 from benchmarks.bench.load import memory_mb
 from benchmarks.paper import largest, rms
 from benchmarks.sets.read import own_reader, true_beam
@@ -78,7 +78,6 @@ def frame_errors(
     """Read the frames of a stack in their order.
 
     Args:
-        rng: draws the error of the axis.
         alone_every: the first of each so many frames is read as if nothing came before it; None:
             only the stack's first.
 
@@ -352,8 +351,35 @@ _WRONG = 1e-4
 """Over the number of frames: probability of a chi squared that no honest pose has."""
 
 
+def _of_posed(summary: Callable[[pd.DataFrame], float]) -> Callable[..., float]:
+    """A number of a row's frames with a pose."""
+    return lambda read, *row: float(summary(read.posed(*row)))
+
+
+@tracks(
+    frames=lambda read, *row: len(read.select(*row)),
+    with_a_pose=lambda read, *row: len(read.posed(*row)),
+    subpixel_found=lambda read, *row: int(read.select(*row).found.sum()),
+    # Poses whose chi squared no honest estimator has in so many frames.
+    silently_wrong=lambda read, frames, *which: int(
+        (read.posed(frames, *which).chi_squared > chi2.isf(_WRONG / len(frames), 5)).sum()
+    ),
+    median_ms=lambda read, *row: float(1e3 * read.select(*row).seconds.median()),
+    d_um=_of_posed(lambda posed: 1e3 * rms(posed.distance_mm)),
+    d_stated_um=_of_posed(lambda posed: 1e3 * rms(posed.sigma_mm)),
+    d_largest_um=_of_posed(lambda posed: 1e3 * largest(posed.distance_mm)),
+    tip_um=_of_posed(lambda posed: 1e3 * rms(posed.tip_mm)),
+    axis_deg=_of_posed(lambda posed: rms(posed.axis_deg)),
+    axis_stated_deg=_of_posed(lambda posed: rms(posed.sigma_axis_deg)),
+    # Semi-minor axes: of the half-maximum ellipse at the pose, and as the other modes measure it.
+    half_maximum_px=_of_posed(lambda posed: rms(posed.half_maximum_px)),
+    subpixel_px=_of_posed(lambda posed: rms(posed.subpixel_px)),
+    literal_px=_of_posed(lambda posed: rms(posed.literal_px)),
+    chi_squared_over_5=_of_posed(lambda posed: posed.chi_squared.mean() / 5),
+    largest_chi_squared=_of_posed(lambda posed: posed.chi_squared.max()),
+)
 class _Read:
-    """What selected frames show; errors are RMS over the frames with a pose."""
+    """What selected frames show; errors are RMS over the frames with a pose without a doubt."""
 
     full = False
 
@@ -363,48 +389,10 @@ class _Read:
             frames = frames[(frames[name] == value) | (value == "all")]
         return frames
 
-    def _posed(self, *row: Any) -> pd.DataFrame:
+    def posed(self, *row: Any) -> pd.DataFrame:
+        """Those of them with a pose."""
         some = self.select(*row)
         return some[some.posed]
-
-    def track_frames(self, *row: Any) -> int:
-        """All."""
-        return len(self.select(*row))
-
-    def track_with_a_pose(self, *row: Any) -> int:
-        """Those with a pose that is not doubtful."""
-        return len(self._posed(*row))
-
-    def track_subpixel_found(self, *row: Any) -> int:
-        """Those whose spot the sub-pixel mode measures."""
-        return int(self.select(*row).found.sum())
-
-    def track_silently_wrong(self, frames: pd.DataFrame, *which: Any) -> int:
-        """Poses whose chi squared no honest estimator has in so many frames."""
-        limit = chi2.isf(_WRONG / len(frames), 5)
-        return int((self._posed(frames, *which).chi_squared > limit).sum())
-
-    def track_median_ms(self, *row: Any) -> float:
-        """Time of a frame."""
-        return float(1e3 * self.select(*row).seconds.median())
-
-
-_SUMMARIES: dict[str, Callable[[pd.DataFrame], float]] = {
-    "d_um": lambda posed: 1e3 * rms(posed.distance_mm),
-    "d_stated_um": lambda posed: 1e3 * rms(posed.sigma_mm),
-    "d_largest_um": lambda posed: 1e3 * largest(posed.distance_mm),
-    "tip_um": lambda posed: 1e3 * rms(posed.tip_mm),
-    "axis_deg": lambda posed: rms(posed.axis_deg),
-    "axis_stated_deg": lambda posed: rms(posed.sigma_axis_deg),
-    # Semi-minor axes: of the half-maximum ellipse at the pose, and as the other modes measure it.
-    "half_maximum_px": lambda posed: rms(posed.half_maximum_px),
-    "subpixel_px": lambda posed: rms(posed.subpixel_px),
-    "literal_px": lambda posed: rms(posed.literal_px),
-    "chi_squared_over_5": lambda posed: float(posed.chi_squared.mean() / 5),
-    "largest_chi_squared": lambda posed: float(posed.chi_squared.max()),
-}
-for _name, _summary in _SUMMARIES.items():
-    setattr(_Read, f"track_{_name}", lambda self, *row, of=_summary: of(self._posed(*row)))
 
 
 def _drawn(rows: Iterable[tuple[dict[str, Any], Circumstances]], rng: Any) -> pd.DataFrame:
@@ -418,6 +406,8 @@ def _drawn(rows: Iterable[tuple[dict[str, Any], Circumstances]], rng: Any) -> pd
     return as_table(frames)
 
 
+# The bound is Cramér and Rao's, for the distance from the ellipse on a known wall.
+@tracks(bound_um=_of_posed(lambda posed: 1e3 * rms(posed.bound_mm)))
 class Poses(_Read):
     """First frames, and those from the fifth on, which use what the earlier ones showed."""
 
@@ -440,10 +430,6 @@ class Poses(_Read):
         frames = _drawn(rows, np.random.default_rng(20261123))
         place = np.select([frames.frame == 0, frames.frame >= 4], ["first", "5th on"], "between")
         return frames.assign(of_stack=place)
-
-    def track_bound_um(self, *row: Any) -> float:
-        """Cramér and Rao's, for the distance from the ellipse on a known wall."""
-        return 1e3 * rms(self._posed(*row).bound_mm)
 
 
 _BOUND = {"exposures": {"kinds": ["metered"], "bound": True}}
@@ -512,6 +498,11 @@ class Adverse(_Read):
 _COMPARED_MM = np.arange(0.25, 9.0, 0.125)  # distances that the mode looks at
 
 
+@tracks(
+    twofold=lambda read, *row: int(read.select(*row).twofold.sum()),
+    # Nearer branches hardly differ in their radius.
+    wrong_branch=_of_posed(lambda posed: (posed.distance_mm.abs() > 0.1).sum()),
+)
 class Branches(_Read):
     """Distances whose radius another has too, over 0.3 to 6 mm on an even wall.
 
@@ -538,14 +529,6 @@ class Branches(_Read):
                 rows.append(read.assign(beam=beam, twofold=_twofold(stack), read_as=first))
         return pd.concat(rows, ignore_index=True)
 
-    def track_twofold(self, *row: Any) -> int:
-        """Frames whose radius belongs to two distances."""
-        return int(self.select(*row).twofold.sum())
-
-    def track_wrong_branch(self, *row: Any) -> int:
-        """Poses more than 0.1 mm off; nearer branches hardly differ in their radius."""
-        return int((self._posed(*row).distance_mm.abs() > 0.1).sum())
-
 
 def _twofold(stack: Stack) -> list[bool]:
     """Of each frame, whether another distance has its radius, too, where the first spot is."""
@@ -564,6 +547,18 @@ def share_a_radius(distances: np.ndarray, grid: np.ndarray, radii: np.ndarray) -
     return np.asarray(crossings > 1)
 
 
+def _inside(square: str, numbers: int, level: float) -> Callable[..., float]:
+    """Share of squares of Mahalanobis distances in the region of a level."""
+    return _of_posed(lambda posed: (posed[square] < chi2.ppf(level, numbers)).mean())
+
+
+@tracks(
+    **{
+        f"{name}_in_{100 * level:.0f}": _inside(f"{name}_chi_squared", numbers, level)
+        for name, numbers in (("d", 1), ("tip", 3), ("axis", 2), ("pose", 5))
+        for level in (0.68, 0.95)
+    }
+)
 class Coverage(_Read):
     """Stated errors of single frames, one a stack: shares in the 68 % and 95 % regions."""
 
@@ -585,20 +580,19 @@ class Coverage(_Read):
         )
 
 
-def _inside(self: _Read, *row: Any, square: str, numbers: int, level: float) -> float:
-    """Share of squares of Mahalanobis distances in the region of a level."""
-    return float((self._posed(*row)[square] < chi2.ppf(level, numbers)).mean())
-
-
-for _square, _numbers in (("d", 1), ("tip", 3), ("axis", 2), ("pose", 5)):
-    for _level in (0.68, 0.95):
-        _method = partial(_inside, square=f"{_square}_chi_squared", numbers=_numbers, level=_level)
-        setattr(Coverage, f"track_{_square}_in_{100 * _level:.0f}", partialmethod(_method))
-
-
 _CONDITIONS = "occlusion shadow glints saturation blur defocus clipped unrest spread camera".split()
 
 
+def _missed(read: _Read, *row: Any) -> pd.DataFrame:
+    """Frames that sub-pixel mode misses though their ellipse would tell d to 50 um."""
+    some = read.select(*row)
+    return some[~some.found & (some.bound_mm < 0.05)]
+
+
+@tracks(
+    missed_though_well_bound=lambda read, *row: len(_missed(read, *row)),
+    of_those_with_a_pose=lambda read, *row: int(_missed(read, *row).posed.sum()),
+)
 class AdverseSet(_Read):
     """The stacks of the set adverse-v2 with a seed of its own; the mode knows each true beam."""
 
@@ -620,19 +614,18 @@ class AdverseSet(_Read):
             tables.append(read.assign(condition=planned.condition or planned.split))
         return pd.concat(tables, ignore_index=True)
 
-    def track_missed_though_well_bound(self, *row: Any) -> int:
-        """Frames that sub-pixel mode misses though their ellipse would tell d to 50 um."""
-        return len(self._missed(*row))
 
-    def track_of_those_with_a_pose(self, *row: Any) -> int:
-        """Those of them that the mode pixels measures."""
-        return int(self._missed(*row).posed.sum())
-
-    def _missed(self, *row: Any) -> pd.DataFrame:
-        some = self.select(*row)
-        return some[~some.found & (some.bound_mm < 0.05)]
-
-
+@tracks(
+    with_a_pose=lambda memory: memory.with_pose,
+    reader_starts_s=lambda memory: memory.start,
+    first_frame_s=lambda memory: float(memory.seconds[0]),
+    # Frames while the wall's texture is learnt, then later ones.
+    slow_while_learning=lambda memory: int((memory.seconds[1 : memory.warm] > 0.15).sum()),
+    median_ms=lambda memory: float(1e3 * np.median(memory.seconds[memory.warm :])),
+    slowest_ms=lambda memory: float(1e3 * memory.seconds[memory.warm :].max()),
+    start_mb=lambda memory: memory.memory[0],
+    most_mb=lambda memory: max(memory.memory),
+)
 class Memory:
     """A reader of one hand's motion, forwards and backwards without jumps (full: 10,000 frames)."""
 
@@ -645,7 +638,7 @@ class Memory:
         prepare()
         what = Circumstances("dome, vitreous", "photograph", "hand", self.distinct)
         rng, number = np.random.default_rng(20261126), 10_000 if self.full else 300
-        self.seconds, self.memory, self.posed = np.empty(self.warm + number), [], 0
+        self.seconds, self.memory, self.with_pose = np.empty(self.warm + number), [], 0
         with tempfile.TemporaryDirectory() as folder:
             stack = drawn_stack(what, rng, Path(folder) / "stack")
             frames = list(open_source(stack.folder))
@@ -661,37 +654,5 @@ class Memory:
             )
             self.seconds[k] = time.perf_counter() - began
             if k >= self.warm:
-                self.posed += bool(read.range and read.range.poses)
+                self.with_pose += bool(read.range and read.range.poses)
                 self.memory.append(memory_mb())
-
-    def track_with_a_pose(self) -> int:
-        """Frames."""
-        return self.posed
-
-    def track_reader_starts_s(self) -> float:
-        """Time until the first frame can be read."""
-        return self.start
-
-    def track_first_frame_s(self) -> float:
-        """Time of the first frame."""
-        return float(self.seconds[0])
-
-    def track_slow_while_learning(self) -> int:
-        """Frames slower than 150 ms while the wall's texture is learnt."""
-        return int((self.seconds[1 : self.warm] > 0.15).sum())
-
-    def track_median_ms(self) -> float:
-        """Time of a later frame."""
-        return float(1e3 * np.median(self.seconds[self.warm :]))
-
-    def track_slowest_ms(self) -> float:
-        """The slowest later frame."""
-        return float(1e3 * self.seconds[self.warm :].max())
-
-    def track_start_mb(self) -> float:
-        """Memory after learning."""
-        return self.memory[0]
-
-    def track_most_mb(self) -> float:
-        """The most memory."""
-        return max(self.memory)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from estimator.run import OUT
 from optics import InputError
 from scenes.description import Changes, SceneFile
 
@@ -22,7 +23,7 @@ def preregister(
     scene: SceneFile,
     /,
     *,
-    out: Path,
+    out: Annotated[Path, OUT],
     uncertain: Annotated[tuple[str, ...], Parameter(metavar="KEY=SIGMA", show_default=False)] = (),
     changes: Changes = (),
     calibration: Path | None = None,
@@ -60,8 +61,8 @@ def preregister(
             exposure=exposure,
             progress=advance,
         )
-    sha256 = write_plan(out, plan)
-    print(f"Wrote {out}: {len(plan.times_s)} frames.\nSHA-256 {sha256}")
+    write_plan(out, plan)
+    print(f"Wrote {out}: {len(plan.times_s)} frames.\nSHA-256 {plan.sha256}")
 
 
 def adjudicate(
@@ -90,7 +91,7 @@ def adjudicate(
     """
     from benchmarks.predictions.plan import judged, measured_as_planned, read_plan
 
-    agreed, sha256 = read_plan(plan)
+    agreed = read_plan(plan)
     seen = measured_as_planned(
         agreed,
         source,
@@ -102,7 +103,7 @@ def adjudicate(
     found = judged(agreed, seen)
     if as_json:
         content = {
-            "plan_sha256": sha256,
+            "plan_sha256": agreed.sha256,
             "held": found.hits,
             "predictions": found.predictions,
             "quantities": found.tallies.to_dict("records"),
@@ -114,7 +115,7 @@ def adjudicate(
         return
     names = {"hits": "held", "misses": "missed", "unmeasured": "of these not measured"}
     table = found.tallies.rename(columns=names | {"rms": "RMS deviation, σ"})
-    print(f"Plan {plan}, SHA-256 {sha256}")
+    print(f"Plan {plan}, SHA-256 {agreed.sha256}")
     print(table.to_string(index=False, float_format="{:.2f}".format))
     print(*_sentences(found), sep="\n")
 

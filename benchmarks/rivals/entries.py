@@ -6,6 +6,7 @@ import math
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,40 +20,13 @@ from skimage.measure import EllipseModel, find_contours, ransac
 from benchmarks.rivals.learned.network import LearnedEstimator, Window, blob_in
 from benchmarks.rivals.pupil import PupilDetector, why_unavailable
 from benchmarks.sets.read import Mode, own_reader
-from estimator import Calibration, Frame, FrameLabels, MicroscopeFile, NoSpot, Range, Reason, Spot
+from estimator import Calibration, Frame, MicroscopeFile, NoSpot, Range, Reason, Spot
 from optics import InputError
 
 # What an entry is: a frame goes in, an ellipse or a miss comes out.
 
-
-class Recording(NamedTuple):
-    """What is known about the frames of one stack before the first is seen.
-
-    Attributes:
-        beam: calibration of the light source: the true one, as a good fit would give it.
-        click: (x, y) of the spot in the first frame, px, on which an operator would click.
-    """
-
-    microscope: MicroscopeFile
-    beam: Calibration
-    click: tuple[float, float]
-
-    @classmethod
-    def of(cls, microscope: MicroscopeFile, beam: Calibration, first: FrameLabels) -> Recording:
-        """The recording that begins with a labelled frame."""
-        return cls(microscope, beam, (first.half_max_x_px, first.half_max_y_px))
-
-
-class Answer(NamedTuple):
-    """What an entry says about a frame.
-
-    Attributes:
-        result: the spot, or why there is none.
-        range: the distance, of an entry that has its own way to it.
-    """
-
-    result: Spot | NoSpot
-    range: Range | None = None
+Answer = tuple[Spot | NoSpot, Range | None]
+"""The spot, or why there is none; and the distance, of an entry that has its own way to it."""
 
 
 class Entry(ABC):
@@ -65,8 +39,15 @@ class Entry(ABC):
 
     own_distance = False
 
-    def begin(self, recording: Recording) -> None:
-        """Get ready for the frames of a stack; an entry without a memory has nothing to do."""
+    def begin(
+        self, microscope: MicroscopeFile, beam: Calibration, click: tuple[float, float]
+    ) -> None:
+        """Get ready for the frames of a stack; an entry without a memory has nothing to do.
+
+        Args:
+            beam: of the light source: the true one, as a good fit would give it.
+            click: (x, y) of the spot in the first frame, px, on which an operator would click.
+        """
         return
 
     @abstractmethod
@@ -83,7 +64,7 @@ class Entry(ABC):
         return
 
 
-NO_SPOT = Answer(NoSpot(Reason.NONE_FOUND))
+NO_SPOT: Answer = NoSpot(Reason.NONE_FOUND), None
 
 
 def plain_spot(
@@ -122,8 +103,9 @@ _FITS = {"plain": cv2.fitEllipse, "ams": cv2.fitEllipseAMS, "direct": cv2.fitEll
 _FEWEST_POINTS = 6
 
 
-class OpenCVConstants(NamedTuple):
-    """Free constants.
+@dataclass
+class OpenCV(Entry):
+    """Threshold and `fitEllipse`, frame by frame.
 
     Attributes:
         level: threshold, as a fraction of the way from the frame's median to its brightest blurred
@@ -141,33 +123,26 @@ class OpenCVConstants(NamedTuple):
     hull: bool = True
     grow_px: float = 0.5
 
-
-class OpenCV(Entry):
-    """Threshold and `fitEllipse`, frame by frame."""
-
-    def __init__(self, constants: Mapping[str, Any]) -> None:
-        self._constants = OpenCVConstants(**constants)
-
     def read(self, frame: Frame) -> Answer:
         """The ellipse of the largest bright region."""
-        level, blur_px, fit, hull, grow = self._constants
         grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
-        if blur_px:
-            grey = cv2.GaussianBlur(grey, (0, 0), blur_px)
+        if self.blur_px:
+            grey = cv2.GaussianBlur(grey, (0, 0), self.blur_px)
         dark, bright = float(np.median(grey)), float(grey.max())
-        above = cv2.threshold(grey, dark + level * (bright - dark), 255, cv2.THRESH_BINARY)[1]
+        above = cv2.threshold(grey, dark + self.level * (bright - dark), 255, cv2.THRESH_BINARY)[1]
         contours, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         if not contours:
             return NO_SPOT
         points = max(contours, key=cv2.contourArea)
-        if hull:
+        if self.hull:
             points = _dense(cv2.convexHull(points))
         if len(points) < _FEWEST_POINTS:
             return NO_SPOT
-        (x, y), (width, height), degrees = _FITS[fit](points)
+        (x, y), (width, height), degrees = _FITS[self.fit](points)
         if not (math.isfinite(x + y) and 0 < width < math.inf and 0 < height < math.inf):
             return NO_SPOT
-        return Answer(plain_spot(x, y, width / 2 + grow, height / 2 + grow, math.radians(degrees)))
+        axes = width / 2 + self.grow_px, height / 2 + self.grow_px
+        return plain_spot(x, y, *axes, math.radians(degrees)), None
 
 
 def _dense(corners: np.ndarray) -> np.ndarray:
@@ -188,23 +163,6 @@ _SAMPLE = 6  # points of a trial; five determine an ellipse, one more steadies i
 _SEED = 20
 
 
-class RansacConstants(NamedTuple):
-    """Free constants.
-
-    Attributes:
-        level: of the contour whose points are the edges, between the window's border and its
-            brightest value; 0 for Canny's edges.
-        edge_px: standard deviation of the blur before.
-        inlier_px: residual up to which an edge belongs to the ellipse.
-        trials: of RANSAC, at most.
-    """
-
-    level: float = 0.5
-    edge_px: float = 2.0
-    inlier_px: float = 2.0
-    trials: int = 100
-
-
 class RadialEllipse(EllipseModel):
     """The model of scikit-image, with residuals along the ray from the centre.
 
@@ -221,11 +179,22 @@ class RadialEllipse(EllipseModel):
         return np.hypot(dx, dy) * np.abs(1 - 1 / np.maximum(relative, 1e-9))
 
 
+@dataclass
 class Ransac(Entry):
-    """Edges around the brightest blob, and the ellipse that most of them agree with."""
+    """Edges around the brightest blob, and the ellipse that most of them agree with.
 
-    def __init__(self, constants: Mapping[str, Any]) -> None:
-        self._constants = RansacConstants(**constants)
+    Attributes:
+        level: of the contour whose points are the edges, between the window's border and its
+            brightest value; 0 for Canny's edges.
+        edge_px: standard deviation of the blur before.
+        inlier_px: residual up to which an edge belongs to the ellipse.
+        trials: of RANSAC, at most.
+    """
+
+    level: float = 0.5
+    edge_px: float = 2.0
+    inlier_px: float = 2.0
+    trials: int = 100
 
     def read(self, frame: Frame) -> Answer:
         """The ellipse of the edges around the brightest blob."""
@@ -244,25 +213,24 @@ class Ransac(Entry):
                 points,
                 RadialEllipse,
                 min_samples=_SAMPLE,
-                residual_threshold=self._constants.inlier_px,
-                max_trials=self._constants.trials,
+                residual_threshold=self.inlier_px,
+                max_trials=self.trials,
                 is_model_valid=lambda model, *_: _is_sane(model, side),
                 rng=np.random.default_rng(_SEED),
             )
         if not (model and _is_sane(model, side)):
             return NO_SPOT
         (x, y), axes = model.center, model.axis_lengths
-        return Answer(plain_spot(x + left, y + top, axes[0], axes[1], model.theta))
+        return plain_spot(x + left, y + top, axes[0], axes[1], model.theta), None
 
     def _edges(self, grey: np.ndarray) -> np.ndarray:
         """(x, y) of the edges' points in a window, px."""
-        level, blur_px, *_ = self._constants
-        if not level:
-            return np.argwhere(canny(grey, sigma=blur_px))[:, ::-1].astype(float)
-        smooth = gaussian(grey, blur_px)
+        if not self.level:
+            return np.argwhere(canny(grey, sigma=self.edge_px))[:, ::-1].astype(float)
+        smooth = gaussian(grey, self.edge_px)
         border = np.concatenate([smooth[0], smooth[-1], smooth[:, 0], smooth[:, -1]])
         dark = float(np.median(border))
-        contours = find_contours(smooth, dark + level * (float(smooth.max()) - dark))
+        contours = find_contours(smooth, dark + self.level * (float(smooth.max()) - dark))
         return max(contours, key=len)[:, ::-1] if contours else np.empty((0, 2))
 
 
@@ -274,48 +242,37 @@ def _is_sane(model: EllipseModel, side: int) -> bool:
 # pupil-detectors as an entry: the negative of the frame, made smaller, is searched for a pupil.
 
 
-class PupilConstants(NamedTuple):
-    """Free constants; the others are the package's own.
+class Pupil(Entry):
+    """The 2D detector of pupil-detectors; other constants are the package's own.
 
-    Attributes:
+    Args:
         smaller: factor by which the frame is made smaller.
         intensity_range: grey values above the darkest that count as pupil.
         blur_size: px, of its median filter.
         largest: diameter, px of the smaller frame.
-        least_confidence: below which an ellipse is a miss.
     """
 
-    smaller: int = 2
-    intensity_range: int = 23
-    blur_size: int = 5
-    largest: int = 400
-    least_confidence: float = 0.0
-
-
-class Pupil(Entry):
-    """The 2D detector of pupil-detectors."""
-
-    def __init__(self, constants: Mapping[str, Any]) -> None:
-        self._constants = PupilConstants(**constants)
+    def __init__(self, smaller: int, intensity_range: int, blur_size: int, largest: int) -> None:
+        self._smaller = smaller
         self._detector = PupilDetector(
             {
                 "pupil_size_min": 10,
-                "pupil_size_max": self._constants.largest,
-                "intensity_range": self._constants.intensity_range,
-                "blur_size": self._constants.blur_size,
+                "pupil_size_max": largest,
+                "intensity_range": intensity_range,
+                "blur_size": blur_size,
             }
         )
 
     def read(self, frame: Frame) -> Answer:
-        """The ellipse of the brightest region, if the detector trusts it."""
-        n = self._constants.smaller
+        """The ellipse of the brightest region."""
+        n = self._smaller
         grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
         size = grey.shape[1] // n, grey.shape[0] // n
         found = self._detector.ellipse(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
-        if found is None or found.confidence < self._constants.least_confidence:
+        if found is None:
             return NO_SPOT
         x, y = ((at + 0.5) * n - 0.5 for at in (found.x, found.y))
-        return Answer(plain_spot(x, y, n * found.first, n * found.second, found.angle))
+        return plain_spot(x, y, n * found.first, n * found.second, found.angle), None
 
     @property
     def seconds_elsewhere(self) -> float:
@@ -334,7 +291,6 @@ class EyespotMode(Entry):
     operator does. No mode gets the robot's poses.
 
     Args:
-        mode: as of `eyespot track`.
         constants: of `LiteralSettings` or `SubpixelSettings`; those that are not given are the
             product's.
     """
@@ -344,14 +300,12 @@ class EyespotMode(Entry):
         self._mode = mode
         self._constants = constants
 
-    def begin(self, recording: Recording) -> None:
+    def begin(
+        self, microscope: MicroscopeFile, beam: Calibration, click: tuple[float, float]
+    ) -> None:
         """Start a new reader."""
         self._reader = own_reader(
-            self._mode,
-            recording.microscope,
-            click=recording.click,
-            beam=recording.beam,
-            constants=self._constants,
+            self._mode, microscope, click=click, beam=beam, constants=self._constants
         )
 
     def read(self, frame: Frame) -> Answer:
@@ -359,14 +313,13 @@ class EyespotMode(Entry):
         reading = self._reader.read(
             frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, name=frame.file_name
         )
-        return Answer(reading.result, reading.range)
+        return reading.result, reading.range
 
 
 class LearnedEntry(Entry):
     """The network, frame by frame. Its distance does not go by its ellipse.
 
     Args:
-        weights: a file of weights.
         direct: whether the distance is the network's own; else it follows from its ellipse.
     """
 
@@ -374,9 +327,11 @@ class LearnedEntry(Entry):
         self.own_distance = direct
         self._estimator = LearnedEstimator.load(weights)
 
-    def begin(self, recording: Recording) -> None:
+    def begin(
+        self, microscope: MicroscopeFile, beam: Calibration, click: tuple[float, float]
+    ) -> None:
         """Note the microscope."""
-        self._microscope = recording.microscope
+        self._microscope = microscope
 
     def read(self, frame: Frame) -> Answer:
         """Measure a frame."""
@@ -386,8 +341,8 @@ class LearnedEntry(Entry):
         x, y, first, second, angle = said.ellipse.tolist()
         spot = plain_spot(x, y, first, second, angle, said.covariance)
         if not self.own_distance:
-            return Answer(spot)
-        return Answer(spot, Range(distance_mm=said.distance_mm, sigma_mm=said.sigma_distance_mm))
+            return spot, None
+        return spot, Range(distance_mm=said.distance_mm, sigma_mm=said.sigma_distance_mm)
 
 
 class Kind(NamedTuple):
@@ -438,7 +393,7 @@ KINDS: dict[str, Kind] = {
     ),
     "opencv-relative": Kind(
         "OpenCV: threshold between median and maximum, largest contour, ellipse fit",
-        lambda constants, _: OpenCV(constants),
+        lambda constants, _: OpenCV(**constants),
         ("opencv-python-headless",),
         {
             "level": (0.5, 0.3, 0.35, 0.4, 0.45, 0.55, 0.6),
@@ -450,7 +405,7 @@ KINDS: dict[str, Kind] = {
     ),
     "skimage-ransac": Kind(
         "scikit-image: edges around the brightest blob, EllipseModel with RANSAC",
-        lambda constants, _: Ransac(constants),
+        lambda constants, _: Ransac(**constants),
         ("scikit-image",),
         {
             "level": (0.5, 0.4, 0.45, 0.55, 0.0),
@@ -461,7 +416,7 @@ KINDS: dict[str, Kind] = {
     ),
     "pupil-detectors": Kind(
         "the 2D detector of pupil-detectors on the frame's negative",
-        lambda constants, _: Pupil(constants),
+        lambda constants, _: Pupil(**constants),
         (),
         {
             "smaller": (3, 1, 2, 4),

@@ -2,8 +2,7 @@
 
 The environment is created in the user's cache on first use. This file also runs there as a script:
 it reads crops from its standard input, each after a line with height and width, and prints one line
-per crop: centre, axes and angle of the ellipse, the detector's confidence, and the processor time
-that it has used so far.
+per crop: centre, axes and angle of the ellipse, and the processor time that it has used so far.
 """
 
 from __future__ import annotations
@@ -25,8 +24,6 @@ import numpy as np
 
 PACKAGE = "pupil-detectors==2.0.2"
 _SECONDS_TO_BUILD = 300
-PROPERTIES: Mapping[str, float] = {"pupil_size_min": 20, "pupil_size_max": 400}
-"""Properties that differ from the package's own: the range of diameters, px."""
 
 
 class PupilUnavailable(RuntimeError):
@@ -41,20 +38,19 @@ class PupilEllipse(NamedTuple):
     first: float
     second: float
     angle: float
-    confidence: float
 
 
 class PupilDetector:
     """A process that finds a pupil (a dark ellipse, the negative of a spot) in grey crops.
 
     Args:
-        properties: of `Detector2D`, by name.
+        properties: of `Detector2D` that differ from its own, by name.
 
     Attributes:
         seconds: processor time of the process so far, s.
     """
 
-    def __init__(self, properties: Mapping[str, float] = PROPERTIES) -> None:
+    def __init__(self, properties: Mapping[str, float]) -> None:
         self.seconds = 0.0
         self._process = subprocess.Popen(
             # -I: modules of this folder must not hide those of the package.
@@ -89,7 +85,7 @@ class PupilDetector:
 def why_unavailable() -> str | None:
     """Why the detector is not available; None if it is."""
     try:
-        detector = PupilDetector()
+        detector = PupilDetector({})
         try:
             detector.ellipse(np.zeros((100, 100), np.uint8))
         finally:
@@ -140,7 +136,7 @@ def _serve(crops: BinaryIO, properties: Mapping[str, float]) -> None:
         ellipse = found["ellipse"]
         axes = (axis / 2 for axis in ellipse["axes"])
         turned = math.radians(ellipse["angle"])
-        said = (*ellipse["center"], *axes, turned, found["confidence"], time.process_time())
+        said = (*ellipse["center"], *axes, turned, time.process_time())
         print(*said, flush=True)
 
 

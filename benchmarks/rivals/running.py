@@ -20,12 +20,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.paper import VISIBLE_ENOUGH
-from benchmarks.rivals.entries import KINDS, Answer, Entry, Recording, unavailable
+from benchmarks.rivals.entries import KINDS, Entry, unavailable
 from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of, true_beam
 from benchmarks.study import versions, write_json
 from estimator import (
     Frame,
-    Range,
     Ranger,
     Spot,
     SpotRecord,
@@ -44,7 +43,7 @@ _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 class Answers(NamedTuple):
-    """The answers of an entry on one exposure of a stack."""
+    """The answers of an entry on one exposure of a stack, and its times (s)."""
 
     entry: str
     exposure: str
@@ -65,11 +64,8 @@ def run_entries(
     """Write OUT/ENTRY/SPLIT/STACK.csv and OUT/ENTRY/entry.json for each entry.
 
     Args:
-        folder: a set or a stack.
-        out: new folder.
         entries: names in `KINDS`; those that cannot run here are left out with a message.
         splits: of the set; none for all.
-        constants: file of the free constants.
 
     Raises:
         InputError: the input is invalid, or `out` exists.
@@ -78,7 +74,13 @@ def run_entries(
     if not stacks:
         raise InputError(f"{folder} has no split {' or '.join(splits)}. Choose another --split.")
     known = read_constants(constants)
-    able = _able(entries)
+    reasons = {name: unavailable(name) for name in entries}
+    able = [name for name, reason in reasons.items() if not reason]
+    for name, reason in reasons.items():
+        if reason:
+            print(f"{name} is left out: {reason}", file=sys.stderr)
+    if not able:
+        raise InputError("none of the entries can run on this machine. Name another --entry.")
     with written_whole(out) as whole:
         whole.mkdir()
         require_space(out, _LEAST_BYTES)
@@ -98,17 +100,15 @@ def run_entries(
     print(f"Wrote {out}: {len(able)} entries on {len(stacks)} stacks.")
 
 
-def _frames(folder: Path, exposure: str) -> Iterable[Frame]:
-    return open_source(folder, exposure=exposure)
-
-
 def measure_stack(
     stack: SetStack,
     name: str,
     made: Entry,
     *,
     distances: bool = True,
-    frames: Callable[[Path, str], Iterable[Frame]] = _frames,
+    frames: Callable[[Path, str], Iterable[Frame]] = lambda folder, exposure: open_source(
+        folder, exposure=exposure
+    ),
 ) -> Iterable[Answers]:
     """The answers of an entry on a stack, one sequence for each exposure.
 
@@ -121,41 +121,27 @@ def measure_stack(
     beam = true_beam(opened)
     ranger = Ranger(beam, microscope) if distances and not made.own_distance else None
     for exposure in exposures_of(opened):
-        made.begin(Recording.of(microscope, beam, opened.exposed(exposure)[0]))
+        first = opened.exposed(exposure)[0]
+        made.begin(microscope, beam, (first.half_max_x_px, first.half_max_y_px))
         records, seconds = [], []
         for frame in frames(stack.folder, exposure):
             began = time.process_time() + made.seconds_elsewhere
-            answer = made.read(frame)
+            result, found = made.read(frame)
             seconds.append(time.process_time() + made.seconds_elsewhere - began)
-            records.append(_record(frame, name, answer, ranger))
+            if ranger is not None and isinstance(result, Spot):
+                found = ranger.distance(result, frame=frame.image, exposure_s=frame.exposure_s)
+            records.append(
+                SpotRecord(
+                    frame=frame.index,
+                    file_name=frame.file_name,
+                    time_s=frame.time_s,
+                    mode=name,
+                    result=result,
+                    distance_mm=found.distance_mm if found else math.nan,
+                    sigma_distance_mm=found.sigma_mm if found else math.nan,
+                )
+            )
         yield Answers(name, exposure, records, seconds)
-
-
-def _record(frame: Frame, name: str, answer: Answer, ranger: Ranger | None) -> SpotRecord:
-    found: Range | None = answer.range
-    if ranger is not None and isinstance(answer.result, Spot):
-        found = ranger.distance(answer.result, frame=frame.image, exposure_s=frame.exposure_s)
-    return SpotRecord(
-        frame=frame.index,
-        file_name=frame.file_name,
-        time_s=frame.time_s,
-        mode=name,
-        result=answer.result,
-        distance_mm=found.distance_mm if found else math.nan,
-        sigma_distance_mm=found.sigma_mm if found else math.nan,
-    )
-
-
-def _able(entries: Sequence[str]) -> list[str]:
-    able = []
-    for name in entries:
-        if reason := unavailable(name):
-            print(f"{name} is left out: {reason}", file=sys.stderr)
-        else:
-            able.append(name)
-    if not able:
-        raise InputError("none of the entries can run on this machine. Name another --entry.")
-    return able
 
 
 def _measured(
@@ -229,11 +215,6 @@ def read_constants(path: Path = CONSTANTS) -> Constants:
             raise InputError(f"not a file of `eyespot rivals tune` ({error}).") from error
 
 
-def write_constants(path: Path, entries: dict[str, Any], origin: dict[str, Any]) -> None:
-    """Write constants with their origin: the command, the set, the frames, the versions."""
-    write_json(path, {"schema": SCHEMA, **origin, "entries": entries})
-
-
 # Chooses the free constants of the entries on the split `train`, one constant after another.
 #
 # The cost of a frame is the error of the semi-minor axis, at most ten pixels, which is also the
@@ -250,8 +231,6 @@ def tune(folder: Path, out: Path, *, entries: Sequence[str], every: int, workers
     """Choose the constants and write them with their costs.
 
     Args:
-        folder: a set with a split train.
-        out: new file.
         entries: names in `KINDS`; those without free constants, or that cannot run, are skipped.
         every: one stack of so many is used.
 
@@ -280,7 +259,7 @@ def tune(folder: Path, out: Path, *, entries: Sequence[str], every: int, workers
             "stacks": [f"{entry.split}/{entry.name}" for entry in stacks],
             "versions": versions(),
         }
-        write_constants(partial, found, origin)
+        write_json(partial, {"schema": SCHEMA, **origin, "entries": found})
     print(f"Wrote {out}.")
 
 

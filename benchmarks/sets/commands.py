@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
 
+from estimator.run import OUT
 from optics import InputError, in_file, shortened
 from scenes.description import Changes
 
@@ -20,7 +21,7 @@ def make(
     spec: str,
     /,
     *,
-    out: Path | None = None,
+    out: Annotated[Path | None, OUT] = None,
     workers: PositiveInt | None = None,
     scheduler: str | None = None,
     shard: Annotated[str | None, Parameter(metavar="I/N")] = None,
@@ -41,12 +42,12 @@ def make(
         dry_run: Print the number of frames, size and time; render nothing.
     """
     from benchmarks.sets import make as cluster
-    from benchmarks.sets.make import estimate, rendered_set
+    from benchmarks.sets.make import check, estimate, rendered_set
     from benchmarks.sets.spec import load_spec, plan
 
     settings, part = load_spec(spec, changes), _shard(shard)
     with in_file(shortened(spec)[1:-1]):
-        planned = part.of(plan(settings))
+        planned = part.of(plan(settings, check) if dry_run else plan(settings))
     if scheduler is not None and workers is not None:
         raise InputError(
             "--workers starts processes on this machine, but --scheduler has its own workers. Give "

@@ -226,31 +226,30 @@ class _Enough(Exception):
 
 
 def estimate(planned: Sequence[PlannedStack]) -> Estimate:
-    """Check every scene, render a few frames of each condition, and scale up.
+    """Render a few frames of each condition, and scale up.
 
     One stack per condition is tried, and one without condition. Processor time is measured, because
     it hardly depends on other processes.
 
     Args:
         planned: the stacks of the set or of a shard.
-
-    Raises:
-        SetError: some scenes cannot be rendered; the message lists them with the reasons.
     """
-    images = image_counts(planned)
     groups: dict[str | None, list[PlannedStack]] = {}
     for stack in planned:
         groups.setdefault(stack.condition, []).append(stack)
     size = seconds = 0.0
-    tried = 0
+    images = tried = 0
     for stacks in groups.values():
         _Trial.of(stacks[-1].scene, images=1)  # compiles kernels, which a worker does once
         trial = _Trial.of(stacks[0].scene, images=_TIMED)
-        counts = [images[stack.split, stack.name] for stack in stacks]
+        counts = [
+            scenes.frame_count(stack.scene) * len(stack.scene.exposures.kinds) for stack in stacks
+        ]
         seconds += sum(trial.first_s + (count - 1) * trial.next_s for count in counts)
-        size += sum(count * trial.image_bytes for count in counts)
+        images += sum(counts)
+        size += sum(counts) * trial.image_bytes
         tried += trial.images
-    return Estimate(len(planned), sum(images.values()), size, seconds, tried)
+    return Estimate(len(planned), images, size, seconds, tried)
 
 
 class _Trial(NamedTuple):
@@ -282,28 +281,6 @@ class _Trial(NamedTuple):
             written = sum(path.parent.name == "frames" for path in files)
         later = max(len(moments) - 1, 1)
         return cls(len(moments), moments[0] - begin, rest / later, size / max(written, 1))
-
-
-def image_counts(planned: Sequence[PlannedStack]) -> dict[tuple[str, str], int]:
-    """Number of images of every stack, by split and name, after a check of its geometry.
-
-    Raises:
-        SetError: some scenes cannot be rendered; the message lists them with the reasons.
-    """
-    found, problems = {}, []
-    for stack in planned:
-        try:
-            world = World(stack.scene)
-            world.check()
-        except scenes.SceneError as error:
-            problems.append(f"{stack.split}/{stack.name}: {error}")
-            continue
-        exposures = len(stack.scene.exposures.kinds)
-        found[stack.split, stack.name] = world.times.size * exposures
-    if problems:
-        problems.append("Nothing was rendered. Narrow the distributions, or change the seed.")
-        raise SetError("\n".join(problems))
-    return found
 
 
 # Uploads a set to a repository of the Hugging Face Hub.
@@ -386,6 +363,15 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _BETWEEN_TRIES_S = 1.0
 
 
+def check(scene: scenes.Scene) -> None:
+    """Refuse a scene that cannot be rendered.
+
+    Raises:
+        SceneError: with the reason.
+    """
+    World(scene).check()
+
+
 def make_set(
     spec: SetSpec,
     out: Path,
@@ -395,6 +381,8 @@ def make_set(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> LabelledSet:
     """Render the missing stacks of a set; the run that renders the last stack completes the set.
+
+    Impossible scenes are found before anything is rendered, and drawn again.
 
     Args:
         spec: the spec of the set.
@@ -407,16 +395,17 @@ def make_set(
         The set. It is complete unless stacks of other shards are missing (`LabelledSet.missing`).
 
     Raises:
-        SetError: `out` contains something else, or some scenes cannot be rendered; then none is.
+        SetError: `out` contains something else.
         InputError: the disk has too little space.
         OSError: the disk is full or cannot be written; what is done is kept.
-        SceneError: a scene key is unknown or a drawn value impossible; nothing is rendered.
+        SceneError: see `plan`.
     """
     out = Path(out).absolute()
-    planned = plan(spec)
+    planned = plan(spec, check)
+    if redrawn := sum(stack.redrawn > 0 for stack in planned):
+        say(f"{redrawn} of {len(planned)} stacks are drawn again; their scenes were impossible.")
     share = shard.of(planned)
     missing = [stack for stack in share if not _folder(out, stack).is_dir()]
-    image_counts(missing)  # before anything is written: a set without some of its stacks is no use
     _claim(out, spec, planned)
     progress(len(share) - len(missing), len(share))
     if missing:

@@ -97,20 +97,26 @@ class LabelledSet:
 
 
 class _StackRow(Strict):
-    split: Literal["train", "validation", "test", "adverse", "unseen"]
-    name: Annotated[str, Field(pattern=FOLDER_NAME)]
-    condition: Annotated[str, Field(pattern=FOLDER_NAME)] | None
-    pair: Annotated[str, Field(pattern=FOLDER_NAME)] | None = None
-    parameters: dict[str, Any]
+    split: Literal["train", "validation", "test", "adverse", "unseen"] = Field(
+        description="One of the splits."
+    )
+    name: Annotated[str, Field(pattern=FOLDER_NAME)] = Field(description="Of the stack's folder.")
+    condition: Annotated[str, Field(pattern=FOLDER_NAME)] | None = Field(
+        description="Of an adverse stack; null otherwise."
+    )
+    pair: Annotated[str, Field(pattern=FOLDER_NAME)] | None = Field(
+        None, description="What distinguishes the stack from its partner."
+    )
+    parameters: dict[str, Any] = Field(description="What was drawn for the stack, by scene key.")
 
 
 class _SetFile(Strict):
     model_config = ConfigDict(extra="ignore")  # what describes the set as a whole
 
     schema_: Annotated[int, Field(alias="schema")]
-    name: str
-    licence: str
-    stacks: list[_StackRow]
+    name: str = Field(description="Of the set.")
+    licence: str = Field(description="Of images and labels (SPDX name).")
+    stacks: list[_StackRow] = Field(description="The stacks of the set.")
 
 
 def read_set(folder: Path) -> LabelledSet:

@@ -28,7 +28,7 @@ exposures.sensitivity_mm2_sr_mj = 2000.0
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -190,9 +190,9 @@ class _Table(BaseModel):
 class Splits(_Table):
     """Number of stacks in each split."""
 
-    train: _Count = 0
-    validation: _Count = 0
-    test: _Count = 0
+    train: _Count = Field(0, description="Number of stacks.")
+    validation: _Count = Field(0, description="Number of stacks.")
+    test: _Count = Field(0, description="Number of stacks.")
 
 
 class Adverse(_Table):
@@ -209,31 +209,28 @@ class Adverse(_Table):
 class Unseen(_Table):
     """The split that shows what no other split shows, such as walls of another generator."""
 
-    stacks: _Count
+    stacks: _Count = Field(description="Number of stacks.")
     changes: _Changes = Field(min_length=1, description="Values or distributions.")
 
 
 class SetSpec(_Table):
-    """The spec of a labelled set.
+    """The spec of a labelled set."""
 
-    Attributes:
-        vary: distributions by dotted scene key.
-        adverse: None if the set has no such split.
-        unseen: None if the set has no such split.
-        pairs: values by the name that ends the names of the partners' folders; None without any.
-    """
-
-    schema_version: Literal[1] = Field(1, alias="schema")
-    name: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]{0,99}$")
-    description: str
+    schema_version: Literal[1] = Field(1, alias="schema", description="Version of the format.")
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]{0,99}$", description="Of the set.")
+    description: str = Field(description="For the data card.")
     licence: str = Field("CC-BY-4.0", description="Licence of the images and labels (SPDX name).")
-    seed: int = Field(ge=0, lt=2**40)
-    splits: Splits = Splits()
-    scene: Annotated[dict[str, Any], BeforeValidator(_dotted)] = {}
-    vary: _Changes = {}
-    adverse: Adverse | None = None
-    unseen: Unseen | None = None
-    pairs: dict[_Condition, Annotated[dict[str, Any], BeforeValidator(_dotted)]] | None = None
+    seed: int = Field(ge=0, lt=2**40, description="Of everything that is drawn.")
+    splits: Splits = Field(Splits(), description="Stacks of train, validation and test.")
+    scene: Annotated[dict[str, Any], BeforeValidator(_dotted)] = Field(
+        {}, description="Values common to all stacks, by scene key; or a scene file."
+    )
+    vary: _Changes = Field({}, description="Distributions by scene key, drawn anew for each stack.")
+    adverse: Adverse | None = Field(None, description="A split with difficult conditions.")
+    unseen: Unseen | None = Field(None, description="A split that differs from all others.")
+    pairs: dict[_Condition, Annotated[dict[str, Any], BeforeValidator(_dotted)]] | None = Field(
+        None, description="Every stack again with these values, by the end of the partner's name."
+    )
 
     @model_validator(mode="after")
     def _is_possible(self) -> SetSpec:
@@ -334,6 +331,8 @@ def _siblings(path: list[str]) -> list[str]:
 _MOST_STACKS = 2**20
 """Largest number of stacks in a set; with it, the seeds of two sets never overlap."""
 
+_MOST_DRAWS = 16  # if one of two draws is possible, one of 65,536 stacks has none
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedStack:
@@ -345,6 +344,7 @@ class PlannedStack:
         pair: name of the pair whose partner this stack is, else None. The other stack has the name
             without the pair's, the same draws and the same seeds.
         parameters: values of the scene keys that vary within the set, by dotted name.
+        redrawn: number of draws before this one that gave an impossible scene.
     """
 
     split: str
@@ -353,6 +353,7 @@ class PlannedStack:
     pair: str | None
     scene: Scene
     parameters: dict[str, Any]
+    redrawn: int
 
 
 class _Group(NamedTuple):
@@ -371,15 +372,20 @@ class _Group(NamedTuple):
         return self.vary | self.condition_changes
 
 
-def plan(spec: SetSpec) -> list[PlannedStack]:
+def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> list[PlannedStack]:
     """The stacks of a set, in order.
 
     Every group of stacks uses its own block of one scrambled Sobol sequence (Owen 1998; Sobol
     1967). The length of a block is a power of two, so each block covers the distributions evenly.
-    The n-th point of the sequence has the n-th seed.
+    The n-th point of the sequence has the n-th seed. A stack with an impossible scene is drawn
+    again, at random.
+
+    Args:
+        check: raises SceneError for a scene that is impossible.
 
     Raises:
-        SceneError: a key is unknown, or a drawn scene is invalid.
+        SceneError: a key is unknown, or all draws of a stack are impossible; the error of the
+            first.
     """
     groups = list(_groups(spec))
     block = 2 ** math.ceil(math.log2(max(1, *(group.stacks for group in groups))))
@@ -395,21 +401,36 @@ def plan(spec: SetSpec) -> list[PlannedStack]:
     pairs = spec.pairs or {}
     of_pairs = {key for values in pairs.values() for key in values}
     labelled = sorted({key for group in groups for key in group.changes} | of_pairs)
-    return [
-        _planned(
-            group,
-            index,
-            pair,
-            values,
-            quantiles=dict(zip(drawn, points[number * block + index], strict=True)),
-            seed=spec.seed * _MOST_STACKS + number * block + index,
-            base=spec.scene,
-            labelled=labelled,
-        )
-        for number, group in enumerate(groups)
-        for index in range(group.stacks)
-        for pair, values in ((None, {}), *pairs.items())
-    ]
+    planned = []
+    for number, group in enumerate(groups):
+        for index in range(group.stacks):
+            place = number * block + index
+            point, impossible = points[place], list[SceneError]()
+            for redrawn in range(_MOST_DRAWS if drawn else 1):
+                try:
+                    planned += [
+                        _planned(
+                            group,
+                            index,
+                            pair,
+                            values,
+                            quantiles=dict(zip(drawn, point, strict=True)),
+                            seed=spec.seed * _MOST_STACKS + place,
+                            base=spec.scene,
+                            labelled=labelled,
+                            check=check,
+                            redrawn=redrawn,
+                        )
+                        for pair, values in ((None, {}), *pairs.items())
+                    ]
+                    break
+                except SceneError as error:
+                    impossible.append(error)
+                    random = np.random.default_rng((spec.seed, place, redrawn))
+                    point = random.random(len(drawn))
+            else:
+                raise impossible[0]
+    return planned
 
 
 def _groups(spec: SetSpec) -> Iterator[_Group]:
@@ -440,6 +461,8 @@ def _planned(
     seed: int,
     base: dict[str, Any],
     labelled: list[str],
+    check: Callable[[Scene], None],
+    redrawn: int,
 ) -> PlannedStack:
     def drawn(changes: dict[str, Any]) -> dict[str, Any]:
         return {
@@ -455,9 +478,10 @@ def _planned(
             scene = changed(
                 scene, dict(sorted(values.items(), key=lambda v: v[0] != "motion.kind"))
             )
+        scene = changed(scene, {key: seed for key in SEED_KEYS if _value(scene, key) is not None})
+        check(scene)
     except SceneError as error:
         raise SceneError(f"{group.split}/{name}: {error}") from error
-    scene = changed(scene, {key: seed for key in SEED_KEYS if _value(scene, key) is not None})
     return PlannedStack(
         split=group.split,
         name=name,
@@ -465,6 +489,7 @@ def _planned(
         pair=pair,
         scene=scene,
         parameters={key: _value(scene, key) for key in labelled},
+        redrawn=redrawn,
     )
 
 

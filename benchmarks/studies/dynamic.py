@@ -30,6 +30,7 @@ from benchmarks.paper import (
     SUBPIXEL,
     VISIBLE_ENOUGH,
     Way,
+    first_reached,
     largest,
     mean,
     rms,
@@ -49,10 +50,10 @@ from benchmarks.reporting import (
     Report,
     Section,
     Table,
-    grouped,
     number,
     rows_of,
     small_multiples,
+    where,
 )
 from benchmarks.study import Changes, LightSource, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
@@ -117,7 +118,6 @@ def sensitivity(rest: Stack, scene: Scene, way: Way, *, exposure_s: float) -> fl
         rest: of `at_rest(scene)`.
         scene: whose sensitivity the stack was exposed with.
         way: of measuring; "metered" exposures differ with the distance.
-        exposure_s: asked for.
     """
     rows = rest.exposed(way.exposure)
     there = min(rows, key=lambda row: abs(row.d_mm - _MEAN_DISTANCE_MM))
@@ -182,11 +182,6 @@ def _with_motion(scene: Scene, kind: str, path: dict[str, float | int]) -> Scene
     return scenes.changed(scene, changes)
 
 
-def nearest_speed(speed: float, speeds: Sequence[float]) -> float:
-    """The one of the study's speeds that a frame counts for."""
-    return min(speeds, key=lambda s: (math.fabs(s - speed), s))
-
-
 # What a moving tip adds to the error of a distance, part by part.
 #
 # The estimate from a frame is compared with the robot's reading, the distance along the beam at the
@@ -225,8 +220,6 @@ def parts(*, estimate: float, frozen: float, d: float, stamped: float, late: flo
     """Split an error; all in mm.
 
     Args:
-        estimate: from the frame as it is.
-        frozen: from the frame without blur.
         d: true, in the middle of the exposure.
         stamped: the robot's reading of the pose with that stamp.
         late: of the pose that is taken for the frame's.
@@ -238,8 +231,6 @@ def reading(poses: PoseTrack, time_s: float, wall: optics.Surface) -> float:
     """The distance by the robot, from the pose that was known at a time.
 
     Args:
-        poses: as the robot stamped them.
-        time_s: at which they are looked up.
         wall: of the eye, which the robot is given.
 
     Returns:
@@ -264,7 +255,6 @@ def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
 
     Args:
         rest: of `dynamic_trials.at_rest(scene)`.
-        scene: of the study, with its source.
         spots_file: file to write, with the spots that k and b come from.
 
     Raises:
@@ -273,11 +263,12 @@ def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
     microscope = read_microscope(rest.folder / "microscope.json")
     if way is not LITERAL:
         return Ranger(true_calibration(scene), microscope)
-    tracked = track_stack(rest, way, spots_file=spots_file)
+    spots = track_stack(rest, way, spots_file=spots_file)
+    used = spots[spots.used]
     values = small_plane_line(
-        semi_minor_px=tracked.semi_minor_px,
-        phi=np.array([row.phi_rad for row in tracked.used_labels]),
-        distance=np.array([row.d_mm for row in tracked.used_labels]),
+        semi_minor_px=used.semi_minor_px.to_numpy(),
+        phi=used.phi_rad.to_numpy(),
+        distance=used.d_mm.to_numpy(),
         microscope=microscope,
     )
     found = study_calibration(
@@ -297,7 +288,6 @@ def small_plane_line(
         semi_minor_px: e1', px.
         phi: asin(c/r) of the spots, rad.
         distance: d, mm.
-        microscope: has delta and r.
 
     Raises:
         InputError: fewer than 3 spots, or all of one size.
@@ -386,22 +376,16 @@ def spreads(errors: pd.DataFrame, speeds: tuple[float, ...]) -> pd.DataFrame:
     `left_out` is the number of frames without an estimate.
     """
     keys = ["source", "motion", "way", "speed_mm_s", "latency_s"]
-    near = [nearest_speed(speed, speeds) for speed in errors.speed_mm_s]
-    rows = []
-    for key, group in sorted(grouped(errors.assign(speed_mm_s=near), *keys), key=lambda of: of[0]):
-        used = group[group.doubt == ""]
-        columns = {name: used[f"{name}_mm"] for name in ("error", *PARTS)}
-        sizes = {f"rms_{name}_mm": rms(values) for name, values in columns.items()}
-        means = {f"mean_{name}_mm": mean(values) for name, values in columns.items()}
-        first = sizes.pop("rms_error_mm")
-        rows.append(
-            dict(zip(keys, key, strict=True))
-            | {"spots": len(used), "left_out": len(group) - len(used), "rms_error_mm": first}
-            | {"largest_error_mm": largest(columns["error"])}
-            | sizes
-            | means
-        )
-    return pd.DataFrame(rows)
+    counts_for = [min(speeds, key=lambda s: (abs(s - speed), s)) for speed in errors.speed_mm_s]
+    frames = errors.assign(speed_mm_s=counts_for, left_out=errors.doubt != "")
+    by = frames.groupby(keys)
+    columns = [f"{name}_mm" for name in ("error", *PARTS)]
+    used = frames[columns].where(~frames.left_out).groupby([frames[key] for key in keys])
+    sizes, means = used.agg(rms).add_prefix("rms_"), used.agg(mean).add_prefix("mean_")
+    sizes.insert(1, "largest_error_mm", used.error_mm.agg(largest))
+    left_out = by.left_out.sum()
+    counts = pd.DataFrame({"spots": by.size() - left_out, "left_out": left_out})
+    return pd.concat([counts, sizes, means], axis=1).reset_index()
 
 
 def speed_at(rows: pd.DataFrame, limit_mm: float) -> float:
@@ -412,16 +396,8 @@ def speed_at(rows: pd.DataFrame, limit_mm: float) -> float:
     known = rows.dropna(subset="rms_error_mm").sort_values("speed_mm_s") if len(rows) else rows
     if known.empty:
         return math.nan
-    errors = np.array([rms(known.rms_rest_mm), *known.rms_error_mm])
-    speeds = np.array([0.0, *known.speed_mm_s])
-    reached = np.flatnonzero(errors >= limit_mm)
-    if not reached.size:
-        return math.nan
-    n = reached[0]
-    if n == 0:
-        return 0.0
-    share = (limit_mm - errors[n - 1]) / (errors[n] - errors[n - 1])
-    return float(speeds[n - 1] + share * (speeds[n] - speeds[n - 1]))
+    sizes = [rms(known.rms_rest_mm), *known.rms_error_mm]
+    return first_reached([0.0, *known.speed_mm_s], sizes, limit_mm)
 
 
 SPEEDS_MM_S = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
@@ -437,12 +413,8 @@ class DynamicFindings:
     """All results of a run.
 
     Attributes:
-        scene: the study's.
         exposure_ms: at the mean distance.
         sources: kinds of light that were seen moving.
-        speeds: mm/s.
-        errors: every frame at every latency.
-        spreads: by speed.
     """
 
     scene: Scene
@@ -459,9 +431,8 @@ class DynamicFindings:
 
     def by_speed(self, source: str, motion: str, way: str, latency_s: float) -> pd.DataFrame:
         """Rows that differ in the speed only, in its order."""
-        of = self.spreads
-        here = (of.source == source) & (of.motion == motion) & (of.way == way)
-        return of[here & (of.latency_s == latency_s)].sort_values("speed_mm_s")
+        of = where(self.spreads, source=source, motion=motion, way=way, latency_s=latency_s)
+        return of.sort_values("speed_mm_s")
 
     def speed_limits(self, source: str, motion: str, way: str) -> list[float]:
         """Speed at which the RMS error is no longer acceptable, by latency, mm/s; NaN if none."""
@@ -532,7 +503,6 @@ _WAY_COLOURS = {LITERAL: VERMILION, SUBPIXEL: BLUE}
 _PART_COLOURS = dict(zip(PARTS, (GREY, ORANGE, GREEN, PURPLE), strict=True))
 _SPEED = "speed of the tip (mm/s)"
 _DASHES = dict(zip(LATENCIES_S, ("-", "--", ":"), strict=True))
-_MARKS = dict(zip(MOTIONS, ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^")), strict=True))
 _LEAST_MM = 1e-3
 """Smaller errors are drawn at the foot of a logarithmic axis."""
 
@@ -564,23 +534,6 @@ def parts_by_speed(findings: DynamicFindings, *, way: str) -> Figure:
         axes.plot(x, rows.rms_error_mm, color=BLACK, ls="--", label="error")
 
     return _by_source_and_motion(findings, draw, y="RMS (mm)")
-
-
-def frame_by_frame(findings: DynamicFindings) -> Figure:
-    """Error of every frame with stamped poses against the tip's speed in it."""
-    stamped = findings.stamped
-
-    def draw(axes: Axes, source: str, way: str) -> None:
-        axes.axhline(0, color=GREY, lw=0.8)
-        for motion, (colour, marker) in _MARKS.items():
-            here = stamped[(stamped.source == source) & (stamped.motion == motion)]
-            here = here[(here.way == way) & (here.doubt == "")]
-            x, y = here.speed_mm_s, here.error_mm
-            axes.plot(x, y, ls="", marker=marker, ms=3, color=colour, label=motion)
-
-    ways = [way.name for way in COMPARED]
-    rows = findings.sources
-    return small_multiples(draw, rows=rows, columns=ways, x=_SPEED, y="error (mm)", sharex=True)
 
 
 def _by_source_and_motion(
@@ -617,6 +570,7 @@ _PAPERS_SPEED_MM_S = 1.5
 
 def report(findings: DynamicFindings) -> Report:
     """The report of a run."""
+    late = f"{1000 * LATENCIES_S[-1]:g} ms late"
     return Report(
         title="How wrong is the distance while the tip moves, and why?",
         answer=_answer(findings),
@@ -624,7 +578,35 @@ def report(findings: DynamicFindings) -> Report:
         "the beam, across the wall and as a hand moves it, against the robot's readings.",
         first=_first(findings),
         claims=list(_claims(findings)),
-        sections=[_speeds(findings), _parts(findings), _frames(findings)],
+        sections=[
+            Section(
+                "Error against speed",
+                "Withdrawal is along the beam; scan is across the wall at one distance; hand is a "
+                "hand's slow motion with the tremor that remains on a robot. Each frame counts "
+                "for the listed speed that is nearest to the tip's own. Literal mode has the "
+                "paper's model with k and b from a withdrawal at rest; sub-pixel mode has the "
+                "true source.",
+            ),
+            Section(
+                "Blur and time",
+                "Every motion is rendered twice: as it is, and with exposures too short for blur "
+                "but the same poses, brightness and noise. So each frame's error is the sum of "
+                "four parts. Rest: the error of the estimate from the frame without blur. Blur: "
+                "the change of the estimate by the exposure. Stamps: the age of the robot's "
+                "latest pose and its clock's errors. Latency: how far the robot has moved before "
+                "a pose without a stamp is read. While the tip withdraws at speed v, a pose late "
+                "by L adds −vL.",
+                *(
+                    Picture(
+                        f"parts_{name}",
+                        parts_by_speed(findings, way=way.name),
+                        f"RMS of the parts, {way.name}, with poses {late}.",
+                        data="dynamic_spread.csv",
+                    )
+                    for name, way in (("literal", LITERAL), ("subpixel", SUBPIXEL))
+                ),
+            ),
+        ],
         data={
             "dynamic_error.csv": findings.errors,
             "dynamic_spread.csv": findings.spreads,
@@ -646,7 +628,7 @@ def _claims(findings: DynamicFindings) -> Iterator[Claim]:
 
 
 def _requirement(findings: DynamicFindings, source: str) -> Claim:
-    rows = _stamped(findings, source, SUBPIXEL.name)
+    rows = where(findings.stamped, source=source, way=SUBPIXEL.name)
     used = rows[rows.doubt == ""]
     return Claim(
         name=f"{source}, requirement",
@@ -708,7 +690,7 @@ def _largest_part(findings: DynamicFindings, source: str, way: str) -> Iterator[
 def _papers_speed(findings: DynamicFindings, source: str) -> Iterator[Claim]:
     """The delay or the blur that alone would explain the paper's error."""
     delay = ACCEPTABLE_ERROR_MM / _PAPERS_SPEED_MM_S
-    rows = _stamped(findings, source, LITERAL.name)
+    rows = where(findings.stamped, source=source, way=LITERAL.name)
     scans = rows[(rows.motion == "scan") & rows.blur_mm.notna()]
     if scans.empty:
         return
@@ -736,7 +718,7 @@ def _papers_speed(findings: DynamicFindings, source: str) -> Iterator[Claim]:
 
 def _answer(findings: DynamicFindings) -> str:
     source = findings.sources[-1]
-    used = _stamped(findings, source, SUBPIXEL.name)
+    used = where(findings.stamped, source=source, way=SUBPIXEL.name)
     own = largest(used.error_mm[used.doubt == ""])
     late = findings.by_speed(source, "withdrawal", SUBPIXEL.name, LATENCIES_S[-1])
     last = late[late.speed_mm_s == findings.speeds[-1]]
@@ -750,8 +732,8 @@ def _answer(findings: DynamicFindings) -> str:
 
 def _first(findings: DynamicFindings) -> list[Picture | Table]:
     source = findings.sources[-1]
-    of, top = findings.spreads, findings.speeds[-1]
-    fastest = of[(of.source == source) & (of.speed_mm_s == top)]
+    top = findings.speeds[-1]
+    fastest = where(findings.spreads, source=source, speed_mm_s=top)
     late = (1000 * fastest.latency_s).map("{:g} ms late".format)
     table = fastest.assign(late=late).pivot(
         index=["motion", "way"], columns="late", values="rms_error_mm"
@@ -772,103 +754,6 @@ def _first(findings: DynamicFindings) -> list[Picture | Table]:
             data="dynamic_spread.csv",
         ),
     ]
-
-
-def _speeds(findings: DynamicFindings) -> Section:
-    rows = [
-        (source, motion, way.name, *findings.speed_limits(source, motion, way.name))
-        for source in findings.sources
-        for motion in MOTIONS
-        for way in COMPARED
-    ]
-    latencies = [Column(f"{1000 * latency:g} ms late", 2) for latency in LATENCIES_S]
-    return Section(
-        "Error against speed",
-        "Withdrawal is along the beam; scan is across the wall at one distance; hand is a hand's "
-        "slow motion with the tremor that remains on a robot. Each frame counts for the listed "
-        "speed that is nearest to the tip's own. Literal mode has the paper's model with k and b "
-        "from a withdrawal at rest; sub-pixel mode has the true source.",
-        Table(
-            [Column("source"), Column("motion"), Column("way"), *latencies],
-            rows,
-            f"Speed in mm/s at which the RMS error reaches {ACCEPTABLE_ERROR_MM:g} mm. A dash: not "
-            f"up to {findings.speeds[-1]:g} mm/s, or there is no estimate.",
-            data="dynamic_spread.csv",
-        ),
-    )
-
-
-def _parts(findings: DynamicFindings) -> Section:
-    late = f"{1000 * LATENCIES_S[-1]:g} ms late"
-    shown = (_PAPERS_SPEED_MM_S, findings.speeds[-1])
-    of = findings.spreads
-    latest = of[(of.latency_s == LATENCIES_S[-1]) & of.speed_mm_s.isin(shown)]
-    return Section(
-        "Blur and time",
-        "Every motion is rendered twice: as it is, and with exposures too short for blur but the "
-        "same poses, brightness and noise. So each frame's error is the sum of four parts. Rest: "
-        "the error of the estimate from the frame without blur. Blur: the change of the estimate "
-        "by the exposure. Stamps: the age of the robot's latest pose and its clock's errors. "
-        "Latency: how far the robot has moved before a pose without a stamp is read. While the tip "
-        "withdraws at speed v, a pose late by L adds −vL.",
-        *(
-            Picture(
-                f"parts_{name}",
-                parts_by_speed(findings, way=way.name),
-                f"RMS of the parts, {way.name}, with poses {late}.",
-                data="dynamic_spread.csv",
-            )
-            for name, way in (("literal", LITERAL), ("subpixel", SUBPIXEL))
-        ),
-        Table.of(
-            latest,
-            {
-                "source": Column("source"),
-                "motion": Column("motion"),
-                "way": Column("way"),
-                "speed_mm_s": Column("mm/s", 1),
-                "spots": Column("spots"),
-                "left_out": Column("left out"),
-                "rms_error_mm": Column("error"),
-                **{f"rms_{part}_mm": Column(part) for part in PARTS},
-            },
-            f"RMS in mm of the error and of its parts ({', '.join(PARTS)}), with poses {late}.",
-            data="dynamic_spread.csv",
-        ),
-    )
-
-
-def _frames(findings: DynamicFindings) -> Section:
-    rows = []
-    for source in findings.sources:
-        for way in COMPARED:
-            here = _stamped(findings, source, way.name)
-            reasons = _reasons(here)
-            why = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
-            times = 1000 * here.exposure_s
-            lost = sum(reasons.values())
-            rows.append((source, way.name, len(here), lost, why, times.min(), times.max()))
-    headings = ("source", "way", "frames", "left out", "why", "shortest, ms", "longest, ms")
-    return Section(
-        "Frames",
-        Picture(
-            "frames",
-            frame_by_frame(findings),
-            "Every estimate that counts, with stamped poses.",
-            data="dynamic_error.csv",
-        ),
-        Table(
-            [Column(heading, 1) for heading in headings],
-            rows,
-            "Frames, those without an estimate that counts, and the range of the exposures.",
-            data="dynamic_error.csv",
-        ),
-    )
-
-
-def _stamped(findings: DynamicFindings, source: str, way: str) -> pd.DataFrame:
-    rows = findings.stamped
-    return rows[(rows.source == source) & (rows.way == way)]
 
 
 def _reasons(rows: pd.DataFrame) -> dict[Any, int]:

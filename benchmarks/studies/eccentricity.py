@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,19 +28,16 @@ from scipy.stats import qmc
 import optics
 import scenes
 from benchmarks.model_error import (
-    ACCURACY,
     ECCENTRICITY,
     MODEL_COLOURS,
     MODEL_ERROR,
     SHOWN,
     Geometry,
-    accuracy,
     degrees,
     geometry_of,
     largest_errors,
     limit_eccentricity,
     measured_errors,
-    model_error_figure,
     model_errors,
     pinhole_title,
     refitted_errors,
@@ -48,7 +46,6 @@ from benchmarks.model_error import (
 from benchmarks.paper import (
     MICROSCOPE_MM,
     SUBPIXEL,
-    Tracked,
     largest,
     require_roomy_eyeball,
     track_stack,
@@ -72,6 +69,7 @@ from benchmarks.reporting import (
     number,
     rows_of,
     small_multiples,
+    where,
 )
 from benchmarks.studies import error_causes
 from benchmarks.studies.error_causes import (
@@ -83,7 +81,6 @@ from benchmarks.studies.error_causes import (
     spread_length,
 )
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from estimator import Stack
 from estimator.files import written_whole
 from scenes import Scene
 
@@ -107,32 +104,16 @@ BLOCK = 1 << 14
 
 _BATCH = 512
 
-_FIRST_NUMBER = MODEL_ERROR.index("c_mm")
+_NUMBERS = MODEL_ERROR[MODEL_ERROR.index("c_mm") :]
+_DIGITS = {name: "{:.6g}" for name in _NUMBERS} | {"estimate_mm": "{:.6f}", "error_mm": "{:.6f}"}
+"""Of the numbers in model_error.csv."""
 
 
-class Block(NamedTuple):
-    """Geometries and the errors there; arrays of n.
+def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Iterator[pd.DataFrame]:
+    """Geometries that fill the space evenly, a row each, with the estimate of every model in mm.
 
-    Attributes:
-        axes: by the names of `AXES`.
-        pinhole: number of the pinhole in `PINHOLES`.
-        apex_offset_mm: b; the spot at contact keeps the scene's size whatever the cone's angle.
-        estimates: by model, mm.
-    """
-
-    axes: dict[str, np.ndarray]
-    pinhole: np.ndarray
-    z_f_mm: np.ndarray
-    apex_offset_mm: np.ndarray
-    estimates: dict[str, np.ndarray]
-
-    def error(self, model: str) -> np.ndarray:
-        """Estimate - truth, mm."""
-        return self.estimates[model] - self.axes["d_mm"]
-
-
-def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Iterator[Block]:
-    """Geometries that fill the space evenly, with the estimates of all models.
+    Besides `AXES`, columns are pinhole (of `PINHOLES`), z_f_mm, and apex_offset_mm, such that the
+    spot at contact keeps the scene's size whatever the cone's angle.
 
     Args:
         count: of geometries, rounded up to whole blocks.
@@ -144,132 +125,67 @@ def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Ite
     size = min(BLOCK, 1 << (count - 1).bit_length())
     for _ in range(-(-count // size)):
         unit = engine.random(size)
-        axes = dict(zip(AXES, (low + (high - low) * unit[:, :-1]).T, strict=True))
+        found = pd.DataFrame(low + (high - low) * unit[:, :-1], columns=list(AXES))
         pinhole = np.minimum(unit[:, -1] * len(PINHOLES), len(PINHOLES) - 1).astype(int)
-        r = axes["r_mm"]
-        z_f = np.choose(pinhole, [0.0 * r, r, 0.0 * r + 200.0, 0.0 * r + np.inf])
-        half_angle = np.radians(axes["half_angle_deg"])
-        b = -contact_radius / np.tan(half_angle)
+        r = found.r_mm.to_numpy()
+        half_angle = np.radians(found.half_angle_deg.to_numpy())
+        found["pinhole"] = np.array(PINHOLES)[pinhole]
+        found["z_f_mm"] = np.choose(pinhole, [0.0 * r, r, 0.0 * r + 200.0, 0.0 * r + np.inf])
+        found["apex_offset_mm"] = -contact_radius / np.tan(half_angle)
         columns = {
             "scale": np.full(size, scale),
-            "inverse_working_distance": 1.0 / (z_f + r),
+            "inverse_working_distance": 1.0 / (found.z_f_mm + r),
             "radius": r,
             "half_angle": half_angle,
-            "apex_offset": b,
-            "incidence": np.radians(axes["incidence_deg"]),
-            "incidence_azimuth": np.radians(axes["azimuth_deg"]),
-            "eccentricity": axes["c_mm"],
+            "apex_offset": found.apex_offset_mm,
+            "incidence": np.radians(found.incidence_deg),
+            "incidence_azimuth": np.radians(found.azimuth_deg),
+            "eccentricity": found.c_mm,
         }
-        eye = Eye(**{name: jnp.asarray(values) for name, values in columns.items()})
-        estimates = _estimates(eye, jnp.asarray(axes["d_mm"]))
-        yield Block(axes, pinhole, z_f, b, {m: np.asarray(estimates[m]) for m in optics.MODELS})
+        eye = Eye(**{name: jnp.asarray(np.array(values)) for name, values in columns.items()})
+        estimates = _estimates(eye, jnp.asarray(found.d_mm.to_numpy()))
+        yield found.assign(**{model: np.asarray(estimates[model]) for model in optics.MODELS})
 
 
-def csv_line(row: tuple[Any, ...]) -> str:
-    """A row of model_error.csv, in the digits of `csv_text`."""
-    head, shared, (estimate, error) = row[:_FIRST_NUMBER], row[_FIRST_NUMBER:-2], row[-2:]
-    place = ",".join(f"{value:.6g}" for value in shared)
-    return f"{','.join(map(str, head))},{place},{estimate:.6f},{error:.6f}\n"
+def within(space: pd.DataFrame, limit: float) -> dict[str, float]:
+    """Part of the geometries in which each model's error is within a limit (mm)."""
+    return {model: float((space[model].abs() <= limit).mean()) for model in optics.MODELS}
 
 
-def csv_text(block: Block, *, medium: str) -> str:
-    """The block's lines of model_error.csv.
+def spread_by_axis(space: pd.DataFrame, *, bins: int = 16) -> pd.DataFrame:
+    """Content of space.csv: the size of the errors in each bin of an axis, over all others."""
+    tables = []
+    for pinhole, (axis, (low, high)) in product(PINHOLES, AXES.items()):
+        of = where(space, pinhole=pinhole)
+        number = ((of[axis] - low) / (high - low) * bins).clip(0, bins - 1).astype(int)
+        sizes = of[list(optics.MODELS)].abs().groupby(number)
+        for model, size in ((model, sizes[model]) for model in optics.MODELS):
+            found = size.agg(geometries="size", median_mm="median").reset_index(drop=True)
+            from_value = low + (high - low) * found.index / bins
+            to_value = low + (high - low) * (found.index + 1) / bins
+            found["percentile_95_mm"] = size.quantile(0.95).to_numpy()
+            about = {"model": model, "pinhole": pinhole, "axis": axis}
+            tables.append(found.assign(**about, from_value=from_value, to_value=to_value))
+    columns = "model pinhole axis from_value to_value geometries median_mm percentile_95_mm".split()
+    ordered = sorted(tables, key=lambda table: optics.MODELS.index(table.model[0]))
+    return pd.concat(ordered, ignore_index=True)[columns]
 
-    Numbers are formatted once per geometry, not once per model, which saves most of the time.
+
+def sensitivities(space: pd.DataFrame, *, bins: int = 32) -> pd.DataFrame:
+    """Content of sensitivity.csv: the part of the variance that an axis alone explains.
+
+    The first-order Sobol index (Sobol 1993), in [0, 1]: the variance of the mean error in bins of
+    equal counts, over the whole variance; the axes' sum is short of 1 by the part of axes together.
+    `exact` has no error.
     """
-    axes = {**block.axes, "z_f_mm": block.z_f_mm, "apex_offset_mm": block.apex_offset_mm}
-    between = MODEL_ERROR[_FIRST_NUMBER:-2]
-    columns = [axes[name].tolist() for name in between]
-    row = ",".join(["%.6g"] * len(between))
-    shared = [row % values for values in zip(*columns, strict=True)]
-    lines = []
-    for model, estimate in block.estimates.items():
-        head = f"{model},analytic,False,{medium},"
-        both = zip(shared, estimate.tolist(), block.error(model).tolist(), strict=True)
-        lines += [f"{head}{place},{value:.6f},{error:.6f}\n" for place, value, error in both]
-    return "".join(lines)
-
-
-class Space:
-    """Errors of all models over the space, gathered block by block."""
-
-    def __init__(self) -> None:
-        self._axes: dict[str, list[np.ndarray]] = {axis: [] for axis in AXES}
-        self._errors: dict[str, list[np.ndarray]] = {model: [] for model in optics.MODELS}
-        self._pinhole: list[np.ndarray] = []
-
-    def add(self, block: Block) -> None:
-        """Keep a block's axes and errors, in single precision."""
-        for axis, values in block.axes.items():
-            self._axes[axis].append(values.astype(np.float32))
-        for model in optics.MODELS:
-            self._errors[model].append(block.error(model).astype(np.float32))
-        self._pinhole.append(block.pinhole.astype(np.int8))
-
-    @property
-    def count(self) -> int:
-        """Number of geometries."""
-        return sum(map(len, self._pinhole))
-
-    def within(self, limit: float) -> dict[str, float]:
-        """Part of the geometries in which each model's error is within a limit (mm)."""
-        return {
-            model: float(np.mean(np.abs(np.concatenate(errors)) <= limit))
-            for model, errors in self._errors.items()
-        }
-
-    def errors(self, model: str, pinhole: str) -> np.ndarray:
-        """A model's errors with one pinhole, mm."""
-        return np.concatenate(self._errors[model])[self._seen_by(pinhole)]
-
-    def spreads(self, *, bins: int = 16) -> pd.DataFrame:
-        """Content of space.csv: the size of the errors in each bin of an axis, over all others."""
-        rows = [
-            (
-                *(model, pinhole, axis, low + (high - low) * n / bins),
-                *(low + (high - low) * (n + 1) / bins, size.size),
-                *(float(np.median(size)), float(np.percentile(size, 95))),
-            )
-            for model in optics.MODELS
-            for pinhole in PINHOLES
-            for axis, (low, high) in AXES.items()
-            for n, size in enumerate(self._binned(model, pinhole, axis, bins))
-        ]
-        columns = "model pinhole axis from_value to_value geometries median_mm percentile_95_mm"
-        return pd.DataFrame(rows, columns=columns.split())
-
-    def sensitivities(self) -> pd.DataFrame:
-        """Content of sensitivity.csv: the part of the variance that an axis alone explains.
-
-        The first-order Sobol index (Sobol 1993), in [0, 1]; the axes' sum is short of 1 by the part
-        of axes together. `exact` has no error.
-        """
-        rows = [
-            (model, pinhole, axis, self._explained(model, pinhole, axis))
-            for model in optics.MODELS
-            if model != "exact"
-            for pinhole in PINHOLES
-            for axis in AXES
-        ]
-        return pd.DataFrame(rows, columns=["model", "pinhole", "axis", "first_order"])
-
-    def _seen_by(self, pinhole: str) -> np.ndarray:
-        return np.concatenate(self._pinhole) == PINHOLES.index(pinhole)
-
-    def _binned(self, model: str, pinhole: str, axis: str, bins: int) -> list[np.ndarray]:
-        """Absolute errors in equal bins of an axis."""
-        low, high = AXES[axis]
-        place = np.concatenate(self._axes[axis])[self._seen_by(pinhole)]
-        number = np.clip((place - low) / (high - low) * bins, 0, bins - 1).astype(int)
-        size = np.abs(self.errors(model, pinhole))
-        return [size[number == n] for n in range(bins)]
-
-    def _explained(self, model: str, pinhole: str, axis: str, *, bins: int = 32) -> float:
-        """Variance of the mean error in bins of equal counts, over the whole variance."""
-        place = np.concatenate(self._axes[axis])[self._seen_by(pinhole)]
-        error = self.errors(model, pinhole).astype(float)
-        means = [part.mean() for part in np.array_split(error[np.argsort(place)], bins)]
-        return float(np.var(means) / np.var(error))
+    rows = []
+    for model, pinhole in product([m for m in optics.MODELS if m != "exact"], PINHOLES):
+        of = where(space, pinhole=pinhole)
+        for axis in AXES:
+            error = of[model].to_numpy(float)[np.argsort(of[axis].to_numpy())]
+            means = [part.mean() for part in np.array_split(error, bins)]
+            rows.append((model, pinhole, axis, float(np.var(means) / np.var(error))))
+    return pd.DataFrame(rows, columns=["model", "pinhole", "axis", "first_order"])
 
 
 @jax.jit
@@ -308,20 +224,15 @@ DISTANCES_MM = tuple(0.5 * n for n in range(1, 13))
 """Of one withdrawal, 0.5 to 6 mm."""
 
 
-class Withdrawals(NamedTuple):
-    """Errors over a grid of c and d for one pinhole and incidence.
+def withdrawals(
+    geometry: Geometry, *, eccentricities: np.ndarray, medium: str
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Errors on exact contours at each c (mm) and all `DISTANCES_MM`.
 
-    Attributes:
-        errors: of all models with the true c, then of small_plane with the fitted one.
-        refits: a fit for each c, see `refitted`.
+    Returns:
+        Errors of all models with the true c, then of small_plane with the fitted one; and a fit for
+        each c, see `refitted`.
     """
-
-    errors: pd.DataFrame
-    refits: pd.DataFrame
-
-
-def withdrawals(geometry: Geometry, *, eccentricities: np.ndarray, medium: str) -> Withdrawals:
-    """Errors on exact contours at each c (mm) and all `DISTANCES_MM`."""
     c, d = (a.ravel() for a in np.meshgrid(eccentricities, DISTANCES_MM, indexing="ij"))
     seen = semi_minor(geometry, c=c, d=d)
     errors = model_errors(
@@ -346,7 +257,7 @@ def withdrawals(geometry: Geometry, *, eccentricities: np.ndarray, medium: str) 
         )
         tables.append(rows)
         refits.append(refit)
-    return Withdrawals(pd.concat(tables, ignore_index=True), pd.DataFrame(refits))
+    return pd.concat(tables, ignore_index=True), pd.DataFrame(refits)
 
 
 def refitted(
@@ -459,60 +370,68 @@ class EccentricTrial(NamedTuple):
     noise_free: Scene | None
 
 
-def trials(
-    scene: Scene,
-    *,
-    pinhole_heights: Sequence[float],
-    eccentricities: Sequence[float],
-    few: Sequence[float],
-    frames: int,
-) -> list[EccentricTrial]:
+def trials(scene: Scene, *, quick: bool) -> list[EccentricTrial]:
     """Withdrawals at the scene's incidence, and square ones without the instrument.
 
-    Args:
-        pinhole_heights: z_F, mm.
-        eccentricities: c of the withdrawals at the scene's incidence, mm.
-        few: those of them that are rendered without noise too, and with a square beam, which the
-            instrument would hide.
+    Some of the former are rendered without noise, too; a square beam would be hidden by the
+    instrument.
     """
-    return [
-        _trial(scene, z_f=height, c=c, square=square, noise_free=c in few, frames=frames)
-        for height in pinhole_heights
-        for square, chosen in ((False, eccentricities), (True, few))
-        for c in chosen
-    ]
+    every = np.linspace(0.0, LARGEST_C_MM, 3 if quick else 9).tolist()
+    few = [4.0, LARGEST_C_MM] if quick else np.linspace(0.0, LARGEST_C_MM, 5).tolist()
+    found = []
+    for height, square in product(pinhole_heights(scene), (False, True)):
+        for c in few if square else every:
+            own = scenes.changed(
+                scene,
+                {
+                    "spot.eccentricity_mm": c,
+                    "microscope.pinhole_height_mm": height,
+                    "motion.kind": "withdrawal",
+                    "motion.start_mm": 0.5,
+                    "motion.travel_mm": 5.5,
+                    "motion.frames": 3 if quick else 12,
+                    "exposures.kinds": ["metered"],
+                    **({"spot.incidence_deg": 0.0, "instrument.visible": False} if square else {}),
+                },
+            )
+            view = own.microscope
+            finer = {
+                "microscope.scale_mm_px": view.scale_mm_px / _FINER,
+                "microscope.width_px": view.width_px * _FINER,
+                "microscope.height_px": view.height_px * _FINER,
+            }
+            noise_free = c in few and not square
+            again = scenes.changed(own, finer | _NOISE_FREE) if noise_free else None
+            kind = "square" if square else "tilted"
+            found.append(EccentricTrial(f"{kind}-pinhole-{height:g}-c-{c:g}", own, again))
+    return found
 
 
 def measure(study: Study, every: Sequence[EccentricTrial]) -> RenderedErrors:
     """Render, track and compare."""
     wanted = {trial.name: trial.scene for trial in every}
     wanted |= {_fine(t): t.noise_free for t in every if t.noise_free is not None}
-    spots = study.folder / "spots"
-    spots.mkdir(exist_ok=True)
-
-    def track(name: str, stack: Stack) -> Tracked:
-        return track_stack(stack, SUBPIXEL, spots_file=spots / f"{name}.csv")
-
-    tracked = study.measured(wanted, track)
+    tracked = study.measured(
+        wanted,
+        lambda name, stack: track_stack(stack, SUBPIXEL, spots_file=study.spots_file(name)),
+    )
     errors, refits, shares = [], [], []
     for trial in every:
         seen = tracked[trial.name]
-        labels = seen.used_labels
-        if labels:
+        spots = seen[seen.used]
+        if len(spots):
             geometry = geometry_of(trial.scene)
-            of_models = measured_errors(
-                geometry, labels=labels, semi_minor_px=seen.semi_minor_px, models=optics.MODELS
-            )
+            of_models = measured_errors(geometry, spots, models=optics.MODELS)
             errors.append(of_models)
-            if len(labels) >= _FEWEST_SPOTS:
+            if len(spots) >= _FEWEST_SPOTS:
                 rows, refit = refitted(
                     geometry,
                     before=of_models,
                     source="rendered",
                     medium=trial.scene.source.medium,
-                    c=labels[0].c_mm,
-                    d=np.array([row.d_mm for row in labels]),
-                    semi_minor_px=seen.semi_minor_px,
+                    c=float(spots.c_mm.iloc[0]),
+                    d=spots.d_mm.to_numpy(),
+                    semi_minor_px=spots.semi_minor_px.to_numpy(),
                 )
                 errors.append(rows)
                 refits.append(refit)
@@ -531,50 +450,21 @@ def measure(study: Study, every: Sequence[EccentricTrial]) -> RenderedErrors:
     )
 
 
-def _trial(
-    scene: Scene, *, z_f: float, c: float, square: bool, noise_free: bool, frames: int
-) -> EccentricTrial:
-    own = scenes.changed(
-        scene,
-        {
-            "spot.eccentricity_mm": c,
-            "microscope.pinhole_height_mm": z_f,
-            "motion.kind": "withdrawal",
-            "motion.start_mm": 0.5,
-            "motion.travel_mm": 5.5,
-            "motion.frames": frames,
-            "exposures.kinds": ["metered"],
-            **({"spot.incidence_deg": 0.0, "instrument.visible": False} if square else {}),
-        },
-    )
-    view = own.microscope
-    finer = {
-        "microscope.scale_mm_px": view.scale_mm_px / _FINER,
-        "microscope.width_px": view.width_px * _FINER,
-        "microscope.height_px": view.height_px * _FINER,
-    }
-    kind = "square" if square else "tilted"
-    again = scenes.changed(own, finer | _NOISE_FREE) if noise_free and not square else None
-    return EccentricTrial(f"{kind}-pinhole-{z_f:g}-c-{c:g}", own, again)
-
-
 def _fine(trial: EccentricTrial) -> str:
     return f"{trial.name}-noise-free"
 
 
-def _shares(trial: EccentricTrial, seen: Tracked, noise_free: Tracked) -> pd.DataFrame:
+def _shares(trial: EccentricTrial, seen: pd.DataFrame, noise_free: pd.DataFrame) -> pd.DataFrame:
     """The trial's errors by cause, in frames in which both measurements found the spot."""
-    both = np.flatnonzero(seen.used & noise_free.used)
-    if not both.size:
+    both = seen.used & noise_free.used
+    if not both.any():
         return pd.DataFrame()
-    measured, fine = (
-        np.array([t.results[i].semi_minor_px for i in both])  # type: ignore[union-attr]
-        for t in (seen, noise_free)
+    geometry = geometry_of(trial.scene)
+    measured, ideal, c, d = (
+        seen[both][name].to_numpy()
+        for name in ("semi_minor_px", "cone_semi_minor_px", "c_mm", "d_mm")
     )
-    ideal = np.array([seen.labels[i].cone_semi_minor_px for i in both])
-    fine, geometry = fine / _FINER, geometry_of(trial.scene)
-    c = np.array([seen.labels[i].c_mm for i in both])
-    d = np.array([seen.labels[i].d_mm for i in both])
+    fine = noise_free[both].semi_minor_px.to_numpy() / _FINER
     length = error_causes.spread_length(trial.scene)
     spread = error_causes.spread_shift(geometry, c=c, d=d, length=length)
     # A wall that spreads light does so in the frames already.
@@ -596,34 +486,21 @@ class EccentricityFindings:
     """What the report is made of.
 
     Attributes:
-        scene: the study's.
-        withdrawals: on exact contours, by (z_F in mm, incidence in degrees).
+        withdrawals: errors on exact contours, with the true c and with the fitted one.
         limits: where models reach the limits, among the withdrawals.
         geometries: number of points in the space of geometries.
-        spreads: of the errors over the space.
-        sensitivities: of the errors over the space.
         within: part of the space in which each model is within the largest limit.
     """
 
     scene: Scene
-    withdrawals: dict[tuple[float, float], Withdrawals]
+    withdrawals: pd.DataFrame
+    refits: pd.DataFrame
     limits: pd.DataFrame
     rendered: RenderedErrors
     geometries: int
     spreads: pd.DataFrame
     sensitivities: pd.DataFrame
     within: dict[str, float]
-
-    @property
-    def analytic(self) -> pd.DataFrame:
-        """Errors on exact contours of all withdrawals, with the true c."""
-        errors = pd.concat([w.errors for w in self.withdrawals.values()], ignore_index=True)
-        return errors[~errors.refit]
-
-    @property
-    def refits(self) -> pd.DataFrame:
-        """Fits of c on exact contours."""
-        return pd.concat([w.refits for w in self.withdrawals.values()], ignore_index=True)
 
     @property
     def heights(self) -> tuple[float, float]:
@@ -634,9 +511,8 @@ class EccentricityFindings:
         self, model: str, height: float, incidence: float, *, refit: bool = False
     ) -> tuple[float, ...]:
         """c at which a model reaches each of `LIMITS_MM`, mm; NaN where it does not."""
-        of = self.limits
-        here = (of.model == model) & (of.refit == refit)
-        return tuple(of.c_mm[here & (of.z_f_mm == height) & (of.incidence_deg == incidence)])
+        of = where(self.limits, model=model, refit=refit, z_f_mm=height, incidence_deg=incidence)
+        return tuple(of.c_mm)
 
 
 def pinhole_heights(scene: Scene) -> tuple[float, float]:
@@ -671,15 +547,16 @@ _LEAST_MM = 1e-3
 
 def worst_errors(findings: EccentricityFindings) -> Figure:
     """Largest error over d against c: a panel for each pinhole (row) and incidence (column)."""
-    measured = findings.rendered.with_true_c
 
     def draw(axes: Axes, height: float, incidence: float) -> None:
         for limit in LIMITS_MM:
             axes.axhline(limit, color=GREY, lw=0.8, ls=":")
-        exact = findings.withdrawals[height, incidence].errors
-        seen = measured[(measured.z_f_mm == height) & (measured.incidence_deg == incidence)]
+        exact, seen = (
+            where(errors, z_f_mm=height, incidence_deg=incidence)
+            for errors in (findings.withdrawals, findings.rendered.with_true_c)
+        )
         for model, colour in _COLOURS.items():
-            line = largest_errors(exact[(exact.model == model) & ~exact.refit])
+            line = largest_errors(where(exact, model=model, refit=False))
             if model != "exact":  # right to rounding on its own contours
                 axes.plot(line, color=colour, label=model)
             label = model if model == "exact" else None
@@ -692,7 +569,7 @@ def worst_errors(findings: EccentricityFindings) -> Figure:
     return small_multiples(
         draw,
         rows=findings.heights,
-        columns=list(dict.fromkeys(incidence for _, incidence in findings.withdrawals)),
+        columns=findings.withdrawals.incidence_deg.unique().tolist(),
         title=lambda height, incidence: f"{pinhole_title(height)}, incidence {incidence:g}°",
         x=ECCENTRICITY,
         y="largest |error| (mm)",
@@ -705,8 +582,7 @@ def worst_errors(findings: EccentricityFindings) -> Figure:
 
 def fitted_eccentricity(findings: EccentricityFindings) -> Figure:
     """The c that a fit finds against the true one, and the largest error before and after."""
-    refits = findings.refits
-    tilted = refits[refits.incidence_deg == findings.scene.spot.incidence_deg]
+    tilted = where(findings.refits, incidence_deg=findings.scene.spot.incidence_deg)
     drawn = list(zip(grouped(tilted, "z_f_mm"), (GREEN, BLUE, VERMILION, BLACK), strict=False))
 
     def fitted(axes: Axes) -> None:
@@ -741,7 +617,7 @@ def _causes_figure(findings: EccentricityFindings, *, d: float) -> Figure:
     chosen = shares[(shares.d_mm - d).abs() < 1e-6]
 
     def draw(axes: Axes, height: float, model: str) -> None:
-        here = chosen[(chosen.z_f_mm == height) & (chosen.model == model)]
+        here = where(chosen, z_f_mm=height, model=model)
         c = np.unique(here.c_mm.round(6))
         width = 0.7 * (np.diff(c).min() if c.size > 1 else 1.0)
         above, below = np.zeros(c.size), np.zeros(c.size)
@@ -769,12 +645,10 @@ def _causes_figure(findings: EccentricityFindings, *, d: float) -> Figure:
 
 def spreads(findings: EccentricityFindings) -> Figure:
     """Size of the errors along every axis, over all others: a row for each pinhole."""
-    every = findings.spreads
 
     def draw(axes: Axes, pinhole: str, axis: str) -> None:
         for model, colour in _COLOURS.items():
-            here = (every.model == model) & (every.pinhole == pinhole) & (every.axis == axis)
-            rows = every[here]
+            rows = where(findings.spreads, model=model, pinhole=pinhole, axis=axis)
             if model != "exact":
                 middle = 0.5 * (rows.from_value + rows.to_value)
                 axes.plot(middle, rows.median_mm, color=colour, label=model)
@@ -811,7 +685,7 @@ def check(scene: Scene) -> None:
 
 def fill_space(
     scene: Scene, *, count: int, seed: int, csv_file: Path, before: pd.DataFrame
-) -> Space:
+) -> pd.DataFrame:
     """Errors of all models over the space of geometries; writes model_error.csv as it goes.
 
     Args:
@@ -819,49 +693,56 @@ def fill_space(
         count: of geometries, rounded up to a power of two or to whole blocks of such.
         csv_file: file to write; it gets its name when it is complete.
         before: rows to write before those of the space.
+
+    Returns:
+        A row a geometry: axes, pinhole, and the error of every model (mm), in single precision.
     """
     cone = geometry_of(scene)
-    filled = Space()
+    filled = []
     with (
         written_whole(csv_file, replace=True) as partial,
         partial.open("w", encoding="utf-8") as file,
     ):
-        file.write(",".join(MODEL_ERROR) + "\n")
-        file.writelines(map(csv_line, before.itertuples(index=False, name=None)))
+
+        def write(errors: pd.DataFrame, *, header: bool = False) -> None:
+            text = {name: errors[name].map(digits.format) for name, digits in _DIGITS.items()}
+            rows = errors.assign(**text)[MODEL_ERROR]
+            rows.to_csv(file, header=header, index=False, lineterminator="\n")
+
+        write(before, header=True)
         for block in blocks(
             count=count,
             seed=seed,
             scale=cone.scale,
             contact_radius=-cone.apex_offset * float(np.tan(cone.half_angle)),
         ):
-            filled.add(block)
-            file.write(csv_text(block, medium=scene.source.medium))
-    return filled
+            about: dict[str, Any] = {
+                "source": "analytic",
+                "refit": False,
+                "medium": scene.source.medium,
+            }
+            errors = block[list(optics.MODELS)].sub(block.d_mm, axis=0)
+            for model in optics.MODELS:
+                made = {"estimate_mm": block[model], "error_mm": errors[model]}
+                write(block.assign(model=model, **about, **made))
+            kept = pd.concat([block[list(AXES)], errors], axis=1).astype(np.float32)
+            filled.append(kept.assign(pinhole=block.pinhole))
+    return pd.concat(filled, ignore_index=True)
 
 
-def _trials(scene: Scene, *, quick: bool) -> list[EccentricTrial]:
-    return trials(
-        scene,
-        pinhole_heights=pinhole_heights(scene),
-        eccentricities=np.linspace(0.0, LARGEST_C_MM, 3 if quick else 9).tolist(),
-        few=(4.0, LARGEST_C_MM) if quick else np.linspace(0.0, LARGEST_C_MM, 5).tolist(),
-        frames=3 if quick else 12,
-    )
-
-
-def _withdrawals(scene: Scene, *, quick: bool) -> dict[tuple[float, float], Withdrawals]:
+def _withdrawals(scene: Scene, *, quick: bool) -> tuple[pd.DataFrame, pd.DataFrame]:
     """On exact contours: four pinholes, square to the wall and at the scene's incidence."""
     eccentricities = np.linspace(0.0, LARGEST_C_MM, 17 if quick else 81)
-    found = {}
+    found = []
     for height in (0.0, *pinhole_heights(scene), np.inf):
         for incidence_deg in dict.fromkeys((0.0, scene.spot.incidence_deg)):
             own = scenes.changed(
                 scene, {"microscope.pinhole_height_mm": height, "spot.incidence_deg": incidence_deg}
             )
-            found[height, incidence_deg] = withdrawals(
-                geometry_of(own), eccentricities=eccentricities, medium=scene.source.medium
-            )
-    return found
+            geometry, medium = geometry_of(own), scene.source.medium
+            found.append(withdrawals(geometry, eccentricities=eccentricities, medium=medium))
+    errors, refits = zip(*found, strict=True)
+    return pd.concat(errors, ignore_index=True), pd.concat(refits, ignore_index=True)
 
 
 # The page.
@@ -877,8 +758,6 @@ def report(findings: EccentricityFindings) -> Report:
         first=_first(findings),
         claims=list(_claims(findings)),
         sections=[
-            _error_section(findings),
-            _limits(findings),
             _refit(findings),
             _causes(findings),
             _space(findings),
@@ -915,7 +794,19 @@ def _claims(findings: EccentricityFindings) -> Iterator[Claim]:
         yield _hidden(findings, height)
     for height in findings.heights:
         yield from _main_cause(findings, height)
-    yield from _measured(findings)
+    found, errors = findings.rendered, findings.rendered.with_true_c
+    if len(errors):
+        yield Claim(
+            name="rendered spots",
+            sentence="Largest errors over {spots} spots: {value:.3f} mm ({models}); k, b, c and r "
+            "are given. {left_out} frames have no spot that counts.",
+            value=tuple(largest(errors.error_mm[errors.model == m]) for m in optics.MODELS),
+            numbers={
+                "models": optics.MODELS,
+                "spots": found.frames - found.left_out,
+                "left_out": found.left_out,
+            },
+        )
     yield Claim(
         name="space",
         sentence="Within {limit:g} mm in {value:.0%} of {geometries:,} geometries ({models}): over "
@@ -928,13 +819,25 @@ def _claims(findings: EccentricityFindings) -> Iterator[Claim]:
             "models": tuple(findings.within),
         },
     )
-    yield _azimuth(findings)
+    of = where(findings.spreads, model="corrected", pinhole=f"{MICROSCOPE_MM:g}")
+    bins = rows_of(where(of, axis="azimuth_deg"))
+    best, worst = (choose(bins, key=lambda s: s.percentile_95_mm) for choose in (min, max))
+    yield Claim(
+        name=f"z_F = {MICROSCOPE_MM:g} mm, azimuth",
+        sentence="The error of corrected depends on the azimuth of the beam's tilt: 95 % of the "
+        "errors are below {best.percentile_95_mm:.3f} mm at azimuths of {best.from_value:g} to "
+        "{best.to_value:g}°, and below {value:.3f} mm at azimuths of {worst.from_value:g} to "
+        "{worst.to_value:g}°. The model is one of a square beam. A tilt along the meridian of O "
+        "(azimuth 0 or 180°) makes the spot longer where the image makes it shorter. exact is "
+        "given the beam's direction.",
+        value=worst.percentile_95_mm,
+        numbers={"best": best, "worst": worst},
+    )
 
 
 def _hidden(findings: EccentricityFindings, height: float) -> Claim:
     incidence = findings.scene.spot.incidence_deg
-    refits = findings.refits
-    rows = refits[(refits.z_f_mm == height) & (refits.incidence_deg == incidence)]
+    rows = where(findings.refits, z_f_mm=height, incidence_deg=incidence)
     row = min(rows_of(rows), key=lambda r: abs(r.c_mm - SHOWN_C_MM))
     return Claim(
         name=f"z_F = {height:g} mm, fitted c",
@@ -954,23 +857,16 @@ def _hidden(findings: EccentricityFindings, height: float) -> Claim:
 
 
 def _main_cause(findings: EccentricityFindings, height: float) -> Iterator[Claim]:
-    shares, exact = findings.rendered.shares, findings.analytic
-    if shares.empty:
-        return
-    here = rows_of(shares[(shares.z_f_mm == height) & (shares.model == "small_plane")])
+    shares = findings.rendered.shares
+    here = [] if shares.empty else rows_of(where(shares, z_f_mm=height, model="small_plane"))
     if not here:
         return
     nearest = min(here, key=lambda p: (abs(p.c_mm - SHOWN_C_MM), abs(p.d_mm - SHOWN_C_MM)))
     spot = [p for p in here if (p.c_mm, p.d_mm) == (nearest.c_mm, nearest.d_mm)]
     ordered = sorted(spot, key=lambda p: -abs(p.part_mm))
+    exact = where(findings.withdrawals, refit=False, model="small_plane", z_f_mm=height)
     own = min(
-        rows_of(
-            exact[
-                (exact.z_f_mm == height)
-                & (exact.model == "small_plane")
-                & (exact.incidence_deg == nearest.incidence_deg)
-            ]
-        ),
+        rows_of(where(exact, incidence_deg=nearest.incidence_deg)),
         key=lambda e: (abs(e.c_mm - nearest.c_mm), abs(e.d_mm - nearest.d_mm)),
     )
     yield Claim(
@@ -989,40 +885,6 @@ def _main_cause(findings: EccentricityFindings, height: float) -> Iterator[Claim
             "causes": tuple(p.cause for p in ordered),
             "parts": tuple(p.part_mm for p in ordered),
         },
-    )
-
-
-def _measured(findings: EccentricityFindings) -> Iterator[Claim]:
-    found, errors = findings.rendered, findings.rendered.with_true_c
-    if len(errors):
-        yield Claim(
-            name="rendered spots",
-            sentence="Largest errors over {spots} spots: {value:.3f} mm ({models}); k, b, c and r "
-            "are given. {left_out} frames have no spot that counts.",
-            value=tuple(largest(errors.error_mm[errors.model == m]) for m in optics.MODELS),
-            numbers={
-                "models": optics.MODELS,
-                "spots": found.frames - found.left_out,
-                "left_out": found.left_out,
-            },
-        )
-
-
-def _azimuth(findings: EccentricityFindings) -> Claim:
-    of = findings.spreads
-    key = (of.model == "corrected") & (of.pinhole == f"{MICROSCOPE_MM:g}")
-    bins = rows_of(of[key & (of.axis == "azimuth_deg")])
-    best, worst = (choose(bins, key=lambda s: s.percentile_95_mm) for choose in (min, max))
-    return Claim(
-        name=f"z_F = {MICROSCOPE_MM:g} mm, azimuth",
-        sentence="The error of corrected depends on the azimuth of the beam's tilt: 95 % of the "
-        "errors are below {best.percentile_95_mm:.3f} mm at azimuths of {best.from_value:g} to "
-        "{best.to_value:g}°, and below {value:.3f} mm at azimuths of {worst.from_value:g} to "
-        "{worst.to_value:g}°. The model is one of a square beam. A tilt along the meridian of O "
-        "(azimuth 0 or 180°) makes the spot longer where the image makes it shorter. exact is "
-        "given the beam's direction.",
-        value=worst.percentile_95_mm,
-        numbers={"best": best, "worst": worst},
     )
 
 
@@ -1068,49 +930,6 @@ def _first(findings: EccentricityFindings) -> list[Picture | Table]:
             data="limits.csv",
         ),
     ]
-
-
-def _error_section(findings: EccentricityFindings) -> Section:
-    measured = findings.rendered.with_true_c
-    analytic = findings.analytic[findings.analytic.z_f_mm.isin(findings.heights)]
-    return Section(
-        "Error against eccentricity",
-        Picture(
-            "model_error",
-            model_error_figure(analytic, measured),
-            "The sign of the error: a row for each pinhole height, a column for each model. Lines: "
-            "exact contours (dotted: square beam). Dots: rendered spots. Every model is given the "
-            "true k, b, c and r.",
-            data="model_error.csv",
-        ),
-        Table.of(
-            accuracy(measured),
-            ACCURACY,
-            "Errors on rendered spots, sub-pixel mode, all c and d together.",
-            data="model_error.csv",
-        ),
-    )
-
-
-def _limits(findings: EccentricityFindings) -> Section:
-    models = [(model, False) for model in optics.MODELS] + [("small_plane", True)]
-    rows = []
-    for height in findings.heights:
-        for incidence in dict.fromkeys((0.0, findings.scene.spot.incidence_deg)):
-            reached = [findings.limits_of(m, height, incidence, refit=refit) for m, refit in models]
-            for limit, eccentricities in zip(LIMITS_MM, zip(*reached, strict=True), strict=True):
-                rows.append((height, incidence, limit, *eccentricities))
-    headings = ("z_F, mm", "incidence, °", "limit, mm", *optics.MODELS, "small_plane, c fitted")
-    return Section(
-        "Where each model reaches the limits",
-        Table(
-            [Column(heading, 2) for heading in headings],
-            rows,
-            "Smallest c in mm at which the largest error over d = 0.5 to 6 mm reaches the limit; a "
-            f"dash: not up to c = {LARGEST_C_MM:g} mm.",
-            data="limits.csv",
-        ),
-    )
 
 
 def _refit(findings: EccentricityFindings) -> Section:
@@ -1165,8 +984,6 @@ def _causes(findings: EccentricityFindings) -> Section:
         return Section("Causes", text, "No rendered spot counts in this run.")
     # The distance that most spots share, nearest to the middle of the range.
     d = min(shares.d_mm.round(6).unique(), key=lambda d: abs(d - SHOWN_C_MM))
-    there = shares[(shares.d_mm - d).abs() < 1e-6]
-    far = there[(there.c_mm - there.c_mm.round(6).max()).abs() < 1e-6]
     return Section(
         "Causes",
         text,
@@ -1177,21 +994,6 @@ def _causes(findings: EccentricityFindings) -> Section:
             "incidence; diamonds: the error, their sum. Each panel has a scale of its own.",
             data="causes.csv",
         ),
-        *(_cause_table(of) for _, of in grouped(far, "z_f_mm")),
-    )
-
-
-def _cause_table(shares: pd.DataFrame) -> Table:
-    """The parts of all models at one geometry."""
-    first = shares.iloc[0]
-    rows = [(cause, *shares.part_mm[shares.cause == cause]) for cause in CAUSES]
-    whole = ("whole", *shares.whole_mm[shares.cause == CAUSES[0]])
-    return Table(
-        [Column("cause"), *(Column(model, 4) for model in optics.MODELS)],
-        [*rows, whole],
-        f"Parts in mm at c = {first.c_mm:.3g} mm and d = {first.d_mm:.3g} mm, "
-        f"z_F = {first.z_f_mm:g} mm.",
-        data="causes.csv",
     )
 
 
@@ -1202,14 +1004,12 @@ def _space(findings: EccentricityFindings) -> Section:
         f"{title} {AXES[name][0]:g} to {AXES[name][1]:g} {units[unit]}"
         for name, (title, unit) in axes.items()
     )
-    found = findings.sensitivities.set_index(["model", "pinhole", "axis"]).first_order
-    rows = [
-        (model, pinhole, *(found[model, pinhole, axis] for axis in AXES))
-        for model in optics.MODELS
-        if model != "exact"
-        for pinhole in PINHOLES
-    ]
-    headings = ("model", "pinhole", *(title for title, _ in axes.values()))
+    found = findings.sensitivities.pivot(
+        index=["model", "pinhole"], columns="axis", values="first_order"
+    )
+    headings = {"model": "model", "pinhole": "pinhole"} | {
+        n: title for n, (title, _) in axes.items()
+    }
     return Section(
         "The whole space",
         f"{findings.geometries:,} geometries, a scrambled Sobol sequence: {ranges}; z_F = 0, r, "
@@ -1221,9 +1021,9 @@ def _space(findings: EccentricityFindings) -> Section:
             "microscope: median (lines) and 95th percentile (dotted); other pinholes in the file.",
             data="space.csv",
         ),
-        Table(
-            [Column(heading, 2) for heading in headings],
-            rows,
+        Table.of(
+            found.reset_index(),
+            {name: Column(heading, 2) for name, heading in headings.items()},
             "Part of the error's variance that each axis alone explains (first-order Sobol "
             "index). The rest is due to axes together.",
             data="sensitivity.csv",
@@ -1277,12 +1077,11 @@ def eccentricity(
     )
     base = study.scene
     with study.timed("render and measure"):
-        found = measure(study, _trials(base, quick=quick))
+        found = measure(study, trials(base, quick=quick))
     with study.timed("withdrawals on exact contours"):
-        exact = _withdrawals(base, quick=quick)
-    on_exact = pd.concat([w.errors for w in exact.values()], ignore_index=True)
+        on_exact, refits = _withdrawals(base, quick=quick)
     with study.timed("space of geometries"):
-        filled = fill_space(
+        space = fill_space(
             base,
             count=count,
             seed=study.seed,
@@ -1291,13 +1090,14 @@ def eccentricity(
         )
     findings = EccentricityFindings(
         scene=base,
-        withdrawals=exact,
+        withdrawals=on_exact,
+        refits=refits,
         limits=limits(on_exact),
         rendered=found,
-        geometries=filled.count,
-        spreads=filled.spreads(),
-        sensitivities=filled.sensitivities(),
-        within=filled.within(LIMITS_MM[-1]),
+        geometries=len(space),
+        spreads=spread_by_axis(space),
+        sensitivities=sensitivities(space),
+        within=within(space, LIMITS_MM[-1]),
     )
     study.publish(report, findings)
     return findings

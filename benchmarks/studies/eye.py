@@ -104,7 +104,6 @@ def path_errors(
     """Look at spots in every eye, calibrate each, and compute distances by every recipe.
 
     Args:
-        path: name of the viewing path.
         eyes: groups of eyes, each with a leading axis; all groups are joined. The first eye is the
             schematic one, which stands for all others where no calibration is made; it is
             calibrated without noise.
@@ -250,7 +249,6 @@ def _causes(
     population. What remains with no part is the error in the mean eye.
 
     Args:
-        path: name of the viewing path.
         schematic: the eye that stands for all where no calibration is made, with a leading axis.
         spots: c x d x tilts; as for the errors in all eyes, so that nothing is compiled again.
     """
@@ -306,13 +304,6 @@ class EyeFindings:
         """The random eyes among all."""
         return slice(1, 1 + self.population)
 
-    def largest(self, path: str, recipe: Recipe, *, square: bool) -> np.ndarray:
-        """Largest |error| of each random eye at each c, over distances (and tilts), mm."""
-        errors = np.abs(self.paths[path].errors[recipe][self.random])
-        errors = errors[..., :1] if square else errors
-        # A spot that is not whole at any distance or tilt counts as not seen.
-        return errors.max(axis=(2, 3))
-
     @cached_property
     def summaries(self) -> pd.DataFrame:
         """Content of eye_errors.csv: median and 95 % of the largest |error| over the random eyes.
@@ -321,14 +312,16 @@ class EyeFindings:
         eyes in which the spots are whole count.
         """
         rows = []
-        for path, recipe, square in product(self.paths, Recipe, (True, False)):
-            largest = self.largest(path, recipe, square=square)
+        tilts = {"square": slice(1), "any": slice(None)}
+        for path, recipe, tilt in product(self.paths, Recipe, tilts):
+            errors = np.abs(self.paths[path].errors[recipe][self.random, ..., tilts[tilt]])
+            # A spot that is not whole at any distance or tilt counts as not seen.
+            largest = errors.max(axis=(2, 3))
             for c, values in zip(self.eccentricities.tolist(), largest.T, strict=True):
                 seen = values[np.isfinite(values)]
                 # A quantile of the few eyes that show the spot would not be the eyes'.
                 enough = len(seen) > QUANTILE * self.population
                 middle, high = np.quantile(seen, [0.5, QUANTILE]) if enough else (np.nan, np.nan)
-                tilt = "square" if square else "any"
                 rows.append((path, recipe, tilt, c, len(seen), middle, high))
         columns = "path recipe tilt c_mm eyes median_mm p95_mm"
         return pd.DataFrame(rows, columns=columns.split())
@@ -521,23 +514,6 @@ def report(findings: EyeFindings) -> Report:
                     "The same through the other lenses and eyes.",
                     data="eye_errors.csv",
                 ),
-                Table.of(
-                    findings.limits,
-                    {
-                        "path": Column("path"),
-                        "recipe": Column("recipe"),
-                        "tilt": Column("tilt"),
-                        "median_0_1_mm": Column("half of the eyes, 0.1 mm", 1),
-                        "median_0_5_mm": Column("half, 0.5 mm", 1),
-                        "within_0_1_mm": Column("95 %, 0.1 mm", 1),
-                        "within_0_5_mm": Column("95 %, 0.5 mm", 1),
-                    },
-                    "c in mm up to which half and 95 % of the eyes stay within 0.1 and 0.5 mm: "
-                    "perpendicular beams (square), and tilted ones, too (any). Empty if the limit "
-                    "is exceeded at c = 0. No c is counted at which fewer than 95 % of the eyes "
-                    "show the whole spot: an artificial lens ends within the pupil.",
-                    data="limits.csv",
-                ),
                 _RECIPES,
             ),
             Section(
@@ -563,21 +539,6 @@ def report(findings: EyeFindings) -> Report:
                         "field_high": Column("95 %, mm", 1),
                     },
                     "Pinholes, and the largest c that a dilated pupil of 7 mm shows.",
-                    data="eyes.csv",
-                ),
-                Table.of(
-                    findings.schematic_eyes,
-                    {
-                        "path": Column("path"),
-                        "eye": Column("eye"),
-                        "kappa_per_mm": Column("κ, 1/mm", 3, sign=True),
-                        "field_mm": Column("field, mm", 2),
-                        "fitted_error_mm": Column("own pinhole, mm"),
-                        "schematic_error_mm": Column("Navarro's, mm"),
-                    },
-                    "Schematic eyes: fitted κ, field, and largest |error| at c = 3 mm by the area "
-                    "with the eye's own and with Navarro's pinhole. The random eyes have Navarro's "
-                    "kind of lens, of one index; the lenses of the others have a gradient.",
                     data="eyes.csv",
                 ),
             ),
@@ -646,24 +607,43 @@ def _claims(findings: EyeFindings) -> Iterator[Claim]:
         )
     eyes = findings.schematic_eyes
     for path, gradient in grouped(eyes[eyes.eye != "navarro"], "path"):
-        yield _gradient_lenses(path, gradient)
-    yield _small_plane(findings)
-    yield _largest_cause(findings)
-
-
-def _gradient_lenses(path: str, eyes: pd.DataFrame) -> Claim:
-    return Claim(
-        name=f"other schematic eyes, {path}",
-        sentence="Through {path}, at c = 3 mm, the schematic eyes with a gradient lens (Liou and "
-        "Brennan, Atchison from {low:g} to {high:g} D) are off by up to {value:.3f} mm with their "
-        "own pinhole and the area, and by up to {navarro:.2f} mm with Navarro's pinhole.",
-        value=eyes.fitted_error_mm.max(),
-        numbers={
-            "path": path,
-            "low": min(REFRACTIONS_D),
-            "high": max(REFRACTIONS_D),
-            "navarro": eyes.schematic_error_mm.max(),
-        },
+        yield Claim(
+            name=f"other schematic eyes, {path}",
+            sentence="Through {path}, at c = 3 mm, the schematic eyes with a gradient lens (Liou "
+            "and Brennan, Atchison from {low:g} to {high:g} D) are off by up to {value:.3f} mm "
+            "with their own pinhole and the area, and by up to {navarro:.2f} mm with Navarro's "
+            "pinhole.",
+            value=gradient.fitted_error_mm.max(),
+            numbers={
+                "path": path,
+                "low": min(REFRACTIONS_D),
+                "high": max(REFRACTIONS_D),
+                "navarro": gradient.schematic_error_mm.max(),
+            },
+        )
+    c = 3.0
+    place = int(np.flatnonzero(findings.eccentricities == c)[0])
+    medians = {
+        path: np.nanmedian(found.errors[Recipe.SMALL_PLANE][findings.random, place, :, 0], axis=0)
+        for path, found in findings.paths.items()
+    }
+    worst = {path: float(m[np.argmax(np.abs(m))]) for path, m in medians.items()}
+    yield Claim(
+        name="small_plane at c = 3",
+        sentence="At c = {c:g} mm and a perpendicular beam small_plane errs by {listed} (median of "
+        "the eyes at the worst distance).",
+        value=tuple(worst.values()),
+        numbers={"c": c, "listed": "; ".join(f"{e:+.2f} mm, {p}" for p, e in worst.items())},
+    )
+    of = findings.causes
+    rows = rows_of(of[(of.recipe == Recipe.AREA) & (of.c_mm == 3.0)])
+    largest = max(rows, key=lambda row: row.share_mm)
+    yield Claim(
+        name="largest remaining cause",
+        sentence="With the fitted pinhole and the area the largest share of what remains at "
+        "c = {row.c_mm:g} mm is {value:.3f} mm: {row.cause} ({path}).",
+        value=largest.share_mm,
+        numbers={"row": largest, "path": findings.causes_path},
     )
 
 
@@ -679,36 +659,6 @@ def _answer(findings: EyeFindings) -> str:
         f"Through {path}, 95 % of the eyes stay within 0.5 mm up to c = "
         f"{number(reached[Recipe.AREA], 1)} mm with a pinhole fitted in the eye and the ellipse's "
         f"area, and up to c = {number(reached[Recipe.SMALL_PLANE], 1)} mm with the paper's model."
-    )
-
-
-def _small_plane(findings: EyeFindings) -> Claim:
-    c = 3.0
-    place = int(np.flatnonzero(findings.eccentricities == c)[0])
-    medians = {
-        path: np.nanmedian(found.errors[Recipe.SMALL_PLANE][findings.random, place, :, 0], axis=0)
-        for path, found in findings.paths.items()
-    }
-    worst = {path: float(m[np.argmax(np.abs(m))]) for path, m in medians.items()}
-    return Claim(
-        name="small_plane at c = 3",
-        sentence="At c = {c:g} mm and a perpendicular beam small_plane errs by {listed} (median of "
-        "the eyes at the worst distance).",
-        value=tuple(worst.values()),
-        numbers={"c": c, "listed": "; ".join(f"{e:+.2f} mm, {p}" for p, e in worst.items())},
-    )
-
-
-def _largest_cause(findings: EyeFindings) -> Claim:
-    of = findings.causes
-    rows = rows_of(of[(of.recipe == Recipe.AREA) & (of.c_mm == 3.0)])
-    largest = max(rows, key=lambda row: row.share_mm)
-    return Claim(
-        name="largest remaining cause",
-        sentence="With the fitted pinhole and the area the largest share of what remains at "
-        "c = {row.c_mm:g} mm is {value:.3f} mm: {row.cause} ({path}).",
-        value=largest.share_mm,
-        numbers={"row": largest, "path": findings.causes_path},
     )
 
 

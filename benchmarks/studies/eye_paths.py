@@ -168,8 +168,6 @@ def image(
     """One spot on a wall.
 
     Args:
-        camera: by which it is seen.
-        wall: on which it lies.
         sees: which points of the wall are not hidden.
     """
     beam = optics.beam_at_spot(
@@ -334,8 +332,7 @@ class Recipe(StrEnum):
     """`corrected` with a pinhole and a sphere fitted in this eye."""
 
     EXACT_SCHEMATIC = "exact, schematic eye"
-    """Exact geometry through the schematic eye's surfaces onto its retina, and the ellipse's area.
-    """
+    """Exact geometry through the schematic eye onto its retina, and the ellipse's area."""
 
     AREA_SCHEMATIC = "area, schematic pinhole"
     """Exact geometry and the ellipse's area; pinhole and sphere fitted in the schematic eye."""

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 import optics
 import scenes
 from benchmarks.model_error import DISTANCE
-from benchmarks.paper import ACCEPTABLE_ERROR_MM, SUBPIXEL, Tracked, largest, mean, rms, track_stack
+from benchmarks.paper import ACCEPTABLE_ERROR_MM, SUBPIXEL, largest, mean, rms, track_stack
 from benchmarks.reporting import (
     BLUE,
     GREEN,
@@ -34,11 +34,13 @@ from benchmarks.reporting import (
     Table,
     limit_lines,
     number,
+    rows_of,
     small_multiples,
+    where,
 )
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from calibration import PlaneFit, fit_plane
-from estimator import Calibration, Ranger, Spot, Stack, read_microscope
+from calibration import fit_plane
+from estimator import Calibration, Ranger, Stack, read_microscope
 from scenes import Scene, SceneError
 from scenes.world import Cone, World, lens_light, study_calibration, true_calibration
 
@@ -199,22 +201,26 @@ def measure(study: Study, *, frames: int, curves: Mapping[tuple[str, str], Curve
     """
     lights = list(dict.fromkeys(light for light, _ in curves))
     every = trials(study.scene, lights=lights, frames=frames)
-    spots = study.folder / "spots"
-    spots.mkdir(exist_ok=True)
 
-    def track(name: str, stack: Stack) -> tuple[Stack, Tracked]:
-        return stack, track_stack(stack, SUBPIXEL, spots_file=spots / f"{name}.csv")
+    def track(name: str, stack: Stack) -> tuple[Stack, pd.DataFrame]:
+        return stack, track_stack(stack, SUBPIXEL, spots_file=study.spots_file(name))
 
     tracked = study.measured(every, track)
     errors = []
     for light in lights:
         _, seen = tracked[f"{_slug(light)}-{AIR}-plane"]
+        used = seen[seen.used]
         # The robot's reading since the first frame, whose distance is known here.
-        reading = NEAREST_MM + seen.travel_mm
-        fit = fit_plane(semi_minor_px=seen.semi_minor_px, distance=reading)
+        reading = NEAREST_MM + used.d_r_mm.to_numpy()
+        fit = fit_plane(semi_minor_px=used.semi_minor_px.to_numpy(), distance=reading)
+        scale = study.scene.microscope.scale_mm_px
+        to_k, values = np.diag([1.0 / scale, 1.0]), {"k": fit.delta_k / scale, "b": fit.b}
+        calibrated = study_calibration(
+            "planar", values, medium=AIR, covariance=to_k @ fit.covariance @ to_k
+        )
         for medium in (AIR, VITREOUS):
             name = f"{_slug(light)}-{medium}-eyeball"
-            calibrations = {Method.AIR_CONE: _of_fit(fit, study.scene)}
+            calibrations = {Method.AIR_CONE: calibrated}
             if light != CONE and medium == VITREOUS:
                 regression = curves[light, medium].cone
                 values = {"k": regression.k, "b": regression.b_mm}
@@ -230,7 +236,7 @@ def _slug(light: str) -> str:
 
 
 def _errors(
-    scene: Scene, stack: Stack, tracked: Tracked, calibrations: Mapping[Method, Calibration]
+    scene: Scene, stack: Stack, spots: pd.DataFrame, calibrations: Mapping[Method, Calibration]
 ) -> pd.DataFrame:
     light = CONE if scene.source.kind == CONE else scene.source.lens
     microscope = read_microscope(stack.folder / "microscope.json")
@@ -239,21 +245,12 @@ def _errors(
         # `corrected` is the cone of a plane, taken to the sphere.
         model = None if known.model == "lens" else "corrected"
         ranger = Ranger(known, microscope, model=model)
-        for label, result, used in zip(tracked.labels, tracked.results, tracked.used, strict=True):
-            if not (used and isinstance(result, Spot)):
-                continue
-            found = ranger.distance(result, frame=stack.image(label))
-            radius, estimate = result.semi_minor_px * microscope.scale_mm_px, found.distance_mm
-            values = (label.d_mm, radius, estimate, estimate - label.d_mm, bool(found.others_mm))
+        for row in rows_of(spots[spots.used]):
+            found = ranger.distance(row.result, frame=stack.image(row))
+            radius, estimate = row.semi_minor_px * microscope.scale_mm_px, found.distance_mm
+            values = (row.d_mm, radius, estimate, estimate - row.d_mm, bool(found.others_mm))
             rows.append(("rendered", light, scene.source.medium, method, *values))
     return pd.DataFrame(rows, columns=COLUMNS)
-
-
-def _of_fit(fit: PlaneFit, scene: Scene) -> Calibration:
-    """What the plane in air gave: k and b, with their covariance."""
-    to_k = np.diag([1.0 / scene.microscope.scale_mm_px, 1.0])
-    values = {"k": fit.delta_k / scene.microscope.scale_mm_px, "b": fit.b}
-    return study_calibration("planar", values, medium=AIR, covariance=to_k @ fit.covariance @ to_k)
 
 
 _LENSES = ("paper-candidate", "dome")
@@ -289,8 +286,8 @@ def _error_figure(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame)
         shown = [(method, VITREOUS, "-", "o") for method in Method]
         for method, medium, style, shape in [(Method.AIR_CONE, AIR, "--", "s"), *shown]:
             colour = _COLOURS[method]
-            line = _some(errors, "analytic", light, medium, method)
-            marks = _some(errors, "rendered", light, medium, method)
+            own = where(errors, light=light, medium=medium, method=method)
+            line, marks = where(own, source="analytic"), where(own, source="rendered")
             clear = line.error_mm.mask(line.ambiguous)
             axes.plot(line.d_mm, clear, ls=style, color=colour, label=f"{method}, in {medium}")
             if line.ambiguous.any():
@@ -325,17 +322,6 @@ def _radius_figure(curves: Mapping[tuple[str, str], Curve]) -> Figure:
 def _lights(curves: Mapping[tuple[str, str], Curve]) -> list[str]:
     """The lenses and the cone, in order."""
     return list(dict.fromkeys(light for light, _ in curves))
-
-
-def _some(
-    errors: pd.DataFrame, source: str, light: str, medium: str, method: Method
-) -> pd.DataFrame:
-    return errors[
-        (errors.source == source)
-        & (errors.light == light)
-        & (errors.medium == medium)
-        & (errors.method == method)
-    ]
 
 
 # The page.
@@ -418,9 +404,9 @@ def _report(scene: Scene, curves: Mapping[tuple[str, str], Curve], errors: pd.Da
 
 
 def _answer(scene: Scene, errors: pd.DataFrame) -> str:
-    lens = (errors.light == scene.source.lens) & (errors.medium == VITREOUS)
-    computed = errors[lens & (errors.source == "analytic") & (errors.method == Method.AIR_CONE)]
-    rendered = errors[lens & (errors.source == "rendered")]
+    own = where(errors, light=scene.source.lens, medium=VITREOUS)
+    computed = where(own, source="analytic", method=Method.AIR_CONE)
+    rendered = where(own, source="rendered")
     median = rendered.error_mm.abs().groupby(rendered.method).median()
     return (
         "Calibrated as a cone in air, a distance in vitreous is off by up to "
@@ -447,7 +433,8 @@ def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> It
         air, vitreous = (curves[lens, medium].cone for medium in (AIR, VITREOUS))
 
         def worst(lens: str, medium: str, method: Method) -> float:
-            return largest(_some(errors, "analytic", lens, medium, method).error_mm)
+            computed = where(errors, source="analytic", light=lens, medium=medium, method=method)
+            return largest(computed.error_mm)
 
         yield Claim(
             name=f"air to vitreous, {lens}",
@@ -466,9 +453,10 @@ def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> It
             },
         )
     for lens in lenses:
-        rows = _some(errors, "rendered", lens, VITREOUS, Method.LENS)
+        own = where(errors, source="rendered", light=lens, medium=VITREOUS)
+        rows = where(own, method=Method.LENS)
         sure = rows.error_mm[~rows.ambiguous].dropna().abs()
-        cone = _some(errors, "rendered", lens, VITREOUS, Method.AIR_CONE).error_mm.abs()
+        cone = where(own, method=Method.AIR_CONE).error_mm.abs()
         yield Claim(
             name=f"lens model, {lens}",
             sentence="In rendered vitreous the lens model is off by {value:.3f} mm and the cone of "
@@ -487,9 +475,9 @@ def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> It
                 "worst": largest(sure),
             },
         )
+    control = where(errors, source="rendered", light=CONE, method=Method.AIR_CONE)
     in_air, in_vitreous = (
-        _some(errors, "rendered", CONE, medium, Method.AIR_CONE).set_index("d_mm").error_mm
-        for medium in (AIR, VITREOUS)
+        where(control, medium=medium).set_index("d_mm").error_mm for medium in (AIR, VITREOUS)
     )
     differences = (in_vitreous - in_air).dropna()
     yield Claim(

@@ -26,8 +26,7 @@ from scipy.stats import qmc
 
 import optics
 import scenes
-from benchmarks.model_error import ECCENTRICITY
-from benchmarks.paper import MICROSCOPE_MM, mean, require_roomy_eyeball, rms
+from benchmarks.paper import MICROSCOPE_MM, mean, require_roomy_eyeball, rms, write_results
 from benchmarks.reporting import (
     BLUE,
     VERMILION,
@@ -38,10 +37,10 @@ from benchmarks.reporting import (
     Section,
     Table,
     grouped,
-    limit_lines,
     number,
     rows_of,
     small_multiples,
+    where,
 )
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration.spots import (
@@ -59,12 +58,10 @@ from estimator import (
     NoSpot,
     Ranger,
     Spot,
-    SpotRecord,
     Stack,
     SubpixelSettings,
     TrackState,
     read_microscope,
-    write_spots,
 )
 from estimator import measure as measured
 from estimator.files import written_whole
@@ -194,7 +191,6 @@ def pose_error(
     standard deviation that the estimator reports.
 
     Args:
-        place: the true pose.
         source: "analytic" or "rendered".
         pinhole_height: z_F, mm.
         noise_px: of the contour's points.
@@ -444,12 +440,10 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[di
             study.scene,
             STILL | {"spot.eccentricity_mm": c, "motion": {"kind": "recorded", "file": str(file)}},
         )
-    spots = study.folder / "spots"
-    spots.mkdir(exist_ok=True)
 
     def track(name: str, stack: Stack) -> tuple[MicroscopeFile, list[Spot | NoSpot]]:
         microscope = read_microscope(stack.folder / "microscope.json")
-        return microscope, _spots(stack, spots / f"{name}.csv")
+        return microscope, _spots(stack, study.spots_file(name))
 
     rng = np.random.default_rng([study.seed, 2])
     rows = []
@@ -471,19 +465,7 @@ def _spots(stack: Stack, file: Path) -> list[Spot | NoSpot]:
     results = [
         measured(stack.image(label), TrackState(), SubpixelSettings())[0] for label in stack.labels
     ]
-    write_spots(
-        file,
-        [
-            SpotRecord(
-                frame=label.frame,
-                file_name=label.file_name,
-                time_s=label.time_s,
-                mode="subpixel",
-                result=result,
-            )
-            for label, result in zip(stack.labels, results, strict=True)
-        ],
-    )
+    write_results(file, stack.labels, results, mode="subpixel")
     return results
 
 
@@ -575,8 +557,6 @@ def _tips_and_axes(tool: Tool, pose: ToolPose) -> tuple[jax.Array, jax.Array]:
 _mismatch_covariances = jax.jit(jax.vmap(optics.mismatch_covariance))
 
 
-LARGEST_C_MM = 5.0
-"""Largest eccentricity of the rendered spots."""
 SOURCES = ("analytic", "rendered")
 NAMES = {1: "one spot", 3: "three spots"}
 REQUIRED_TIP_MM, REQUIRED_AXIS_DEG, REQUIRED_DISTANCE_MM = 0.010, 0.1, 0.005
@@ -620,11 +600,6 @@ def _analytic(study: Study, *, one: int, three: int) -> list[dict[str, Any]]:
 # Summaries.
 
 
-def some(errors: pd.DataFrame, source: str, spots: int, prior: Prior) -> pd.DataFrame:
-    """The rows of one source, number of spots and prior."""
-    return errors[(errors.source == source) & (errors.spots == spots) & (errors.prior == prior)]
-
-
 def scatter(rows: pd.DataFrame) -> pd.Series:
     """Root mean squares and means; rows that share a source, number of spots and prior.
 
@@ -661,9 +636,6 @@ _MARKS: dict[str, dict[str, Any]] = {
     "analytic": {"marker": ".", "ms": 4, "alpha": 0.45},
     "rendered": {"marker": "x", "ms": 6},
 }
-_ASIDE = 0.1
-"""Spots of one eccentricity are drawn side by side, in the order of their distances."""
-
 _QUANTITIES = {"error of the tip (mm)": "tip_{}_mm", "error of the axis (°)": "axis_{}_deg"}
 
 
@@ -676,11 +648,11 @@ def _by_incidence(errors: pd.DataFrame) -> Figure:
         error, bound = (_QUANTITIES[quantity].format(name) for name in ("error", "bound"))
         for spots, colour in _COLOURS.items():
             for source, marks in _MARKS.items():
-                rows = some(errors, source, spots, Prior.ROUGH)
+                rows = where(errors, source=source, spots=spots, prior=Prior.ROUGH)
                 shown = rows[~rows.mirrored & (rows.z_f_mm == height)]
                 points = shown.incidence_deg, shown[error]
                 axes.plot(*points, ls="", color=colour, label=f"{NAMES[spots]}, {source}", **marks)
-            rows = some(errors, "analytic", spots, Prior.ROUGH)
+            rows = where(errors, source="analytic", spots=spots, prior=Prior.ROUGH)
             bins = pd.cut(rows.incidence_deg, edges.tolist(), right=False)
             bounds = rows[bound].groupby(bins, observed=False).agg(rms)
             axes.plot(0.5 * (edges[:-1] + edges[1:]), bounds, color=colour, lw=1.6)
@@ -690,27 +662,6 @@ def _by_incidence(errors: pd.DataFrame) -> Figure:
 
     columns = list(_QUANTITIES)
     return small_multiples(draw, rows=[""], columns=columns, x="incidence (°)", y="", height=3.7)
-
-
-def _known_axis(errors: pd.DataFrame) -> Figure:
-    """Errors of the distance in rendered frames with a known axis, against c."""
-    rows = some(errors, "rendered", 1, Prior.KNOWN)
-
-    def draw(axes: Axes, *_: str) -> None:
-        limit_lines(axes, 1e3 * REQUIRED_DISTANCE_MM)
-        axes.errorbar(
-            rows.c_mm + _ASIDE * (rows.d_mm - rows.d_mm.mean()),
-            1e3 * rows.distance_error_mm,
-            yerr=1e3 * rows.sigma_distance_mm,
-            fmt="x",
-            capsize=2,
-            color=BLUE,
-        )
-
-    y = "error of $d$ (µm)"
-    return small_multiples(
-        draw, rows=[""], columns=[""], x=ECCENTRICITY, y=y, height=3.2, legend_columns=0
-    )
 
 
 # The page.
@@ -748,7 +699,9 @@ def _report(scene: Scene, errors: pd.DataFrame) -> Report:
                 for prior in priors
                 for source in SOURCES
                 for spots in REPORTED
-                for _, rows in grouped(some(errors, source, spots, prior), "z_f_mm")
+                for _, rows in grouped(
+                    where(errors, source=source, spots=spots, prior=prior), "z_f_mm"
+                )
             ]
         )
 
@@ -780,31 +733,13 @@ def _report(scene: Scene, errors: pd.DataFrame) -> Report:
             Section(
                 "The mirror solution",
                 Table.of(
-                    scatters(Prior.ROUGH, Prior.NONE),
+                    scatters(*Prior),
                     _COLUMNS,
-                    "How often the mirrored solution is taken, and the tip's root mean square "
-                    "error without and with it.",
+                    "Root mean square errors with every prior: how often the mirrored solution is "
+                    "taken, and the tip's error without and with it.",
                     data=_FILE,
                 ),
                 _MIRROR,
-            ),
-            Section(
-                "Axis known",
-                Table.of(
-                    scatters(Prior.KNOWN),
-                    _COLUMNS,
-                    "Root mean square errors if the robot gives the axis. The last column is the "
-                    "standard deviation of the distance that the estimator reports.",
-                    data=_FILE,
-                ),
-                Picture(
-                    "known",
-                    _known_axis(errors),
-                    "Error of the distance with the axis known, one spot in rendered frames, "
-                    "against the eccentricity (farther ones to the right of nearer ones). Bars: "
-                    "the estimator's own standard deviation. Dashed: the requirement.",
-                    data=_FILE,
-                ),
             ),
         ],
         data={_FILE: errors},
@@ -812,10 +747,7 @@ def _report(scene: Scene, errors: pd.DataFrame) -> Report:
 
 
 def _answer(errors: pd.DataFrame) -> str:
-    one, three = (
-        rows_of(pd.DataFrame([scatter(some(errors, "rendered", spots, Prior.ROUGH))]))[0]
-        for spots in REPORTED
-    )
+    one, three = (_summary(errors, "rendered", spots, Prior.ROUGH) for spots in REPORTED)
     return (
         f"One rendered spot gives the tip to {number(1e3 * one.tip_mm, 1)} µm and the axis to "
         f"{number(one.axis_deg, 3)}°, three spots give them to {number(1e3 * three.tip_mm, 1)} µm "
@@ -824,14 +756,15 @@ def _answer(errors: pd.DataFrame) -> str:
     )
 
 
-def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
-    def found_for(source: str, spots: int, prior: Prior) -> Any:
-        """The summary of one source, number of spots and prior."""
-        return rows_of(pd.DataFrame([scatter(some(errors, source, spots, prior))]))[0]
+def _summary(errors: pd.DataFrame, source: str, spots: int, prior: Prior) -> Any:
+    rows = where(errors, source=source, spots=spots, prior=prior)
+    return rows_of(pd.DataFrame([scatter(rows)]))[0]
 
+
+def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
     for source in SOURCES:
         for spots, (tip, axis) in REPORTED.items():
-            found = found_for(source, spots, Prior.ROUGH)
+            found = _summary(errors, source, spots, Prior.ROUGH)
             yield Claim(
                 name=f"{source}, {NAMES[spots]}, tip",
                 sentence="The mean error of the tip is {value:.4f} mm (reported by others, with "
@@ -851,8 +784,8 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
                 high=axis,
                 numbers={"all": found},
             )
-    single = some(errors, "rendered", 1, Prior.ROUGH)
-    found = found_for("rendered", 1, Prior.ROUGH)
+    single = where(errors, source="rendered", spots=1, prior=Prior.ROUGH)
+    found = _summary(errors, "rendered", 1, Prior.ROUGH)
     by_incidence = [(deg, scatter(rows)) for deg, rows in single.groupby("incidence_deg")]
     incidences = tuple(deg for deg, _ in by_incidence)
     yield Claim(
@@ -883,7 +816,7 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
             "bounds": tuple(part.axis_bound_deg for _, part in by_incidence),
         },
     )
-    known = some(errors, "rendered", 1, Prior.KNOWN)
+    known = where(errors, source="rendered", spots=1, prior=Prior.KNOWN)
     yield Claim(
         name="requirement, distance",
         sentence="With the axis known the distance is off by {value:.4f} mm (root mean square) at "
@@ -897,7 +830,7 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
             "frames": len(known),
         },
     )
-    free, led = (found_for("analytic", 1, p) for p in (Prior.NONE, Prior.ROUGH))
+    free, led = (_summary(errors, "analytic", 1, p) for p in (Prior.NONE, Prior.ROUGH))
     yield Claim(
         name="mirror",
         sentence="Without a prior, one spot gives the mirror solution in {value:.1%} of the "
@@ -908,7 +841,7 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
         "without a prior, mirrored solutions included.",
         value=free.mirrored,
         numbers={
-            "three": found_for("analytic", 3, Prior.NONE),
+            "three": _summary(errors, "analytic", 3, Prior.NONE),
             "free": free,
             "led": led,
             "prior": PRIOR_DEG,

@@ -392,8 +392,6 @@ def base_scene(scene: Scene, path: str, wall: str, *, eccentricity: float) -> Sc
     """The study's scene through a path, with its window centred on O.
 
     Args:
-        scene: the study's.
-        path: name of the viewing path.
         eccentricity: c of O, mm.
     """
     lens = PATHS[path]
@@ -421,12 +419,7 @@ def base_scene(scene: Scene, path: str, wall: str, *, eccentricity: float) -> Sc
 
 
 def pictures(scene: Scene, one: Place, seen: Views) -> Pictures:
-    """Photographs under the light guide, by the microscope and by a stereo pair.
-
-    Args:
-        scene: `base_scene` of the place.
-        one: of instrument and light guide.
-    """
+    """Photographs under the light guide, by the microscope and by a stereo pair."""
     lit = scenes.changed(
         scene,
         {
@@ -583,11 +576,7 @@ class Marks(NamedTuple):
 
 
 def marks_of(place: Place, views: Views, *, points: int) -> Marks:
-    """The true marks.
-
-    Args:
-        place: of instrument and light guide.
-    """
+    """The true marks."""
     contour = optics.cone_contour(beam_of(place), WALL, points=points).point
     shadow = shadow_of(place.tip, place.lamp)
     # Each camera projects all of its points at once: the compilation of a path takes seconds.
@@ -665,7 +654,6 @@ def nearest_point(
 
     Args:
         first: a point of a line, and its direction of any length, each ... x 3.
-        second: the same of the other line.
     """
     (p, u), (q, v) = first, second
     u, v = (w / jnp.linalg.norm(w, axis=-1, keepdims=True) for w in (u, v))

@@ -9,7 +9,7 @@ DIR/expected.csv     standard deviations of the three by stated noise of their m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 import optics
 import scenes
 from benchmarks.model_error import DISTANCE
-from benchmarks.paper import ACCEPTABLE_ERROR_MM, SUBPIXEL, VISIBLE_ENOUGH, largest, track_stack
+from benchmarks.paper import ACCEPTABLE_ERROR_MM, SUBPIXEL, largest, track_stack
 from benchmarks.reporting import (
     BLUE,
     ORANGE,
@@ -38,11 +38,11 @@ from benchmarks.reporting import (
     grouped,
     limit_lines,
     number,
+    rows_of,
     small_multiples,
+    where,
 )
 from benchmarks.studies import sensor_views
-from benchmarks.studies import sensor_views as marks
-from benchmarks.studies import sensor_views as pictures
 from benchmarks.studies.sensor_views import (
     CONE,
     CONTOUR_PX,
@@ -76,7 +76,7 @@ from benchmarks.studies.sensor_views import (
     views,
 )
 from benchmarks.study import OutputFolder, Quick, Seed, Study
-from estimator import FrameLabels, NoSpot, Spot, Stack
+from estimator import Stack
 from estimator.run import progress
 from scenes import Scene
 
@@ -263,7 +263,6 @@ class Trial(NamedTuple):
 
     Attributes:
         c: mm.
-        scene: that all places have in common.
     """
 
     path: str
@@ -292,7 +291,7 @@ def trials(
             path,
             wall,
             c,
-            pictures.base_scene(scene, path, wall, eccentricity=c),
+            sensor_views.base_scene(scene, path, wall, eccentricity=c),
             [place(eccentricity=c, distance=d) for d in distances],
         )
         for path in paths
@@ -303,19 +302,15 @@ def trials(
 
 def by_spots(study: Study, every: Sequence[Trial]) -> list[Reading]:
     """Readings of the spot: a withdrawal with each trial's distances, tracked and read exactly."""
-    folder = study.folder / "spots"
-    folder.mkdir(exist_ok=True)
     named = {trial.name: trial for trial in every}
     cameras = {path: views(path) for path in dict.fromkeys(trial.path for trial in every)}
 
     def read(name: str, stack: Stack) -> list[Reading]:
-        tracked = track_stack(stack, SUBPIXEL, spots_file=folder / f"{name}.csv")
+        spots = track_stack(stack, SUBPIXEL, spots_file=study.spots_file(name))
         trial = named[name]
         return [
-            _spot_reading(trial, one, cameras[trial.path], result, label)
-            for one, result, label in zip(
-                trial.places, tracked.results, tracked.labels, strict=True
-            )
+            _spot_reading(trial, one, cameras[trial.path], row)
+            for one, row in zip(trial.places, rows_of(spots), strict=True)
         ]
 
     found = study.measured({name: _withdrawal(t) for name, t in named.items()}, read)
@@ -324,7 +319,7 @@ def by_spots(study: Study, every: Sequence[Trial]) -> list[Reading]:
 
 def by_pictures(
     every: Sequence[Trial],
-) -> tuple[list[Reading], dict[tuple[str, float], pictures.Pictures]]:
+) -> tuple[list[Reading], dict[tuple[str, float], Pictures]]:
     """Readings of shadow and stereo; and the pictures of the first wall by path and distance."""
     cameras = {path: views(path) for path in dict.fromkeys(trial.path for trial in every)}
     readings, kept = [], {}
@@ -333,7 +328,7 @@ def by_pictures(
             seen = cameras[trial.path]
             in_view = outcomes_at(Place(*map(np.stack, zip(*trial.places, strict=True))), seen)
             for k, one in enumerate(trial.places):
-                taken = pictures.pictures(trial.scene, one, seen)
+                taken = sensor_views.pictures(trial.scene, one, seen)
                 readings.append(_shadow(trial, one, taken, in_view[Sensor.SHADOW][k]))
                 readings.append(_stereo(trial, one, taken, in_view[Sensor.STEREO][k]))
                 if trial.wall == every[0].wall and trial.c == every[0].c:
@@ -384,31 +379,30 @@ def _reading(
     return sensor, trial.path, trial.wall, trial.c, d, outcome, distance - d, mark_error
 
 
-def _spot_reading(
-    trial: Trial, one: Place, seen: Views, result: Spot | NoSpot, label: FrameLabels
-) -> Reading:
-    if not isinstance(result, Spot):
+def _spot_reading(trial: Trial, one: Place, seen: Views, row: Any) -> Reading:
+    """The reading of a row of `spots_of`."""
+    if not row.result:
         return _reading(Sensor.SPOT, trial, one, Outcome.NO_SPOT)
-    if label.visible_fraction < VISIBLE_ENOUGH:
+    if not row.used:
         return _reading(Sensor.SPOT, trial, one, Outcome.HIDDEN)
     centre = centred(seen.centre, one.spot)
     ellipse = optics.Ellipse(
-        centre=jnp.array([result.x_px, result.y_px]),
-        semi_major=jnp.asarray(result.semi_major_px),
-        semi_minor=jnp.asarray(result.semi_minor_px),
-        angle=jnp.asarray(result.angle_rad),
+        centre=jnp.array([row.x_px, row.y_px]),
+        semi_major=jnp.asarray(row.semi_major_px),
+        semi_minor=jnp.asarray(row.semi_minor_px),
+        angle=jnp.asarray(row.angle_rad),
     )
     distance = float(_by_spot(ellipse, _known(one, seen._replace(centre=centre))))
-    off = abs(result.semi_minor_px - label.half_max_semi_minor_px)
+    off = abs(row.semi_minor_px - row.half_max_semi_minor_px)
     return _reading(Sensor.SPOT, trial, one, Outcome.READ, distance, off)
 
 
-def _shadow(trial: Trial, one: Place, taken: pictures.Pictures, outcome: Outcome) -> Reading:
+def _shadow(trial: Trial, one: Place, taken: Pictures, outcome: Outcome) -> Reading:
     if outcome != Outcome.READ:
         return _reading(Sensor.SHADOW, trial, one, outcome)
-    camera, image = taken.seen.centre, pictures.grey(taken.centre)
-    tip = marks.found_shift(image, marks.tool_outline(one, camera), dark=False)
-    shadow = marks.found_shift(image, marks.shadow_outline(one, camera), dark=True)
+    camera, image = taken.seen.centre, sensor_views.grey(taken.centre)
+    tip = sensor_views.found_shift(image, sensor_views.tool_outline(one, camera), dark=False)
+    shadow = sensor_views.found_shift(image, sensor_views.shadow_outline(one, camera), dark=True)
     distance = _by_shadow(
         _image(camera, one.tip) + tip,
         _image(camera, np.asarray(sensor_views.shadow_of(one.tip, one.lamp))) + shadow,
@@ -418,16 +412,16 @@ def _shadow(trial: Trial, one: Place, taken: pictures.Pictures, outcome: Outcome
     return _reading(Sensor.SHADOW, trial, one, Outcome.READ, float(distance), float(off))
 
 
-def _stereo(trial: Trial, one: Place, taken: pictures.Pictures, outcome: Outcome) -> Reading:
+def _stereo(trial: Trial, one: Place, taken: Pictures, outcome: Outcome) -> Reading:
     if outcome != Outcome.READ:
         return _reading(Sensor.STEREO, trial, one, outcome)
-    images = [pictures.grey(photograph) for photograph in (taken.left, taken.right)]
-    height = marks.wall_height(images[0], images[1], one, taken.seen)
+    images = [sensor_views.grey(photograph) for photograph in (taken.left, taken.right)]
+    height = sensor_views.wall_height(images[0], images[1], one, taken.seen)
     if height is None:
         return _reading(Sensor.STEREO, trial, one, Outcome.NO_TEXTURE)
     pair = [taken.seen.left, taken.seen.right]
     shifts = [
-        marks.found_shift(image, marks.tool_outline(one, camera), dark=False)
+        sensor_views.found_shift(image, sensor_views.tool_outline(one, camera), dark=False)
         for image, camera in zip(images, pair, strict=True)
     ]
     places = [_image(camera, one.tip) + shift for camera, shift in zip(pair, shifts, strict=True)]
@@ -454,13 +448,11 @@ _RENDERED_D_MM, _QUICK_D_MM = [1.0, 3.0, 5.0], [1.0, 4.0]
 
 
 @dataclass(frozen=True, kw_only=True)
-class RivalFindings:
+class SensorFindings:
     """All results of a run.
 
     Attributes:
         scene: the study's; its seed and its camera are used.
-        expected: with stated noise.
-        wrong: with one wrong assumption.
         photographs: of the first wall, by path and distance.
     """
 
@@ -477,26 +469,20 @@ class RivalFindings:
 
     def sigma(self, sensor: Sensor, path: str) -> pd.Series:
         """Standard deviations of the places that the sensor can read, mm."""
-        of = self.expected
-        return of.sigma_mm[(of.sensor == sensor) & (of.path == path) & (of.outcome == Outcome.READ)]
+        return where(self.expected, sensor=sensor, path=path, outcome=Outcome.READ).sigma_mm
 
     def bias(self, sensor: Sensor, path: str, wrong: Wrong) -> pd.Series:
         """Errors under one wrong assumption at the places that the sensor can read, mm."""
-        of = self.wrong
-        return of.error_mm[(of.sensor == sensor) & (of.path == path) & (of.wrong == wrong)]
+        return where(self.wrong, sensor=sensor, path=path, wrong=wrong).error_mm
 
     def summaries(self) -> pd.DataFrame:
         """The readings by sensor, path and wall."""
         rows = []
         for key, every in grouped(self.readings, "sensor", "path", "wall"):
-            done = every[every.outcome == Outcome.READ]
-            reasons = every.outcome[every.outcome != Outcome.READ]
-            why = [f"{why} {(reasons == why).sum()}" for why in dict.fromkeys(reasons)]
-            errors = done.error_mm.abs()
-            sizes = (errors.median(), errors.max(), done.mark_error_px.median())
-            rows.append((*key, len(every), len(done), *sizes, ", ".join(why)))
-        columns = "sensor path wall asked read median_mm largest_mm mark_px why_not"
-        return pd.DataFrame(rows, columns=columns.split())
+            errors = every.error_mm[every.outcome == Outcome.READ].abs()
+            rows.append((*key, len(every), len(errors), errors.median(), errors.max()))
+        columns = "sensor path wall asked read median_mm largest_mm".split()
+        return pd.DataFrame(rows, columns=columns)
 
 
 # Figures.
@@ -507,68 +493,58 @@ _LINES = ("-", "--", ":")
 _SMALLEST_MM, _LARGEST_MM = 1e-4, 5.0
 
 
-def noise_figure(findings: RivalFindings) -> Figure:
+def noise_figure(findings: SensorFindings) -> Figure:
     """Standard deviation against distance: a panel for each path, a line style for each c."""
-    expected = findings.expected
 
-    def draw(axes: Axes, _: str, path: str) -> None:
-        for sensor in _COLOURS:
-            _lines(axes, sensor, expected[expected.path == path], "sigma_mm")
-        axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--")
+    def scale(axes: Axes) -> None:
+        axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--", zorder=2.1)
         axes.set_yscale("log")
         axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
 
-    return small_multiples(
-        draw,
-        rows=[""],
-        columns=findings.paths[:4],
-        x=DISTANCE,
-        y="σ of d (mm)",
-        legend_columns=3,
-        sharey=True,
-    )
+    shown = findings.expected[findings.expected.path.isin(findings.paths[:4])]
+    return _by_path(shown, "sigma_mm", scale, y="σ of d (mm)")
 
 
-def path_figure(findings: RivalFindings) -> Figure:
+def path_figure(findings: SensorFindings) -> Figure:
     """Error against distance if the path is taken for a pinhole: a panel for each path."""
-    wrong = findings.wrong[findings.wrong.wrong == Wrong.PATH]
+
+    def scale(axes: Axes) -> None:
+        limit_lines(axes, ACCEPTABLE_ERROR_MM)
+
+    wrong = where(findings.wrong, wrong=Wrong.PATH)
+    return _by_path(wrong, "error_mm", scale, y="estimate − truth (mm)", height=3.2)
+
+
+def _by_path(
+    rows: pd.DataFrame, value: str, scale: Callable[[Axes], None], **labels: Any
+) -> Figure:
+    """Values of every sensor against distance, a line for each c and a panel for each path."""
 
     def draw(axes: Axes, _: str, path: str) -> None:
-        limit_lines(axes, ACCEPTABLE_ERROR_MM)
+        scale(axes)
         for sensor in _COLOURS:
-            _lines(axes, sensor, wrong[wrong.path == path], "error_mm")
+            own = grouped(where(rows, path=path, sensor=sensor), "c_mm")
+            for (c, line), style in zip(own, _LINES, strict=False):
+                marks: dict[str, Any] = {"color": _COLOURS[sensor], "marker": _MARKS[sensor]}
+                label = f"{sensor}, c = {c:g} mm"
+                axes.plot(line.d_mm, line[value], style, label=label, ms=3, **marks)
 
+    paths = rows.path.unique().tolist()
     return small_multiples(
-        draw,
-        rows=[""],
-        columns=list(dict.fromkeys(wrong.path)),
-        x=DISTANCE,
-        y="estimate − truth (mm)",
-        height=3.2,
-        legend_columns=3,
-        sharey=True,
+        draw, rows=[""], columns=paths, x=DISTANCE, legend_columns=3, sharey=True, **labels
     )
 
 
-def _lines(axes: Axes, sensor: Sensor, rows: pd.DataFrame, value: str) -> None:
-    """Lines of a sensor's values against distance, one for each c."""
-    own = grouped(rows[rows.sensor == sensor], "c_mm")
-    for (c, line), style in zip(own, _LINES, strict=False):
-        marks: dict[str, Any] = {"color": _COLOURS[sensor], "marker": _MARKS[sensor], "ms": 3}
-        label = f"{sensor}, c = {c:g} mm"
-        axes.plot(line.d_mm, line[value], style, label=label, **marks)
-
-
-def reading_figure(findings: RivalFindings) -> Figure:
+def reading_figure(findings: SensorFindings) -> Figure:
     """|Error| of the rendered readings against distance: rows of paths, columns of walls."""
-    read = findings.readings[findings.readings.outcome == Outcome.READ]
+    read = where(findings.readings, outcome=Outcome.READ)
 
     def draw(axes: Axes, path: str, wall: str) -> None:
         for sensor, colour in _COLOURS.items():
-            of = (read.sensor == sensor) & (read.path == path) & (read.wall == wall)
+            of = where(read, sensor=sensor, path=path, wall=wall)
             axes.plot(
-                read.d_mm[of],
-                read.error_mm[of].abs().clip(lower=_SMALLEST_MM),
+                of.d_mm,
+                of.error_mm.abs().clip(lower=_SMALLEST_MM),
                 ls="",
                 marker=_MARKS[sensor],
                 ms=4,
@@ -591,7 +567,7 @@ def reading_figure(findings: RivalFindings) -> Figure:
     )
 
 
-def photograph_figure(findings: RivalFindings) -> Figure:
+def photograph_figure(findings: SensorFindings) -> Figure:
     """What the sensors see: the central image and the left one, a row for each path."""
     distance = max(d for _, d in findings.photographs)
 
@@ -614,7 +590,7 @@ def photograph_figure(findings: RivalFindings) -> Figure:
 # The page.
 
 
-def report(findings: RivalFindings) -> Report:
+def report(findings: SensorFindings) -> Report:
     """The report of a run."""
     return Report(
         title="Which is the best sensor of the distance: the spot, the shadow, or a stereo pair?",
@@ -637,7 +613,7 @@ def report(findings: RivalFindings) -> Report:
                 data="expected.csv",
             ),
             Table.of(
-                findings.summaries()[findings.summaries().path == findings.paths[0]],
+                where(findings.summaries(), path=findings.paths[0]),
                 {
                     "sensor": Column("sensor"),
                     "wall": Column("wall"),
@@ -669,20 +645,6 @@ def report(findings: RivalFindings) -> Report:
                     f"lens and the eye in front of it (z_F = {PINHOLE_HEIGHT_MM:g} mm) are not.",
                     data="wrong.csv",
                 ),
-                Table.of(
-                    findings.wrong[findings.wrong.d_mm == 2.0],
-                    {
-                        "sensor": Column("sensor"),
-                        "path": Column("path"),
-                        "wrong": Column("what is wrong"),
-                        "c_mm": Column("c, mm", 1),
-                        "d_mm": Column("d, mm", 1),
-                        "error_mm": Column("error, mm", sign=True),
-                    },
-                    "Errors at d = 2 mm if one assumption is wrong; RMS over directions, where "
-                    "something lies or points elsewhere.",
-                    data="wrong.csv",
-                ),
             ),
             Section(
                 "Read from rendered pictures",
@@ -690,23 +652,6 @@ def report(findings: RivalFindings) -> Report:
                     "readings",
                     reading_figure(findings),
                     "Errors of the readings; a missing mark was not read.",
-                    data="readings.csv",
-                ),
-                Table.of(
-                    findings.summaries(),
-                    {
-                        "sensor": Column("sensor"),
-                        "path": Column("path"),
-                        "wall": Column("wall"),
-                        "asked": Column("places"),
-                        "read": Column("read"),
-                        "median_mm": Column("median |error|, mm"),
-                        "largest_mm": Column("largest, mm"),
-                        "mark_px": Column("median mark's error, px", 2),
-                        "why_not": Column("not read because"),
-                    },
-                    "Readings by sensor, path and wall. The mark's error is that of the semi-minor "
-                    "axis for the spot, and the largest of the places of tip and shadow otherwise.",
                     data="readings.csv",
                 ),
                 _HELP,
@@ -743,17 +688,16 @@ _HELP = (
 )
 
 
-def _answer(findings: RivalFindings) -> str:
-    rows = findings.readings[findings.readings.outcome == Outcome.READ]
+def _answer(findings: SensorFindings) -> str:
+    rows = where(findings.readings, outcome=Outcome.READ)
     sizes = 1e3 * rows.error_mm.abs().groupby(rows.sensor).median()
     listed = ", ".join(f"{number(sizes[s], 1)} µm from the {s}" for s in Sensor if s in sizes)
     return f"In rendered pictures the median error of a distance is {listed}."
 
 
-def _claims(findings: RivalFindings) -> Iterator[Claim]:
+def _claims(findings: SensorFindings) -> Iterator[Claim]:
     for path in findings.paths:
         sigmas = [findings.sigma(sensor, path) for sensor in Sensor]
-        of = findings.expected
         yield Claim(
             name=f"noise, {path}",
             sentence="Through {path}, marks of the stated noise give {value:.4f} mm "
@@ -763,7 +707,7 @@ def _claims(findings: RivalFindings) -> Iterator[Claim]:
                 "path": path,
                 "sensors": ", ".join(Sensor),
                 "seen": tuple(map(len, sigmas)),
-                "places": int(((of.sensor == Sensor.SPOT) & (of.path == path)).sum()),
+                "places": len(where(findings.expected, sensor=Sensor.SPOT, path=path)),
             },
         )
     for path in findings.paths[1:]:
@@ -778,11 +722,11 @@ def _claims(findings: RivalFindings) -> Iterator[Claim]:
         name="light guide",
         sentence="A light guide 1 mm beside the place where it is thought to be changes the "
         "shadow's distance by up to {value:.2f} mm.",
-        value=largest(findings.wrong.error_mm[findings.wrong.wrong == Wrong.LAMP]),
+        value=largest(where(findings.wrong, wrong=Wrong.LAMP).error_mm),
     )
     for sensor in Sensor:
-        rows = findings.readings[findings.readings.sensor == sensor]
-        done = rows.error_mm[rows.outcome == Outcome.READ].abs()
+        rows = where(findings.readings, sensor=sensor)
+        done = where(rows, outcome=Outcome.READ).error_mm.abs()
         yield Claim(
             name=f"rendered, {sensor}",
             sentence="From rendered pictures the {sensor} was read at {read} of {places} places, "
@@ -800,7 +744,7 @@ def _claims(findings: RivalFindings) -> Iterator[Claim]:
 # The command.
 
 
-def sensors(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> RivalFindings:
+def sensors(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> SensorFindings:
     """Read one distance from the spot, from the instrument's shadow and from a stereo pair.
 
     To continue a run that was stopped, start it again with the same folder.
@@ -833,7 +777,7 @@ def sensors(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> Ri
         readings = by_spots(study, every)
     with study.timed("render and measure shadows and stereo pairs"):
         others, kept = by_pictures(every)
-    findings = RivalFindings(
+    findings = SensorFindings(
         scene=study.scene,
         expected=pd.concat(noise, ignore_index=True),
         wrong=pd.concat(wrong, ignore_index=True),

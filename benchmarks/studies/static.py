@@ -9,7 +9,7 @@ DIR/static_tables.csv  every run's Table I and II, in both modes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -126,7 +126,6 @@ def plane(scene: Scene, place: StaticTrial, *, texture: int, tilt: int, frames: 
     """A trial on the plane; the instrument keeps its direction when the plane tilts under it.
 
     Args:
-        scene: the study's.
         place: the trial that gives the place on the wall.
         texture: number of the wall, EVEN for the even one.
         tilt: 1 if the plane's normal leans the way the beam travels, -1 against it, 0 for none.
@@ -180,19 +179,33 @@ def _shared(place: StaticTrial, *, frames: int) -> dict[str, object]:
 # Photographed and measured under each set of causes.
 
 
-class Draws(NamedTuple):
-    """Sizes of the causes by run (rows) and trial (columns).
+_WITHOUT = {
+    "noise": 0,
+    "texture": EVEN,
+    "touch": 0.0,
+    "tilt": 0,
+    "exposure": 1.0,
+    "threshold": Shot().threshold,
+}
+"""What each cause is where it is left out."""
 
-    `touch` is the distance since contact minus the reading, mm; `tilt` is -1 or 1; `light` is a
-    factor on the exposure. `threshold` of the literal mode and the number of the wall's `texture`
-    are by run.
+
+def drawn(shape: tuple[int, int], *, textures: int, seed: int) -> dict[str, np.ndarray]:
+    """The causes by run (rows) and trial (columns).
+
+    Seeds of the noise, numbers of the wall's texture, distance since contact minus the reading
+    (touch, mm), tilts of -1 or 1, factors on the exposure, and thresholds of the literal mode.
     """
-
-    touch: np.ndarray
-    tilt: np.ndarray
-    light: np.ndarray
-    threshold: np.ndarray
-    texture: np.ndarray
+    rng = np.random.default_rng(seed)
+    run, trial = np.indices(shape)
+    return {
+        "noise": 1 + 1000 * run + trial,
+        "texture": run % textures,
+        "touch": TOUCH_MM * rng.standard_normal(shape),
+        "tilt": rng.choice((-1, 1), shape),
+        "exposure": np.exp(LIGHT * rng.standard_normal(shape)),
+        "threshold": np.rint(200 + THRESHOLD_DN * rng.standard_normal((shape[0], 1))).astype(int),
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,69 +214,31 @@ class Bench:
 
     planes: Mapping[Key, Photographer]
     spheres: Sequence[Photographer]
-    draws: Draws
+    draws: Mapping[str, np.ndarray]
     pool: Executor
 
-    def variants(self) -> dict[str, Measured]:
-        """Literal mode on planes without causes, with each alone, and with all."""
-        draws = self.draws
-
-        def even(shot: Callable[[int, int], Shot]) -> Measured:
-            return self._planes(lambda run, trial: ((trial, EVEN, 0), shot(run, trial)))
-
-        without = even(lambda run, trial: Shot())
-        return {
-            NONE: without,
-            "noise": even(lambda run, trial: Shot(seed=_seed(run, trial))),
-            "texture": self._planes(
-                lambda run, trial: ((trial, int(draws.texture[run]), 0), Shot())
-            ),
-            "touch": self._touched(without),
-            "tilt": self._planes(
-                lambda run, trial: ((trial, EVEN, int(draws.tilt[run, trial])), Shot())
-            ),
-            "exposure": even(lambda run, trial: Shot(light=float(draws.light[run, trial]))),
-            "threshold": even(lambda run, trial: Shot(threshold=int(draws.threshold[run]))),
-            ALL: self.together(LITERAL),
-        }
-
-    def together(self, way: Way) -> Measured:
-        """Planes under all causes at once."""
-        texture, tilt = self.draws.texture, self.draws.tilt
-        return self._touched(
-            self._planes(
-                lambda run, trial: (
-                    (trial, int(texture[run]), int(tilt[run, trial])),
-                    self._shot(way, run, trial),
-                ),
-                way=way,
-            )
-        )
-
-    def curved(self, way: Way) -> Measured:
-        """Spheres under all causes that apply: they have one wall, and no plane to tilt."""
-        tasks = [
-            (self.spheres[trial], self._shot(way, run, trial))
-            for run, trial in np.ndindex(self.draws.touch.shape)
-        ]
-        return self._touched(self._measured(tasks, way))
-
-    def _shot(self, way: Way, run: int, trial: int) -> Shot:
-        shot = Shot(seed=_seed(run, trial))
-        if way is not LITERAL:  # metered frames, no threshold
-            return shot
-        return shot._replace(
-            light=float(self.draws.light[run, trial]), threshold=int(self.draws.threshold[run])
-        )
-
-    def _planes(
-        self, task: Callable[[int, int], tuple[Key, Shot]], *, way: Way = LITERAL
+    def measured(
+        self, causes: Collection[str], *, way: Way = LITERAL, wall: str = "plane"
     ) -> Measured:
-        tasks = [task(run, trial) for run, trial in np.ndindex(self.draws.touch.shape)]
-        return self._measured([(self.planes[key], shot) for key, shot in tasks], way)
+        """Measure all runs and trials with some causes; none of them is measured twice.
 
-    def _measured(self, tasks: Sequence[tuple[Photographer, Shot]], way: Way) -> Measured:
-        """Measure every task once, however many runs share it."""
+        Metered frames have no threshold and no exposure that could be wrong, and the eyeballs have
+        one wall and no tilt.
+        """
+        if way is not LITERAL:
+            causes = set(causes) - {"exposure", "threshold"}
+        shape = self.draws["noise"].shape
+        of = {
+            cause: np.broadcast_to(self.draws[cause] if cause in causes else without, shape)
+            for cause, without in _WITHOUT.items()
+        }
+        tasks = []
+        for run, trial in np.ndindex(shape):
+            own = {cause: values[run, trial].item() for cause, values in of.items()}
+            on_plane = self.planes[trial, own["texture"], own["tilt"]]
+            photographer = on_plane if wall == "plane" else self.spheres[trial]
+            shot = Shot(own["noise"] or None, light=own["exposure"], threshold=own["threshold"])
+            tasks.append((photographer, shot))
         shots: dict[Photographer, dict[Shot, None]] = {}
         for photographer, shot in tasks:
             shots.setdefault(photographer, {})[shot] = None
@@ -273,18 +248,10 @@ class Bench:
             for (photographer, asked), measured in zip(shots.items(), spots, strict=True)
             for shot, semi_minor in zip(asked, measured, strict=True)
         }
-        shape = (*self.draws.touch.shape, -1)
-        semi_minor = np.reshape([found[task] for task in tasks], shape)
-        readings = np.reshape([photographer.readings for photographer, _ in tasks], shape)
-        return Measured(np.where(readings > FROM_MM - 1e-6, semi_minor, np.nan), readings)
-
-    def _touched(self, measured: Measured) -> Measured:
-        """The same with readings that count from a missed touch."""
-        return measured._replace(readings=measured.readings - self.draws.touch[..., None])
-
-
-def _seed(run: int, trial: int) -> int:
-    return 1 + 1000 * run + trial
+        semi_minor = np.reshape([found[task] for task in tasks], (*shape, -1))
+        readings = np.reshape([photographer.readings for photographer, _ in tasks], (*shape, -1))
+        seen = np.where(readings > FROM_MM - 1e-6, semi_minor, np.nan)
+        return Measured(seen, readings - of["touch"][..., None])
 
 
 # Table I's R² and RMSE imply trials of 3.0, 3.5 and 3.7 mm (`eyespot study table-one`).
@@ -324,11 +291,9 @@ def _tables(way: str, spots: Mapping[tuple[str, str], Measured], scene: Scene) -
     own, pooled = _lines(*spots["plane", way])
     rows: list[tuple[str, int, str, str, float]] = []
     for quantity in TABLE_I[ALL_PLANES]._fields:
-        per_trial, of_all = getattr(own, quantity), getattr(pooled, quantity)
-        for run in range(of_all.size):
-            for trial, value in zip(PAPERS_PLANES, per_trial[run], strict=True):
-                rows.append((way, run, trial, quantity, float(value)))
-            rows.append((way, run, ALL_PLANES, quantity, float(of_all[run])))
+        columns = np.column_stack([getattr(own, quantity), getattr(pooled, quantity)])
+        for run, values in enumerate(columns.tolist()):
+            rows += [(way, run, t, quantity, v) for t, v in zip(TABLE_I, values, strict=True)]
     spheres = spots["sphere", way]
     for run, trial in np.ndindex(spheres.semi_minor.shape[:2]):
         axis, reading = spheres.semi_minor[run, trial], spheres.readings[run, trial]
@@ -512,24 +477,11 @@ def _report(
             ),
             Section(
                 "Causes of the RMSE",
-                Table.of(
-                    causes[causes.scope == POOLED],
-                    {
-                        "scope": Column("line of"),
-                        "cause": Column("cause"),
-                        "size": Column("size"),
-                        "part_mm2": Column("part, 10⁻³ mm²", scale=1e3),
-                        "standard_error_mm2": Column("standard error", scale=1e3),
-                        "rmse_mm": Column("RMSE, mm"),
-                    },
-                    "Parts of the mean square error in literal mode. The first row is the error "
-                    "without any cause, because a lens's light does not give an exact line. This "
-                    "error, the parts and “together” sum to “all”. The sizes of the causes are "
-                    "assumptions. A small cause adds an error in proportion to the square of its "
-                    "size. Several runs share a wall; the standard error of texture accounts for "
-                    "this.",
-                    data="static_causes.csv",
-                ),
+                "The first bar is the error without any cause, because a lens's light does not "
+                "give an exact line. This error, the parts and “together” sum to “all”. The sizes "
+                "of the causes are assumptions. A small cause adds an error in proportion to the "
+                "square of its size. Several runs share a wall; the standard error of texture "
+                "accounts for this.",
             ),
         ],
         data={
@@ -660,29 +612,25 @@ def static(
     with study.timed("render"):
         planes = rendered_planes(study, textures=textures, frames=frames)
         spheres = rendered_spheres(study, frames=frames)
-    rng = np.random.default_rng(study.seed)
-    shape = runs, len(spheres)
-    draws = Draws(
-        touch=TOUCH_MM * rng.standard_normal(shape),
-        tilt=rng.choice((-1, 1), shape),
-        light=np.exp(LIGHT * rng.standard_normal(shape)),
-        threshold=np.rint(200 + THRESHOLD_DN * rng.standard_normal(runs)).astype(int),
-        texture=np.arange(runs) % textures,
-    )
+    draws = drawn((runs, len(spheres)), textures=textures, seed=study.seed)
     with study.timed("photograph and measure"), ThreadPoolExecutor(max_workers=2) as pool:
         bench = Bench(planes=planes, spheres=spheres, draws=draws, pool=pool)
-        variants = bench.variants()
+        variants = {cause: bench.measured([cause]) for cause in CAUSES}
+        variants |= {NONE: bench.measured([]), ALL: bench.measured(CAUSES)}
         spots = {
             ("plane", LITERAL.name): variants[ALL],
-            ("plane", SUBPIXEL.name): bench.together(SUBPIXEL),
-            **{("sphere", way.name): bench.curved(way) for way in (LITERAL, SUBPIXEL)},
+            ("plane", SUBPIXEL.name): bench.measured(CAUSES, way=SUBPIXEL),
+            **{
+                ("sphere", way.name): bench.measured(CAUSES, way=way, wall="sphere")
+                for way in (LITERAL, SUBPIXEL)
+            },
         }
     with study.timed("fit"):
         tables = pd.concat([_tables(way, spots, study.scene) for way in _WAYS], ignore_index=True)
         causes = parts(
             {name: m.semi_minor for name, m in variants.items()},
             {name: m.readings for name, m in variants.items()},
-            texture=draws.texture,
+            texture=draws["texture"][:, 0],
         )
     study.publish(_report, runs, spots, tables, causes)
     return causes

@@ -60,6 +60,7 @@ from benchmarks.reporting import (
     Table,
     rows_of,
     small_multiples,
+    where,
 )
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import Lines, fit_lines
@@ -108,7 +109,6 @@ def pooled(
     """The line through all spots of trials.
 
     Args:
-        rows: each trial's own line.
         means: mean reading of each, mm.
         weights: number of spots of each, up to a factor.
     """
@@ -141,7 +141,6 @@ def best_from_contact(rows: Sequence[PlaneRow], *, least_share: float) -> Poolin
     """Of such trials, the numbers of spots whose pooled line is the straightest.
 
     Args:
-        rows: each trial's own line.
         least_share: of each trial in all spots.
     """
     steps = np.linspace(least_share, 1.0, _WEIGHT_STEPS)
@@ -155,7 +154,6 @@ def nearest(rows: Sequence[PlaneRow], printed: PlaneRow, *, tolerance: PlaneRow)
     """Mean readings and numbers of spots whose pooled line is nearest to the printed one.
 
     Args:
-        rows: each trial's own line.
         tolerance: unit of each figure's distance.
     """
     count = len(rows)
@@ -223,7 +221,6 @@ class Isophotes:
     """Size of the spot over a fixed threshold, for one lens seen in one scene.
 
     Attributes:
-        light: the lens's.
         contact: d at reading 0, mm.
         incidence: rad.
         peak: irradiance at the level 1, per unit power, 1/mm².
@@ -446,14 +443,14 @@ class ConfirmedLens(NamedTuple):
 
     def line(self, way: str, trial: str) -> Any:
         """The row of one way of measuring and one trial."""
-        return rows_of(self.lines[(self.lines.way == way) & (self.lines.trial == trial)])[0]
+        return rows_of(where(self.lines, way=way, trial=trial))[0]
 
     @property
     def criteria(self) -> dict[Criterion, Claim]:
         """The criteria of Table I in literal mode."""
         fits = {
             row.trial: PlaneRow(row.delta_k_mm_px, row.b_mm, row.r_squared, row.rmse_mm)
-            for row in rows_of(self.lines[self.lines.way == LITERAL.name])
+            for row in rows_of(where(self.lines, way=LITERAL.name))
         }
         return reproduction(fits, name="Table I by the best lens")
 
@@ -688,7 +685,7 @@ def causes(isophotes: Isophotes, choice: LensChoice, scene: Scene) -> pd.DataFra
         f"wall {HEIGHT_MM:g} mm lower": own._replace(delta_k=own.delta_k / smaller),
         f"readings up to {longer:.1f} mm": line(readings(choice.from_mm, longer)),
     }
-    return pd.DataFrame([_cause_line(name, row, own) for name, row in changed.items()])
+    return _against(own, changed)
 
 
 def _mark(isophotes: Isophotes, choice: LensChoice) -> dict[str, float]:
@@ -732,20 +729,17 @@ def light_and_touch(row: PlaneRow, other: PlaneRow) -> tuple[float, float]:
     return ratio, row.b - ratio * other.b
 
 
-def _cause_line(name: str, row: Lines | PlaneRow, own: Lines | PlaneRow) -> dict[str, str | float]:
-    """Row of table_one_causes.csv: a line, and its change from the own one."""
-    contact = -row.b / row.delta_k
-    return {
-        "cause": name,
-        "delta_k_mm_px": float(row.delta_k),
-        "b_mm": float(row.b),
-        "contact_radius_px": float(contact),
-        "r_squared": float(row.r_squared),
-        "rmse_mm": float(row.rmse),
-        "delta_k_change_percent": float(100 * (row.delta_k / own.delta_k - 1)),
-        "b_change_mm": float(row.b - own.b),
-        "contact_radius_change_px": float(contact + own.b / own.delta_k),
-    }
+def _against(own: Lines | PlaneRow, lines: Mapping[str, Lines | PlaneRow]) -> pd.DataFrame:
+    """Content of table_one_causes.csv: lines, and their changes from the own one."""
+    columns = ["cause", "delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
+    rows = [(name, *map(float, line)) for name, line in lines.items()]
+    found = pd.DataFrame(rows, columns=columns)
+    found.insert(3, "contact_radius_px", -found.b_mm / found.delta_k_mm_px)
+    return found.assign(
+        delta_k_change_percent=100 * (found.delta_k_mm_px / own.delta_k - 1),
+        b_change_mm=found.b_mm - own.b,
+        contact_radius_change_px=found.contact_radius_px + own.b / own.delta_k,
+    )
 
 
 # The figure.
@@ -851,12 +845,9 @@ def report(
     changes = causes(isophotes[best.family], best, scene)
     marks = pd.DataFrame([_mark(isophotes[one.choice.family], one.choice) for one in confirmed])
     first, second, third = _TRIALS
-    apart = [
-        _cause_line(f"paper, {name} against point 2", row, second)
-        for name, row in (("point 1", first), ("point 3", third))
-    ]
+    papers = {f"paper, point {n} against point 2": row for n, row in ((1, first), (3, third))}
     scan_table = pd.DataFrame(choices)
-    nearest = scan_table[scan_table.asked == Demand.AT_SCALE].sort_values("miss", kind="stable")
+    nearest = where(scan_table, asked=Demand.AT_SCALE).sort_values("miss", kind="stable")
     return Report(
         title="Which lens gives the paper's Table I, and why do its trials differ?",
         answer=_answer(choices, isophotes, confirmed),
@@ -877,29 +868,20 @@ def report(
             ),
             Table.of(
                 nearest,
-                _LENS | {name: _LINE[name] for name in ("delta_k_mm_px", "b_mm", "r_squared")},
-                "The lenses that come nearest to Table I, in closed form.",
+                _LENS
+                | {
+                    "level": Column("threshold / peak at 5 mm", 4),
+                    "from_mm": Column("from d_r, mm", 1),
+                    "to_mm": Column("to d_r, mm", 1),
+                }
+                | _LINE
+                | {"miss": Column("worst / tolerance", 4)},
+                "The lenses that come nearest to Table I, in closed form, at the scene's scale.",
                 data="table_one_scan.csv",
             ),
         ],
         claims=list(_claims(scene, isophotes, choices, confirmed, marks, changes)),
         sections=[
-            Section(
-                "Lenses",
-                Table.of(
-                    nearest,
-                    _LENS
-                    | {
-                        "level": Column("threshold / peak at 5 mm", 4),
-                        "from_mm": Column("from d_r, mm", 1),
-                        "to_mm": Column("to d_r, mm", 1),
-                    }
-                    | _LINE
-                    | {"miss": Column("worst / tolerance", 4)},
-                    "The nearest lenses of the scan, in closed form, at the scene's scale.",
-                    data="table_one_scan.csv",
-                ),
-            ),
             Section(
                 "Rendered",
                 Table.of(
@@ -934,7 +916,7 @@ def report(
             Section(
                 "Why trials differ",
                 Table.of(
-                    pd.concat([changes, pd.DataFrame(apart)]),
+                    pd.concat([changes, _against(second, papers)]),
                     {
                         "cause": Column("cause"),
                         "delta_k_mm_px": Column("δk, mm/px", 4),

@@ -11,10 +11,10 @@ DIR/run.json         the request; a folder with another run.json is refused
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,7 +29,6 @@ from matplotlib.patches import Ellipse
 import optics
 from benchmarks import model_error
 from benchmarks.model_error import (
-    ACCURACY,
     CHOSEN_DISTANCES_MM,
     COMPARED,
     DISTANCE,
@@ -62,7 +61,6 @@ from benchmarks.paper import (
     Criterion,
     PlaneRow,
     StaticTrial,
-    Tracked,
     Way,
     grid_trials,
     largest,
@@ -86,11 +84,13 @@ from benchmarks.reporting import (
     Table,
     grouped,
     number,
+    rows_of,
     small_multiples,
+    where,
 )
 from benchmarks.study import LightSource, OutputFolder, Quick, Study
 from calibration import PlaneFit, SphereFit, fit_eccentricity, fit_lines, fit_plane
-from estimator import FrameLabels, NoSpot, Spot, Stack, read_stack
+from estimator import Stack, read_stack
 from scenes import Scene, World
 
 # The fits of Tables I and II, the model errors, and the tables of the CSV files.
@@ -108,17 +108,16 @@ class ValidateFindings:
     """All results of a run.
 
     Attributes:
-        stacks: folder of the rendered stacks.
-        tracked: by (trial name, way of measuring).
+        spots: of every trial in every way (columns trial, source, kind, group, way, and those of
+            `paper.spots_of`).
         plane_fits: by (source, way), then by "plane 1" … and "all planes".
         sphere_fits: by (source, way), then by "sphere 1" …
-        analytic: model errors on exact contours.
         rendered: model errors on measured spots of the ideal cone.
     """
 
     stacks: Path
     trials: list[StaticTrial]
-    tracked: dict[tuple[str, str], Tracked]
+    spots: pd.DataFrame
     plane_fits: dict[tuple[str, str], dict[str, PlaneFit]]
     sphere_fits: dict[tuple[str, str], dict[str, SphereFit]]
     analytic: pd.DataFrame
@@ -142,43 +141,36 @@ Fits = tuple[
 """Fits on planes and in spheres, by (source, way), then by trial."""
 
 
-def fit_tables(trials: Sequence[StaticTrial], tracked: Mapping[tuple[str, str], Tracked]) -> Fits:
+def fit_tables(trials: Sequence[StaticTrial], spots: pd.DataFrame) -> Fits:
     """Tables I and II for every source and way of measuring with enough spots."""
     plane_fits, sphere_fits = {}, {}
-    for source in ("lens", "cone"):
-        for way in WAYS:
-            enough = {
-                (t.kind, t.group): tracked[t.name, way.name]
-                for t in trials
-                if t.source == source
-                and t.kind != "grid"
-                and np.sum(tracked[t.name, way.name].used) >= _FEWEST_SPOTS
-            }
-            planes = {group: t for (kind, group), t in enough.items() if kind == "plane"}
-            spheres = {group: t for (kind, group), t in enough.items() if kind == "sphere"}
-            if not planes:
-                continue
-            pooled = fit_plane(
-                semi_minor_px=np.concatenate([t.semi_minor_px for t in planes.values()]),
-                distance=np.concatenate([t.travel_mm for t in planes.values()]),
+    scene, used = trials[0].scene, spots[spots.used]
+    for source, way in product(("lens", "cone"), WAYS):
+        seen = where(used, source=source, way=way.name)
+        enough = seen[seen.groupby("trial").trial.transform("size") >= _FEWEST_SPOTS]
+        planes = where(enough, kind="plane")
+        if planes.empty:
+            continue
+        pooled = _line(planes)
+        plane_fits[source, way.name] = {
+            group: _line(rows) for group, rows in grouped(planes, "group")
+        } | {ALL_PLANES: pooled}
+        sphere_fits[source, way.name] = {
+            group: fit_eccentricity(
+                semi_minor_px=rows.semi_minor_px.to_numpy(),
+                distance=rows.d_r_mm.to_numpy(),
+                delta_k=pooled.delta_k,
+                b=pooled.b,
+                scale=scene.microscope.scale_mm_px,
+                eye_radius=scene.phantom.radius_mm,
             )
-            plane_fits[source, way.name] = {
-                group: fit_plane(semi_minor_px=t.semi_minor_px, distance=t.travel_mm)
-                for group, t in planes.items()
-            } | {ALL_PLANES: pooled}
-            scene = trials[0].scene
-            sphere_fits[source, way.name] = {
-                group: fit_eccentricity(
-                    semi_minor_px=t.semi_minor_px,
-                    distance=t.travel_mm,
-                    delta_k=pooled.delta_k,
-                    b=pooled.b,
-                    scale=scene.microscope.scale_mm_px,
-                    eye_radius=scene.phantom.radius_mm,
-                )
-                for group, t in spheres.items()
-            }
+            for group, rows in grouped(where(enough, kind="sphere"), "group")
+        }
     return plane_fits, sphere_fits
+
+
+def _line(spots: pd.DataFrame) -> PlaneFit:
+    return fit_plane(semi_minor_px=spots.semi_minor_px.to_numpy(), distance=spots.d_r_mm.to_numpy())
 
 
 def analytic_errors(*, quick: bool) -> pd.DataFrame:
@@ -201,23 +193,14 @@ def analytic_errors(*, quick: bool) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def rendered_errors(
-    trials: Sequence[StaticTrial], tracked: Mapping[tuple[str, str], Tracked]
-) -> pd.DataFrame:
+def rendered_errors(trials: Sequence[StaticTrial], spots: pd.DataFrame) -> pd.DataFrame:
     """Errors on measured spots of the grid, each pinhole height and azimuth in one batch."""
+    used = spots[spots.used]
+    geometries = {t.name: geometry_of(t.scene) for t in trials if t.kind == "grid"}
     tables = []
-    grid = [t for t in trials if t.kind == "grid"]
-    geometries = [geometry_of(t.scene) for t in grid]
-    for geometry in dict.fromkeys(geometries):
-        own = [t for t, its in zip(grid, geometries, strict=True) if its == geometry]
-        seen = [tracked[t.name, SUBPIXEL.name] for t in own]
-        tables.append(
-            measured_errors(
-                geometry,
-                labels=[row for t in seen for row in t.used_labels],
-                semi_minor_px=np.concatenate([t.semi_minor_px for t in seen]),
-            )
-        )
+    for geometry in dict.fromkeys(geometries.values()):
+        own = used.trial.isin([name for name, its in geometries.items() if its == geometry])
+        tables.append(measured_errors(geometry, used[own]))
     return pd.concat(tables, ignore_index=True)
 
 
@@ -240,16 +223,19 @@ def nearest_reproduction(findings: ValidateFindings, *, source: str, way: Way) -
     The paper does not state the distances of its fits. This tries all parts of 2 mm or more that
     begin and end at multiples of 0.5 mm. None if no part has three spots of each trial.
     """
-    tracked = {t.group: findings.tracked[t.name, way.name] for t in findings.planes(source)}
-    farthest = max(t.travel_mm.max(initial=0.0) for t in tracked.values())
-    ends = np.arange(0.0, farthest + 1e-6, _STEP_MM)
+    used = findings.spots[findings.spots.used]
+    planes = where(used, source=source, way=way.name, kind="plane")
+    ends = np.arange(0.0, max(planes.d_r_mm, default=0.0) + 1e-6, _STEP_MM)
+    groups = [t.group for t in findings.planes(source)]
     parts = []
     for low in ends:
         for high in ends[ends >= low + _SHORTEST_MM]:
-            spots = {}
-            for group, t in tracked.items():
-                inside = (t.travel_mm > low - 1e-6) & (t.travel_mm < high + 1e-6)
-                spots[group] = t.semi_minor_px[inside], t.travel_mm[inside]
+            inside = planes[planes.d_r_mm.between(low - 1e-6, high + 1e-6, inclusive="neither")]
+            spots = {
+                group: (rows.semi_minor_px.to_numpy(), rows.d_r_mm.to_numpy())
+                for group in groups
+                for rows in [where(inside, group=group)]
+            }
             if all(e.size >= 3 for e, _ in spots.values()):
                 axes, travels = zip(*spots.values(), strict=True)
                 spots[ALL_PLANES] = np.concatenate(axes), np.concatenate(travels)
@@ -266,10 +252,9 @@ def half_maximum_curve(findings: ValidateFindings) -> tuple[np.ndarray, np.ndarr
     if not findings.planes("lens"):
         return None
     trial = findings.planes("lens")[0]
-    labels = findings.tracked[trial.name, SUBPIXEL.name].labels
-    radius_px = np.array([row.half_max_semi_minor_px for row in labels])
-    d = np.array([row.d_mm for row in labels])
-    return d, radius_px * trial.scene.microscope.scale_mm_px
+    rows = where(findings.spots, trial=trial.name, way=SUBPIXEL.name)
+    scale = trial.scene.microscope.scale_mm_px
+    return rows.d_mm.to_numpy(), rows.half_max_semi_minor_px.to_numpy() * scale
 
 
 def ambiguous_range(distance: np.ndarray, radius: np.ndarray) -> tuple[float, float] | None:
@@ -347,40 +332,40 @@ def spot_table(findings: ValidateFindings) -> pd.DataFrame:
     `estimate_mm` comes from the fit that used the frame. It is zero at contact, like d_r.
     """
     trials = {trial.name: trial for trial in findings.trials}
-    tables = []
-    for (name, way), tracked in findings.tracked.items():
-        trial, labels = trials[name], pd.DataFrame([vars(row) for row in tracked.labels])
-        measured = np.array(
-            [r.semi_minor_px if isinstance(r, Spot) else math.nan for r in tracked.results]
+    tables = [
+        rows.assign(
+            estimate_mm=np.where(
+                rows.used,
+                _estimate(trials[name], way, rows.semi_minor_px.to_numpy(), findings),
+                math.nan,
+            )
         )
-        estimate = np.where(tracked.used, _estimate(trial, way, measured, findings), math.nan)
-        travel = labels.d_mm - labels.d_mm[0]
-        about = {"trial": name, "source": trial.source, "group": trial.group, "way": way}
-        truth = ["frame", "file_name", "c_mm", "d_mm"]
-        seen = {
-            "d_r_mm": travel,
-            "visible_fraction": labels.visible_fraction,
-            "saturated_fraction": labels.saturated_fraction,
-            "outcome": tracked.outcomes,
-            "measured_px": measured,
-            "half_max_px": labels.half_max_semi_minor_px,
-            "cone_px": labels.cone_semi_minor_px,
-            "estimate_mm": estimate,
-            "residual_mm": estimate - travel,
-        }
-        tables.append(pd.DataFrame(about | {key: labels[key] for key in truth} | seen))
-    return pd.concat(tables, ignore_index=True)
+        for (name, way), rows in grouped(findings.spots, "trial", "way")
+    ]
+    spots = pd.concat(tables, ignore_index=True)
+    spots["residual_mm"] = spots.estimate_mm - spots.d_r_mm
+    return spots.rename(columns=_SHORT)[_SPOT_COLUMNS]
+
+
+_SHORT = {
+    "semi_minor_px": "measured_px",
+    "half_max_semi_minor_px": "half_max_px",
+    "cone_semi_minor_px": "cone_px",
+}
+_SPOT_COLUMNS = (
+    "trial source group way frame file_name c_mm d_mm d_r_mm visible_fraction saturated_fraction "
+    "outcome measured_px half_max_px cone_px estimate_mm residual_mm"
+).split()
+"""Of spots.csv."""
 
 
 def frame_table(findings: ValidateFindings) -> pd.DataFrame:
     """Number of each trial's frames with one outcome in one way."""
-    sources = {trial.name: trial.source for trial in findings.trials}
-    rows = [
-        (name, sources[name], way, outcome, frames)
-        for (name, way), tracked in findings.tracked.items()
-        for outcome, frames in sorted(Counter(tracked.outcomes).items())
+    tables = [
+        rows.groupby(["trial", "source", "way", "outcome"]).size().reset_index(name="frames")
+        for _, rows in grouped(findings.spots, "trial", "way")
     ]
-    return pd.DataFrame(rows, columns=["trial", "source", "way", "outcome", "frames"])
+    return pd.concat(tables, ignore_index=True)
 
 
 def square_errors(errors: pd.DataFrame, *, c: float) -> pd.DataFrame:
@@ -411,19 +396,14 @@ def _estimate(
     sphere = findings.sphere_fits.get((trial.source, way), {}).get(trial.group)
     if sphere is None:
         return np.full(semi_minor_px.shape, math.nan)
-    return small_plane_curve(
-        semi_minor_px,
-        plane=planes[ALL_PLANES],
-        c=sphere.c,
-        scale=trial.scene.microscope.scale_mm_px,
-        eye_radius=trial.scene.phantom.radius_mm,
-    )
+    return _small_plane_curve(semi_minor_px, planes[ALL_PLANES], sphere.c, trial.scene)
 
 
-def small_plane_curve(
-    semi_minor_px: np.ndarray, *, plane: PlaneFit, c: float, scale: float, eye_radius: float
+def _small_plane_curve(
+    semi_minor_px: np.ndarray, plane: PlaneFit, c: float, scene: Scene
 ) -> np.ndarray:
     """Distance by the small-plane model with the plane's delta k and b, mm."""
+    scale = scene.microscope.scale_mm_px
     return np.asarray(
         optics.small_plane_distance(
             semi_minor_px=semi_minor_px,
@@ -431,7 +411,7 @@ def small_plane_curve(
             k=plane.delta_k / scale,
             b=plane.b,
             eccentricity=c,
-            eye_radius=eye_radius,
+            eye_radius=scene.phantom.radius_mm,
         )
     )
 
@@ -443,144 +423,137 @@ _MARKERS = ("o", "^", "s")
 _WAY_MARKERS = dict(zip(_WAY_COLOURS, _MARKERS, strict=True))
 
 
-class SpotFigures:
-    """Figures of the spots of a run; `spots` are those of spots.csv."""
+def plane_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
+    """d_r against e1' on the plane, with each trial's line and the line of all (Table I)."""
+    fits = findings.plane_fits
 
-    def __init__(self, findings: ValidateFindings, spots: pd.DataFrame) -> None:
-        self._findings = findings
-        used = spots[spots.outcome == USED]
-        self._used = dict(grouped(used, "source", "way", "group"))
-        self._none = used[:0]
+    def draw(axes: Axes, key: tuple[str, str], trials: dict[str, pd.DataFrame]) -> None:
+        def line(fit: PlaneFit | PlaneRow, e: pd.Series, **style: Any) -> None:
+            ends = np.array([e.min(), e.max()])
+            axes.plot(ends, fit.delta_k * ends + fit.b, lw=1, **style)
 
-    def plane_fit(self) -> Figure:
-        """d_r against e1' on the plane, with each trial's line and the line of all (Table I)."""
-        fits = self._findings.plane_fits
+        for n, (group, rows) in enumerate(trials.items()):
+            _marks(axes, rows.measured_px, rows.d_r_mm, n, group)
+            line(fits[key][group], rows.measured_px, color=TRIAL_COLOURS[n])
+        if trials:
+            e = pd.concat(trials.values()).measured_px
+            line(fits[key][ALL_PLANES], e, ls="--", color=BLACK, label=ALL_PLANES, zorder=3)
+            papers = {"ls": ":", "color": GREY, "label": "all planes of the paper"}
+            line(TABLE_I[ALL_PLANES], e, **papers, zorder=3)
 
-        def draw(axes: Axes, source: str, way: str) -> None:
-            spots = self._fitted(source, way, fits)
-            for n, (group, rows) in enumerate(spots.items()):
-                e = rows.measured_px
-                _marks(axes, e, rows.d_r_mm, n, group)
-                fit = fits[source, way][group]
-                ends = np.array([e.min(), e.max()])
-                axes.plot(ends, fit.delta_k * ends + fit.b, color=TRIAL_COLOURS[n], lw=1)
-            sizes = [e for rows in spots.values() for e in rows.measured_px]
-            for line, ls, color, label in (
-                (fits.get((source, way), {}).get(ALL_PLANES), "--", BLACK, ALL_PLANES),
-                (TABLE_I[ALL_PLANES], ":", GREY, "all planes of the paper"),
-            ):
-                if line and sizes:
-                    ends = np.array([min(sizes), max(sizes)])
-                    d = line.delta_k * ends + line.b
-                    axes.plot(ends, d, ls=ls, color=color, lw=1, label=label, zorder=3)
+    return _by_fit(findings, spots, fits, draw, x=MEASURED, y=READING)
 
-        return self._by_source_and_way(draw, x=MEASURED, y=READING)
 
-    def sphere_fit(self) -> Figure:
-        """d_r against e1' in the eyeball, with the small-plane model at the fitted c (Table II)."""
-        fits = self._findings.sphere_fits
+def sphere_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
+    """d_r against e1' in the eyeball, with the small-plane model at the fitted c (Table II)."""
+    fits = findings.sphere_fits
+    scenes = {trial.group: trial.scene for trial in findings.trials}
 
-        def draw(axes: Axes, source: str, way: str) -> None:
-            for n, (group, rows) in enumerate(self._fitted(source, way, fits).items()):
-                scene = next(t.scene for t in self._findings.trials if t.group == group)
-                e = rows.measured_px
-                _marks(axes, e, rows.d_r_mm, n, group)
-                along = np.linspace(e.min(), e.max(), 50)
-                curve = small_plane_curve(
-                    along,
-                    plane=self._findings.plane_fits[source, way][ALL_PLANES],
-                    c=fits[source, way][group].c,
-                    scale=scene.microscope.scale_mm_px,
-                    eye_radius=scene.phantom.radius_mm,
-                )
-                axes.plot(along, curve, color=TRIAL_COLOURS[n], lw=1)
+    def draw(axes: Axes, key: tuple[str, str], trials: dict[str, pd.DataFrame]) -> None:
+        for n, (group, rows) in enumerate(trials.items()):
+            e, plane = rows.measured_px, findings.plane_fits[key][ALL_PLANES]
+            _marks(axes, e, rows.d_r_mm, n, group)
+            along = np.linspace(e.min(), e.max(), 50)
+            curve = _small_plane_curve(along, plane, fits[key][group].c, scenes[group])
+            axes.plot(along, curve, color=TRIAL_COLOURS[n], lw=1)
 
-        return self._by_source_and_way(draw, x=MEASURED, y=READING)
+    return _by_fit(findings, spots, fits, draw, x=MEASURED, y=READING)
 
-    def residuals(self, fits: Mapping[tuple[str, str], Mapping[str, Any]]) -> Figure:
-        """Residuals of the fits of Table I or II against distance."""
 
-        def draw(axes: Axes, source: str, way: str) -> None:
-            axes.axhline(0, color=GREY, lw=0.8)
-            spots = self._fitted(source, way, fits)
-            for n, (group, rows) in enumerate(spots.items()):
-                x, y = rows.d_r_mm, rows.residual_mm
-                axes.plot(x, y, color=TRIAL_COLOURS[n], lw=0.7, alpha=0.6)
-                _marks(axes, x, y, n, group)
-            size = rms(e for rows in spots.values() for e in rows.residual_mm)
-            axes.set_title(f"rms {size:.2g} mm", loc="right", color=GREY)
+def residual_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
+    """Residuals of the fits of Table II against distance."""
 
-        return self._by_source_and_way(draw, x=READING, y="estimate − $d_r$ (mm)")
+    def draw(axes: Axes, _: tuple[str, str], trials: dict[str, pd.DataFrame]) -> None:
+        axes.axhline(0, color=GREY, lw=0.8)
+        for n, (group, rows) in enumerate(trials.items()):
+            x, y = rows.d_r_mm, rows.residual_mm
+            axes.plot(x, y, color=TRIAL_COLOURS[n], lw=0.7, alpha=0.6)
+            _marks(axes, x, y, n, group)
+        size = rms(e for rows in trials.values() for e in rows.residual_mm)
+        axes.set_title(f"rms {size:.2g} mm", loc="right", color=GREY)
 
-    def bias(self) -> Figure:
-        """Measured minus true semi-minor axis of each way, against distance."""
+    fits, y = findings.sphere_fits, "estimate − $d_r$ (mm)"
+    return _by_fit(findings, spots, fits, draw, x=READING, y=y)
 
-        def draw(axes: Axes, source: str, kind: str) -> None:
-            axes.axhline(0, color=GREY, lw=0.8)
-            for way, colour in _WAY_COLOURS.items():
-                of = [
-                    rows
-                    for (s, w, group), rows in self._used.items()
-                    if (s, w) == (source, way) and group.startswith(kind)
-                ]
-                seen = pd.concat([self._none, *of])
-                x, y = seen.d_mm, seen.measured_px - seen.half_max_px
-                axes.plot(x, y, ls="", marker=_WAY_MARKERS[way], ms=3, color=colour, label=way)
 
-        return small_multiples(
-            draw,
-            rows=self._findings.sources,
-            columns=["plane", "sphere"],
-            x=DISTANCE,
-            y="measured − true $e_1'$ (px)",
-            sharex=True,
-            sharey="row",
-        )
+def _by_fit(
+    findings: ValidateFindings,
+    spots: pd.DataFrame,
+    fits: Mapping[tuple[str, str], Mapping[str, Any]],
+    draw: Callable[[Axes, tuple[str, str], dict[str, pd.DataFrame]], None],
+    *,
+    x: str,
+    y: str,
+) -> Figure:
+    """A panel for each source and way; `draw` gets the spots behind each trial's fit."""
+    used = where(spots, outcome=USED)
 
-    def half_maximum(self, ambiguous: tuple[float, float] | None) -> Figure:
-        """The lens's half-maximum radius on the plane against distance, and the measured ones.
-
-        Args:
-            ambiguous: distances between which a radius belongs to more than one distance, mm.
-        """
-        trial = self._findings.planes("lens")[0]
-        scale = trial.scene.microscope.scale_mm_px
-        labels = self._findings.tracked[trial.name, SUBPIXEL.name].labels
-
-        def draw(axes: Axes, *_: str) -> None:
-            if ambiguous:
-                label = "one radius, several distances"
-                axes.axvspan(*ambiguous, color="#F2E6D0", lw=0, label=label)
-            d = [row.d_mm for row in labels]
-            half = [row.half_max_semi_minor_px * scale for row in labels]
-            axes.plot(d, half, color=BLACK, lw=1.8, label="half maximum, true")
-            cone = [row.cone_semi_minor_px * scale for row in labels]
-            axes.plot(d, cone, color=GREY, ls="--", label="straight cone fitted to it")
-            for way, colour in _WAY_COLOURS.items():
-                seen = self._used.get(("lens", way, trial.group), self._none)
-                x, y = seen.d_mm, seen.measured_px * scale
-                axes.plot(x, y, ls="", marker=_WAY_MARKERS[way], ms=3.5, color=colour, label=way)
-            axes.set_ylim(bottom=0)
-
-        y = "semi-minor axis on the wall (mm)"
-        return small_multiples(
-            draw, rows=[""], columns=[""], x=DISTANCE, y=y, height=3.1, legend_columns=3
-        )
-
-    def _fitted(
-        self, source: str, way: str, fits: Mapping[tuple[str, str], Mapping[str, Any]]
-    ) -> dict[str, pd.DataFrame]:
-        """The spots behind each trial's fit."""
+    def panel(axes: Axes, *key: str) -> None:
+        source, way = key
         groups = [name for name in fits.get((source, way), {}) if name != ALL_PLANES]
-        return {group: self._used[source, way, group] for group in groups}
+        own = where(used, source=source, way=way)
+        draw(axes, (source, way), {group: where(own, group=group) for group in groups})
 
-    def _by_source_and_way(self, draw: Any, *, x: str, y: str) -> Figure:
-        fits = self._findings.plane_fits
-        ways = [way for way in _WAY_COLOURS if any(way == name for _, name in fits)]
-        rows = self._findings.sources
-        return small_multiples(
-            draw, rows=rows, columns=ways, x=x, y=y, legend_columns=5, sharex=True, sharey="row"
-        )
+    ways = [way for way in _WAY_COLOURS if any(way == name for _, name in findings.plane_fits)]
+    rows = findings.sources
+    return small_multiples(
+        panel, rows=rows, columns=ways, x=x, y=y, legend_columns=5, sharex=True, sharey="row"
+    )
+
+
+def bias_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
+    """Measured minus true semi-minor axis of each way, against distance."""
+    used = where(spots, outcome=USED)
+
+    def draw(axes: Axes, source: str, kind: str) -> None:
+        axes.axhline(0, color=GREY, lw=0.8)
+        for way, colour in _WAY_COLOURS.items():
+            seen = where(used, source=source, way=way)
+            seen = seen[seen.group.str.startswith(kind)]
+            x, y = seen.d_mm, seen.measured_px - seen.half_max_px
+            axes.plot(x, y, ls="", marker=_WAY_MARKERS[way], ms=3, color=colour, label=way)
+
+    return small_multiples(
+        draw,
+        rows=findings.sources,
+        columns=["plane", "sphere"],
+        x=DISTANCE,
+        y="measured − true $e_1'$ (px)",
+        sharex=True,
+        sharey="row",
+    )
+
+
+def half_maximum_figure(
+    findings: ValidateFindings, ambiguous: tuple[float, float] | None
+) -> Figure:
+    """The lens's half-maximum radius on the plane against distance, and the measured ones.
+
+    Args:
+        ambiguous: distances between which a radius belongs to more than one distance, mm.
+    """
+    trial = findings.planes("lens")[0]
+    scale = trial.scene.microscope.scale_mm_px
+    spots = where(findings.spots, trial=trial.name)
+
+    def draw(axes: Axes, *_: str) -> None:
+        if ambiguous:
+            label = "one radius, several distances"
+            axes.axvspan(*ambiguous, color="#F2E6D0", lw=0, label=label)
+        rows = where(spots, way=SUBPIXEL.name)
+        half, cone = rows.half_max_semi_minor_px * scale, rows.cone_semi_minor_px * scale
+        axes.plot(rows.d_mm, half, color=BLACK, lw=1.8, label="half maximum, true")
+        axes.plot(rows.d_mm, cone, color=GREY, ls="--", label="straight cone fitted to it")
+        for way, colour in _WAY_COLOURS.items():
+            seen = where(spots, way=way, used=True)
+            x, y = seen.d_mm, seen.semi_minor_px * scale
+            axes.plot(x, y, ls="", marker=_WAY_MARKERS[way], ms=3.5, color=colour, label=way)
+        axes.set_ylim(bottom=0)
+
+    y = "semi-minor axis on the wall (mm)"
+    return small_multiples(
+        draw, rows=[""], columns=[""], x=DISTANCE, y=y, height=3.1, legend_columns=3
+    )
 
 
 def error_by_eccentricity(findings: ValidateFindings, height: float) -> Figure:
@@ -629,22 +602,11 @@ _DASHES = (0, (3, 2))
 _SHOWN = {way.exposure: way for way in WAYS}
 
 
-_EllipseNumbers = tuple[float, float, float, float, float]
-"""Centre, semi-axes (px) and angle (rad)."""
+_ELLIPSE = ["x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad"]
 
 
-class Shown(NamedTuple):
-    """A frame of the strip."""
-
-    trial: StaticTrial
-    way: Way
-    labels: FrameLabels
-    result: Spot | NoSpot
-    outcome: str
-
-
-def shown_frames(findings: ValidateFindings, group: str) -> list[list[Shown]]:
-    """One line of frames for each source and exposure, at evenly spaced distances.
+def shown_frames(findings: ValidateFindings, group: str) -> list[pd.DataFrame]:
+    """Spots of one line of frames for each source and exposure, at evenly spaced distances.
 
     Args:
         group: place of the trials, "plane 1".
@@ -652,41 +614,28 @@ def shown_frames(findings: ValidateFindings, group: str) -> list[list[Shown]]:
     lines = []
     for trial in (trial for trial in findings.trials if trial.group == group):
         for exposure in trial.scene.exposures.kinds:
-            way = _SHOWN[exposure]
-            tracked = findings.tracked[trial.name, way.name]
-            frames = list(zip(tracked.labels, tracked.results, tracked.outcomes, strict=True))
+            frames = where(findings.spots, trial=trial.name, way=_SHOWN[exposure].name)
             chosen = np.linspace(0, len(frames) - 1, min(_COLUMNS, len(frames))).round()
-            lines.append([Shown(trial, way, *frames[int(i)]) for i in chosen])
+            lines.append(frames.iloc[chosen.astype(int)])
     return lines
 
 
-def strip_table(lines: Sequence[Sequence[Shown]]) -> pd.DataFrame:
+def strip_table(lines: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """Content of strip.csv: the frames with both ellipses; px and rad."""
-    ellipse = ["x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad"]
+    true = {f"half_max_{name}": f"true_{name}" for name in _ELLIPSE}
     about = ["trial", "way", "file_name", "d_mm", "outcome"]
-    rows = [
-        (
-            *(shown.trial.name, shown.way.name, shown.labels.file_name, shown.labels.d_mm),
-            shown.outcome,
-            *_true_ellipse(shown.labels),
-            *_measured_ellipse(shown.result),
-        )
-        for line in lines
-        for shown in line
-    ]
-    return pd.DataFrame(rows, columns=about + [f"true_{name}" for name in ellipse] + ellipse)
+    return pd.concat(lines).rename(columns=true)[[*about, *true.values(), *_ELLIPSE]]
 
 
-def strip_figure(lines: Sequence[Sequence[Shown]], *, stacks: Path) -> Figure:
+def strip_figure(lines: Sequence[pd.DataFrame], *, stacks: Path) -> Figure:
     """Draw the frames, all at one scale.
 
     All frames are put into one picture, because an `Axes` for each takes ten times as long.
 
     Args:
         lines: of `shown_frames`.
-        stacks: folder of the image stacks.
     """
-    half = round(_MARGIN * max(f.labels.half_max_semi_major_px for line in lines for f in line))
+    half = round(_MARGIN * max(line.half_max_semi_major_px.max() for line in lines))
     half += half % 2
     step = np.array([2 * half + _GAP, 2 * half + _CAPTION])
     columns = max(len(line) for line in lines)
@@ -697,14 +646,15 @@ def strip_figure(lines: Sequence[Sequence[Shown]], *, stacks: Path) -> Figure:
     axes = figure.add_axes((_LEFT, bottom, 1 - _LEFT, 1 - bottom), frameon=False)
     per_px = 72 * _WIDTH_IN * (1 - _LEFT) / width  # points on the page
     for row, line in enumerate(lines):
-        first = line[0]
-        stack = read_stack(stacks / first.trial.name)
-        for column, frame in enumerate(line):
+        frames = rows_of(line)
+        stack = read_stack(stacks / frames[0].trial)
+        for column, frame in enumerate(frames):
             corner = step * [column, row]
-            tile, origin = _tile(stack.image(frame.labels), frame.labels, half)
+            origin = np.round([frame.half_max_x_px, frame.half_max_y_px]).astype(int) - half
+            tile = _tile(stack.image(frame), origin, half)
             picture[corner[1] :, corner[0] :][: 2 * half, : 2 * half] = tile
             _annotate(axes, frame, corner, corner - origin, half, per_px)
-        name = f"{first.trial.source}, {first.way.exposure}\n{first.way.name.split(',')[0]}"
+        name = f"{frames[0].source}, {frames[0].exposure}\n{frames[0].way.split(',')[0]}"
         axes.text(-4 / per_px, step[1] * row + half, name, rotation=90, ha="right", va="center")
     axes.imshow(_halved(picture), extent=(-0.5, width - 0.5, height - 0.5, -0.5))
     axes.set_axis_off()
@@ -719,12 +669,11 @@ def strip_figure(lines: Sequence[Sequence[Shown]], *, stacks: Path) -> Figure:
     return figure
 
 
-def _tile(image: np.ndarray, labels: FrameLabels, half: int) -> tuple[np.ndarray, np.ndarray]:
-    """Square of the image about the spot, black outside the frame, and its first pixel (u, v)."""
-    origin = np.round([labels.half_max_x_px, labels.half_max_y_px]).astype(int) - half
+def _tile(image: np.ndarray, origin: np.ndarray, half: int) -> np.ndarray:
+    """Square of the image from a pixel (u, v) on, black outside the frame."""
     padded = np.pad(image, ((2 * half, 2 * half), (2 * half, 2 * half), (0, 0)))
     u, v = origin + 2 * half
-    return padded[v : v + 2 * half, u : u + 2 * half], origin
+    return padded[v : v + 2 * half, u : u + 2 * half]
 
 
 def _halved(picture: np.ndarray) -> np.ndarray:
@@ -735,36 +684,25 @@ def _halved(picture: np.ndarray) -> np.ndarray:
 
 
 def _annotate(
-    axes: Axes, frame: Shown, corner: np.ndarray, shift: np.ndarray, half: int, per_px: float
+    axes: Axes, frame: Any, corner: np.ndarray, shift: np.ndarray, half: int, per_px: float
 ) -> None:
     """Both ellipses over a tile, its distance under it, and why there is no spot."""
     middle, foot = corner[0] + half, corner[1] + 2 * half
     if frame.result:
-        _outline(axes, _measured_ellipse(frame.result), shift, color=SKY, lw=1.8)
+        _outline(axes, [getattr(frame, n) for n in _ELLIPSE], shift, color=SKY, lw=1.8)
     else:
         y = foot - 4 / per_px
         axes.text(middle, y, frame.outcome, color="white", ha="center", va="bottom", size=8)
-    _outline(axes, _true_ellipse(frame.labels), shift, color=ORANGE, lw=1.0, ls=_DASHES)
-    text = f"$d$ = {frame.labels.d_mm:.2f} mm"
+    true = [getattr(frame, f"half_max_{name}") for name in _ELLIPSE]
+    _outline(axes, true, shift, color=ORANGE, lw=1.0, ls=_DASHES)
+    text = f"$d$ = {frame.d_mm:.2f} mm"
     axes.text(middle, foot + 3 / per_px, text, ha="center", va="top")
 
 
-def _outline(axes: Axes, ellipse: _EllipseNumbers, shift: np.ndarray, **style: Any) -> None:
+def _outline(axes: Axes, ellipse: list[float], shift: np.ndarray, **style: Any) -> None:
     x, y, major, minor, angle = ellipse
     middle, degrees = (x + shift[0], y + shift[1]), math.degrees(angle)
     axes.add_patch(Ellipse(middle, 2 * major, 2 * minor, angle=degrees, fill=False, **style))
-
-
-def _true_ellipse(labels: FrameLabels) -> _EllipseNumbers:
-    names = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
-    x, y, major, minor, angle = (getattr(labels, f"half_max_{name}") for name in names)
-    return x, y, major, minor, angle
-
-
-def _measured_ellipse(result: Spot | NoSpot) -> _EllipseNumbers:
-    if isinstance(result, NoSpot):
-        return (math.nan,) * 5
-    return result.x_px, result.y_px, result.semi_major_px, result.semi_minor_px, result.angle_rad
 
 
 _FILM = 5
@@ -772,22 +710,24 @@ _FILM = 5
 _STRIPS = {"plane 1": "printed plane", "sphere 1": "eyeball phantom"}
 
 
-def _tracked(study: Study, trials: list[StaticTrial]) -> dict[tuple[str, str], Tracked]:
+def _measured_spots(study: Study, trials: list[StaticTrial]) -> pd.DataFrame:
     """Spots of every trial in every way whose exposure it has; of the grid in the best way."""
     by_name = {trial.name: trial for trial in trials}
-    folder = study.folder / "spots"
-    folder.mkdir(exist_ok=True)
 
-    def measure(name: str, stack: Stack) -> dict[tuple[str, str], Tracked]:
-        kinds = by_name[name].scene.exposures.kinds
-        ways = [way for way in WAYS if way.exposure in kinds]
-        return {
-            (name, way.name): track_stack(stack, way, spots_file=folder / f"{name}-{way.slug}.csv")
-            for way in (ways if by_name[name].kind != "grid" else [SUBPIXEL])
-        }
+    def measure(name: str, stack: Stack) -> pd.DataFrame:
+        trial = by_name[name]
+        ways = [way for way in WAYS if way.exposure in trial.scene.exposures.kinds]
+        about = {"trial": name, "source": trial.source, "kind": trial.kind, "group": trial.group}
+        tables = [
+            track_stack(stack, way, spots_file=study.spots_file(f"{name}-{way.slug}")).assign(
+                **about, way=way.name
+            )
+            for way in (ways if trial.kind != "grid" else [SUBPIXEL])
+        ]
+        return pd.concat(tables)
 
     found = study.measured({trial.name: trial.scene for trial in trials}, measure)
-    return {key: tracked for of_trial in found.values() for key, tracked in of_trial.items()}
+    return pd.concat(found.values(), ignore_index=True)
 
 
 # The claims.
@@ -877,7 +817,7 @@ def _cone_returned(findings: ValidateFindings) -> Iterator[Claim]:
     if fits is not None:
         trial, fit = findings.planes("cone")[0], fits[ALL_PLANES]
         source = trial.scene.source
-        contact = findings.tracked[trial.name, SUBPIXEL.name].labels[0].d_mm
+        contact = where(findings.spots, trial=trial.name).d_mm.iloc[0]
         yield Claim(
             name="the ideal cone is returned",
             sentence="In sub-pixel mode the fitted δk of the ideal cone (k {k:g}, b {b:.3f} mm) "
@@ -904,7 +844,7 @@ def _half_maximum(findings: ValidateFindings) -> Iterator[Claim]:
     first, last = ambiguous_range(d, radius) or (math.nan, math.nan)
     chosen = sorted({0, int(np.argmin(radius)), len(d) - 1})
     edge, threshold = (fit[ALL_PLANES].r_squared if fit else math.nan for fit in fits)
-    tracked = [findings.tracked[trial.name, SUBPIXEL.name] for trial in findings.planes("lens")]
+    seen = where(findings.spots, source="lens", kind="plane", way=SUBPIXEL.name, used=True)
     yield Claim(
         name="the lens's half-maximum radius grows with distance",
         sentence="One radius belongs to several distances over {value:.2f} mm: from {first:.2f} to "
@@ -918,7 +858,7 @@ def _half_maximum(findings: ValidateFindings) -> Iterator[Claim]:
             "last": last,
             "radii": tuple(radius[chosen].tolist()),
             "at": tuple(d[chosen].tolist()),
-            "bias": rms(e for t in tracked for e in (t.semi_minor_px - t.truth_px).tolist()),
+            "bias": rms(seen.semi_minor_px - seen.half_max_semi_minor_px),
             "edge": edge,
             "threshold": threshold,
             "straight": STRAIGHT,
@@ -952,26 +892,18 @@ def _table_one(findings: ValidateFindings) -> Iterator[Claim]:
 
 
 def _used(findings: ValidateFindings) -> Claim:
-    outcomes = {
-        way.name: [
-            outcome
-            for (_, name), tracked in findings.tracked.items()
-            if name == way.name
-            for outcome in tracked.outcomes
-        ]
-        for way in WAYS
-    }
-    used = {way: found.count(USED) for way, found in outcomes.items()}
+    by_way = findings.spots.groupby("way").used
+    used, frames = ([int(n[way.name]) for way in WAYS] for n in (by_way.sum(), by_way.size()))
     return Claim(
         name="frames used",
         sentence="The fits use {value:g} of {total} measurements. By way of measuring ({ways}): "
         "{used:g} of {frames:g}.",
-        value=sum(used.values()),
+        value=sum(used),
         numbers={
-            "total": sum(map(len, outcomes.values())),
-            "ways": "; ".join(used),
-            "used": tuple(used.values()),
-            "frames": tuple(map(len, outcomes.values())),
+            "total": len(findings.spots),
+            "ways": "; ".join(way.name for way in WAYS),
+            "used": tuple(used),
+            "frames": tuple(frames),
         },
     )
 
@@ -988,11 +920,11 @@ def report(findings: ValidateFindings) -> Report:
     planes, spheres = plane_table(findings), sphere_table(findings)
     spots, frames = spot_table(findings), frame_table(findings)
     strips = {group: shown_frames(findings, group) for group in _STRIPS}
-    film = strips["sphere 1"][-1][:_FILM]
+    film = strips["sphere 1"][-1].iloc[:_FILM]
     left_out = frames[frames.outcome != USED]
-    chosen = _chosen(findings)
+    # Of a square beam; the report gives these errors.
+    chosen = pd.concat([square_errors(findings.analytic, c=c) for c in CHOSEN_ECCENTRICITIES_MM])
     rendered_accuracy = accuracy(findings.rendered)
-    drawn = SpotFigures(findings, spots)
     return Report(
         title="How accurate is a distance measured from a spot of light?",
         answer=_answer(findings),
@@ -1023,7 +955,21 @@ def report(findings: ValidateFindings) -> Report:
         ],
         claims=list(claims(findings)),
         sections=[
-            _models(findings),
+            Section(
+                "The models against the exact geometry",
+                Picture(
+                    "model_error",
+                    model_error_figure(findings.analytic, findings.rendered),
+                    "The sign of the error: small_plane makes distances too short. Exact contours "
+                    "(lines; dotted: square beam) and spots measured in rendered frames of the "
+                    "ideal cone (dots, at the rendered distances). Every model is given the true "
+                    "k, b, c and r. The paper puts the pinhole F on the eyeball's sphere in its "
+                    "equation for FP, and at the eyeball's centre in the caption of the figure "
+                    "that goes with it; a real microscope has z_F near 200 mm. Dashed: "
+                    f"{ACCEPTABLE_ERROR_MM} mm.",
+                    data="model_error.csv",
+                ),
+            ),
             Section(
                 "Frames",
                 *(
@@ -1042,9 +988,8 @@ def report(findings: ValidateFindings) -> Report:
                     for group, lines in strips.items()
                 ),
             ),
-            _measured(findings, drawn),
-            _fits(findings, planes, spheres, drawn),
-            _frames_used(frames),
+            _measured(findings, spots),
+            _fits(findings, planes, spheres, spots),
         ],
         data={
             "model_error.csv": pd.concat([findings.analytic, findings.rendered]),
@@ -1121,55 +1066,11 @@ def _sentences(findings: ValidateFindings) -> Iterator[str]:
         )
 
 
-def _chosen(findings: ValidateFindings) -> pd.DataFrame:
-    """The errors of a square beam that the report gives."""
-    return pd.concat([square_errors(findings.analytic, c=c) for c in CHOSEN_ECCENTRICITIES_MM])
-
-
-def _models(findings: ValidateFindings) -> Section:
-    square = _chosen(findings)
-    places = list(dict.fromkeys(zip(square.c_mm, square.d_mm, strict=True)))
-    by_place = square.set_index(["z_f_mm", "model", "c_mm", "d_mm"]).error_mm
-    rows = [
-        (model, height, *(by_place[height, model, *place] for place in places))
-        for height in square.z_f_mm.unique().tolist()
-        for model in COMPARED
-    ]
-    columns = [Column(f"c {c:g}, d {d:.2g} mm", sign=True) for c, d in places]
-    return Section(
-        "The models against the exact geometry",
-        Picture(
-            "model_error",
-            model_error_figure(findings.analytic, findings.rendered),
-            "The sign of the error: small_plane makes distances too short. Exact contours (lines; "
-            "dotted: square beam) and spots measured in rendered frames of the ideal cone (dots, "
-            "at the rendered distances). Every model is given the true k, b, c and r. The paper "
-            "puts the pinhole F on the eyeball's sphere in its equation for FP, and at the "
-            "eyeball's centre in the caption of the figure that goes with it; a real microscope "
-            f"has z_F near 200 mm. Dashed: {ACCEPTABLE_ERROR_MM} mm.",
-            data="model_error.csv",
-        ),
-        Table(
-            [Column("model"), Column("z_F, mm", 1), *columns],
-            rows,
-            "Errors in mm on exact contours, the beam square to the wall.",
-            data="model_error.csv",
-        ),
-        Table.of(
-            accuracy(findings.rendered),
-            ACCURACY,
-            "Errors on rendered spots of the ideal cone at all c and d of the grid, sub-pixel "
-            "mode. Azimuth: direction of the beam's tilt, 0° towards growing c.",
-            data="rendered_accuracy.csv",
-        ),
-    )
-
-
-def _measured(findings: ValidateFindings, drawn: SpotFigures) -> Section:
+def _measured(findings: ValidateFindings, spots: pd.DataFrame) -> Section:
     pictures = [
         Picture(
             "bias",
-            drawn.bias(),
+            bias_figure(findings, spots),
             "Bias of each way of measuring: measured minus true e₁′. The truth is the half-maximum "
             "contour (for the ideal cone, its edge). The literal mode cuts at grey level 200, "
             "wherever that lies on the spot's profile.",
@@ -1181,7 +1082,7 @@ def _measured(findings: ValidateFindings, drawn: SpotFigures) -> Section:
         pictures.append(
             Picture(
                 "half_maximum",
-                drawn.half_maximum(ambiguous_range(*curve)),
+                half_maximum_figure(findings, ambiguous_range(*curve)),
                 "Semi-minor axis of the lens's spot on the first plane. Where the black curve "
                 "falls or has the height of another of its points (shaded), a half-maximum radius "
                 "alone does not determine the distance. Dashed: the straight cone fitted to the "
@@ -1196,7 +1097,7 @@ def _fits(
     findings: ValidateFindings,
     planes: pd.DataFrame,
     spheres: pd.DataFrame,
-    drawn: SpotFigures,
+    spots: pd.DataFrame,
 ) -> Section:
     if planes.empty:
         return Section("The paper's Tables I and II", "Too few spots for any fit.")
@@ -1229,7 +1130,7 @@ def _fits(
         ),
         Picture(
             "plane_fit",
-            drawn.plane_fit(),
+            plane_fit_figure(findings, spots),
             "Reading d_r against the measured semi-minor axis e₁′ on the plane, with each trial's "
             "line, the line of all trials and, dotted, the paper's. d_r is 0 at contact, where the "
             "tip's rim touches.",
@@ -1263,33 +1164,17 @@ def _fits(
         ),
         Picture(
             "sphere_fit",
-            drawn.sphere_fit(),
+            sphere_fit_figure(findings, spots),
             "Reading d_r against e₁′ in the eyeball, with the small-plane model at the fitted c.",
             data="spots.csv",
         ),
         Picture(
             "sphere_residuals",
-            drawn.residuals(findings.sphere_fits),
+            residual_figure(findings, spots),
             "Residuals of the fits of c, rms over all trials (the paper's error figure, over "
             "distance instead of index). A small residual does not show that the model is right, "
             "because c compensates for the model's error.",
             data="spots.csv",
-        ),
-    )
-
-
-def _frames_used(frames: pd.DataFrame) -> Section:
-    keys = ["source", "way", "outcome"]
-    counted = frames.groupby(keys, sort=False).frames.sum().reset_index()
-    columns = {name: Column(name) for name in (*keys, "frames")}
-    return Section(
-        "Frames used and left out",
-        Table.of(
-            counted,
-            columns,
-            "Frames that the fits use, and the reasons why others are left out. A frame is used if "
-            "a spot was found and the instrument hides less than half of the true contour.",
-            data="frames.csv",
         ),
     )
 
@@ -1327,19 +1212,21 @@ def validate(
         analytic = beside.submit(lambda: analytic_errors(quick=quick))
         light = beside.submit(lambda: World(trials[0].scene).light)
         with study.timed("render and measure"):
-            tracked = _tracked(study, [t for t in trials if t.source == "cone"])
+            spots = _measured_spots(study, [t for t in trials if t.source == "cone"])
             light.result()
-            tracked |= _tracked(study, [t for t in trials if t.source == "lens"])
+            if "lens" in sources:
+                behind_lens = _measured_spots(study, [t for t in trials if t.source == "lens"])
+                spots = pd.concat([spots, behind_lens], ignore_index=True)
         with study.timed("fit and compare"):
-            plane_fits, sphere_fits = fit_tables(trials, tracked)
+            plane_fits, sphere_fits = fit_tables(trials, spots)
             findings = ValidateFindings(
                 stacks=study.folder / "stacks",
                 trials=trials,
-                tracked=tracked,
+                spots=spots,
                 plane_fits=plane_fits,
                 sphere_fits=sphere_fits,
                 analytic=analytic.result(),
-                rendered=rendered_errors(trials, tracked),
+                rendered=rendered_errors(trials, spots),
             )
     study.publish(report, findings)
     return findings

@@ -8,10 +8,8 @@ convolutions are twice as fast.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import importlib.metadata
-import json
 import math
 import shlex
 import sys
@@ -25,6 +23,7 @@ import jax.numpy as jnp
 import matplotlib
 import numpy as np
 import optax
+import pandas as pd
 from matplotlib.figure import Figure
 
 from benchmarks.paper import VISIBLE_ENOUGH
@@ -35,7 +34,6 @@ from benchmarks.rivals.learned.network import (
     PLACES,
     SCALED,
     Guess,
-    Learned,
     LearnedEstimator,
     SpotNetwork,
     Trust,
@@ -48,7 +46,7 @@ from benchmarks.rivals.learned.network import (
     targets_of,
 )
 from benchmarks.sets.read import SetStack, read_set
-from benchmarks.study import versions, write_json
+from benchmarks.study import claim, versions, write_json
 from estimator import FrameLabels, read_microscope
 from estimator.files import MANIFEST, written_whole
 from estimator.run import progress
@@ -102,49 +100,37 @@ def train(
     Args:
         samples: of the split `train`.
         validation: of the split `validation`; only reported.
-        out: folder for the checkpoint and curve.csv.
         epochs: along which the learning rate falls to 0.
         stop: the last epoch; None for all.
         seed: of the first weights and the order of the frames.
     """
     with jax.enable_x64(False):
-        return _train(samples, validation, out, epochs, stop or epochs, seed, show)
+        frames = len(samples.present)
+        steps = epochs * math.ceil((frames + frames // _EMPTY) / BATCH)
+        rule = _rule(steps)
+        state = _state(out, rule, seed)
 
+        @eqx.filter_jit
+        def step(network: SpotNetwork, optimiser: Any, batch: tuple[np.ndarray, ...]) -> Any:
+            (_, lost), slopes = eqx.filter_value_and_grad(loss, has_aux=True)(network, *batch)
+            changes, optimiser = rule.update(slopes, optimiser, eqx.filter(network, eqx.is_array))
+            return eqx.apply_updates(network, changes), optimiser, lost
 
-def _train(
-    samples: Samples,
-    validation: Samples,
-    out: Path,
-    epochs: int,
-    stop: int,
-    seed: int,
-    show: Callable[[Epoch], None],
-) -> SpotNetwork:
-    frames = len(samples.present)
-    steps = epochs * math.ceil((frames + frames // _EMPTY) / BATCH)
-    rule = _rule(steps)
-    state = _state(out, rule, seed)
-
-    @eqx.filter_jit
-    def step(network: SpotNetwork, optimiser: Any, batch: tuple[np.ndarray, ...]) -> Any:
-        (_, lost), slopes = eqx.filter_value_and_grad(loss, has_aux=True)(network, *batch)
-        changes, optimiser = rule.update(slopes, optimiser, eqx.filter(network, eqx.is_array))
-        return eqx.apply_updates(network, changes), optimiser, lost
-
-    curve = read_curve(out / CURVE)[: int(state.epoch)]
-    for epoch in range(int(state.epoch), stop):
-        network, optimiser, losses = state.network, state.optimiser, []
-        for batch in _batches(samples, epoch, seed):
-            network, optimiser, lost = step(network, optimiser, batch)
-            losses.append(lost)
-        state = _State(network, optimiser, jnp.asarray(epoch + 1))
-        curve.append(Epoch(epoch + 1, float(np.mean(losses)), *_judged(network, validation)))
-        _write_curve(out / CURVE, curve)
-        # The last to be written: a curve with an epoch too many is cut when the run goes on.
-        with written_whole(out / _KEPT, replace=True) as partial:
-            eqx.tree_serialise_leaves(partial, state)
-        show(curve[-1])
-    return state.network
+        curve = read_curve(out / CURVE)[: int(state.epoch)]
+        for epoch in range(int(state.epoch), stop or epochs):
+            network, optimiser, losses = state.network, state.optimiser, []
+            for batch in _batches(samples, epoch, seed):
+                network, optimiser, lost = step(network, optimiser, batch)
+                losses.append(lost)
+            state = _State(network, optimiser, jnp.asarray(epoch + 1))
+            curve.append(Epoch(epoch + 1, float(np.mean(losses)), *_judged(network, validation)))
+            with written_whole(out / CURVE, replace=True) as partial:
+                pd.DataFrame(curve).to_csv(partial, index=False, lineterminator="\n")
+            # The last to be written: a curve with an epoch too many is cut when the run goes on.
+            with written_whole(out / _KEPT, replace=True) as partial:
+                eqx.tree_serialise_leaves(partial, state)
+            show(curve[-1])
+        return state.network
 
 
 def kept_network(out: Path) -> tuple[SpotNetwork, int]:
@@ -207,17 +193,8 @@ def read_curve(path: Path) -> list[Epoch]:
     """The lines of a curve.csv; none if the file is missing."""
     if not path.is_file():
         return []
-    with path.open(newline="", encoding="utf-8") as file:
-        _, *rows = csv.reader(file)
-    return [Epoch(int(row[0]), *map(float, row[1:])) for row in rows]
-
-
-def _write_curve(path: Path, curve: list[Epoch]) -> None:
-    with written_whole(path, replace=True) as partial:
-        with partial.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(Epoch._fields)
-            writer.writerows(curve)
+    rows = pd.read_csv(path)
+    return [Epoch(*row) for row in rows.itertuples(index=False, name=None)]
 
 
 WINDOWS = 8
@@ -344,11 +321,11 @@ def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) 
         "epochs": epochs,
         "seed": seed,
     }
-    _claim(out, asked)
+    claim(out, asked, command="eyespot rivals train")
     network, done = kept_network(out)
     if done < stop:
         network = _trained(splits, out, epochs=epochs, stop=stop, seed=seed)
-    found = judged(network, splits["validation"])
+    trust, found = judged(network, splits["validation"])
     with written_whole(out / "weights.eqx", replace=True) as partial:
         eqx.tree_serialise_leaves(partial, network)
     about = {
@@ -360,14 +337,14 @@ def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) 
             split: sum(len(entry.open().labels) for entry in stacks)
             for split, stacks in splits.items()
         },
-        "trust": vars(found.trust),
-        "validation": {"frames": found.frames, "rms": found.rms, "within_2_sigma": found.within_2},
+        "trust": vars(trust),
+        "validation": found,
         "weights_sha256": hashlib.sha256((out / "weights.eqx").read_bytes()).hexdigest(),
         "versions": versions() | {name: importlib.metadata.version(name) for name in _LIBRARIES},
     }
     write_json(out / "weights.json", about)
     with matplotlib.rc_context(STYLE):
-        save_figure(curve_figure(read_curve(out / "curve.csv")), out / "curve")
+        save_figure(curve_figure(pd.DataFrame(read_curve(out / CURVE))), out / "curve")
     print(f"Wrote {out / 'weights.eqx'}.")
 
 
@@ -387,60 +364,33 @@ def _trained(
         return train(samples, validation, out, epochs=epochs, stop=stop, seed=seed, show=show)
 
 
-def curve_figure(curve: list[Epoch]) -> Figure:
+def curve_figure(curve: pd.DataFrame) -> Figure:
     """Losses and the error of the size by epoch."""
     figure = Figure(figsize=(7.0, 2.8), layout="constrained")
     left, right = figure.subplots(1, 2)
-    epochs = [epoch.epoch for epoch in curve]
-    left.plot(epochs, [epoch.train for epoch in curve], color=BLUE, label="train")
-    left.plot(epochs, [epoch.validation for epoch in curve], color=VERMILION, label="validation")
+    for column, colour in (("train", BLUE), ("validation", VERMILION)):
+        left.plot(curve.epoch, curve[column], color=colour, label=column)
     left.set(xlabel="epoch", ylabel="loss")
     left.legend()
-    right.plot(epochs, [100 * epoch.size_error for epoch in curve], color=VERMILION)
+    right.plot(curve.epoch, 100 * curve.size_error, color=VERMILION)
     right.set(xlabel="epoch", ylabel="RMS error of the radius (%), validation", yscale="log")
     return figure
-
-
-def _claim(out: Path, asked: dict[str, object]) -> None:
-    """Note what is trained in a folder, or check that it is the same training."""
-    about = out / "training.json"
-    if about.is_file():
-        found = json.loads(about.read_text(encoding="utf-8"))
-        for name, value in asked.items():
-            if found.get(name) != value:
-                raise InputError(
-                    f"{out} holds a training with {name} {found.get(name)}, not {value}. Choose "
-                    "another --out."
-                )
-        return
-    out.mkdir(parents=True, exist_ok=True)
-    if any(out.iterdir()):
-        raise InputError(f"{out} contains other files than a training. Choose another --out.")
-    write_json(about, asked)
 
 
 _SHARE = 0.683  # of the errors within one sigma
 _REFUSED = 0.01  # part of the visible spots that may be refused
 
 
-class Judgement(NamedTuple):
-    """What was measured on the split `validation`.
+def judged(
+    network: SpotNetwork, stacks: Sequence[SetStack]
+) -> tuple[Trust, dict[str, int | dict[str, float]]]:
+    """Measure all frames, and choose factors with which 68.3 % of the errors lie within a sigma.
 
-    Attributes:
-        trust: the factors of the sigmas, and the least presence.
-        frames: number of frames with a visible spot.
-        rms: root mean square errors of `SCALED`, px and mm.
-        within_2: part of the errors within two sigmas, after the factors.
+    Returns:
+        The factors and the least presence; and the number of frames with a visible spot, root mean
+        square errors of `SCALED` (px and mm), and the part of the errors within two sigmas, after
+        the factors.
     """
-
-    trust: Trust
-    frames: int
-    rms: dict[str, float]
-    within_2: dict[str, float]
-
-
-def judged(network: SpotNetwork, stacks: Sequence[SetStack]) -> Judgement:
-    """Measure all frames, and choose factors with which 68.3 % of the errors lie within a sigma."""
     estimator = LearnedEstimator(network)
     errors, sigmas, presences = [], [], []
     for entry in stacks:
@@ -451,8 +401,14 @@ def judged(network: SpotNetwork, stacks: Sequence[SetStack]) -> Judgement:
                 continue
             said = estimator.measure(stack.image(labels), microscope)
             presences.append(-np.inf if said is None else said.presence)
-            if said is not None and _is_found(said, labels):
-                errors.append(_errors(said, labels))
+            truth = (
+                labels.half_max_x_px,
+                labels.half_max_y_px,
+                labels.half_max_semi_major_px,
+                labels.half_max_semi_minor_px,
+            )
+            if said is not None and np.hypot(*(said.ellipse[:2] - truth[:2])) <= truth[2]:
+                errors.append([*(said.ellipse[:4] - truth), said.distance_mm - labels.d_mm])
                 variances = np.diag(said.covariance)[:4]
                 sigmas.append([*np.sqrt(variances), said.sigma_distance_mm])
     z = np.abs(errors) / np.array(sigmas)
@@ -462,24 +418,8 @@ def judged(network: SpotNetwork, stacks: Sequence[SetStack]) -> Judgement:
         least_presence=float(np.quantile(presences, _REFUSED)),
     )
     rms, within = np.sqrt(np.mean(np.square(errors), axis=0)), np.mean(z < 2 * factors, axis=0)
-    return Judgement(
-        trust,
-        len(presences),
-        dict(zip(SCALED, rms.tolist(), strict=True)),
-        dict(zip(SCALED, within.tolist(), strict=True)),
-    )
-
-
-def _is_found(said: Learned, labels: FrameLabels) -> bool:
-    off = np.hypot(said.ellipse[0] - labels.half_max_x_px, said.ellipse[1] - labels.half_max_y_px)
-    return bool(off <= labels.half_max_semi_major_px)
-
-
-def _errors(said: Learned, labels: FrameLabels) -> list[float]:
-    truth = (
-        labels.half_max_x_px,
-        labels.half_max_y_px,
-        labels.half_max_semi_major_px,
-        labels.half_max_semi_minor_px,
-    )
-    return [*(said.ellipse[:4] - truth), said.distance_mm - labels.d_mm]
+    return trust, {
+        "frames": len(presences),
+        "rms": dict(zip(SCALED, rms.tolist(), strict=True)),
+        "within_2_sigma": dict(zip(SCALED, within.tolist(), strict=True)),
+    }

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from estimator.run import OUT
 
 
 def export(
@@ -11,7 +13,7 @@ def export(
     /,
     *,
     to: Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"],
-    out: Path,
+    out: Annotated[Path, OUT],
 ) -> None:
     """Write a labelled set or a single stack in another format.
 

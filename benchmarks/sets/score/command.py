@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
+from cyclopts import Parameter
+
+from estimator.run import OUT
 from optics import InputError
 
 
@@ -20,7 +23,8 @@ def score(
     unrelated: bool = False,
     against: Literal["half_max", "cone"] = "half_max",
     split: str | None = None,
-    out: Path | None = None,
+    out: Annotated[Path | None, OUT] = None,
+    as_json: Annotated[bool, Parameter("--json")] = False,
 ) -> None:
     """Compare an estimator's spots with the labels of a set.
 
@@ -38,6 +42,7 @@ def score(
         against: True ellipse to compare with: the half-maximum contour, or the edge of the cone.
         split: Score only this split, such as test (default: all that have spots).
         out: Folder for the page report.html, tables and figures; it must not exist yet.
+        as_json: Print the rows of score.csv as JSON.
     """
     from benchmarks.sets.score.pages import run, tables
     from benchmarks.sets.score.spots import sample_folder
@@ -59,6 +64,9 @@ def score(
         split=split,
         out=out,
     )
+    if as_json:
+        print(result.table.to_json(orient="records", double_precision=15))
+        return
     for title, table in tables(result).items():
         print(title, table.to_string(index=False, na_rep=""), sep="\n", end="\n\n")
     if any((of.reason == "ambiguous").any() for of in result.judged.values()):

@@ -121,13 +121,16 @@ Against = Literal["half_max", "cone"]
 
 CENTRE = "centre_px"
 """Distance between the centres, the only quantity without a sign."""
-QUANTITIES = ("x_px", "y_px", CENTRE, "semi_major_px", "semi_minor_px", "distance_mm")
+ANGLE = "angle_rad"
+"""Direction of the semi-major axis; scored where the true ellipse is not round."""
+QUANTITIES = ("x_px", "y_px", CENTRE, "semi_major_px", "semi_minor_px", ANGLE, "distance_mm")
 """Scored quantities; the true distance is d = |SO|."""
 MAIN = "semi_minor_px"
 """The quantity that determines distances, by which groups are compared."""
 
-_ELLIPSE = {"x_px": 0, "y_px": 1, "semi_major_px": 2, "semi_minor_px": 3}
+_ELLIPSE = {"x_px": 0, "y_px": 1, "semi_major_px": 2, "semi_minor_px": 3, ANGLE: 4}
 """Index of a quantity in the covariance of a spot."""
+_ROUND_PX = 1.0  # axes that differ less; an error of 0.05 px in them may turn it by 3 degrees
 _RESAMPLED = 1000  # bootstrap samples; the ends of an interval vary by 3 % of its width
 _FEWEST_STACKS = 3  # fewer are not enough for a bootstrap
 
@@ -177,6 +180,10 @@ def judge(
         | {"distance_mm": spots.distance_mm - counted.d_mm}
     )
     errors[CENTRE] = np.hypot(errors.x_px, errors.y_px)
+    axes = counted[f"{against}_semi_major_px"] - counted[f"{against}_semi_minor_px"]
+    half_turn = math.pi / 2  # an axis has no sign, so that its error is at most this
+    errors[ANGLE] = (errors[ANGLE] + half_turn) % math.pi - half_turn
+    errors[ANGLE] = errors[ANGLE].where(axes >= _ROUND_PX)
     visible = counted.visible_fraction >= VISIBLE_ENOUGH
     nothing = ~spots.spot & spots.distance_mm.isna()
     # `not <=` includes NaN: a spot without a position is elsewhere.

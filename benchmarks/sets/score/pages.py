@@ -87,7 +87,7 @@ def tables(result: Score) -> dict[str, pd.DataFrame]:
         left_out=images.estimator.map(result.left_out),
         why_missed=images.estimator.map({name: _reasons(of) for name, of in result.judged.items()}),
     )
-    images = images.rename(columns={"visible": "spot visible", "glimpsed": "found although hidden"})
+    images = images.rename(columns={"visible": "spot visible", "glimpsed": "reported if hidden"})
     order = {name: place for place, name in enumerate(result.judged)}
     errors = result.errors[result.errors.condition == ALL]
     errors = errors.sort_values("estimator", kind="stable", key=lambda names: names.map(order))

@@ -1,0 +1,345 @@
+"""`eyespot study loop`: what distance can a robot keep with this sensor?
+
+DIR/loop.csv     distance and reading of every run, at the robot's ticks
+    runs.csv     error of each run: RMS, 95 %, largest, nearest to the wall
+    film.mp4     what the microscope saw in one run
+    start/       one frame of the scene, with the files that a reader needs
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from scipy.linalg import expm
+
+import scenes
+from benchmarks.paper import largest, rms
+from benchmarks.reporting import GREY, Claim, Column, Picture, Report, Table, small_multiples
+from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from estimator import Frame, Pose, PoseTrack, Response, SpotRecord
+from estimator.run import overlay_writer, record_of
+from scenes import LiveCamera, Scene, World
+
+# The question: an arm through a trocar, a path along the wall, a camera with a delay.
+
+TICK_S = 0.005
+"""Of the arm's joints: 200 Hz, as SHER's."""
+LAG_S, TOP_SPEED_MM_S = 0.03, 5.0  # of a joint's velocity: assumptions
+SET_MM, SETTLED_S = 2.0, 0.5  # the distance to keep, and from when on it counts
+TROCAR_MM = 20.0  # from the spot to the remote centre, along the beam
+WAY_MM = 2.4  # longest path that the window shows
+SAFE_MM = 1.0
+"""Nearer, the arm withdraws whatever the controller says."""
+HALF_EXPOSURE_S = 0.005  # at most
+NOWHERE = np.array([0.0, 0.0, -1e3])  # a tip there lights nothing
+PATIENCE_S, WITHDRAWAL_MM_S = 0.3, 2.0
+"""How long the arm holds the distance without a reading, and how fast it then withdraws."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One run of the loop.
+
+    Attributes:
+        sensor: "perfect", or a mode of the reader.
+        speed_mm_s: of the spot along its path on the wall.
+        latency_s: from the middle of an exposure to its reading.
+        poses: whether the controller takes out what the arm has moved since the exposure.
+        dark_s: times between which the fibre is dark.
+        noise_mm: standard deviation of the perfect sensor.
+        foreknown: share of the wall's rise along the beam that the feed-forward knows.
+        tremor_mm: RMS along the beam, of 8 to 12 Hz: a hand's 0.18 mm, damped by 95 %.
+    """
+
+    sensor: str = "perfect"
+    speed_mm_s: float = 1.0
+    rate_hz: float = 30.0
+    latency_s: float = 0.05
+    poses: bool = True
+    dark_s: tuple[float, float] = (math.inf, math.inf)
+    noise_mm: float = 0.0
+    foreknown: float = 0.9
+    tremor_mm: float = 0.009
+
+    @property
+    def gain(self) -> float:
+        """1/s, for a critically damped loop; without the poses the delay D is in it: 1/(e D)."""
+        if self.poses:
+            return 1 / (4 * (LAG_S + 0.5 * TICK_S))
+        return 1 / (math.e * (self.latency_s + 0.5 / self.rate_hz + LAG_S))
+
+
+class Course(NamedTuple):
+    """Where the beam points at the ticks: axes, n x 3, and distances from the trocar, mm."""
+
+    time_s: np.ndarray
+    axis: np.ndarray
+    depth_mm: np.ndarray
+    trocar: np.ndarray
+
+    @classmethod
+    def of(cls, scene: Scene, run: Run, seconds: float) -> Course:
+        """A straight vessel through the place of [spot], along which the wall rises most."""
+        path = {
+            "motion.kind": "scan",
+            "motion.distance_mm": SET_MM,
+            "motion.length_mm": run.speed_mm_s * seconds,
+            "motion.speed_mm_s": run.speed_mm_s,
+            "motion.direction_deg": scene.spot.incidence_azimuth_deg,
+            "motion.trocar_mm": TROCAR_MM,
+        }
+        world = World(scenes.changed(scene, path))
+        time = np.arange(0.0, seconds, TICK_S)
+        tip, axis = world.motion.at(time)
+        trocar = world.aim.spot - TROCAR_MM * world.aim.axis
+        return cls(time, axis, np.linalg.norm(tip + SET_MM * axis - trocar, axis=1), trocar)
+
+
+# The method: the arm is exact between its ticks; frames are rendered where it is.
+
+PoseAt = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Tips, mm, and axes at times, s, that lie in the past."""
+Read = Callable[[float, PoseAt, bool], float]
+"""Reads the distance at a time, mm, by the poses around it; the fibre may be dark. NaN: none."""
+
+
+def simulated(
+    run: Run, course: Course, read: Read, *, seed: int, begin_mm: float, set_mm: float = SET_MM
+) -> pd.DataFrame:
+    """One run: distance, what the controller expects, and what it does, at each tick."""
+    # Of place, velocity, and the velocity that is asked for, which is held between ticks.
+    step = expm(TICK_S * np.array([[0.0, 1, 0], [0, -1 / LAG_S, 1 / LAG_S], [0, 0, 0]]))
+    time, depth = course.time_s, course.depth_mm
+    hz = np.random.default_rng(seed).uniform(8.0, 12.0, 32)
+    shake = run.tremor_mm * np.sin(2 * np.pi * np.outer(time, hz) + hz**3).sum(axis=1) / 4
+    known = run.foreknown * (depth - depth[0])
+    rise = np.gradient(known, TICK_S)
+    state, inserted = np.array([depth[0] - begin_mm, 0.0]), np.empty(time.size)
+    target, seen_s, frame = math.nan, 0.0, 1
+    waiting: list[tuple[float, float, float]] = []
+    rows: list[tuple[float, ...]] = []
+
+    def pose(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        past = time[: len(rows)]
+        axis = np.stack([np.interp(times, past, x[: past.size]) for x in course.axis.T], axis=1)
+        axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+        length = np.interp(times, past, inserted[: past.size])
+        return course.trocar + length[:, None] * axis, axis
+
+    for k, now in enumerate(time):
+        inserted[k] = state[0] + shake[k]
+        while waiting and waiting[0][0] <= now + 1e-9:
+            _, taken_s, reading = waiting.pop(0)
+            if math.isfinite(reading):
+                then = taken_s if run.poses else now
+                moved = np.interp(then, time[: k + 1], inserted[: k + 1] - known[: k + 1])
+                target, seen_s = moved + reading, now
+        # By the last reading, the robot's pose and what is known of the wall.
+        expected = target + known[k] - inserted[k]
+        lost, near = now - seen_s > PATIENCE_S, expected < SAFE_MM
+        asked = run.gain * (expected - set_mm) + rise[k] if math.isfinite(expected) else 0.0
+        asked = -WITHDRAWAL_MM_S if lost or near else asked
+        asked = float(np.clip(asked, -TOP_SPEED_MM_S, TOP_SPEED_MM_S))
+        rows.append((now, depth[k] - inserted[k], expected, asked, bool(lost), bool(near)))
+        state = (step @ [*state, asked])[:2]
+        while frame / run.rate_hz + HALF_EXPOSURE_S <= now + 1e-9:
+            taken_s = frame / run.rate_hz
+            dark = run.dark_s[0] <= taken_s < run.dark_s[1]
+            waiting.append((taken_s + run.latency_s, taken_s, read(taken_s, pose, dark)))
+            frame += 1
+    return pd.DataFrame(rows, columns="time_s d_mm expected_mm asked_mm_s lost near".split())
+
+
+class Eye:
+    """Renders frames where the arm is, and reads them; `seen` has those of the last run."""
+
+    def __init__(self, study: Study) -> None:
+        rest = {"motion.kind": "withdrawal", "motion.start_mm": SET_MM, "motion.frames": 1}
+        scene = scenes.changed(study.scene, rest)
+        self._start, self._camera = study.stack("start", scene), LiveCamera(scene)
+        same = (0.0, 0.0, 0.0, 1.0)  # the poses are in the eye's frame
+        reader = functools.partial(study.reader, self._start, scene, eye_from_robot=same)
+        self._reader = functools.cache(reader)
+        self.seen: list[tuple[Frame, SpotRecord]] = []
+
+    def reads(self, run: Run) -> Read:
+        """The sensor of one run; NaN also for a distance in doubt."""
+        reader, self.seen = self._reader(run.sensor), []
+        reader.forget()
+        label = self._start.exposed("paper" if run.sensor == "literal" else "metered")[0]
+        exposure_s = min(label.exposure_s, 2 * HALF_EXPOSURE_S)
+
+        def read(taken_s: float, pose: PoseAt, dark: bool) -> float:
+            tips, axes = pose(taken_s + exposure_s * np.array([-0.5, 0.0, 0.5]))
+            tips, number = tips + dark * NOWHERE, len(self.seen)
+            image = self._camera.image(tips, axes, exposure_s=exposure_s, frame=number)
+            times = taken_s + np.linspace(-0.1, HALF_EXPOSURE_S, 43)
+            rows = zip(times.tolist(), *(part.tolist() for part in pose(times)), strict=True)
+            poses = PoseTrack(Pose.along(u, time_s=t, position_mm=tip) for t, tip, u in rows)
+            reading = reader.read(image, time_s=taken_s, exposure_s=exposure_s, poses=poses)
+            frame = Frame(index=number, file_name="", time_s=taken_s, image=image)
+            self.seen.append((frame, record_of(frame, reading, reader.mode)))
+            return math.nan if reading.doubt else reading.distance_mm
+
+        return read
+
+
+def perfect(course: Course, run: Run, seed: int) -> Read:
+    """A sensor that knows the distance, but for white noise."""
+    rng = np.random.default_rng(seed)
+
+    def read(taken_s: float, pose: PoseAt, dark: bool) -> float:
+        (tip,), _ = pose(np.array([taken_s]))
+        depth = np.interp(taken_s, course.time_s, course.depth_mm)
+        true = depth - float(np.linalg.norm(tip - course.trocar))
+        return math.nan if dark else true + run.noise_mm * rng.standard_normal()
+
+    return read
+
+
+# The tables.
+
+
+def runs(*, quick: bool) -> dict[str, Run]:
+    """The runs by name: one thing at a time, from a usual one."""
+    usual = Run(sensor="subpixel")
+    table = {
+        "perfect sensor": replace(usual, sensor="perfect"),
+        "sub-pixel": usual,
+        "pixels": replace(usual, sensor="pixels"),
+        "literal": replace(usual, sensor="literal"),
+        "sub-pixel, camera only": replace(usual, poses=False),
+        "sub-pixel, dark 0.2 s": replace(usual, dark_s=(1.0, 1.2)),
+        "sub-pixel, dark 0.6 s": replace(usual, dark_s=(0.6, 1.2)),
+    }
+    if not quick:
+        others = {"speed_mm_s": (0.25, 0.5, 2.0), "rate_hz": (10.0, 60.0), "latency_s": (0.02, 0.2)}
+        every = [(key, value) for key, values in others.items() for value in values]
+        for sensor, (key, value) in itertools.product(("perfect", "subpixel", "pixels"), every):
+            changes: dict[str, Any] = {"sensor": sensor, key: value}
+            table[f"{sensor}, {key} {value:g}"] = replace(usual, **changes)
+    return table
+
+
+SUMMARY = {
+    "run": Column("run"),
+    "rms_mm": Column("error, RMS, mm"),
+    "p95_mm": Column("95 %, mm"),
+    "largest_mm": Column("largest, mm"),
+    "nearest_mm": Column("nearest to the wall, mm", 2),
+}
+
+
+def summary(name: str, run: Run, rows: pd.DataFrame) -> dict[str, Any]:
+    """A row of runs.csv: errors after the start, while the controller keeps the distance."""
+    kept = rows[(rows.time_s > SETTLED_S) & ~rows.lost & ~rows.near]
+    error = (kept.d_mm - SET_MM).abs()
+    return {"run": name, **asdict(run)} | {
+        "rms_mm": rms(error),
+        "p95_mm": error.quantile(0.95),
+        "largest_mm": largest(error),
+        "nearest_mm": rows.d_mm.min(),
+    }
+
+
+# The page.
+
+
+def _report(errors: pd.DataFrame, rows: pd.DataFrame) -> Report:
+    by_run = errors.set_index("run")
+
+    def draw(axes: Axes, _: str, shown: str) -> None:
+        for name, mine in rows.groupby("run", sort=False):
+            if "_" not in str(name) and ("dark" in str(name)) == ("dark" in shown):
+                axes.plot(mine.time_s, mine.d_mm, label=name)
+        axes.axhline(SET_MM, color=GREY, lw=0.8)
+
+    panels, x, y = ["sensors", "dark fibre"], "time (s)", "distance (mm)"
+    figure = small_multiples(draw, rows=[""], columns=panels, x=x, y=y, sharey=True)
+    return Report(
+        title="What distance can a robot keep with this sensor?",
+        answer=f"At {by_run.speed_mm_s['sub-pixel']:g} mm/s along the wall, {SET_MM:g} mm are "
+        f"kept to {by_run.rms_mm['sub-pixel']:.3f} mm (RMS) by the outline, to "
+        f"{by_run.rms_mm['pixels']:.3f} mm by all pixels, and to "
+        f"{by_run.rms_mm['perfect sensor']:.3f} mm by a perfect sensor.",
+        lead="An arm through a trocar follows a vessel on the wall. Every frame is rendered where "
+        "the arm is, and read by the rig's reader.",
+        first=[
+            Picture("distance", figure, "The distance in time, from 2.3 mm on.", data="loop.csv"),
+            Table.of(errors, SUMMARY, "Errors of the distance that is kept.", data="runs.csv"),
+        ],
+        claims=list(_claims(by_run)),
+        sections=[],
+        data={"runs.csv": errors, "loop.csv": rows},
+    )
+
+
+def _claims(by_run: pd.DataFrame) -> Iterator[Claim]:
+    yield Claim(
+        name="contacts",
+        sentence="{value} of {runs} runs touch the wall; the nearest distance is {nearest:.2f} mm.",
+        value=int((by_run.nearest_mm <= 0).sum()),
+        high=0,
+        numbers={"runs": len(by_run), "nearest": by_run.nearest_mm.min()},
+    )
+    for sensor, most in (("sub-pixel", 0.1), ("pixels", 0.1), ("literal", math.inf)):
+        yield Claim(
+            name=sensor,
+            sentence="The distance is kept to {value:.3f} mm (RMS), by a perfect sensor to "
+            "{perfect:.3f} mm. On a phantom 0.1 mm was published in 2021.",
+            value=by_run.rms_mm[sensor],
+            high=most,
+            numbers={"perfect": by_run.rms_mm["perfect sensor"]},
+        )
+
+
+# The command.
+
+
+def loop(
+    scene: StartingScene = None,
+    /,
+    *,
+    out: OutputFolder,
+    changes: Changes = (),
+    quick: Quick = False,
+    seed: Seed = None,
+) -> pd.DataFrame:
+    """Keep a distance from the wall with a simulated robot, by frames rendered in the loop.
+
+    To continue a run that was stopped, start it again with the same folder.
+    """
+    study = Study(
+        "loop",
+        out=out,
+        scene=scene,
+        changes=changes,
+        quick=quick,
+        seed=seed,
+        defaults=("source.kind=cone", "source.power_mw=5"),
+    )
+    errors, every, eye, film = [], [], Eye(study), study.folder / "film.mp4"
+    with study.timed("runs"):
+        for name, run in runs(quick=quick).items():
+            seconds = min(1.5 if quick else 4.0, WAY_MM / run.speed_mm_s)
+            course = Course.of(study.scene, run, seconds)
+            ideal = perfect(course, run, study.seed)
+            read = ideal if run.sensor == "perfect" else eye.reads(run)
+            rows = simulated(run, course, read, seed=study.seed, begin_mm=SET_MM + 0.3)
+            errors.append(summary(name, run, rows))
+            every.append(rows.assign(run=name))
+            if name == "pixels":
+                film.unlink(missing_ok=True)
+                with overlay_writer(film, rate_hz=run.rate_hz, response=Response()) as draw:
+                    for pair in eye.seen:
+                        draw(*pair)
+    study.publish(_report, pd.DataFrame(errors), pd.concat(every, ignore_index=True))
+    return pd.DataFrame(errors)

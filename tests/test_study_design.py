@@ -1,0 +1,99 @@
+"""The bound of a distance on an unknown wall, its gradient, and the study that makes it small."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import optics
+import scenes
+from benchmarks.studies import design
+from benchmarks.studies.design import LIMITS, Search, limits_in
+from optics import InputError
+from optics.wall_light import lens_parameters, lens_toml, texture
+from scenes.walls import wall_picture, write_random_wall
+from scenes.world import UnknownWall
+
+DISTANCES = [1.0, 3.0]
+SCENE = scenes.load_scene(None, ("source.medium=vitreous",))
+
+
+def test_all_light_of_a_cone_lies_on_its_cells():
+    light = UnknownWall(SCENE).of_cone(DISTANCES)
+    power = light.spots.light[:, 0, 0].sum(axis=-1) * light.spots.side_mm**2
+    # Cells are as large as at the spot's middle; over 1 mm of a wall of 11.5 mm the pinhole on the
+    # sphere sees them up to 1 % larger or smaller.
+    assert power == pytest.approx(1.0, abs=0.01)
+
+
+def test_more_light_helps_until_the_wall_is_what_limits():
+    wall = UnknownWall(SCENE)
+    light = wall.of_cone(DISTANCES)
+    doses = wall.full_dose * np.array([1e-6, 1e-5, 1e-4, 1.0, 1e4, 1e6])
+    sigmas = np.stack([wall.sigmas(light, dose) for dose in doses])
+    assert (np.diff(sigmas, axis=0) < 0).all()
+    # Read noise alone: the error is inversely proportional to the light.
+    assert sigmas[0] / sigmas[1] == pytest.approx(10.0, rel=0.05)
+    assert sigmas[4] / sigmas[5] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_an_outline_says_less_than_all_light():
+    wall = UnknownWall(SCENE)
+    light = wall.of_cone(DISTANCES)
+    dose = 0.8 * wall.full_dose
+    assert (wall.sigmas(light, dose, outline=True) > wall.sigmas(light, dose)).all()
+
+
+def test_a_random_wall_has_the_texture_that_the_bound_assumes(tmp_path):
+    variances, covariances = [], []
+    for seed in range(4):
+        write_random_wall(tmp_path / "wall.png", seed=seed, width_mm=12.0)
+        image = {"wall": "image", "wall_image": str(tmp_path / "wall.png"), "wall_image_mm": 12.0}
+        picture = wall_picture(SCENE.phantom.model_copy(update=image))
+        log = np.log(picture[512:1536, 512:1536, 0])  # the map is twice as wide as the image
+        off = log - log.mean()
+        variances.append(np.mean(off**2))
+        covariances.append(np.mean(off * np.roll(off, 43, axis=0)))
+    # 43 pixels of 0.0117 mm are 0.504 mm. With shading of 1 mm a wall of 12 mm has some 100
+    # independent parts: four walls give the covariance to 10 %, of which three are allowed.
+    assert np.mean(variances) == pytest.approx(float(texture(jnp.zeros(()))), rel=0.3)
+    assert np.mean(covariances) == pytest.approx(float(texture(jnp.asarray(0.504))), rel=0.3)
+
+
+def test_a_found_drop_is_a_lens_file(tmp_path):
+    dome = lens_parameters(optics.load_lens("dome"))
+    (tmp_path / "best.toml").write_text(lens_toml(dome, provenance="a test"))
+    assert lens_parameters(optics.load_lens(tmp_path / "best.toml")) == dome
+
+
+def test_limits_narrow_or_fix_a_number_and_a_wrong_one_is_named():
+    found = limits_in("sag=0:0.1 core_radius=0.25")
+    assert found == LIMITS | {"sag": (0.0, 0.1), "core_radius": (0.25, 0.25)}
+    for wrong in ("sag=0.1:0", "sag=0:9", "height=1", "sag", "sag=a"):
+        with pytest.raises(InputError, match=f"sag=0:0.2.*got '{wrong}'"):
+            limits_in(wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("goal", ["worst", "mean"])
+def test_the_gradient_equals_differences(goal):
+    search = Search(SCENE, count=2, goal=goal, dose=None)
+    drop = {"sag": 0.06, "rim_height": 0.3, "core_radius": 0.15, "numerical_aperture": 0.15}
+    light = search.light(drop, free=tuple(LIMITS))
+    _, slope = search.score(light)
+    for k, (name, step) in enumerate(zip(LIMITS, (1e-3, 5e-3, 1e-3, 1e-3), strict=True)):
+        ahead, back = (
+            # On the same cells, because the gradient is that of the light alone.
+            search.score(search.light({**drop, name: drop[name] + sign * step}, radii=light.radii))
+            for sign in (1, -1)
+        )
+        difference = (ahead[0] - back[0]) / (2 * step)
+        # A table is good to 0.2 % of the peak. The steps change the light by some per cent, so that
+        # a difference is good to a tenth.
+        assert difference == pytest.approx(slope[k], rel=0.1, abs=0.02 * np.abs(slope).max())
+
+
+@pytest.mark.slow
+def test_a_quick_run_finds_a_drop_that_beats_those_at_random(tmp_path):
+    lights = design.design(out=tmp_path / "run", quick=True).set_index("light")
+    assert (tmp_path / "run" / "best.toml").is_file()
+    assert lights.worst_mm["best drop"] < lights.worst_mm["dome"]
