@@ -126,8 +126,6 @@ myst_nb.core.render.coalesce_streams = _whole_streams
 def setup(app: Any) -> None:
     """Write the pages that come from the code, and read docstrings as they are meant."""
     from docs.generated import write_pages
-    from docs.roles import add_roles
 
-    add_roles(app)
     write_pages(_HERE / "reference" / "generated")
     app.connect("autodoc-process-docstring", _as_rst)

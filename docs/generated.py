@@ -13,7 +13,6 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from docs.cited import source_page, test_page
 from docs.messages import errors_page, reasons_page
 from docs.schemas import KINDS, FileKind, rows_of, schema_of
 from eyespot import command_line
@@ -62,8 +61,6 @@ def write_pages(folder: Path) -> None:
         "files.md": _files(),
         "messages.md": reasons_page(),
         "errors.md": errors_page(),
-        "tests.md": test_page(),
-        "sources.md": source_page(),
     }
     for name, lines in pages.items():
         _write(folder / name, "\n".join(lines) + "\n")

@@ -112,7 +112,7 @@ KINDS = (
         "Plan (JSON)",
         "Predictions of an experiment. `eyespot preregister` writes it, `eyespot adjudicate` reads "
         "it.",
-        models=("benchmarks.predictions.plan:_PlanFile",),
+        models=("benchmarks.predictions.plan:Plan",),
         meanings=("benchmarks.predictions.plan:Plan",),
     ),
     FileKind(

@@ -11,6 +11,7 @@ Each function is also a command (`eyespot render`, …). From Python nothing is 
 
 command_line  The command `eyespot`: finds the command that was called
 functions     render, track, fit, score, dataset
+results       What they return
 studies       The studies, each a function
 """
 

@@ -1,8 +1,6 @@
 from . import studies as studies
 from .command_line import main as main
-from .functions import Fit as Fit
 from .functions import Scene as Scene
-from .functions import Score as Score
 from .functions import Stack as Stack
 from .functions import dataset as dataset
 from .functions import fit as fit
@@ -10,3 +8,5 @@ from .functions import load_scene as load_scene
 from .functions import render as render
 from .functions import score as score
 from .functions import track as track
+from .results import Fit as Fit
+from .results import Score as Score

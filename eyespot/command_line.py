@@ -57,12 +57,19 @@ COMMANDS = {
         "benchmarks.studies.eye:eye": "Contact and wide-field lenses, and many eyes.",
         "benchmarks.studies.sensors:sensors": "Spot, shadow and stereo pair.",
         "benchmarks.studies.dynamic:dynamic": "The error while the tip moves.",
+        "benchmarks.studies.design:design": "Which drop of glue, and how little light.",
+        "benchmarks.studies.loop:loop": "Keep a distance with a simulated robot.",
     },
 }
 """By the first word of two, if there are two: each command's function, and its line in the list."""
 
-# No --no-quick beside --quick; of an option that is given twice the last one counts.
-_PLAIN = Parameter(negative=(), allow_repeating=True)
+# No --no-quick beside --quick; of an option that is given twice the last one counts; the default of
+# a flag, or of an option that may be left out, goes without saying.
+_PLAIN = Parameter(
+    negative=(),
+    allow_repeating=True,
+    show_default=lambda value: None if value in (None, ()) or value is False else str(value),
+)
 
 app = App(
     name="eyespot",

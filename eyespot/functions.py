@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from calibration.command import Fit as Fit
 from estimator.files import Stack as Stack
 from estimator.run import quiet
 from scenes import Scene as Scene
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from benchmarks.sets.read import LabelledSet
-    from benchmarks.sets.score.judging import Score
+    from eyespot.results import Fit, Score
 
 File = str | Path
 

@@ -1,21 +1,24 @@
 """The studies, each a function: `eyespot.studies.static(out="static", quick=True)`.
 
-The arguments are the options of `eyespot study NAME`. A study that was stopped continues in the
-same folder. It returns its tables, its figures and its page.
+The arguments are the options of `eyespot study NAME`, and `progress=True` shows a bar. A study that
+was stopped continues in the same folder. It returns its tables, its figures and its page.
 """
 
 from __future__ import annotations
 
 import functools
+import inspect
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
 
+from benchmarks.studies.design import design as _design
 from benchmarks.studies.dynamic import dynamic as _dynamic
 from benchmarks.studies.eccentricity import eccentricity as _eccentricity
 from benchmarks.studies.eye import eye as _eye
+from benchmarks.studies.loop import loop as _loop
 from benchmarks.studies.medium import medium as _medium
 from benchmarks.studies.pose import pose as _pose
 from benchmarks.studies.sensors import sensors as _sensors
@@ -63,17 +66,21 @@ class Findings:
 def _study(command: Callable[P, Any]) -> Callable[P, Findings]:
     @functools.wraps(command)
     def study(*args: P.args, **kwargs: P.kwargs) -> Findings:
-        folder = Path(str(kwargs["out"]))
-        with quiet():
-            command(*args, **{**kwargs, "out": folder})  # type: ignore[arg-type]
-        return Findings(folder)
+        with quiet(bars=bool(kwargs.pop("progress", False))):
+            command(*args, **kwargs)
+        return Findings(Path(str(kwargs["out"])))
 
+    of = inspect.signature(command)
+    shown = inspect.Parameter("progress", inspect.Parameter.KEYWORD_ONLY, default=False)
+    study.__signature__ = of.replace(parameters=[*of.parameters.values(), shown])  # type: ignore[attr-defined]
     return study
 
 
+design = _study(_design)
 dynamic = _study(_dynamic)
 eccentricity = _study(_eccentricity)
 eye = _study(_eye)
+loop = _study(_loop)
 medium = _study(_medium)
 pose = _study(_pose)
 sensors = _study(_sensors)
