@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from benchmarks.reporting import Claim
-from calibration import PlaneFit
+from benchmarks.reporting import Claim, listed
 from estimator import (
     FrameLabels,
     LiteralSettings,
@@ -145,13 +144,17 @@ class Criterion(StrEnum):
     RMSE = "RMSE of each trial"
 
 
+def plane_rows(lines: pd.DataFrame) -> dict[str, PlaneRow]:
+    """Rows of a table of lines, as those of Table I, by trial."""
+    columns = lines[["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]].to_numpy().tolist()
+    return {trial: PlaneRow(*row) for trial, row in zip(lines.trial, columns, strict=True)}
+
+
 STRAIGHT = 0.99
 """R² of a straight line; each trial of Table I has more."""
 
 
-def reproduction(
-    fits: Mapping[str, PlaneFit | PlaneRow], *, name: str = "Table I"
-) -> dict[Criterion, Claim]:
+def reproduction(fits: Mapping[str, PlaneRow], *, name: str = "Table I") -> dict[Criterion, Claim]:
     """The criteria for fits of one source measured in one way.
 
     The fit of all planes must be the paper's, within the differences between its own trials; each
@@ -165,20 +168,20 @@ def reproduction(
     pooled, printed = fits[ALL_PLANES], TABLE_I[ALL_PLANES]
     slope, b = round(printed.delta_k, 3), round(printed.b, 1)
     bounds = {
-        Criterion.DELTA_K: ((pooled.delta_k,), slope - 0.006, slope + 0.006, "{value:.4f} mm/px"),
-        Criterion.B: ((pooled.b,), b - 0.5, b + 0.5, "{value:.2f} mm"),
-        Criterion.R_SQUARED: (r_squared, STRAIGHT, 1.0, "{value:.3f}"),
-        Criterion.RMSE: (rmse, 0.05, 0.10, "{value:.3f} mm"),
+        Criterion.DELTA_K: ((pooled.delta_k,), slope - 0.006, slope + 0.006, ".4f", " mm/px"),
+        Criterion.B: ((pooled.b,), b - 0.5, b + 0.5, ".2f", " mm"),
+        Criterion.R_SQUARED: (r_squared, STRAIGHT, 1.0, ".3f", ""),
+        Criterion.RMSE: (rmse, 0.05, 0.10, ".3f", " mm"),
     }
     return {
         criterion: Claim(
             name=f"{name}, {criterion}",
-            sentence=f"{shown} (Table I demands {{low:g}} to {{high:g}}).",
+            sentence=f"{listed(values, spec)}{unit} (Table I demands {low:g} to {high:g}).",
             value=values,
             low=low,
             high=high,
         )
-        for criterion, (values, low, high, shown) in bounds.items()
+        for criterion, (values, low, high, spec, unit) in bounds.items()
     }
 
 
@@ -347,7 +350,7 @@ SUBPIXEL = Way("sub-pixel, metered", "metered", SubpixelSettings(), False)
 WAYS = (LITERAL, LITERAL_METERED, SUBPIXEL)
 
 
-_ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
+ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
 
 
 def spots_of(labels: Sequence[FrameLabels], results: Sequence[Spot | NoSpot]) -> pd.DataFrame:
@@ -359,7 +362,7 @@ def spots_of(labels: Sequence[FrameLabels], results: Sequence[Spot | NoSpot]) ->
     """
     found = pd.DataFrame([vars(row) for row in labels])
     found["result"] = pd.Series(list(results), dtype=object)
-    for name in _ELLIPSE:
+    for name in ELLIPSE:
         found[name] = [getattr(result, name, math.nan) for result in results]
     found["d_r_mm"] = found.d_mm - found.d_mm.iloc[0]
     found["outcome"] = [

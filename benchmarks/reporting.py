@@ -5,14 +5,16 @@ from __future__ import annotations
 import base64
 import io
 import math
+import re
 import string
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import jinja2
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -144,6 +146,11 @@ class _Formatter(string.Formatter):
         return _typeset(value, format_spec)
 
 
+def listed(values: float | Iterable[float], spec: str) -> str:
+    """Numbers of a sentence, separated by commas."""
+    return ", ".join(format(value, spec) for value in np.atleast_1d(np.asarray(values)).tolist())
+
+
 def _typeset(value: float, spec: str) -> str:
     if not math.isfinite(value):
         return "–"
@@ -187,7 +194,12 @@ class Claim:
     def text(self) -> str:
         """The sentence with its numbers."""
         bounds = {"value": self.value, "low": self.low, "high": self.high}
-        return _Formatter().vformat(self.sentence, (), {**bounds, **self.numbers})
+        text = self.sentence
+        if "{" in text:
+            text = _Formatter().vformat(self.sentence, (), {**bounds, **self.numbers})
+        text = re.sub(r"[+-]?\b(nan|inf)\b", "–", text)
+        text = re.sub(r"(?<![\w.])[+-](?=0(\.0+)?(?![\d.]))", "", text)  # zero has no sign
+        return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
 
     @property
     def row(self) -> dict[str, Any]:

@@ -87,12 +87,12 @@ class Study:
     def __init__(
         self,
         name: str,
-        *,
         out: Path,
         scene: Path | None = None,
         changes: Sequence[str] = (),
         quick: bool = False,
         seed: int | None = None,
+        *,
         options: Mapping[str, int | float | str] | None = None,
         defaults: Sequence[str] = (),
         check: Callable[[Scene], None] = lambda scene: None,

@@ -35,7 +35,7 @@ def test_a_run_leaves_everything_that_it_promises(cone_run):
 @pytest.mark.slow
 def test_sub_pixel_spots_of_the_ideal_cone_give_its_parameters(cone_run):
     _, findings = cone_run
-    fit = findings.plane_fits["cone", SUBPIXEL.name]["all planes"]
+    fit = findings.lines("cone", SUBPIXEL)["all planes"]
     # k = 20, delta = 0.0067; readings start at contact, 0.25 tan(30 deg) = 0.144 mm from the wall.
     # 0.02 px of 60 at either end of the range is 5e-4 of the slope.
     assert fit.delta_k == pytest.approx(0.134, rel=2e-3)
@@ -67,10 +67,8 @@ def test_a_second_run_renders_nothing_and_finds_the_same(cone_run, monkeypatch):
     before = {path: path.read_bytes() for path in files}
     summary = json.loads((out / "summary.json").read_text())
     again = validate.validate(out=out, quick=True, seed=0, source="cone")
-    assert again.plane_fits == findings.plane_fits
-    assert again.sphere_fits == findings.sphere_fits
-    pd.testing.assert_frame_equal(again.analytic, findings.analytic)
-    pd.testing.assert_frame_equal(again.rendered, findings.rendered)
+    for name in ("planes", "spheres", "analytic", "rendered"):
+        pd.testing.assert_frame_equal(getattr(again, name), getattr(findings, name))
     assert len(before) > len(FILES)
     assert {path: path.read_bytes() for path in files} == before
     after = json.loads((out / "summary.json").read_text())
