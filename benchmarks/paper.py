@@ -264,6 +264,17 @@ def paper_trials(*, source: str, quick: bool, seed: int) -> list[StaticTrial]:
     ]
 
 
+def at_place(place: StaticTrial, *, frames: int) -> dict[str, object]:
+    """Changes of a scene that put a withdrawal at a trial's place, to be photographed again."""
+    return {
+        "spot.eccentricity_mm": place.scene.spot.eccentricity_mm,
+        "spot.azimuth_deg": place.scene.spot.azimuth_deg,
+        "motion.frames": frames,
+        "exposures.kinds": ["paper", "metered"],
+        "exposures.keep_linear": True,
+    }
+
+
 def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
     """Ideal cones at each eccentricity from 0 to 7 mm, for both pinholes, tilted three ways."""
     eccentricities = (0.0, 3.0, 5.0, 7.0) if quick else tuple(float(c) for c in range(8))

@@ -70,9 +70,9 @@ class Study:
         changes: "table.key=value" each, set after reading.
         quick: a smaller study, for a first look.
         seed: random seed; None uses the scene's.
-        options: options of this study only, by their names on the command line without dashes.
         defaults: changes of the default scene, used if no scene file is given, before `changes`.
         check: raises if the study cannot use the scene.
+        options: options of this study only, by their names on the command line without dashes.
         command: what starts it; `eyespot study NAME` if not given.
 
     Attributes:
@@ -92,10 +92,10 @@ class Study:
         changes: Sequence[str] = (),
         quick: bool = False,
         seed: int | None = None,
-        *,
-        options: Mapping[str, int | float | str] | None = None,
         defaults: Sequence[str] = (),
         check: Callable[[Scene], None] = lambda scene: None,
+        *,
+        options: Mapping[str, int | float | str] | None = None,
         command: str = "",
     ) -> None:
         self.name, self.quick, self.options = name, quick, options or {}

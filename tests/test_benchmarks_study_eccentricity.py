@@ -21,7 +21,7 @@ import scenes
 from benchmarks import model_error
 from benchmarks.model_error import MODEL_ERROR, Geometry
 from benchmarks.paper import coalitions, shapley_values
-from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table, rows_of
+from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table
 from benchmarks.studies import eccentricity, error_causes
 from benchmarks.studies.eccentricity import AXES, DISTANCES_MM, LIMITS_MM, PINHOLES
 from benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, Eye, Links, Shift
@@ -353,8 +353,8 @@ def small_report(_: None) -> Report:
         title="Is z_F < 3 & fine?",
         lead="A test.",
         claims=[
-            Claim(name="topic", sentence="{value:.2f} of {high:g} < 2.", value=0.7, high=1.0),
-            Claim(name="other", sentence="As {row.model}.", numbers={"row": rows_of(LIMIT)[0]}),
+            Claim(name="topic", sentence=f"{0.7:.2f} of {1.0:g} < 2.", value=0.7, high=1.0),
+            Claim(name="other", sentence=f"At {math.nan:.1f} mm."),
         ],
         sections=[
             Section(
@@ -403,8 +403,7 @@ def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
     assert (summary["command"], summary["more"]) == (study.command, 5)
     first, second = summary["found"]
     assert (first["text"], first["holds"]) == ("0.70 of 1 < 2.", True)
-    assert (second["text"], second["holds"]) == ("As exact.", None)
-    assert second["numbers"]["row"] == {"model": "exact", "c_mm": None}
+    assert (second["text"], second["holds"], second["value"]) == ("At – mm.", None, None)
 
 
 def test_a_folder_takes_the_same_request_again_and_refuses_another(tmp_path):
@@ -442,13 +441,13 @@ def test_a_scene_without_an_eyeball_is_refused_before_a_folder_is_made(tmp_path)
 @pytest.mark.slow
 def test_a_quick_run_finds_what_is_known_and_resumes(tmp_path, monkeypatch):
     findings = eccentricity.eccentricity(out=tmp_path / "run", quick=True, geometries=512)
-    measured = findings.rendered.with_true_c
+    measured = findings.with_true_c
     worst = measured.error_mm.abs().groupby(measured.model).max()
     # Spots good to 0.1 px are distances good to k delta 0.1 px = 0.013 mm.
     assert worst["exact"] < 0.015
     assert worst["small_plane"] > 1.5
-    assert findings.rendered.left_out == 0
-    by_spot = findings.rendered.shares.groupby(["model", "z_f_mm", "c_mm", "d_mm"])
+    assert findings.left_out == 0
+    by_spot = findings.shares.groupby(["model", "z_f_mm", "c_mm", "d_mm"])
     for _, parts in by_spot:
         assert parts.cause.tolist() == list(CAUSES)
         assert parts.part_mm.sum() == pytest.approx(parts.whole_mm.iloc[0], abs=1e-9)
@@ -459,10 +458,8 @@ def test_a_quick_run_finds_what_is_known_and_resumes(tmp_path, monkeypatch):
         raise AssertionError("a finished stack was rendered again")
 
     monkeypatch.setattr(scenes, "render_stack", never)
-    again = eccentricity.eccentricity(
-        out=tmp_path / "run", quick=True, geometries=512
-    ).rendered.errors
-    pd.testing.assert_frame_equal(again, findings.rendered.errors)
+    again = eccentricity.eccentricity(out=tmp_path / "run", quick=True, geometries=512)
+    pd.testing.assert_frame_equal(again.rendered, findings.rendered)
 
 
 def test_links_and_their_names_belong_together():

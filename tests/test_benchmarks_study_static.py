@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import scenes
 from benchmarks.paper import TABLE_I, PlaneRow, paper_trials
 from benchmarks.studies import static, table_one
 from benchmarks.studies.static import ALL, CAUSES, EVEN, NONE, OWN, POOLED, plane
-from benchmarks.studies.table_one import Demand, Family, Isophotes, LensChoice
+from benchmarks.studies.table_one import AT_SCALE, Family, Isophotes
 from calibration.spots.lines import fit_lines
 from scenes.world import World
 
@@ -26,9 +27,9 @@ def flat() -> dict[float, Isophotes]:
     return {na: Isophotes.of(Family(na, 0.0), PLANE) for na in (0.08, 0.10, 0.20)}
 
 
-def best(isophotes: Isophotes) -> LensChoice:
+def best(isophotes: Isophotes) -> SimpleNamespace:
     choices = table_one.best_choices(isophotes, scale=PLANE.microscope.scale_mm_px)
-    return next(choice for choice in choices if choice.asked == Demand.AT_SCALE)
+    return next(SimpleNamespace(**row) for row in choices if row["asked"] == AT_SCALE)
 
 
 # Parts of the error.
@@ -110,8 +111,8 @@ def test_r_squared_and_rmse_tell_the_span_of_evenly_spaced_readings():
 
 def test_table_ones_own_rows_do_not_pool_to_its_last_row_from_contact():
     trials = list(TABLE_I.values())[:3]
-    even = table_one.from_contact(trials, weights=(1, 1, 1)).row
-    free = table_one.best_from_contact(trials, least_share=0.1).row
+    even = table_one.pooled(trials, weights=(1, 1, 1))
+    free = table_one.straightest(trials, least_share=0.1)
     printed = TABLE_I["all planes"]
     # Far outside what rounding in the fourth digit of any figure could do.
     assert even.rmse > 2 * printed.rmse

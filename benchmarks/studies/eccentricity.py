@@ -4,7 +4,7 @@ DIR/model_error.csv  every error of every model, analytic and rendered
     limits.csv       at which c a model's error reaches 0.1 and 0.5 mm
     refit.csv        c fitted as the paper does, and how much of the error that hides
     causes.csv       Shapley's share of each cause
-    space.csv, sensitivity.csv  errors over the whole space, and which axis they come from
+    sensitivity.csv  which axis of the whole space the errors come from
     stacks/, spots/  rendered frames, and the spots measured in them
 """
 
@@ -66,6 +66,7 @@ from benchmarks.reporting import (
     Section,
     Table,
     grouped,
+    listed,
     number,
     rows_of,
     small_multiples,
@@ -147,30 +148,6 @@ def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Ite
         yield found.assign(**{model: np.asarray(estimates[model]) for model in optics.MODELS})
 
 
-def within(space: pd.DataFrame, limit: float) -> dict[str, float]:
-    """Part of the geometries in which each model's error is within a limit (mm)."""
-    return {model: float((space[model].abs() <= limit).mean()) for model in optics.MODELS}
-
-
-def spread_by_axis(space: pd.DataFrame, *, bins: int = 16) -> pd.DataFrame:
-    """Content of space.csv: the size of the errors in each bin of an axis, over all others."""
-    tables = []
-    for pinhole, (axis, (low, high)) in product(PINHOLES, AXES.items()):
-        of = where(space, pinhole=pinhole)
-        number = ((of[axis] - low) / (high - low) * bins).clip(0, bins - 1).astype(int)
-        sizes = of[list(optics.MODELS)].abs().groupby(number)
-        for model, size in ((model, sizes[model]) for model in optics.MODELS):
-            found = size.agg(geometries="size", median_mm="median").reset_index(drop=True)
-            from_value = low + (high - low) * found.index / bins
-            to_value = low + (high - low) * (found.index + 1) / bins
-            found["percentile_95_mm"] = size.quantile(0.95).to_numpy()
-            about = {"model": model, "pinhole": pinhole, "axis": axis}
-            tables.append(found.assign(**about, from_value=from_value, to_value=to_value))
-    columns = "model pinhole axis from_value to_value geometries median_mm percentile_95_mm".split()
-    ordered = sorted(tables, key=lambda table: optics.MODELS.index(table.model[0]))
-    return pd.concat(ordered, ignore_index=True)[columns]
-
-
 def sensitivities(space: pd.DataFrame, *, bins: int = 32) -> pd.DataFrame:
     """Content of sensitivity.csv: the part of the variance that an axis alone explains.
 
@@ -235,40 +212,19 @@ def withdrawals(
     """
     c, d = (a.ravel() for a in np.meshgrid(eccentricities, DISTANCES_MM, indexing="ij"))
     seen = semi_minor(geometry, c=c, d=d)
-    errors = model_errors(
-        geometry,
-        source="analytic",
-        medium=medium,
-        c=c,
-        d=d,
-        semi_minor_px=seen,
-        models=optics.MODELS,
-    )
-    tables, refits = [errors], []
-    for value in eccentricities.tolist():
-        rows, refit = refitted(
-            geometry,
-            before=errors[errors.c_mm == value],
-            source="analytic",
-            medium=medium,
-            c=value,
-            d=d[c == value],
-            semi_minor_px=seen[c == value],
-        )
-        tables.append(rows)
-        refits.append(refit)
-    return pd.concat(tables, ignore_index=True), pd.DataFrame(refits)
+    about = {"source": "analytic", "medium": medium}
+    models = optics.MODELS
+    errors = model_errors(geometry, **about, c=c, d=d, semi_minor_px=seen, models=models)
+    found = [
+        refitted(geometry, errors[errors.c_mm == value], d[c == value], seen[c == value])
+        for value in eccentricities.tolist()
+    ]
+    tables, refits = zip(*found, strict=True)
+    return pd.concat([errors, *tables], ignore_index=True), pd.DataFrame(refits)
 
 
 def refitted(
-    geometry: Geometry,
-    *,
-    before: pd.DataFrame,
-    source: str,
-    medium: str,
-    c: float,
-    d: np.ndarray,
-    semi_minor_px: np.ndarray,
+    geometry: Geometry, before: pd.DataFrame, d: np.ndarray, semi_minor_px: np.ndarray
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Errors of one withdrawal with c fitted, and what that hides of those `before`.
 
@@ -277,21 +233,19 @@ def refitted(
 
     Args:
         before: its errors with the true c, of every model.
-        source: "analytic" or "rendered".
-        c: mm.
         d: mm.
         semi_minor_px: e1', px.
     """
-    fit, rows = refitted_errors(
-        geometry, source=source, medium=medium, c=c, d=d, semi_minor_px=semi_minor_px
-    )
+    source, medium, c = before[["source", "medium", "c_mm"]].iloc[0]
+    about = {"source": source, "medium": medium, "c": float(c)}
+    fit, rows = refitted_errors(geometry, **about, d=d, semi_minor_px=semi_minor_px)
     before_mm = largest(before.error_mm[before.model == "small_plane"])
     after_mm = largest(rows.error_mm)
     return rows, {
         "source": source,
         "z_f_mm": geometry.pinhole_height,
         "incidence_deg": degrees(geometry.incidence),
-        "c_mm": c,
+        "c_mm": float(c),
         "fitted_c_mm": fit.c,
         "at_bound": fit.at_bound,
         "largest_error_mm": before_mm,
@@ -332,29 +286,6 @@ _NOISE_FREE = {
 }
 
 _FEWEST_SPOTS = 3  # fewer do not determine c
-
-
-class RenderedErrors(NamedTuple):
-    """What the rendered part found.
-
-    Attributes:
-        errors: of all models on every measured spot, and of small_plane with c fitted.
-        refits: a fit for each trial with enough spots, see `refitted`.
-        shares: the errors by cause, for trials with a noise-free frame.
-        frames: number of frames rendered for the errors.
-        left_out: number of them without a spot that counts.
-    """
-
-    errors: pd.DataFrame
-    refits: pd.DataFrame
-    shares: pd.DataFrame
-    frames: int
-    left_out: int
-
-    @property
-    def with_true_c(self) -> pd.DataFrame:
-        """The errors without those of a fitted c."""
-        return self.errors[~self.errors.refit.astype(bool)]
 
 
 class EccentricTrial(NamedTuple):
@@ -407,75 +338,53 @@ def trials(scene: Scene, *, quick: bool) -> list[EccentricTrial]:
     return found
 
 
-def measure(study: Study, every: Sequence[EccentricTrial]) -> RenderedErrors:
-    """Render, track and compare."""
+def measure(study: Study, every: Sequence[EccentricTrial]) -> dict[str, Any]:
+    """Render, track and compare: what `EccentricityFindings` has of rendered frames."""
     wanted = {trial.name: trial.scene for trial in every}
-    wanted |= {_fine(t): t.noise_free for t in every if t.noise_free is not None}
+    wanted |= {f"{t.name}-noise-free": t.noise_free for t in every if t.noise_free is not None}
     tracked = study.measured(
         wanted,
         lambda name, stack: track_stack(stack, SUBPIXEL, spots_file=study.spots_file(name)),
     )
-    errors, refits, shares = [], [], []
+    # Empty tables first, so that a run without spots has tables, too.
+    errors, refits, shares = [pd.DataFrame(columns=MODEL_ERROR)], [], [pd.DataFrame()]
     for trial in every:
-        seen = tracked[trial.name]
+        seen, geometry = tracked[trial.name], geometry_of(trial.scene)
         spots = seen[seen.used]
         if len(spots):
-            geometry = geometry_of(trial.scene)
-            of_models = measured_errors(geometry, spots, models=optics.MODELS)
-            errors.append(of_models)
-            if len(spots) >= _FEWEST_SPOTS:
-                rows, refit = refitted(
-                    geometry,
-                    before=of_models,
-                    source="rendered",
-                    medium=trial.scene.source.medium,
-                    c=float(spots.c_mm.iloc[0]),
-                    d=spots.d_mm.to_numpy(),
-                    semi_minor_px=spots.semi_minor_px.to_numpy(),
-                )
-                errors.append(rows)
-                refits.append(refit)
+            errors.append(measured_errors(geometry, spots, models=optics.MODELS))
+        if len(spots) >= _FEWEST_SPOTS:
+            given = spots[["d_mm", "semi_minor_px"]].to_numpy().T
+            rows, refit = refitted(geometry, errors[-1], *given)
+            errors.append(rows)
+            refits.append(refit)
         if trial.noise_free is not None:
-            of_trial = _shares(trial, seen, tracked[_fine(trial)])
-            shares += [] if of_trial.empty else [of_trial]
+            both = seen.used & tracked[f"{trial.name}-noise-free"].used
+            if both.any():
+                fine = tracked[f"{trial.name}-noise-free"].semi_minor_px[both].to_numpy() / _FINER
+                shares.append(_shares(trial.scene, geometry, seen[both], fine))
     used = np.concatenate([tracked[trial.name].used for trial in every])
-    return RenderedErrors(
-        errors=pd.concat(errors, ignore_index=True)
-        if errors
-        else pd.DataFrame(columns=MODEL_ERROR),
-        refits=pd.DataFrame(refits),
-        shares=pd.concat(shares, ignore_index=True) if shares else pd.DataFrame(),
-        frames=used.size,
-        left_out=int(np.count_nonzero(~used)),
-    )
+    return {
+        "rendered": pd.concat(errors[1:] or errors, ignore_index=True),
+        "rendered_refits": pd.DataFrame(refits),
+        "shares": pd.concat(shares[1:] or shares, ignore_index=True),
+        "frames": used.size,
+        "left_out": int(np.count_nonzero(~used)),
+    }
 
 
-def _fine(trial: EccentricTrial) -> str:
-    return f"{trial.name}-noise-free"
-
-
-def _shares(trial: EccentricTrial, seen: pd.DataFrame, noise_free: pd.DataFrame) -> pd.DataFrame:
-    """The trial's errors by cause, in frames in which both measurements found the spot."""
-    both = seen.used & noise_free.used
-    if not both.any():
-        return pd.DataFrame()
-    geometry = geometry_of(trial.scene)
+def _shares(
+    scene: Scene, geometry: Geometry, spots: pd.DataFrame, fine: np.ndarray
+) -> pd.DataFrame:
+    """A trial's errors by cause, from spots and their e1' in noise-free frames, px."""
     measured, ideal, c, d = (
-        seen[both][name].to_numpy()
-        for name in ("semi_minor_px", "cone_semi_minor_px", "c_mm", "d_mm")
+        spots[name].to_numpy() for name in ("semi_minor_px", "cone_semi_minor_px", "c_mm", "d_mm")
     )
-    fine = noise_free[both].semi_minor_px.to_numpy() / _FINER
-    length = error_causes.spread_length(trial.scene)
-    spread = error_causes.spread_shift(geometry, c=c, d=d, length=length)
+    spread = error_causes.spread_shift(geometry, c=c, d=d, length=spread_length(scene))
     # A wall that spreads light does so in the frames already.
-    edge = fine - ideal - (spread if trial.scene.phantom.spread != "none" else 0.0)
-    return error_causes.shares(
-        geometry,
-        medium=trial.scene.source.medium,
-        c=c,
-        d=d,
-        shift=Shift(edge=edge, pixels=measured - fine, spread=spread),
-    )
+    edge = fine - ideal - (spread if scene.phantom.spread != "none" else 0.0)
+    shift = Shift(edge=edge, pixels=measured - fine, spread=spread)
+    return error_causes.shares(geometry, medium=scene.source.medium, c=c, d=d, shift=shift)
 
 
 # The results of a run, and the figures of the report.
@@ -487,7 +396,11 @@ class EccentricityFindings:
 
     Attributes:
         withdrawals: errors on exact contours, with the true c and with the fitted one.
+        refits: fits of c to them, see `refitted`; `rendered_refits` to rendered spots.
         limits: where models reach the limits, among the withdrawals.
+        rendered: errors of all models on every measured spot, and of small_plane with c fitted.
+        shares: errors by cause, for trials with a noise-free frame.
+        frames: number of frames rendered for the errors; `left_out`: without a spot that counts.
         geometries: number of points in the space of geometries.
         within: part of the space in which each model is within the largest limit.
     """
@@ -496,9 +409,12 @@ class EccentricityFindings:
     withdrawals: pd.DataFrame
     refits: pd.DataFrame
     limits: pd.DataFrame
-    rendered: RenderedErrors
+    rendered: pd.DataFrame
+    rendered_refits: pd.DataFrame
+    shares: pd.DataFrame
+    frames: int
+    left_out: int
     geometries: int
-    spreads: pd.DataFrame
     sensitivities: pd.DataFrame
     within: dict[str, float]
 
@@ -506,6 +422,11 @@ class EccentricityFindings:
     def heights(self) -> tuple[float, float]:
         """z_F of the pinholes that the report compares, mm."""
         return pinhole_heights(self.scene)
+
+    @property
+    def with_true_c(self) -> pd.DataFrame:
+        """The errors on rendered spots, without those of a fitted c."""
+        return self.rendered[~self.rendered.refit.astype(bool)]
 
     def limits_of(
         self, model: str, height: float, incidence: float, *, refit: bool = False
@@ -527,20 +448,6 @@ _BROWN, _GREYS = "#8C6D31", ("#B8B8B8", "#6E6E6E")
 _CAUSE_COLOURS = dict(
     zip(CAUSES, (BLUE, VERMILION, ORANGE, BLACK, GREEN, SKY, PURPLE, _BROWN, *_GREYS), strict=True)
 )
-_AXIS_NAMES = {
-    "c_mm": ECCENTRICITY,
-    "d_mm": "distance $d$ (mm)",
-    "r_mm": "eye radius $r$ (mm)",
-    "incidence_deg": "incidence (°)",
-    "azimuth_deg": "its azimuth (°)",
-    "half_angle_deg": "half-angle (°)",
-}
-_PINHOLE_NAMES = {
-    "centre": "$z_F$ = 0",
-    "sphere": "$z_F$ = $r$",
-    "200": "$z_F$ = 200 mm",
-    "inf": "telecentric",
-}
 _LEAST_MM = 1e-3
 """Smaller errors are drawn at the foot of a logarithmic axis."""
 
@@ -553,7 +460,7 @@ def worst_errors(findings: EccentricityFindings) -> Figure:
             axes.axhline(limit, color=GREY, lw=0.8, ls=":")
         exact, seen = (
             where(errors, z_f_mm=height, incidence_deg=incidence)
-            for errors in (findings.withdrawals, findings.rendered.with_true_c)
+            for errors in (findings.withdrawals, findings.with_true_c)
         )
         for model, colour in _COLOURS.items():
             line = largest_errors(where(exact, model=model, refit=False))
@@ -564,7 +471,8 @@ def worst_errors(findings: EccentricityFindings) -> Figure:
             axes.plot(marks, ls="", marker="o", ms=3.5, color=colour, label=label)
         refit = largest_errors(exact[exact.refit])
         axes.plot(refit, color=VERMILION, ls="--", label="small_plane, c fitted")
-        _logarithmic(axes, top=12.0)
+        axes.set(yscale="log", ylim=(_LEAST_MM, 12.0))
+        axes.yaxis.set_major_formatter("{x:g}")
 
     return small_multiples(
         draw,
@@ -580,40 +488,12 @@ def worst_errors(findings: EccentricityFindings) -> Figure:
     )
 
 
-def fitted_eccentricity(findings: EccentricityFindings) -> Figure:
-    """The c that a fit finds against the true one, and the largest error before and after."""
-    tilted = where(findings.refits, incidence_deg=findings.scene.spot.incidence_deg)
-    drawn = list(zip(grouped(tilted, "z_f_mm"), (GREEN, BLUE, VERMILION, BLACK), strict=False))
-
-    def fitted(axes: Axes) -> None:
-        for (height, rows), colour in drawn:
-            label = pinhole_title(height)
-            axes.plot(rows.c_mm, rows.fitted_c_mm, color=colour, label=label)
-            axes.plot(rows.c_mm, rows.c_mm, color=GREY, lw=0.8)
-
-    def sizes(axes: Axes) -> None:
-        for (_, rows), colour in drawn:
-            axes.plot(rows.c_mm, rows.largest_error_mm, color=colour)
-            axes.plot(rows.c_mm, rows.largest_residual_mm, color=colour, ls="--")
-        _logarithmic(axes)
-
-    panels = {"fitted $c$ (mm)": fitted, "largest |error| (mm)": sizes}
-    return small_multiples(
-        lambda axes, _, name: panels[name](axes),
-        rows=[""],
-        columns=list(panels),
-        x=f"true {ECCENTRICITY}",
-        y="",
-        height=3.4,
-    )
-
-
 def _causes_figure(findings: EccentricityFindings, *, d: float) -> Figure:
     """Shapley's shares stacked against c: a row for each pinhole, a column for each model.
 
     Every panel has its own scale: the shares of the best model are a hundredth of the worst's.
     """
-    shares = findings.rendered.shares
+    shares = findings.shares
     chosen = shares[(shares.d_mm - d).abs() < 1e-6]
 
     def draw(axes: Axes, height: float, model: str) -> None:
@@ -641,37 +521,6 @@ def _causes_figure(findings: EccentricityFindings, *, d: float) -> Figure:
         legend_columns=5,
         sharex=True,
     )
-
-
-def spreads(findings: EccentricityFindings) -> Figure:
-    """Size of the errors along every axis, over all others: a row for each pinhole."""
-
-    def draw(axes: Axes, pinhole: str, axis: str) -> None:
-        for model, colour in _COLOURS.items():
-            rows = where(findings.spreads, model=model, pinhole=pinhole, axis=axis)
-            if model != "exact":
-                middle = 0.5 * (rows.from_value + rows.to_value)
-                axes.plot(middle, rows.median_mm, color=colour, label=model)
-                axes.plot(middle, rows.percentile_95_mm, color=colour, lw=0.8, ls=":")
-        _logarithmic(axes, top=12.0)
-
-    return small_multiples(
-        draw,
-        rows=[f"{MICROSCOPE_MM:g}"],
-        columns=list(AXES),
-        title=lambda pinhole, axis: "",
-        x=_AXIS_NAMES.__getitem__,
-        y=lambda pinhole: f"{_PINHOLE_NAMES[pinhole]}\n|error| (mm)",
-        height=2.1,
-        sharex="col",
-        sharey=True,
-    )
-
-
-def _logarithmic(axes: Axes, *, top: float | None = None) -> None:
-    axes.set(yscale="log")
-    axes.set_ylim(_LEAST_MM, top)
-    axes.yaxis.set_major_formatter("{x:g}")
 
 
 def check(scene: Scene) -> None:
@@ -765,126 +614,86 @@ def report(findings: EccentricityFindings) -> Report:
         data={
             "model_error.csv": None,
             "limits.csv": findings.limits,
-            "refit.csv": pd.concat([findings.refits, findings.rendered.refits]),
-            "causes.csv": findings.rendered.shares,
-            "space.csv": findings.spreads,
+            "refit.csv": pd.concat([findings.refits, findings.rendered_refits]),
+            "causes.csv": findings.shares,
             "sensitivity.csv": findings.sensitivities,
         },
     )
 
 
 def _claims(findings: EccentricityFindings) -> Iterator[Claim]:
-    spot = findings.scene.spot
+    spot, refits = findings.scene.spot, findings.refits
+    for height, model in product(findings.heights, optics.MODELS):
+        reached = findings.limits_of(model, height, spot.incidence_deg)
+        yield Claim(
+            name=f"z_F = {height:g} mm, {model}",
+            sentence=f"At {spot.incidence_deg:g}° incidence (azimuth "
+            f"{spot.incidence_azimuth_deg:g}°) the largest error over d = 0.5 to 6 mm reaches "
+            f"{listed(LIMITS_MM, 'g')} mm at c = {listed(reached, '.2f')} mm (a dash: not up to c "
+            f"= {LARGEST_C_MM:g} mm).",
+            value=reached,
+        )
     for height in findings.heights:
-        for model in optics.MODELS:
-            yield Claim(
-                name=f"z_F = {height:g} mm, {model}",
-                sentence="At {incidence:g}° incidence (azimuth {azimuth:g}°) the largest error "
-                "over d = 0.5 to 6 mm reaches {limits:g} mm at c = {value:.2f} mm (a dash: not up "
-                "to c = {end:g} mm).",
-                value=findings.limits_of(model, height, spot.incidence_deg),
-                numbers={
-                    "incidence": spot.incidence_deg,
-                    "azimuth": spot.incidence_azimuth_deg,
-                    "limits": LIMITS_MM,
-                    "end": LARGEST_C_MM,
-                },
-            )
-    for height in findings.heights:
-        yield _hidden(findings, height)
+        rows = rows_of(where(refits, z_f_mm=height, incidence_deg=spot.incidence_deg))
+        row = min(rows, key=lambda r: abs(r.c_mm - SHOWN_C_MM))
+        reached = findings.limits_of("small_plane", height, spot.incidence_deg, refit=True)
+        hidden = row.hidden_mm / row.largest_error_mm
+        yield Claim(
+            name=f"z_F = {height:g} mm, fitted c",
+            sentence=f"Fitting c hides {hidden:.0%} of the error of small_plane at c = "
+            f"{row.c_mm:g} mm. The fit finds c = {row.fitted_c_mm:.2f} mm and has residuals of up "
+            f"to {row.largest_residual_mm:.3f} mm, where the error with the true c is "
+            f"{row.largest_error_mm:.3f} mm. The residuals reach {listed(LIMITS_MM, 'g')} mm at c "
+            f"= {listed(reached, '.2f')} mm (a dash: not up to c = {LARGEST_C_MM:g} mm).",
+            value=hidden,
+        )
     for height in findings.heights:
         yield from _main_cause(findings, height)
-    found, errors = findings.rendered, findings.rendered.with_true_c
+    errors = findings.with_true_c
     if len(errors):
+        worst = tuple(largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
         yield Claim(
             name="rendered spots",
-            sentence="Largest errors over {spots} spots: {value:.3f} mm ({models}); k, b, c and r "
-            "are given. {left_out} frames have no spot that counts.",
-            value=tuple(largest(errors.error_mm[errors.model == m]) for m in optics.MODELS),
-            numbers={
-                "models": optics.MODELS,
-                "spots": found.frames - found.left_out,
-                "left_out": found.left_out,
-            },
+            sentence=f"Largest errors over {findings.frames - findings.left_out} spots: "
+            f"{listed(worst, '.3f')} mm ({', '.join(optics.MODELS)}); k, b, c and r are given. "
+            f"{findings.left_out} frames have no spot that counts.",
+            value=worst,
         )
+    within = tuple(findings.within.values())
     yield Claim(
         name="space",
-        sentence="Within {limit:g} mm in {value:.0%} of {geometries:,} geometries ({models}): over "
-        "the ranges of c, d, r, incidence, azimuth and half-angle below, a quarter of them with "
-        "each pinhole.",
-        value=tuple(findings.within.values()),
-        numbers={
-            "limit": LIMITS_MM[-1],
-            "geometries": findings.geometries,
-            "models": tuple(findings.within),
-        },
-    )
-    of = where(findings.spreads, model="corrected", pinhole=f"{MICROSCOPE_MM:g}")
-    bins = rows_of(where(of, axis="azimuth_deg"))
-    best, worst = (choose(bins, key=lambda s: s.percentile_95_mm) for choose in (min, max))
-    yield Claim(
-        name=f"z_F = {MICROSCOPE_MM:g} mm, azimuth",
-        sentence="The error of corrected depends on the azimuth of the beam's tilt: 95 % of the "
-        "errors are below {best.percentile_95_mm:.3f} mm at azimuths of {best.from_value:g} to "
-        "{best.to_value:g}°, and below {value:.3f} mm at azimuths of {worst.from_value:g} to "
-        "{worst.to_value:g}°. The model is one of a square beam. A tilt along the meridian of O "
-        "(azimuth 0 or 180°) makes the spot longer where the image makes it shorter. exact is "
-        "given the beam's direction.",
-        value=worst.percentile_95_mm,
-        numbers={"best": best, "worst": worst},
-    )
-
-
-def _hidden(findings: EccentricityFindings, height: float) -> Claim:
-    incidence = findings.scene.spot.incidence_deg
-    rows = where(findings.refits, z_f_mm=height, incidence_deg=incidence)
-    row = min(rows_of(rows), key=lambda r: abs(r.c_mm - SHOWN_C_MM))
-    return Claim(
-        name=f"z_F = {height:g} mm, fitted c",
-        sentence="Fitting c hides {value:.0%} of the error of small_plane at c = {row.c_mm:g} mm. "
-        "The fit finds c = {row.fitted_c_mm:.2f} mm and has residuals of up to "
-        "{row.largest_residual_mm:.3f} mm, where the error with the true c is "
-        "{row.largest_error_mm:.3f} mm. The residuals reach {limits:g} mm at c = {reached:.2f} mm "
-        "(a dash: not up to c = {end:g} mm).",
-        value=row.hidden_mm / row.largest_error_mm,
-        numbers={
-            "row": row,
-            "limits": LIMITS_MM,
-            "reached": findings.limits_of("small_plane", height, incidence, refit=True),
-            "end": LARGEST_C_MM,
-        },
+        sentence=f"Within {LIMITS_MM[-1]:g} mm in {listed(within, '.0%')} of "
+        f"{findings.geometries:,} geometries ({', '.join(findings.within)}): over the ranges of c, "
+        "d, r, incidence, azimuth and half-angle below, a quarter of them with each pinhole.",
+        value=within,
     )
 
 
 def _main_cause(findings: EccentricityFindings, height: float) -> Iterator[Claim]:
-    shares = findings.rendered.shares
+    shares = findings.shares
     here = [] if shares.empty else rows_of(where(shares, z_f_mm=height, model="small_plane"))
     if not here:
         return
-    nearest = min(here, key=lambda p: (abs(p.c_mm - SHOWN_C_MM), abs(p.d_mm - SHOWN_C_MM)))
-    spot = [p for p in here if (p.c_mm, p.d_mm) == (nearest.c_mm, nearest.d_mm)]
-    ordered = sorted(spot, key=lambda p: -abs(p.part_mm))
+    spot = min(here, key=lambda p: (abs(p.c_mm - SHOWN_C_MM), abs(p.d_mm - SHOWN_C_MM)))
+    parts = sorted(
+        (p for p in here if (p.c_mm, p.d_mm) == (spot.c_mm, spot.d_mm)),
+        key=lambda p: -abs(p.part_mm),
+    )
     exact = where(findings.withdrawals, refit=False, model="small_plane", z_f_mm=height)
     own = min(
-        rows_of(where(exact, incidence_deg=nearest.incidence_deg)),
-        key=lambda e: (abs(e.c_mm - nearest.c_mm), abs(e.d_mm - nearest.d_mm)),
+        rows_of(where(exact, incidence_deg=spot.incidence_deg)),
+        key=lambda e: (abs(e.c_mm - spot.c_mm), abs(e.d_mm - spot.d_mm)),
     )
     yield Claim(
         name=f"z_F = {height:g} mm, causes",
-        sentence="At c = {spot.c_mm:.1f} mm and d = {spot.d_mm:.1f} mm the error of small_plane is "
-        "{value:+.3f} mm if it is also given an r too large by {wrong_r:g} mm and a c too large by "
-        "{wrong_c:g} mm; its own error on the exact contour is {own.error_mm:+.3f} mm (c = "
-        "{own.c_mm:g}, d = {own.d_mm:g} mm). The causes, the largest first: {causes}. Their "
-        "shares in mm: {parts:+.3f}. (Shapley's values: a cause alone can do more or less.)",
-        value=nearest.whole_mm,
-        numbers={
-            "spot": nearest,
-            "own": own,
-            "wrong_r": WRONG_R_MM,
-            "wrong_c": WRONG_C_MM,
-            "causes": tuple(p.cause for p in ordered),
-            "parts": tuple(p.part_mm for p in ordered),
-        },
+        sentence=f"At c = {spot.c_mm:.1f} mm and d = {spot.d_mm:.1f} mm the error of small_plane "
+        f"is {spot.whole_mm:+.3f} mm if it is also given an r too large by {WRONG_R_MM:g} mm and a "
+        f"c too large by {WRONG_C_MM:g} mm; its own error on the exact contour is "
+        f"{own.error_mm:+.3f} mm (c = {own.c_mm:g}, d = {own.d_mm:g} mm). The causes, the largest "
+        f"first: {', '.join(p.cause for p in parts)}. Their shares in mm: "
+        f"{listed([p.part_mm for p in parts], '+.3f')}. (Shapley's values: a cause alone can do "
+        "more or less.)",
+        value=spot.whole_mm,
     )
 
 
@@ -941,14 +750,6 @@ def _refit(findings: EccentricityFindings) -> Section:
         "The paper fits c to the same distances with which it then tests the model (Table II). A "
         "wrong c compensates for a wrong factor as long as the correct factor is below 1. If the "
         "correct factor is above 1, the fit ends at c = 0.",
-        Picture(
-            "refit",
-            fitted_eccentricity(findings),
-            f"Left: fitted against true c at {incidence:g}° incidence; grey: where they agree. "
-            "Right: largest error with the true c (lines) and largest residual with the fitted one "
-            "(dashed).",
-            data="refit.csv",
-        ),
         Table.of(
             refits[chosen],
             {
@@ -967,7 +768,7 @@ def _refit(findings: EccentricityFindings) -> Section:
 
 
 def _causes(findings: EccentricityFindings) -> Section:
-    shares = findings.rendered.shares
+    shares = findings.shares
     text = (
         "Each link between distance and spot is real or ideal, together with the model's own term "
         "for it. Every model is exact if all links are ideal. Each cause's part is its Shapley "
@@ -1014,13 +815,6 @@ def _space(findings: EccentricityFindings) -> Section:
         "The whole space",
         f"{findings.geometries:,} geometries, a scrambled Sobol sequence: {ranges}; z_F = 0, r, "
         "200 mm and infinite. For every half-angle the spot at contact has the scene's size.",
-        Picture(
-            "space",
-            spreads(findings),
-            "Eccentricity matters most. Absolute error along each axis over all others under a "
-            "microscope: median (lines) and 95th percentile (dotted); other pinholes in the file.",
-            data="space.csv",
-        ),
         Table.of(
             found.reset_index(),
             {name: Column(heading, 2) for name, heading in headings.items()},
@@ -1064,16 +858,9 @@ def eccentricity(
             "spot.eccentricity_mm has no effect in this study, which varies c. Leave it out."
         )
     count = geometries or (_GEOMETRIES_IF_QUICK if quick else _GEOMETRIES)
+    defaults, options = ("source.kind=cone",), {"geometries": count}
     study = Study(
-        "eccentricity",
-        out=out,
-        scene=scene,
-        changes=changes,
-        quick=quick,
-        seed=seed,
-        defaults=("source.kind=cone",),
-        check=check,
-        options={"geometries": count},
+        "eccentricity", out, scene, changes, quick, seed, defaults, check, options=options
     )
     base = study.scene
     with study.timed("render and measure"):
@@ -1086,18 +873,17 @@ def eccentricity(
             count=count,
             seed=study.seed,
             csv_file=study.folder / "model_error.csv",
-            before=pd.concat([on_exact, found.errors]),
+            before=pd.concat([on_exact, found["rendered"]]),
         )
     findings = EccentricityFindings(
         scene=base,
         withdrawals=on_exact,
         refits=refits,
         limits=limits(on_exact),
-        rendered=found,
+        **found,
         geometries=len(space),
-        spreads=spread_by_axis(space),
         sensitivities=sensitivities(space),
-        within=within(space, LIMITS_MM[-1]),
+        within={m: float((space[m].abs() <= LIMITS_MM[-1]).mean()) for m in optics.MODELS},
     )
     study.publish(report, findings)
     return findings

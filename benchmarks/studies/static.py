@@ -32,6 +32,7 @@ from benchmarks.paper import (
     Shot,
     StaticTrial,
     Way,
+    at_place,
     paper_trials,
 )
 from benchmarks.reporting import (
@@ -43,9 +44,11 @@ from benchmarks.reporting import (
     Report,
     Section,
     Table,
+    listed,
     number,
     rows_of,
     small_multiples,
+    where,
 )
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import Lines, fit_eccentricity, fit_lines
@@ -104,22 +107,33 @@ def check(scene: Scene) -> None:
         )
 
 
-# Rendered.
-
-
-def rendered_planes(study: Study, *, textures: int, frames: int) -> dict[Key, Photographer]:
-    """Every trial on the plane, on every wall and with every tilt."""
+def rendered(
+    study: Study, *, textures: int, frames: int
+) -> tuple[dict[Key, Photographer], list[Photographer]]:
+    """Every trial on the plane, on every wall and with every tilt; and those in the eyeball."""
+    trials = paper_trials(source="lens", quick=True, seed=0)
+    planes, spheres = ([t for t in trials if t.kind == kind] for kind in ("plane", "sphere"))
     wanted = {
-        (trial, texture, tilt): plane(study.scene, place, texture=texture, tilt=tilt, frames=frames)
-        for trial, place in enumerate(_places("plane"))
+        f"plane-{trial + 1}-wall-{texture + 1}-tilt-{tilt + 1}": (
+            (trial, texture, tilt),
+            plane(study.scene, place, texture=texture, tilt=tilt, frames=frames),
+        )
+        for trial, place in enumerate(planes)
         for texture in (EVEN, *range(textures))
         for tilt in (-1, 0, 1)
     }
-    names = {key: "plane-{}-wall-{}-tilt-{}".format(*(x + 1 for x in key)) for key in wanted}
-    stacks = study.stacks({names[key]: scene for key, scene in wanted.items()})
-    return {
-        key: Photographer(scene=scene, stack=stacks[names[key]]) for key, scene in wanted.items()
+    stacks = study.stacks({name: scene for name, (_, scene) in wanted.items()})
+    in_eyeball = {
+        place.group.replace(" ", "-"): scenes.changed(
+            study.scene, {**at_place(place, frames=frames), "phantom.kind": "eyeball"}
+        )
+        for place in spheres
     }
+    others = study.stacks(in_eyeball)
+    return (
+        {key: Photographer(scene=scene, stack=stacks[n]) for n, (key, scene) in wanted.items()},
+        [Photographer(scene=scene, stack=others[n]) for n, scene in in_eyeball.items()],
+    )
 
 
 def plane(scene: Scene, place: StaticTrial, *, texture: int, tilt: int, frames: int) -> Scene:
@@ -135,7 +149,7 @@ def plane(scene: Scene, place: StaticTrial, *, texture: int, tilt: int, frames: 
     return scenes.changed(
         scene,
         {
-            **_shared(place, frames=frames),
+            **at_place(place, frames=frames),
             "phantom.kind": "plane",
             "phantom.pupil_radius_mm": 0.0,
             "phantom.tilt_deg": TILT_DEG * abs(tilt),
@@ -148,35 +162,6 @@ def plane(scene: Scene, place: StaticTrial, *, texture: int, tilt: int, frames: 
             ),
         },
     )
-
-
-def rendered_spheres(study: Study, *, frames: int) -> list[Photographer]:
-    """The trials in the eyeball."""
-    wanted = {
-        place.group.replace(" ", "-"): scenes.changed(
-            study.scene, {**_shared(place, frames=frames), "phantom.kind": "eyeball"}
-        )
-        for place in _places("sphere")
-    }
-    stacks = study.stacks(wanted)
-    return [Photographer(scene=scene, stack=stacks[name]) for name, scene in wanted.items()]
-
-
-def _places(kind: str) -> list[StaticTrial]:
-    return [t for t in paper_trials(source="lens", quick=True, seed=0) if t.kind == kind]
-
-
-def _shared(place: StaticTrial, *, frames: int) -> dict[str, object]:
-    return {
-        "spot.eccentricity_mm": place.scene.spot.eccentricity_mm,
-        "spot.azimuth_deg": place.scene.spot.azimuth_deg,
-        "motion.frames": frames,
-        "exposures.kinds": ["paper", "metered"],
-        "exposures.keep_linear": True,
-    }
-
-
-# Photographed and measured under each set of causes.
 
 
 _WITHOUT = {
@@ -278,12 +263,8 @@ _QUANTITIES = {
 
 def _lines(semi_minor: np.ndarray, reading: np.ndarray) -> tuple[Lines, Lines]:
     """Each trial's line (runs x trials), and the line through all trials (runs)."""
-    runs = semi_minor.shape[0]
-    every = np.broadcast_to(reading, semi_minor.shape)
-    return (
-        fit_lines(semi_minor, every),
-        fit_lines(semi_minor.reshape(runs, -1), every.reshape(runs, -1)),
-    )
+    both = np.stack(np.broadcast_arrays(semi_minor, reading))
+    return fit_lines(*both), fit_lines(*both.reshape(2, len(semi_minor), -1))
 
 
 def _tables(way: str, spots: Mapping[tuple[str, str], Measured], scene: Scene) -> pd.DataFrame:
@@ -474,14 +455,9 @@ def _report(
                     TABLE_II,
                     "Table II with all causes: the small-plane model with each run's own δk and b.",
                 ),
-            ),
-            Section(
-                "Causes of the RMSE",
-                "The first bar is the error without any cause, because a lens's light does not "
-                "give an exact line. This error, the parts and “together” sum to “all”. The sizes "
-                "of the causes are assumptions. A small cause adds an error in proportion to the "
-                "square of its size. Several runs share a wall; the standard error of texture "
-                "accounts for this.",
+                "The sizes of the causes are assumptions. A small cause adds an error in "
+                "proportion to the square of its size. The error without any cause is not zero, "
+                "because a lens's light does not give an exact line.",
             ),
         ],
         data={
@@ -507,53 +483,42 @@ def _answer(causes: pd.DataFrame) -> str:
 
 
 def _claims(spreads: pd.DataFrame, causes: pd.DataFrame) -> Iterator[Claim]:
-    pooled = (spreads.trial == ALL_PLANES, lambda row: f"Table I, {row.way}")
-    fitted_c = (spreads.quantity == "c", lambda row: f"Table II, {row.way}, {row.trial}")
-    for chosen, where in (pooled, fitted_c):
-        for row in rows_of(spreads[chosen]):
-            column = _QUANTITIES[row.quantity]
-            digits = f".{column.digits}f"
-            yield Claim(
-                name=f"{where(row)}, {column.heading}",
-                sentence=f"{{value:{digits}}} ± {{spread.standard_deviation:{digits}}}, mean ± "
-                "standard deviation over {spread.runs} runs; the paper prints "
-                f"{{spread.paper:{digits}}}.",
-                value=row.mean,
-                numbers={"spread": row},
-            )
-    of = causes[causes.scope == POOLED].set_index("cause")
+    pooled = where(spreads, trial=ALL_PLANES).assign(about="Table I")
+    fitted = where(spreads, quantity="c")
+    for row in rows_of(pd.concat([pooled, fitted.assign(about="Table II, " + fitted.trial)])):
+        column = _QUANTITIES[row.quantity]
+        mean, spread, papers = (
+            f"{x:.{column.digits}f}" for x in (row.mean, row.standard_deviation, row.paper)
+        )
+        yield Claim(
+            name=f"{row.about}, {row.way}, {column.heading}",
+            sentence=f"{mean} ± {spread}, mean ± standard deviation over {row.runs} runs; the "
+            f"paper prints {papers}.",
+            value=row.mean,
+        )
+    own, of = (where(causes, scope=scope).set_index("cause") for scope in (OWN, POOLED))
     part, error = 1e3 * of.part_mm2, 1e3 * of.standard_error_mm2
     ordered = list(part[list(CAUSES)].sort_values(ascending=False).index)
     yield Claim(
         name="causes",
-        sentence="The cause {causes[0]} adds most to the mean square error of all planes. "
-        "In 10⁻³ mm², {causes} add {parts:+.2f} (standard errors over runs: {errors:.2f}). "
-        "Together they add {together:+.2f} ± {together_error:.2f} beyond their sum. Without causes "
-        "the error is {none:.2f} (RMSE {none_rmse:.3f} mm), with all causes {value:.2f} (RMSE "
-        "{all_rmse:.3f} mm).",
+        sentence=f"The cause {ordered[0]} adds most to the mean square error of all planes. In "
+        f"10⁻³ mm², {', '.join(ordered)} add {listed(part[ordered], '+.2f')} (standard errors over "
+        f"runs: {listed(error[ordered], '.2f')}). Together they add {part[TOGETHER]:+.2f} ± "
+        f"{error[TOGETHER]:.2f} beyond their sum. Without causes the error is {part[NONE]:.2f} "
+        f"(RMSE {of.rmse_mm[NONE]:.3f} mm), with all causes {part[ALL]:.2f} (RMSE "
+        f"{of.rmse_mm[ALL]:.3f} mm).",
         value=part[ALL],
-        numbers={
-            "causes": tuple(ordered),
-            "parts": tuple(part[ordered]),
-            "errors": tuple(error[ordered]),
-            "together": part[TOGETHER],
-            "together_error": error[TOGETHER],
-            "none": part[NONE],
-            "none_rmse": of.rmse_mm[NONE],
-            "all_rmse": of.rmse_mm[ALL],
-        },
     )
-    own = causes[causes.scope == OWN].set_index("cause")
     printed = [row.rmse for row in PAPERS_PLANES.values()]
+    low, high, pooled_rmse = min(printed), max(printed), TABLE_I[ALL_PLANES].rmse
     yield Claim(
         name="the paper's RMSE",
-        sentence="With all causes a trial's RMSE is {value:.3f} mm (the paper's trials: {low:.3f} "
-        "to {high:.3f} mm). For all planes together it is {pooled:.3f} mm (the paper's: "
-        "{paper:.3f} mm).",
+        sentence=f"With all causes a trial's RMSE is {own.rmse_mm[ALL]:.3f} mm (the paper's "
+        f"trials: {low:.3f} to {high:.3f} mm). For all planes together it is "
+        f"{of.rmse_mm[ALL]:.3f} mm (the paper's: {pooled_rmse:.3f} mm).",
         value=own.rmse_mm[ALL],
-        low=min(printed),
-        high=max(printed),
-        numbers={"pooled": of.rmse_mm[ALL], "paper": TABLE_I[ALL_PLANES].rmse},
+        low=low,
+        high=high,
     )
 
 
@@ -598,20 +563,10 @@ def static(
 
     To continue a run that was stopped, start it again with the same folder.
     """
-    study = Study(
-        "static",
-        out=out,
-        scene=scene,
-        changes=changes,
-        quick=quick,
-        seed=seed,
-        defaults=_DEFAULTS,
-        check=check,
-    )
+    study = Study("static", out, scene, changes, quick, seed, _DEFAULTS, check)
     runs, textures, frames = (4, 1, 5) if quick else (20, 4, 21)
     with study.timed("render"):
-        planes = rendered_planes(study, textures=textures, frames=frames)
-        spheres = rendered_spheres(study, frames=frames)
+        planes, spheres = rendered(study, textures=textures, frames=frames)
     draws = drawn((runs, len(spheres)), textures=textures, seed=study.seed)
     with study.timed("photograph and measure"), ThreadPoolExecutor(max_workers=2) as pool:
         bench = Bench(planes=planes, spheres=spheres, draws=draws, pool=pool)
