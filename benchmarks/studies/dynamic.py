@@ -9,8 +9,9 @@ DIR/dynamic_error.csv  one row a frame and latency: estimate, the robot's readin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -50,6 +51,7 @@ from benchmarks.reporting import (
     Report,
     Section,
     Table,
+    listed,
     number,
     rows_of,
     small_multiples,
@@ -83,10 +85,9 @@ _REST = {"start_mm": 1.0, "travel_mm": 3.5, "speed_mm_s": 0.1, "frames": 15}
 
 
 class MovingTrial(NamedTuple):
-    """One motion at one speed, measured in one way.
+    """One motion (of `MOTIONS`) at one speed, measured in one way.
 
     Attributes:
-        motion: one of `MOTIONS`.
         speed_mm_s: of a straight motion, or a hand's highest.
         run: from 1, each with noise, texture and hand of its own.
         frozen: the same poses, noise and brightness with exposures too short for blur.
@@ -316,38 +317,36 @@ def errors(
     seen, still = (list(_readings(stack, trial.way, ranger, poses)) for stack in (moving, frozen))
     labels = moving.exposed(trial.way.exposure)
     for n in range(1, len(labels) - 1):
-        row, doubt, rest_doubt = labels[n], _doubt(seen[n]), _doubt(still[n])
+        row, doubt, rest_doubt = labels[n], *(r[n].doubt.replace("_", " ") for r in (seen, still))
         if row.visible_fraction < VISIBLE_ENOUGH:
             doubt = doubt or "less than half of the contour in view"
-        estimate = math.nan if doubt else seen[n].distance_mm
-        stamped = reading(poses, row.time_s, wall)
+        about = {
+            "source": trial.moving.source.kind,
+            "motion": trial.motion,
+            "way": trial.way.name,
+            "set_speed_mm_s": trial.speed_mm_s,
+            "run": trial.run,
+            **{name: getattr(row, name) for name in _OF_LABELS},
+        }
         for latency_s in LATENCIES_S:
-            late = reading(poses, row.time_s + latency_s, wall)
             found = parts(
-                estimate=estimate,
+                estimate=math.nan if doubt else seen[n].distance_mm,
                 frozen=math.nan if rest_doubt else still[n].distance_mm,
                 d=row.d_mm,
-                stamped=stamped,
-                late=late,
+                stamped=reading(poses, row.time_s, wall),
+                late=(late := reading(poses, row.time_s + latency_s, wall)),
             )
-            yield {
-                "source": trial.moving.source.kind,
-                "motion": trial.motion,
-                "way": trial.way.name,
-                "set_speed_mm_s": trial.speed_mm_s,
-                "run": trial.run,
-                "frame": row.frame,
-                "time_s": row.time_s,
-                "exposure_s": row.exposure_s,
-                "speed_mm_s": row.speed_mm_s,
-                "d_mm": row.d_mm,
+            yield about | {
                 "latency_s": latency_s,
                 "doubt": doubt,
                 "rest_doubt": rest_doubt,
-                "estimate_mm": estimate,
+                "estimate_mm": math.nan if doubt else seen[n].distance_mm,
                 "reading_mm": late,
                 **{f"{name}_mm": value for name, value in found._asdict().items()},
             }
+
+
+_OF_LABELS = ("frame", "time_s", "exposure_s", "speed_mm_s", "d_mm")
 
 
 def _readings(stack: Stack, way: Way, ranger: Ranger, poses: PoseTrack) -> Iterator[Reading]:
@@ -361,10 +360,6 @@ def _readings(stack: Stack, way: Way, ranger: Ranger, poses: PoseTrack) -> Itera
     )
     for row, image in zip(labels, stack.images(way.exposure), strict=True):
         yield reader.read(image, time_s=row.time_s, exposure_s=row.exposure_s, poses=poses)
-
-
-def _doubt(reading: Reading) -> str:
-    return reading.doubt.replace("_", " ")
 
 
 # Sizes.
@@ -499,64 +494,51 @@ def _rows(
 
 # Figures.
 
-_WAY_COLOURS = {LITERAL: VERMILION, SUBPIXEL: BLUE}
-_PART_COLOURS = dict(zip(PARTS, (GREY, ORANGE, GREEN, PURPLE), strict=True))
-_SPEED = "speed of the tip (mm/s)"
-_DASHES = dict(zip(LATENCIES_S, ("-", "--", ":"), strict=True))
 _LEAST_MM = 1e-3
 """Smaller errors are drawn at the foot of a logarithmic axis."""
 
 
-def errors_by_speed(findings: DynamicFindings, sources: Sequence[str]) -> Figure:
-    """RMS error against speed: a row for each source, a column for each motion."""
+def errors_by_speed(findings: DynamicFindings, source: str) -> Figure:
+    """RMS error against speed: a panel for each motion."""
 
-    def draw(axes: Axes, source: str, motion: str) -> None:
+    def draw(axes: Axes, _: str, motion: str) -> None:
         axes.axhline(ACCEPTABLE_ERROR_MM, color=GREY, lw=0.8, ls=":")
-        for way, colour in _WAY_COLOURS.items():
-            for latency, dashes in _DASHES.items():
+        for way, colour in zip(COMPARED, (VERMILION, BLUE), strict=True):
+            for latency, dashes in zip(LATENCIES_S, ("-", "--", ":"), strict=True):
                 rows = findings.by_speed(source, motion, way.name, latency)
-                x, y = rows.speed_mm_s, rows.rms_error_mm.clip(lower=_LEAST_MM)
                 label = f"{way.name}, {1000 * latency:g} ms late"
-                axes.plot(x, y, color=colour, ls=dashes, marker="o", ms=3, label=label)
+                _by_speed(axes, rows, "error", color=colour, ls=dashes, label=label)
 
-    return _by_source_and_motion(findings, draw, y="RMS error (mm)", sources=sources)
-
-
-def parts_by_speed(findings: DynamicFindings, *, way: str) -> Figure:
-    """RMS of each part of one way's error against speed, with the latest poses."""
-
-    def draw(axes: Axes, source: str, motion: str) -> None:
-        rows = findings.by_speed(source, motion, way, LATENCIES_S[-1])
-        x = rows.speed_mm_s
-        for part, colour in _PART_COLOURS.items():
-            y = rows[f"rms_{part}_mm"].clip(lower=_LEAST_MM)
-            axes.plot(x, y, color=colour, marker="o", ms=3, label=part)
-        axes.plot(x, rows.rms_error_mm, color=BLACK, ls="--", label="error")
-
-    return _by_source_and_motion(findings, draw, y="RMS (mm)")
-
-
-def _by_source_and_motion(
-    findings: DynamicFindings,
-    draw: Callable[[Axes, str, str], None],
-    *,
-    y: str,
-    sources: Sequence[str] = (),
-) -> Figure:
-    speeds = sorted(set(findings.spreads.speed_mm_s))
-
-    def drawn(axes: Axes, source: str, motion: str) -> None:
-        draw(axes, source, motion)
-        axes.set(xscale="log", yscale="log", xticks=speeds)
-        axes.set_ylim(bottom=_LEAST_MM)
-        axes.minorticks_off()
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter("{x:g}")
-
-    rows, columns = sources or findings.sources, list(MOTIONS)
     return small_multiples(
-        drawn, rows=rows, columns=columns, x=_SPEED, y=y, sharex=True, sharey=True
+        draw, rows=[""], columns=list(MOTIONS), x=_SPEED, y="RMS error (mm)", sharey=True
     )
+
+
+def parts_by_speed(findings: DynamicFindings, source: str) -> Figure:
+    """RMS of each part of the error against speed, with the latest poses."""
+
+    def draw(axes: Axes, way: str, motion: str) -> None:
+        rows = findings.by_speed(source, motion, way, LATENCIES_S[-1])
+        for part, colour in zip(PARTS, (GREY, ORANGE, GREEN, PURPLE), strict=True):
+            _by_speed(axes, rows, part, color=colour, label=part)
+        _by_speed(axes, rows, "error", color=BLACK, ls="--", label="error")
+
+    ways = [way.name for way in COMPARED]
+    shared: dict[str, Any] = {"sharex": True, "sharey": True}
+    return small_multiples(draw, rows=ways, columns=list(MOTIONS), x=_SPEED, y="RMS (mm)", **shared)
+
+
+_SPEED = "speed of the tip (mm/s)"
+
+
+def _by_speed(axes: Axes, rows: pd.DataFrame, part: str, **style: str) -> None:
+    sizes = rows[f"rms_{part}_mm"].clip(lower=_LEAST_MM)
+    axes.plot(rows.speed_mm_s, sizes, marker="o", ms=3, **style)  # type: ignore[arg-type]
+    axes.set(xscale="log", yscale="log", xticks=rows.speed_mm_s)
+    axes.set_ylim(bottom=_LEAST_MM)
+    axes.minorticks_off()
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
 
 
 # The page.
@@ -596,14 +578,11 @@ def report(findings: DynamicFindings) -> Report:
                 "latest pose and its clock's errors. Latency: how far the robot has moved before "
                 "a pose without a stamp is read. While the tip withdraws at speed v, a pose late "
                 "by L adds −vL.",
-                *(
-                    Picture(
-                        f"parts_{name}",
-                        parts_by_speed(findings, way=way.name),
-                        f"RMS of the parts, {way.name}, with poses {late}.",
-                        data="dynamic_spread.csv",
-                    )
-                    for name, way in (("literal", LITERAL), ("subpixel", SUBPIXEL))
+                Picture(
+                    "parts",
+                    parts_by_speed(findings, findings.sources[-1]),
+                    f"RMS of the parts, {findings.sources[-1]}, with poses {late}.",
+                    data="dynamic_spread.csv",
                 ),
             ),
         ],
@@ -616,104 +595,70 @@ def report(findings: DynamicFindings) -> Report:
 
 
 def _claims(findings: DynamicFindings) -> Iterator[Claim]:
-    pairs = [(source, way.name) for source in findings.sources for way in COMPARED]
+    top, pairs = findings.speeds[-1], list(product(findings.sources, (w.name for w in COMPARED)))
     for source in findings.sources:
-        yield _requirement(findings, source)
-    for source, way in pairs:
-        yield from _acceptable(findings, source, way)
-    for source, way in pairs:
-        yield from _largest_part(findings, source, way)
-    for source in findings.sources:
-        yield from _papers_speed(findings, source)
-
-
-def _requirement(findings: DynamicFindings, source: str) -> Claim:
-    rows = where(findings.stamped, source=source, way=SUBPIXEL.name)
-    used = rows[rows.doubt == ""]
-    return Claim(
-        name=f"{source}, requirement",
-        sentence="Sub-pixel mode with stamped poses is off by {value:.3f} mm at most up to "
-        "{top:g} mm/s (required: {high:g} mm); blur and stamps together add up to {moved:.3f} mm. "
-        "{within} of {estimates} estimates are within the requirement. {lost} of {frames} frames "
-        "gave no estimate that counts. Exposures were {shortest:.1f} to {longest:.1f} ms.",
-        value=largest(used.error_mm),
-        high=_REQUIRED_MM,
-        numbers={
-            "top": findings.speeds[-1],
-            "moved": largest(used.blur_mm + used.stamps_mm),
-            "within": int((used.error_mm.abs() <= _REQUIRED_MM).sum()),
-            "estimates": len(used),
-            "lost": len(rows) - len(used),
-            "frames": len(rows),
-            "shortest": 1000 * rows.exposure_s.min(),
-            "longest": 1000 * rows.exposure_s.max(),
-            "reasons": _reasons(rows),
-        },
-    )
-
-
-def _acceptable(findings: DynamicFindings, source: str, way: str) -> Iterator[Claim]:
-    by_motion = [findings.speed_limits(source, motion, way) for motion in MOTIONS]
-    for latency, speeds in zip(LATENCIES_S, zip(*by_motion, strict=True), strict=True):
+        rows = where(findings.stamped, source=source, way=SUBPIXEL.name)
+        used = rows[rows.doubt == ""]
+        worst, moved = largest(used.error_mm), largest(used.blur_mm + used.stamps_mm)
+        reasons = rows.doubt[rows.doubt != ""].value_counts()
+        why = "".join(f"; {number} {reason}" for reason, number in reasons.items())
+        ms = 1000 * rows.exposure_s
         yield Claim(
-            name=f"{source}, {way}, {1000 * latency:g} ms late",
-            sentence="The RMS error reaches the acceptable {limit:g} mm at {value:.2f} mm/s "
-            "({motions}; a dash: not up to {top:g} mm/s). The paper reports {papers:g} mm/s.",
-            value=speeds,
-            numbers={
-                "limit": ACCEPTABLE_ERROR_MM,
-                "motions": tuple(MOTIONS.values()),
-                "top": findings.speeds[-1],
-                "papers": _PAPERS_SPEED_MM_S,
-            },
+            name=f"{source}, requirement",
+            sentence=f"Sub-pixel mode with stamped poses is off by {worst:.3f} mm at most up to "
+            f"{top:g} mm/s (required: {_REQUIRED_MM:g} mm); blur and stamps together add up to "
+            f"{moved:.3f} mm. {sum(used.error_mm.abs() <= _REQUIRED_MM)} of {len(used)} estimates "
+            f"are within the requirement. {len(rows) - len(used)} of {len(rows)} frames gave no "
+            f"estimate that counts{why}. Exposures were {ms.min():.1f} to {ms.max():.1f} ms.",
+            value=worst,
+            high=_REQUIRED_MM,
         )
-
-
-def _largest_part(findings: DynamicFindings, source: str, way: str) -> Iterator[Claim]:
-    """Blur and latency at the top speed along the beam, where means do not cancel."""
-    late = LATENCIES_S[-1]
-    for row in rows_of(findings.by_speed(source, "withdrawal", way, late)):
-        if row.speed_mm_s == findings.speeds[-1] and row.spots:
+    for source, way in pairs:
+        limits = [findings.speed_limits(source, motion, way) for motion in MOTIONS]
+        for latency, speeds in zip(LATENCIES_S, zip(*limits, strict=True), strict=True):
+            yield Claim(
+                name=f"{source}, {way}, {1000 * latency:g} ms late",
+                sentence=f"The RMS error reaches the acceptable {ACCEPTABLE_ERROR_MM:g} mm at "
+                f"{listed(speeds, '.2f')} mm/s ({', '.join(MOTIONS.values())}; a dash: not up to "
+                f"{top:g} mm/s). The paper reports {_PAPERS_SPEED_MM_S:g} mm/s.",
+                value=speeds,
+            )
+    # Blur and latency at the top speed along the beam, where means do not cancel.
+    for source, way in pairs:
+        late = findings.by_speed(source, "withdrawal", way, LATENCIES_S[-1])
+        for row in rows_of(late[(late.speed_mm_s == top) & (late.spots > 0)]):
+            latency, blur = abs(row.mean_latency_mm), abs(row.mean_blur_mm)
             yield Claim(
                 name=f"{source}, {way}, late pose against blur",
-                sentence="Along the beam at {row.speed_mm_s:g} mm/s, poses {late:g} ms late add "
-                "{value:.3f} mm to the mean error, blur adds {low:.3f} mm. The mean error of "
-                "{row.mean_error_mm:+.3f} mm over {row.spots} frames is the sum of rest "
-                "{row.mean_rest_mm:+.3f}, blur {row.mean_blur_mm:+.3f}, stamps "
-                "{row.mean_stamps_mm:+.3f} and latency {row.mean_latency_mm:+.3f} mm.",
-                value=abs(row.mean_latency_mm),
-                low=abs(row.mean_blur_mm),
-                numbers={"row": row, "late": 1000 * late},
+                sentence=f"Along the beam at {top:g} mm/s, poses {1000 * LATENCIES_S[-1]:g} ms "
+                f"late add {latency:.3f} mm to the mean error, blur adds {blur:.3f} mm. The mean "
+                f"error of {row.mean_error_mm:+.3f} mm over {row.spots} frames is the sum of rest "
+                f"{row.mean_rest_mm:+.3f}, blur {row.mean_blur_mm:+.3f}, stamps "
+                f"{row.mean_stamps_mm:+.3f} and latency {row.mean_latency_mm:+.3f} mm.",
+                value=latency,
+                low=blur,
             )
-
-
-def _papers_speed(findings: DynamicFindings, source: str) -> Iterator[Claim]:
-    """The delay or the blur that alone would explain the paper's error."""
+    # The delay or the blur that alone would explain the paper's error.
     delay = ACCEPTABLE_ERROR_MM / _PAPERS_SPEED_MM_S
-    rows = where(findings.stamped, source=source, way=LITERAL.name)
-    scans = rows[(rows.motion == "scan") & rows.blur_mm.notna()]
-    if scans.empty:
-        return
-    paths = scans.speed_mm_s * scans.exposure_s
-    slope = float(np.dot(paths, scans.blur_mm) / np.dot(paths, paths))
-    yield Claim(
-        name=f"{source}, the paper's speed",
-        sentence="A delay of {delay:.0f} ms between frame and pose would explain the paper's "
-        "{error:g} mm at {speed:g} mm/s, and so would blur of exposures of {value:.0f} ms. In "
-        "literal mode blur across the wall adds {slope:+.2f} mm per mm of the spot's path during "
-        "the exposure (a line through {frames} frames with paths up to {longest:.3f} mm). The "
-        "camera allows {interval:g} ms a frame; --exposure-ms sets the exposure.",
-        value=1000 * delay / slope if slope > 0 else math.nan,
-        numbers={
-            "delay": 1000 * delay,
-            "error": ACCEPTABLE_ERROR_MM,
-            "speed": _PAPERS_SPEED_MM_S,
-            "slope": slope,
-            "frames": len(scans),
-            "longest": paths.max(),
-            "interval": 1000 / findings.scene.clocks.camera_hz,
-        },
-    )
+    for source in findings.sources:
+        scans = where(findings.stamped, source=source, way=LITERAL.name, motion="scan")
+        scans = scans[scans.blur_mm.notna()]
+        paths = scans.speed_mm_s * scans.exposure_s
+        if scans.empty:
+            continue
+        slope = float(np.dot(paths, scans.blur_mm) / np.dot(paths, paths))
+        exposure_ms = 1000 * delay / slope if slope > 0 else math.nan
+        yield Claim(
+            name=f"{source}, the paper's speed",
+            sentence=f"A delay of {1000 * delay:.0f} ms between frame and pose would explain the "
+            f"paper's {ACCEPTABLE_ERROR_MM:g} mm at {_PAPERS_SPEED_MM_S:g} mm/s, and so would blur "
+            f"of exposures of {exposure_ms:.0f} ms. In literal mode blur across the wall adds "
+            f"{slope:+.2f} mm per mm of the spot's path during the exposure (a line through "
+            f"{len(scans)} frames with paths up to {paths.max():.3f} mm). The camera allows "
+            f"{1000 / findings.scene.clocks.camera_hz:g} ms a frame; --exposure-ms sets the "
+            "exposure.",
+            value=exposure_ms,
+        )
 
 
 def _answer(findings: DynamicFindings) -> str:
@@ -742,7 +687,7 @@ def _first(findings: DynamicFindings) -> list[Picture | Table]:
     return [
         Picture(
             "errors",
-            errors_by_speed(findings, [source]),
+            errors_by_speed(findings, source),
             f"A late pose costs more than blur. RMS error of the estimates that count, {source}; "
             "dotted: the error that the paper accepts.",
             data="dynamic_spread.csv",
@@ -754,11 +699,6 @@ def _first(findings: DynamicFindings) -> list[Picture | Table]:
             data="dynamic_spread.csv",
         ),
     ]
-
-
-def _reasons(rows: pd.DataFrame) -> dict[Any, int]:
-    """Number of frames without an estimate that counts, by reason."""
-    return rows.doubt[rows.doubt != ""].value_counts().to_dict()
 
 
 # The command.
@@ -782,17 +722,8 @@ def dynamic(
     Args:
         exposure_ms: Exposure time of a frame at the mean distance, 0.1 to 100.
     """
-    study = Study(
-        "dynamic",
-        out=out,
-        scene=scene,
-        changes=changes,
-        quick=quick,
-        seed=seed,
-        defaults=_DEFAULTS,
-        check=check,
-        options={"source": source, "exposure-ms": exposure_ms},
-    )
+    options = {"source": source, "exposure-ms": exposure_ms}
+    study = Study("dynamic", out, scene, changes, quick, seed, _DEFAULTS, check, options=options)
     sources = ("cone", "lens") if source == "both" else (source,)
     speeds = _QUICK_SPEEDS_MM_S if quick else SPEEDS_MM_S
     runs = 1 if quick else _RUNS

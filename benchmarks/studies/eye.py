@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -45,6 +45,7 @@ from benchmarks.reporting import (
     number,
     rows_of,
     small_multiples,
+    where,
 )
 from benchmarks.studies.eye_paths import (
     NOMINAL_RADIUS_MM,
@@ -379,11 +380,6 @@ class EyeFindings:
             tables.append(pd.DataFrame(columns | {"schematic_error_mm": schematic}))
         return pd.concat(tables, ignore_index=True)
 
-    @property
-    def schematic_eyes(self) -> pd.DataFrame:
-        """The schematic eyes behind every path."""
-        return self.eyes[~self.eyes.eye.str.startswith("random")]
-
 
 def crossing(c: np.ndarray, error: np.ndarray, limit: float) -> float:
     """Last c before the error first exceeds a limit; NaN if it does at once."""
@@ -427,14 +423,9 @@ def error_figure(findings: EyeFindings, paths: Sequence[str]) -> Figure:
         for limit in LIMITS_MM:
             axes.axhline(limit, color=BLACK, lw=0.8, ls="--")
         for recipe, (colour, line) in _STYLES.items():
-            style: dict[str, Any] = {
-                "ls": line,
-                "marker": "o",
-                "ms": 3,
-                "color": colour,
-                "label": recipe,
-            }
-            axes.plot(findings.eccentricities, curves.loc[path, recipe, tilt], **style)
+            curve = curves.loc[path, recipe, tilt]
+            (drawn,) = axes.plot(findings.eccentricities, curve, ls=line, marker="o", ms=3)
+            drawn.set(color=colour, label=recipe)
         axes.set_yscale("log")
         axes.set_xlim(-0.2, findings.eccentricities[-1] + 0.2)
         axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
@@ -449,22 +440,6 @@ def error_figure(findings: EyeFindings, paths: Sequence[str]) -> Figure:
         height=2.5,
         sharex=True,
         sharey=True,
-    )
-
-
-def kappa_figure(findings: EyeFindings) -> Figure:
-    """The fitted pinhole of every random eye against its field, by path."""
-    colours = dict(zip(findings.paths, (BLUE, SKY, GREEN, ORANGE, PURPLE), strict=False))
-
-    def draw(axes: Axes, _: str, __: str) -> None:
-        for path, colour in colours.items():
-            found = findings.paths[path]
-            kappas = found.kappas[findings.random]
-            axes.hist(kappas, bins=40, histtype="step", density=True, color=colour, label=path)
-            axes.axvline(found.paraxial_kappa, color=colour, lw=0.8, ls=":")
-
-    return small_multiples(
-        draw, rows=[""], columns=[""], x="fitted κ (1/mm)", y="density (mm)", height=3.0
     )
 
 
@@ -518,14 +493,6 @@ def report(findings: EyeFindings) -> Report:
             ),
             Section(
                 "The pinhole that stands for an eye",
-                Picture(
-                    "kappa",
-                    kappa_figure(findings),
-                    "Reciprocal working distance κ = 1/(z_F + r) fitted in each random eye. "
-                    "Dotted: that of the paraxial pinhole of Navarro's eye. Negative: the pinhole "
-                    "lies behind the retina.",
-                    data="eyes.csv",
-                ),
                 Table.of(
                     findings.pinholes,
                     {
@@ -538,7 +505,9 @@ def report(findings: EyeFindings) -> Report:
                         "field": Column("50 %", 1),
                         "field_high": Column("95 %, mm", 1),
                     },
-                    "Pinholes, and the largest c that a dilated pupil of 7 mm shows.",
+                    "Reciprocal working distance κ = 1/(z_F + r) fitted in each random eye, that "
+                    "of the paraxial pinhole of Navarro's eye, and the largest c that a dilated "
+                    "pupil of 7 mm shows. Negative κ: the pinhole lies behind the retina.",
                     data="eyes.csv",
                 ),
             ),
@@ -586,64 +555,52 @@ _RECIPES = (
 
 
 def _claims(findings: EyeFindings) -> Iterator[Claim]:
-    limits = findings.limits
+    tilted = where(findings.limits, tilt="any").set_index(["path", "recipe"])
+    within = tilted.within_0_1_mm.fillna(0.0)  # exceeded at c = 0: it is kept up to 0
     for path, field in zip(findings.pinholes.path, findings.pinholes.field, strict=True):
-        tilted = limits[(limits.path == path) & (limits.tilt == "any")].set_index("recipe")
-        within = tilted.within_0_1_mm.fillna(0.0)  # exceeded at c = 0: it is kept up to 0
+        area, schematic, small = (
+            within[path, recipe]
+            for recipe in (Recipe.AREA, Recipe.AREA_SCHEMATIC, Recipe.SMALL_PLANE)
+        )
         yield Claim(
             name=f"within {LIMITS_MM[0]:g} mm, {path}",
-            sentence="Through {path}, 95 % of the eyes stay within {limit:g} mm up to c = "
-            "{value:.1f} mm with a pinhole fitted in the eye and the ellipse's area, up to "
-            "{schematic:.1f} mm with the pinhole of Navarro's eye, and up to {small:.1f} mm with "
-            "small_plane. A pupil of 7 mm shows c = {field:.1f} mm (median).",
-            value=within[Recipe.AREA],
-            numbers={
-                "path": path,
-                "limit": LIMITS_MM[0],
-                "schematic": within[Recipe.AREA_SCHEMATIC],
-                "small": within[Recipe.SMALL_PLANE],
-                "field": field,
-            },
+            sentence=f"Through {path}, 95 % of the eyes stay within {LIMITS_MM[0]:g} mm up to c = "
+            f"{area:.1f} mm with a pinhole fitted in the eye and the ellipse's area, up to "
+            f"{schematic:.1f} mm with the pinhole of Navarro's eye, and up to {small:.1f} mm with "
+            f"small_plane. A pupil of 7 mm shows c = {field:.1f} mm (median).",
+            value=area,
         )
-    eyes = findings.schematic_eyes
-    for path, gradient in grouped(eyes[eyes.eye != "navarro"], "path"):
+    eyes = findings.eyes
+    others = eyes[~eyes.eye.str.startswith("random") & (eyes.eye != "navarro")]
+    for path, gradient in grouped(others, "path"):
+        own, navarros = gradient.fitted_error_mm.max(), gradient.schematic_error_mm.max()
         yield Claim(
             name=f"other schematic eyes, {path}",
-            sentence="Through {path}, at c = 3 mm, the schematic eyes with a gradient lens (Liou "
-            "and Brennan, Atchison from {low:g} to {high:g} D) are off by up to {value:.3f} mm "
-            "with their own pinhole and the area, and by up to {navarro:.2f} mm with Navarro's "
-            "pinhole.",
-            value=gradient.fitted_error_mm.max(),
-            numbers={
-                "path": path,
-                "low": min(REFRACTIONS_D),
-                "high": max(REFRACTIONS_D),
-                "navarro": gradient.schematic_error_mm.max(),
-            },
+            sentence=f"Through {path}, at c = 3 mm, the schematic eyes with a gradient lens (Liou "
+            f"and Brennan, Atchison from {min(REFRACTIONS_D):g} to {max(REFRACTIONS_D):g} D) are "
+            f"off by up to {own:.3f} mm with their own pinhole and the area, and by up to "
+            f"{navarros:.2f} mm with Navarro's pinhole.",
+            value=own,
         )
-    c = 3.0
-    place = int(np.flatnonzero(findings.eccentricities == c)[0])
-    medians = {
-        path: np.nanmedian(found.errors[Recipe.SMALL_PLANE][findings.random, place, :, 0], axis=0)
-        for path, found in findings.paths.items()
-    }
-    worst = {path: float(m[np.argmax(np.abs(m))]) for path, m in medians.items()}
+    place = int(np.flatnonzero(findings.eccentricities == 3.0)[0])
+    worst = {}
+    for path, found in findings.paths.items():
+        errors = found.errors[Recipe.SMALL_PLANE][findings.random, place, :, 0]
+        worst[path] = max(np.nanmedian(errors, axis=0).tolist(), key=abs)
+    said = "; ".join(f"{error:+.2f} mm, {path}" for path, error in worst.items())
     yield Claim(
         name="small_plane at c = 3",
-        sentence="At c = {c:g} mm and a perpendicular beam small_plane errs by {listed} (median of "
-        "the eyes at the worst distance).",
+        sentence=f"At c = 3 mm and a perpendicular beam small_plane errs by {said} (median of the "
+        "eyes at the worst distance).",
         value=tuple(worst.values()),
-        numbers={"c": c, "listed": "; ".join(f"{e:+.2f} mm, {p}" for p, e in worst.items())},
     )
-    of = findings.causes
-    rows = rows_of(of[(of.recipe == Recipe.AREA) & (of.c_mm == 3.0)])
-    largest = max(rows, key=lambda row: row.share_mm)
+    at_three = where(findings.causes, recipe=Recipe.AREA, c_mm=3.0)
+    row = max(rows_of(at_three), key=lambda row: row.share_mm)
     yield Claim(
         name="largest remaining cause",
-        sentence="With the fitted pinhole and the area the largest share of what remains at "
-        "c = {row.c_mm:g} mm is {value:.3f} mm: {row.cause} ({path}).",
-        value=largest.share_mm,
-        numbers={"row": largest, "path": findings.causes_path},
+        sentence="With the fitted pinhole and the area the largest share of what remains at c = 3 "
+        f"mm is {row.share_mm:.3f} mm: {row.cause} ({findings.causes_path}).",
+        value=row.share_mm,
     )
 
 
@@ -670,7 +627,7 @@ def eye(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> EyeFin
 
     Exact contours only; nothing is rendered. To repeat a run, start it again with a new folder.
     """
-    study = Study("eye", out=out, quick=quick, seed=seed)
+    study = Study("eye", out, quick=quick, seed=seed)
     random = drawn(_QUICK_EYES if quick else _EYES, study.seed)
     distances = _QUICK_DISTANCES_MM if quick else _DISTANCES_MM
     spots = grid(_ECCENTRICITIES_MM, distances, _TILTS_DEG)

@@ -429,64 +429,48 @@ _METHODS = (
 
 def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> Iterator[Claim]:
     lenses = [light for light in _lights(curves) if light != CONE]
+    computed = errors[errors.source == "analytic"].groupby(["light", "medium", "method"])
+    worst = computed.error_mm.agg(largest)
     for lens in lenses:
         air, vitreous = (curves[lens, medium].cone for medium in (AIR, VITREOUS))
-
-        def worst(lens: str, medium: str, method: Method) -> float:
-            computed = where(errors, source="analytic", light=lens, medium=medium, method=method)
-            return largest(computed.error_mm)
-
+        off = worst[lens, VITREOUS, Method.AIR_CONE]
         yield Claim(
             name=f"air to vitreous, {lens}",
-            sentence="Calibrated in air, the distance in vitreous is off by up to {value:.2f} mm "
-            "(acceptable: {high:g} mm). In air it is off by up to {in_air:.2f} mm, because a lens "
-            "is no cone. In vitreous k is {vitreous.k:.1f} instead of {air.k:.1f} and b is "
-            "{vitreous.b_mm:.2f} instead of {air.b_mm:.2f} mm. The cone that the lens model "
-            "computes for vitreous is off by up to {lens_cone:.2f} mm.",
-            value=worst(lens, VITREOUS, Method.AIR_CONE),
+            sentence=f"Calibrated in air, the distance in vitreous is off by up to {off:.2f} mm "
+            f"(acceptable: {ACCEPTABLE_ERROR_MM:g} mm). In air it is off by up to "
+            f"{worst[lens, AIR, Method.AIR_CONE]:.2f} mm, because a lens is no cone. In vitreous k "
+            f"is {vitreous.k:.1f} instead of {air.k:.1f} and b is {vitreous.b_mm:.2f} instead of "
+            f"{air.b_mm:.2f} mm. The cone that the lens model computes for vitreous is off by up "
+            f"to {worst[lens, VITREOUS, Method.LENS_CONE]:.2f} mm.",
+            value=off,
             high=ACCEPTABLE_ERROR_MM,
-            numbers={
-                "in_air": worst(lens, AIR, Method.AIR_CONE),
-                "air": air,
-                "vitreous": vitreous,
-                "lens_cone": worst(lens, VITREOUS, Method.LENS_CONE),
-            },
         )
+    rendered = where(errors, source="rendered")
     for lens in lenses:
-        own = where(errors, source="rendered", light=lens, medium=VITREOUS)
+        own = where(rendered, light=lens, medium=VITREOUS)
         rows = where(own, method=Method.LENS)
         sure = rows.error_mm[~rows.ambiguous].dropna().abs()
         cone = where(own, method=Method.AIR_CONE).error_mm.abs()
         yield Claim(
             name=f"lens model, {lens}",
-            sentence="In rendered vitreous the lens model is off by {value:.3f} mm and the cone of "
-            "air by {cone:.2f} mm (medians). Of {spots} spots {ambiguous} are flagged ambiguous "
-            "and {unanswered} have no answer. Of the other {sure} spots {beyond} are off by more "
-            "than {limit:g} mm, the worst by {worst:.3f} mm.",
+            sentence=f"In rendered vitreous the lens model is off by {sure.median():.3f} mm and "
+            f"the cone of air by {cone.median():.2f} mm (medians). Of {len(rows)} spots "
+            f"{rows.ambiguous.sum()} are flagged ambiguous and {rows.error_mm.isna().sum()} have "
+            f"no answer. Of the other {len(sure)} spots {sum(sure > ACCEPTABLE_ERROR_MM)} are off "
+            f"by more than {ACCEPTABLE_ERROR_MM:g} mm, the worst by {largest(sure):.3f} mm.",
             value=float(sure.median()),
-            numbers={
-                "cone": float(cone.median()),
-                "spots": len(rows),
-                "ambiguous": int(rows.ambiguous.sum()),
-                "unanswered": int(rows.error_mm.isna().sum()),
-                "sure": len(sure),
-                "beyond": int((sure > ACCEPTABLE_ERROR_MM).sum()),
-                "limit": ACCEPTABLE_ERROR_MM,
-                "worst": largest(sure),
-            },
         )
-    control = where(errors, source="rendered", light=CONE, method=Method.AIR_CONE)
+    control = where(rendered, light=CONE, method=Method.AIR_CONE)
     in_air, in_vitreous = (
         where(control, medium=medium).set_index("d_mm").error_mm for medium in (AIR, VITREOUS)
     )
     differences = (in_vitreous - in_air).dropna()
     yield Claim(
         name="control",
-        sentence="The ideal cone's rendered distances differ by {value:.4f} mm at most between the "
-        "media ({pairs} pairs of frames of the same seed). No medium refracts the cone, so any "
-        "difference would be an error of the study itself.",
+        sentence=f"The ideal cone's rendered distances differ by {largest(differences):.4f} mm at "
+        f"most between the media ({len(differences)} pairs of frames of the same seed). No medium "
+        "refracts the cone, so any difference would be an error of the study itself.",
         value=largest(differences),
-        numbers={"pairs": len(differences)},
     )
 
 
@@ -506,9 +490,7 @@ def medium(
 
     To continue a run that was stopped, start it again with the same folder.
     """
-    study = Study(
-        "medium", out=out, scene=scene, changes=changes, quick=quick, seed=seed, check=check
-    )
+    study = Study("medium", out, scene, changes, quick, seed, check=check)
     base = study.scene
     own = base.source.lens
     lenses = (own,) if quick else tuple(dict.fromkeys((own, *_LENSES)))

@@ -7,11 +7,11 @@ DIR/pose_error.csv  every pose, analytic and rendered, with its errors and bound
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator
 from enum import StrEnum
 from functools import partial
+from itertools import product
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,7 +36,7 @@ from benchmarks.reporting import (
     Report,
     Section,
     Table,
-    grouped,
+    listed,
     number,
     rows_of,
     small_multiples,
@@ -174,15 +174,7 @@ class Estimate(NamedTuple):
 
 
 def pose_error(
-    place: Place,
-    found: Estimate,
-    *,
-    source: str,
-    spots: int,
-    prior: Prior,
-    pinhole_height: float,
-    noise_px: float,
-    covariance: np.ndarray,
+    place: Place, found: Estimate, *, covariance: np.ndarray, **about: Any
 ) -> dict[str, Any]:
     """Row of pose_error.csv; errors are estimate - truth, or lengths and angles between the two.
 
@@ -191,17 +183,13 @@ def pose_error(
     standard deviation that the estimator reports.
 
     Args:
-        source: "analytic" or "rendered".
-        pinhole_height: z_F, mm.
-        noise_px: of the contour's points.
         covariance: the bound, of tip and axis or of the tip only.
+        about: the first columns: source, spots, prior, z_f_mm; and noise_px, of the contour's
+            points.
     """
-    true = np.asarray(place.pose.axis)
+    true, noise_px = np.asarray(place.pose.axis), about.pop("noise_px")
     return {
-        "source": source,
-        "spots": spots,
-        "prior": prior,
-        "z_f_mm": pinhole_height,
+        **about,
         "c_mm": place.c_mm,
         "d_mm": place.d_mm,
         "incidence_deg": place.incidence_deg,
@@ -296,7 +284,7 @@ def errors(
             source="analytic",
             spots=tool.cones,
             prior=prior,
-            pinhole_height=float(view.pinhole_height),
+            z_f_mm=float(view.pinhole_height),
             noise_px=NOISE_PX,
             covariance=covariance,
         )
@@ -478,16 +466,15 @@ def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None
         for tool in tools
         for pose in np.hstack([*map(np.asarray, _tips_and_axes(tool, place.pose))]).tolist()
     ]
-    with (
-        written_whole(file, replace=True) as partial,
-        partial.open("w", newline="", encoding="utf-8") as output,
-    ):
-        writer = csv.writer(output)
-        writer.writerow("time_s x_mm y_mm z_mm axis_x axis_y axis_z".split())
-        for i, pose in enumerate(lit):
-            # The first frame is due at the first row, the last at the last.
-            for time in (i - _REST_S * (i > 0), i + _REST_S * (i < len(lit) - 1)):
-                writer.writerow([time, *pose])
+    # The first frame is due at the first row, the last at the last.
+    rows = [
+        (time, *pose)
+        for i, pose in enumerate(lit)
+        for time in (i - _REST_S * (i > 0), i + _REST_S * (i < len(lit) - 1))
+    ]
+    columns = "time_s x_mm y_mm z_mm axis_x axis_y axis_z".split()
+    with written_whole(file, replace=True) as partial:
+        pd.DataFrame(rows, columns=columns).to_csv(partial, index=False)
 
 
 def _errors(
@@ -531,7 +518,7 @@ def _errors(
                 source="rendered",
                 spots=tool.cones,
                 prior=kind,
-                pinhole_height=microscope.pinhole_height_mm,
+                z_f_mm=microscope.pinhole_height_mm,
                 noise_px=sigma,
                 covariance=covariance,
             )
@@ -691,20 +678,10 @@ _FIRST = "source spots z_f_mm tip_mm tip_bound_mm axis_deg axis_bound_deg".split
 
 
 def _report(scene: Scene, errors: pd.DataFrame) -> Report:
-    def scatters(*priors: Prior) -> pd.DataFrame:
-        """Summaries by prior, source, number of spots and pinhole."""
-        return pd.DataFrame(
-            [
-                scatter(rows)
-                for prior in priors
-                for source in SOURCES
-                for spots in REPORTED
-                for _, rows in grouped(
-                    where(errors, source=source, spots=spots, prior=prior), "z_f_mm"
-                )
-            ]
-        )
-
+    keys = ["prior", "source", "spots", "z_f_mm"]
+    # A summary by prior, source, number of spots and pinhole.
+    scatters = pd.DataFrame([scatter(rows) for _, rows in errors.groupby(keys, sort=False)])
+    rough = where(scatters, prior=Prior.ROUGH)
     return Report(
         title="How accurately do one spot and three spots give the tool's pose?",
         answer=_answer(errors),
@@ -721,7 +698,7 @@ def _report(scene: Scene, errors: pd.DataFrame) -> Report:
                 data=_FILE,
             ),
             Table.of(
-                scatters(Prior.ROUGH),
+                rough,
                 {name: _COLUMNS[name] for name in _FIRST},
                 "Root mean square errors and bounds, without mirrored solutions.",
                 data=_FILE,
@@ -733,7 +710,7 @@ def _report(scene: Scene, errors: pd.DataFrame) -> Report:
             Section(
                 "The mirror solution",
                 Table.of(
-                    scatters(*Prior),
+                    scatters,
                     _COLUMNS,
                     "Root mean square errors with every prior: how often the mirrored solution is "
                     "taken, and the tip's error without and with it.",
@@ -762,90 +739,70 @@ def _summary(errors: pd.DataFrame, source: str, spots: int, prior: Prior) -> Any
 
 
 def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
-    for source in SOURCES:
-        for spots, (tip, axis) in REPORTED.items():
-            found = _summary(errors, source, spots, Prior.ROUGH)
-            yield Claim(
-                name=f"{source}, {NAMES[spots]}, tip",
-                sentence="The mean error of the tip is {value:.4f} mm (reported by others, with "
-                "another light, eye and camera: {high:g} mm). Root mean square {all.tip_mm:.4f} "
-                "mm over {all.poses} poses without mirrored ones; the bound is "
-                "{all.tip_bound_mm:.4f} mm.",
-                value=found.tip_mean_mm,
-                high=tip,
-                numbers={"all": found},
-            )
-            yield Claim(
-                name=f"{source}, {NAMES[spots]}, axis",
-                sentence="The mean error of the axis is {value:.3f}° (reported by others: "
-                "{high:g}°). Root mean square {all.axis_deg:.3f}°; the bound is "
-                "{all.axis_bound_deg:.3f}°.",
-                value=found.axis_mean_deg,
-                high=axis,
-                numbers={"all": found},
-            )
-    single = where(errors, source="rendered", spots=1, prior=Prior.ROUGH)
+    for source, (spots, (tip, axis)) in product(SOURCES, REPORTED.items()):
+        found = _summary(errors, source, spots, Prior.ROUGH)
+        yield Claim(
+            name=f"{source}, {NAMES[spots]}, tip",
+            sentence=f"The mean error of the tip is {found.tip_mean_mm:.4f} mm (reported by "
+            f"others, with another light, eye and camera: {tip:g} mm). Root mean square "
+            f"{found.tip_mm:.4f} mm over {found.poses} poses without mirrored ones; the bound is "
+            f"{found.tip_bound_mm:.4f} mm.",
+            value=found.tip_mean_mm,
+            high=tip,
+        )
+        yield Claim(
+            name=f"{source}, {NAMES[spots]}, axis",
+            sentence=f"The mean error of the axis is {found.axis_mean_deg:.3f}° (reported by "
+            f"others: {axis:g}°). Root mean square {found.axis_deg:.3f}°; the bound is "
+            f"{found.axis_bound_deg:.3f}°.",
+            value=found.axis_mean_deg,
+            high=axis,
+        )
     found = _summary(errors, "rendered", 1, Prior.ROUGH)
-    by_incidence = [(deg, scatter(rows)) for deg, rows in single.groupby("incidence_deg")]
-    incidences = tuple(deg for deg, _ in by_incidence)
+    single = where(errors, source="rendered", spots=1, prior=Prior.ROUGH)
+    each = pd.DataFrame({deg: scatter(rows) for deg, rows in single.groupby("incidence_deg")}).T
+    at = listed(each.index, "g")
     yield Claim(
         name="requirement, tip",
-        sentence="Single rendered spots give the tip to {value:.4f} mm (required: {high:g} mm), "
-        "root mean square of {all.poses} frames without mirrored ones. At incidences of "
-        "{incidences:g}° it is {each:.4f} mm. In {all.mirrored:.0%} of the frames a prior drawn "
-        "with {prior:g}° led to the mirrored solution; with these the tip is off by "
-        "{all.tip_all_mm:.3f} mm.",
+        sentence=f"Single rendered spots give the tip to {found.tip_mm:.4f} mm (required: "
+        f"{REQUIRED_TIP_MM:g} mm), root mean square of {found.poses} frames without mirrored ones. "
+        f"At incidences of {at}° it is {listed(each.tip_mm, '.4f')} mm. In {found.mirrored:.0%} of "
+        f"the frames a prior drawn with {PRIOR_DEG:g}° led to the mirrored solution; with these "
+        f"the tip is off by {found.tip_all_mm:.3f} mm.",
         value=found.tip_mm,
         high=REQUIRED_TIP_MM,
-        numbers={
-            "all": found,
-            "incidences": incidences,
-            "each": tuple(part.tip_mm for _, part in by_incidence),
-            "prior": PRIOR_DEG,
-        },
     )
     yield Claim(
         name="requirement, axis",
-        sentence="Single rendered spots give the axis to {value:.3f}° (required: {high:g}°). At "
-        "incidences of {incidences:g}° it is {each:.3f}°, with bounds of {bounds:.3f}°.",
+        sentence=f"Single rendered spots give the axis to {found.axis_deg:.3f}° (required: "
+        f"{REQUIRED_AXIS_DEG:g}°). At incidences of {at}° it is {listed(each.axis_deg, '.3f')}°, "
+        f"with bounds of {listed(each.axis_bound_deg, '.3f')}°.",
         value=found.axis_deg,
         high=REQUIRED_AXIS_DEG,
-        numbers={
-            "incidences": incidences,
-            "each": tuple(part.axis_deg for _, part in by_incidence),
-            "bounds": tuple(part.axis_bound_deg for _, part in by_incidence),
-        },
     )
     known = where(errors, source="rendered", spots=1, prior=Prior.KNOWN)
+    worst = float(known.groupby("c_mm").distance_error_mm.agg(rms).max())
     yield Claim(
         name="requirement, distance",
-        sentence="With the axis known the distance is off by {value:.4f} mm (root mean square) at "
-        "the worst eccentricity up to c = {largest_c:g} mm (required: {high:g} mm), and by "
-        "{rms:.4f} mm over all {frames} rendered frames.",
-        value=float(known.groupby("c_mm").distance_error_mm.agg(rms).max()),
+        sentence=f"With the axis known the distance is off by {worst:.4f} mm (root mean square) at "
+        f"the worst eccentricity up to c = {LARGEST_C_MM:g} mm (required: "
+        f"{REQUIRED_DISTANCE_MM:g} mm), and by {rms(known.distance_error_mm):.4f} mm over all "
+        f"{len(known)} rendered frames.",
+        value=worst,
         high=REQUIRED_DISTANCE_MM,
-        numbers={
-            "largest_c": LARGEST_C_MM,
-            "rms": rms(known.distance_error_mm),
-            "frames": len(known),
-        },
     )
-    free, led = (_summary(errors, "analytic", 1, p) for p in (Prior.NONE, Prior.ROUGH))
+    free, led, three = (
+        _summary(errors, "analytic", spots, prior)
+        for spots, prior in ((1, Prior.NONE), (1, Prior.ROUGH), (3, Prior.NONE))
+    )
     yield Claim(
         name="mirror",
-        sentence="Without a prior, one spot gives the mirror solution in {value:.1%} of the "
-        "poses, three spots in {three.mirrored:.1%}. With a direction prior of {prior:g}° it is "
-        "{led.mirrored:.1%} for one spot, and the tip is off by {led.tip_all_mm:.3f} mm (root mean "
-        "square of all poses; {free.tip_all_mm:.3f} mm without a prior). The distance is off by "
-        "{free.distance_mm:.4f} mm "
-        "without a prior, mirrored solutions included.",
+        sentence=f"Without a prior, one spot gives the mirror solution in {free.mirrored:.1%} of "
+        f"the poses, three spots in {three.mirrored:.1%}. With a direction prior of {PRIOR_DEG:g}° "
+        f"it is {led.mirrored:.1%} for one spot, and the tip is off by {led.tip_all_mm:.3f} mm "
+        f"(root mean square of all poses; {free.tip_all_mm:.3f} mm without a prior). The distance "
+        f"is off by {free.distance_mm:.4f} mm without a prior, mirrored solutions included.",
         value=free.mirrored,
-        numbers={
-            "three": _summary(errors, "analytic", 3, Prior.NONE),
-            "free": free,
-            "led": led,
-            "prior": PRIOR_DEG,
-        },
     )
 
 
@@ -890,16 +847,7 @@ def pose(
 
     To continue a run that was stopped, start it again with the same folder.
     """
-    study = Study(
-        "pose",
-        out=out,
-        scene=scene,
-        changes=changes,
-        quick=quick,
-        seed=seed,
-        defaults=("source.kind=cone",),
-        check=check,
-    )
+    study = Study("pose", out, scene, changes, quick, seed, ("source.kind=cone",), check)
     with study.timed("noise on exact contours"):
         rows = _analytic(study, one=64 if quick else 1024, three=32 if quick else 128)
     with study.timed("render and measure"):

@@ -37,6 +37,7 @@ from benchmarks.reporting import (
     Table,
     grouped,
     limit_lines,
+    listed,
     number,
     rows_of,
     small_multiples,
@@ -477,12 +478,10 @@ class SensorFindings:
 
     def summaries(self) -> pd.DataFrame:
         """The readings by sensor, path and wall."""
-        rows = []
-        for key, every in grouped(self.readings, "sensor", "path", "wall"):
-            errors = every.error_mm[every.outcome == Outcome.READ].abs()
-            rows.append((*key, len(every), len(errors), errors.median(), errors.max()))
-        columns = "sensor path wall asked read median_mm largest_mm".split()
-        return pd.DataFrame(rows, columns=columns)
+        read = self.readings.error_mm.abs().where(self.readings.outcome == Outcome.READ)
+        by = read.groupby([self.readings[key] for key in ("sensor", "path", "wall")], sort=False)
+        found = by.agg(asked="size", read="count", median_mm="median", largest_mm="max")
+        return found.reset_index()
 
 
 # Figures.
@@ -696,48 +695,42 @@ def _answer(findings: SensorFindings) -> str:
 
 
 def _claims(findings: SensorFindings) -> Iterator[Claim]:
+    named = ", ".join(Sensor)
     for path in findings.paths:
         sigmas = [findings.sigma(sensor, path) for sensor in Sensor]
+        medians, seen = tuple(float(s.median()) for s in sigmas), [len(s) for s in sigmas]
+        places = len(where(findings.expected, sensor=Sensor.SPOT, path=path))
         yield Claim(
             name=f"noise, {path}",
-            sentence="Through {path}, marks of the stated noise give {value:.4f} mm "
-            "({sensors}; medians over the places in view). In view are {seen} of {places} places.",
-            value=tuple(float(sigma.median()) for sigma in sigmas),
-            numbers={
-                "path": path,
-                "sensors": ", ".join(Sensor),
-                "seen": tuple(map(len, sigmas)),
-                "places": len(where(findings.expected, sensor=Sensor.SPOT, path=path)),
-            },
+            sentence=f"Through {path}, marks of the stated noise give {listed(medians, '.4f')} mm "
+            f"({named}; medians over the places in view). In view are {listed(seen, 'd')} of "
+            f"{places} places.",
+            value=medians,
         )
     for path in findings.paths[1:]:
+        worst = tuple(largest(findings.bias(sensor, path, Wrong.PATH)) for sensor in Sensor)
         yield Claim(
             name=f"unknown path, {path}",
-            sentence="If {path} is taken for a pinhole, the largest errors are {value:.2f} mm "
-            "({sensors}).",
-            value=tuple(largest(findings.bias(sensor, path, Wrong.PATH)) for sensor in Sensor),
-            numbers={"path": path, "sensors": ", ".join(Sensor)},
+            sentence=f"If {path} is taken for a pinhole, the largest errors are "
+            f"{listed(worst, '.2f')} mm ({named}).",
+            value=worst,
         )
+    lamp = largest(where(findings.wrong, wrong=Wrong.LAMP).error_mm)
     yield Claim(
         name="light guide",
         sentence="A light guide 1 mm beside the place where it is thought to be changes the "
-        "shadow's distance by up to {value:.2f} mm.",
-        value=largest(where(findings.wrong, wrong=Wrong.LAMP).error_mm),
+        f"shadow's distance by up to {lamp:.2f} mm.",
+        value=lamp,
     )
     for sensor in Sensor:
         rows = where(findings.readings, sensor=sensor)
         done = where(rows, outcome=Outcome.READ).error_mm.abs()
         yield Claim(
             name=f"rendered, {sensor}",
-            sentence="From rendered pictures the {sensor} was read at {read} of {places} places, "
-            "with a median error of {value:.3f} mm and at most {worst:.3f} mm.",
+            sentence=f"From rendered pictures the {sensor} was read at {len(done)} of {len(rows)} "
+            f"places, with a median error of {done.median():.3f} mm and at most "
+            f"{largest(done):.3f} mm.",
             value=float(done.median()),
-            numbers={
-                "sensor": str(sensor),
-                "read": len(done),
-                "places": len(rows),
-                "worst": largest(done),
-            },
         )
 
 
@@ -749,7 +742,7 @@ def sensors(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> Se
 
     To continue a run that was stopped, start it again with the same folder.
     """
-    study = Study("sensors", out=out, quick=quick, seed=seed)
+    study = Study("sensors", out, quick=quick, seed=seed)
     paths = [*PATHS][:2] if quick else [*PATHS]
     noise, wrong = [], []
     with study.timed("expected"):
