@@ -32,7 +32,7 @@ from benchmarks.paper import (
     spots_of,
 )
 from benchmarks.reporting import Claim, Picture, Report, Table, number, rows_of
-from benchmarks.rivals.entries import plain_spot
+from benchmarks.sets.read import plain_spot
 from benchmarks.studies import validate
 from benchmarks.studies.validate import ValidateFindings, claims, report
 from benchmarks.study import Study

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.rivals.entries import KINDS, Entry, plain_spot
+from benchmarks.rivals.entries import KINDS, Entry
 from benchmarks.rivals.learned.network import WEIGHTS
 from benchmarks.rivals.pupil import why_unavailable
 from benchmarks.rivals.running import read_constants, run_entries, tune
-from benchmarks.sets.read import stacks_of
+from benchmarks.sets.read import plain_spot, stacks_of
 from benchmarks.sets.score.judging import images_of
 from benchmarks.sets.score.spots import read_set_spots
 from estimator import Calibration, Frame, MicroscopeFile, NoSpot, Spot, read_microscope

@@ -19,6 +19,7 @@ import pandas as pd
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PlainSerializer
 from pydantic import Strict as StrictType
 
+from benchmarks.sets.read import plain_spot
 from estimator import (
     Ranger,
     Reading,
@@ -198,9 +199,7 @@ def _observed(
     file = microscope or frames.microscope_file
     reader = Options.of({"microscope": file}).reader()
     centre = np.array(read_microscope(file).principal_point_px) if file else np.zeros(2)
-    times: list[float] = []
-    values: list[np.ndarray] = []
-    noise: list[np.ndarray] = []
+    rows: list[tuple[float, np.ndarray, np.ndarray]] = []
 
     def note(frame: Frame, reading: Reading) -> None:
         row, spread = np.full((2, len(QUANTITIES)), math.nan)
@@ -215,16 +214,14 @@ def _observed(
                 x, y = (row[:2] + ranger.microscope.principal_point_px).tolist()
                 moved = replace(spot, x_px=x, y_px=y)
                 row[ELLIPSE] = ranger.distance(moved, axis=axis).distance_mm
-        times.append(frame.time_s)
-        values.append(row)
-        noise.append(spread)
+        rows.append((frame.time_s, row, spread))
 
     tracking = track_source(frames, reader, show=note, write=lambda record: None)
-    found = np.array(values)
+    times, found, noise = (np.array(column) for column in zip(*rows, strict=True))
     if poses is not None:
-        rows = np.array([[pose.time_s, *pose.position_mm] for pose in poses])
-        found[:, -1] = np.interp(times, *_travelled(rows), left=math.nan, right=math.nan)
-    return Observed(np.array(times), found, np.array(noise), tracking.no_spot)
+        known = np.array([[pose.time_s, *pose.position_mm] for pose in poses])
+        found[:, -1] = np.interp(times, *_travelled(known), left=math.nan, right=math.nan)
+    return Observed(times, found, noise, tracking.no_spot)
 
 
 def measured_as_planned(
@@ -238,12 +235,7 @@ def measured_as_planned(
 ) -> Observed:
     """Measure a recording of a planned experiment, with the plan's calibration, on its clock.
 
-    Args:
-        source: as of `eyespot track`.
-        poses: file of the robot's, on the clock of the source; None takes a stack's.
-        eye_from_robot: unit quaternion that turns the poses' frame into the eye's.
-        microscope: file of the source's own microscope; None takes the source's.
-        start_s: time in the source at which the planned motion begins.
+    The arguments are those of `eyespot adjudicate`.
 
     Raises:
         InputError: a file is wrong, or the source cannot be measured or has no times.
@@ -289,13 +281,7 @@ def predicted(
     What is expected is the exact geometry of the scene. How far a stated key moves it is the
     difference between two scenes, one standard uncertainty to either side. The noise, and in which
     frames there is a spot at all, are those of a rehearsal: the scene is rendered and measured.
-
-    Args:
-        uncertain: keys of the scene and their standard uncertainties, {"phantom.radius_mm": 0.2}.
-        calibration: file, for the distances; None for none.
-        model: of the distances; by default the calibration's.
-        exposure: kind of the images; by default metered, if the scene has it.
-        progress: is called after each frame of the rehearsal.
+    The arguments are those of `eyespot preregister`.
 
     Raises:
         InputError: a key is unknown or no number, or a scene beside the planned one is impossible.
@@ -359,11 +345,10 @@ def _value(scene: Scene, key: str, sigma: float) -> float:
         raise InputError(f"the uncertainty of {key} must be positive and finite; got {sigma}.")
     found: Any = scene.model_dump(mode="json", by_alias=True)
     for part in key.split("."):
-        if not isinstance(found, dict) or part not in found:
-            # The scene says which keys are near.
-            changed(scene, {key: 0.0})
-            raise InputError(f"{key} is not a key of this scene. `eyespot scene init` lists them.")
-        found = found[part]
+        found = found.get(part) if isinstance(found, dict) else None
+    if found is None:
+        changed(scene, {key: 0.0})  # the scene says which keys are near
+        raise InputError(f"{key} is not a key of this scene. `eyespot scene init` lists them.")
     if isinstance(found, bool) or not isinstance(found, float | int) or not math.isfinite(found):
         raise InputError(
             f"{key} is {found!r}, not a number with an uncertainty. Name a key of the scene such as"
@@ -385,18 +370,7 @@ def _exact(world: World, times: np.ndarray, ranger: Ranger | None) -> np.ndarray
         beams = np.asarray(world.truth.beam.axis)
         for row, angle, beam in zip(found, np.asarray(ellipse.angle), beams, strict=True):
             x, y, major, minor = (row[:ELLIPSE] + np.array([*at, 0.0, 0.0])).tolist()
-            spot = Spot(
-                x_px=x,
-                y_px=y,
-                semi_major_px=major,
-                semi_minor_px=minor,
-                angle_rad=float(angle),
-                covariance=np.eye(5),
-                edge_width_px=1.0,
-                coverage=1.0,
-                inlier_fraction=1.0,
-                saturated=0.0,
-            )
+            spot = plain_spot(x, y, major, minor, float(angle), np.eye(5))
             row[ELLIPSE] = ranger.distance(spot, axis=beam).distance_mm
     # The robot reports its poses; the jitter of its clock is noise.
     still = changed(world.scene, {"clocks.kinematics_jitter_s": 0.0})

@@ -19,7 +19,7 @@ from skimage.measure import EllipseModel, find_contours, ransac
 
 from benchmarks.rivals.learned.network import LearnedEstimator, Window, blob_in
 from benchmarks.rivals.pupil import PupilDetector, why_unavailable
-from benchmarks.sets.read import Mode, own_reader
+from benchmarks.sets.read import Mode, own_reader, plain_spot
 from estimator import Calibration, Frame, MicroscopeFile, NoSpot, Range, Reason, Spot
 from optics import InputError
 
@@ -65,36 +65,6 @@ class Entry(ABC):
 
 
 NO_SPOT: Answer = NoSpot(Reason.NONE_FOUND), None
-
-
-def plain_spot(
-    x: float, y: float, first: float, second: float, angle: float, covariance: object = math.nan
-) -> Spot:
-    """A spot that is an ellipse and nothing else.
-
-    Args:
-        x: centre, to the right, px.
-        y: centre, downwards, px.
-        first: a semi-axis, px.
-        second: the other one; either may be the longer one.
-        angle: of the first one, from +u towards +v, rad.
-        covariance: 5 x 5, order `estimator.image.PARAMETERS`; NaN if unknown.
-    """
-    if second > first:
-        first, second, angle = second, first, angle + math.pi / 2
-    angle = math.pi / 2 - (math.pi / 2 - angle) % math.pi
-    return Spot(
-        x_px=float(x),
-        y_px=float(y),
-        semi_major_px=float(first),
-        semi_minor_px=float(second),
-        angle_rad=float(angle),
-        covariance=np.broadcast_to(np.asarray(covariance, float), (5, 5)).copy(),
-        edge_width_px=math.nan,
-        coverage=math.nan,
-        inlier_fraction=math.nan,
-        saturated=math.nan,
-    )
 
 
 # OpenCV alone: blur, threshold, the largest contour, and one of its three ellipse fits.

@@ -19,6 +19,7 @@ from estimator import (
     LiteralSettings,
     MicroscopeFile,
     Reader,
+    Spot,
     Stack,
     SubpixelSettings,
     read_stack,
@@ -242,6 +243,33 @@ def _beam(source: str) -> Calibration:
     from scenes.world import true_calibration  # loads JAX, which a reader of files need not have
 
     return true_calibration(Scene.model_validate_json(source))
+
+
+def plain_spot(
+    x: float, y: float, first: float, second: float, angle: float, covariance: object = math.nan
+) -> Spot:
+    """A spot that is an ellipse and nothing else.
+
+    Args:
+        x, y: centre, to the right and downwards, px.
+        first, second: semi-axes, px; either may be the longer one.
+        angle: of the first one, from +u towards +v, rad.
+        covariance: 5 x 5, order `estimator.image.PARAMETERS`; NaN if unknown.
+    """
+    if second > first:
+        first, second, angle = second, first, angle + math.pi / 2
+    return Spot(
+        x_px=float(x),
+        y_px=float(y),
+        semi_major_px=float(first),
+        semi_minor_px=float(second),
+        angle_rad=float(math.pi / 2 - (math.pi / 2 - angle) % math.pi),
+        covariance=np.broadcast_to(np.asarray(covariance, float), (5, 5)).copy(),
+        edge_width_px=math.nan,
+        coverage=math.nan,
+        inlier_fraction=math.nan,
+        saturated=math.nan,
+    )
 
 
 Mode = Literal["literal", "subpixel", "pixels"]

@@ -19,6 +19,7 @@ from benchmarks.sets.read import (
     exposures_of,
     image_name,
     own_reader,
+    plain_spot,
     qualified_name,
     true_beam,
 )
@@ -162,14 +163,9 @@ def _spot(values: Mapping[str, float]) -> Spot | NoSpot:
         raise InputError(
             f"{_ANGLE} must lie in (-pi/2, pi/2]; got {values[_ANGLE]}. Write radians, not degrees."
         )
-    unmeasured = dict.fromkeys(
-        ("edge_width_px", "coverage", "inlier_fraction", "saturated"), math.nan
-    )
-    return Spot(
-        **{name: values[name] for name in (*ELLIPSE, _ANGLE)},
-        covariance=np.diag([values[name] ** 2 for name in _SIGMAS]),
-        **unmeasured,
-    )
+    covariance = np.diag([values[name] ** 2 for name in _SIGMAS])
+    x, y, major, minor = (values[name] for name in ELLIPSE)
+    return plain_spot(x, y, major, minor, values[_ANGLE], covariance)
 
 
 SPOTS_SUFFIXES = (".csv", ".parquet")
