@@ -599,6 +599,7 @@ def shadow_of(point: Numbers, lamp: Numbers) -> Numbers:
     return WALL.intersect(point, towards).point
 
 
+@eqx.filter_jit
 def by_spot(ellipse: optics.Ellipse, known: Known) -> Numbers:
     """d by the exact spot with the ellipse's area, mm (`optics.distance_by_area`)."""
     return optics.distance_by_area(
@@ -606,6 +607,7 @@ def by_spot(ellipse: optics.Ellipse, known: Known) -> Numbers:
     )
 
 
+@eqx.filter_jit
 def by_shadow(tip: Numbers, shadow: Numbers, known: Known) -> Numbers:
     """d by the tip and its shadow in one image, mm.
 
@@ -636,11 +638,13 @@ def by_stereo(tip_pair: Numbers, wall_pair: Numbers, known: Known) -> Numbers:
     return distance_along(optics.Sphere(jnp.linalg.norm(wall)), tip, known)
 
 
+@eqx.filter_jit
 def in_space(pairs: Numbers, views: Views) -> Numbers:
     """The points that the left and the right image show at pixels, mm."""
     return nearest_point(views.left.ray(pairs[0]), views.right.ray(pairs[1]))
 
 
+@eqx.filter_jit
 def distance_along(wall: optics.Surface, tip: Numbers, known: Known) -> Numbers:
     """d from a tip to a wall along the instrument's axis, mm; negative behind the wall."""
     return wall.intersect(tip, known.axis).distance

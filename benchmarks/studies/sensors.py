@@ -9,8 +9,9 @@ DIR/expected.csv     standard deviations of the three by stated noise of their m
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import add, itemgetter
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -90,12 +91,7 @@ _AFFECTED = {Wrong.LAMP: (Sensor.SHADOW,)}
 
 
 class Assumed(NamedTuple):
-    """What is assumed at each place.
-
-    Attributes:
-        lamp: end of the light guide, mm.
-        lower: by how much the wall's radius is taken too large, mm.
-    """
+    """What is assumed at each place: the light guide's end, the axis, by how much r is too large."""
 
     lamp: Numbers
     axis: Numbers
@@ -130,36 +126,42 @@ def expected(
     ]
     places = Place(*map(np.stack, zip(*every, strict=True)))
     true, outcomes = _marks(places, seen), outcomes_at(places, seen)
+    rng, sigma = np.random.default_rng(seed), Marks(CONTOUR_PX, MARK_PX, MARK_PX, MARK_PX, WALL_PX)
+    noise = jax.tree.map(lambda leaf, s: s * rng.standard_normal((draws, *leaf.shape)), true, sigma)
     right = Assumed(places.lamp, places.axis, np.zeros(len(every)))
-    cases = {Wrong.PATH: [right], **_wrong(places, right)}
-    # All in one batch, so that each kind of path is compiled once: noise, then wrong assumptions.
-    assumed = [right] * draws + [one for several in cases.values() for one in several]
-    batch = jax.tree.map(lambda *leaves: np.stack(leaves), *assumed)
-    noise = _noise(true, draws, len(assumed), seed)
-    read = {sensor: np.asarray(d) for sensor, d in _read(true, noise, batch, seen).items()}
-    by_pinhole = read if path == "pinhole" else _read(true, noise, batch, pinholes)
+    noisy = [
+        _read(jax.tree.map(add, true, jax.tree.map(itemgetter(k), noise)), right, seen)
+        for k in range(draws)
+    ]
+    off = math.tan(math.radians(_AXIS_OFF_DEG))
+    turned = [_units(places.axis + aside) for aside in _aside(places.axis, off)]
+    lamps = [places.lamp + aside for aside in _aside(places.lamp_axis, _LAMP_OFF_MM)]
+    assumed = {
+        Wrong.LAMP: [right._replace(lamp=lamp) for lamp in lamps],
+        Wrong.AXIS: [right._replace(axis=axis) for axis in turned],
+        Wrong.RADIUS: [right._replace(lower=right.lower + _RADIUS_OFF_MM)],
+    }
+    read = {} if path == "pinhole" else {Wrong.PATH: [_read(true, right, pinholes)]}
+    read |= {wrong: [_read(true, one, seen) for one in ones] for wrong, ones in assumed.items()}
     where = {"path": path, "c_mm": places.eccentricity, "d_mm": places.distance}
-    noisy, biases, first = [], [], draws
-    for sensor in Sensor:
-        done = np.array(outcomes[sensor]) == Outcome.READ
-        sigma = np.where(done, read[sensor][:draws].std(axis=0), np.nan)
-        about = {"sensor": sensor, **where, "outcome": outcomes[sensor]}
-        noisy.append(pd.DataFrame(about | {"sigma_mm": sigma}))
-    for wrong, several in cases.items():
-        part = slice(first, first + len(several))
-        first = part.stop
-        if wrong == Wrong.PATH and path == "pinhole":
-            continue
+    done = {sensor: np.array(outcomes[sensor]) == Outcome.READ for sensor in Sensor}
+    sigmas = [
+        pd.DataFrame({"sensor": sensor, **where, "outcome": outcomes[sensor]}).assign(
+            sigma_mm=np.where(done[sensor], np.std([one[sensor] for one in noisy], axis=0), np.nan)
+        )
+        for sensor in Sensor
+    ]
+    biases = []
+    for wrong, found in read.items():
         for sensor in _AFFECTED.get(wrong, tuple(Sensor)):
-            values = by_pinhole[sensor] if wrong == Wrong.PATH else read[sensor]
-            error = np.asarray(values)[part] - places.distance
+            error = np.array([one[sensor] for one in found]) - places.distance
             # Displacements in opposite directions have opposite effects; their size counts.
             size = error[0] if len(error) == 1 else np.sqrt(np.mean(error**2, axis=0))
             rows = pd.DataFrame({"sensor": sensor, **where, "wrong": wrong, "error_mm": size})
-            biases.append(rows[np.array(outcomes[sensor]) == Outcome.READ])
+            biases.append(rows[done[sensor]])
     columns = ["sensor", "path", "wrong", "c_mm", "d_mm", "error_mm"]
     wrongs = pd.concat(biases, ignore_index=True)[columns]
-    return pd.concat(noisy, ignore_index=True), wrongs
+    return pd.concat(sigmas, ignore_index=True), wrongs
 
 
 @eqx.filter_jit
@@ -168,13 +170,19 @@ def _marks(places: Place, seen: Views) -> Marks:
 
 
 @eqx.filter_jit
-def _read(marks: Marks, noise: Marks, assumed: Assumed, seen: Views) -> dict[Sensor, Any]:
-    """Readings, cases x places: of marks (places) with noise (cases x places), as assumed."""
+def _read(marks: Marks, assumed: Assumed, seen: Views) -> dict[Sensor, Any]:
+    """Readings of marks at all places, as assumed."""
 
-    def one(own: Marks, off: Marks, given: Assumed) -> dict[Sensor, Any]:
-        own = jax.tree.map(jnp.add, own, off)
+    def one(own: Marks, given: Assumed) -> dict[Sensor, Any]:
+        # The cameras in the frame of a larger sphere, whose pole lies lower; they stay in place.
+        lowered = Views(
+            *(
+                eqx.tree_at(lambda c: c.pole_height, camera, camera.pole_height - given.lower)
+                for camera in seen
+            )
+        )
         known = Known(
-            views=_lowered(seen, given.lower),
+            views=lowered,
             radius=RADIUS_MM + given.lower,
             # The centre of a larger sphere lies higher above the pole.
             lamp=given.lamp - given.lower * jnp.array([0.0, 0.0, 1.0]),
@@ -186,45 +194,7 @@ def _read(marks: Marks, noise: Marks, assumed: Assumed, seen: Views) -> dict[Sen
             Sensor.STEREO: by_stereo(own.tip_pair, own.wall_pair, known),
         }
 
-    return jax.vmap(jax.vmap(one), (None, 0, 0))(marks, noise, assumed)
-
-
-def _lowered(seen: Views, lower: Any) -> Views:
-    """The cameras in the frame of a larger sphere, whose pole lies lower; they stay in place."""
-    return Views(
-        *(
-            eqx.tree_at(lambda c: c.pole_height, camera, camera.pole_height - lower)
-            for camera in seen
-        )
-    )
-
-
-def _noise(marks: Marks, draws: int, cases: int, seed: int) -> Marks:
-    """Noise of the first cases; the others have none."""
-    rng = np.random.default_rng(seed)
-    sigma = Marks(CONTOUR_PX, MARK_PX, MARK_PX, MARK_PX, WALL_PX)
-
-    def of(leaf: Any, s: float) -> np.ndarray:
-        found = np.zeros((cases, *leaf.shape))
-        found[:draws] = s * rng.standard_normal((draws, *leaf.shape))
-        return found
-
-    return jax.tree.map(of, marks, sigma)
-
-
-def _wrong(places: Place, right: Assumed) -> dict[Wrong, list[Assumed]]:
-    """Wrong assumptions, each in the directions in which it can be wrong."""
-    off = math.tan(math.radians(_AXIS_OFF_DEG))
-    return {
-        Wrong.LAMP: [
-            right._replace(lamp=places.lamp + aside)
-            for aside in _aside(places.lamp_axis, _LAMP_OFF_MM)
-        ],
-        Wrong.AXIS: [
-            right._replace(axis=_units(places.axis + aside)) for aside in _aside(places.axis, off)
-        ],
-        Wrong.RADIUS: [right._replace(lower=right.lower + _RADIUS_OFF_MM)],
-    }
+    return jax.vmap(one)(marks, assumed)
 
 
 def _aside(axes: np.ndarray, size: float) -> list[np.ndarray]:
@@ -247,16 +217,6 @@ READING = "sensor path wall c_mm d_mm outcome error_mm mark_error_px".split()
 The marks' errors are the largest of the reading's marks: the semi-minor axis for the spot, the
 place of tip and shadow otherwise; empty if nothing was read.
 """
-
-_by_spot, _by_shadow, _in_space, _distance_along = (
-    eqx.filter_jit(function)
-    for function in (
-        sensor_views.by_spot,
-        sensor_views.by_shadow,
-        sensor_views.in_space,
-        sensor_views.distance_along,
-    )
-)
 
 
 class Trial(NamedTuple):
@@ -393,7 +353,7 @@ def _spot_reading(trial: Trial, one: Place, seen: Views, row: Any) -> Reading:
         semi_minor=jnp.asarray(row.semi_minor_px),
         angle=jnp.asarray(row.angle_rad),
     )
-    distance = float(_by_spot(ellipse, _known(one, seen._replace(centre=centre))))
+    distance = float(by_spot(ellipse, _known(one, seen._replace(centre=centre))))
     off = abs(row.semi_minor_px - row.half_max_semi_minor_px)
     return _reading(Sensor.SPOT, trial, one, Outcome.READ, distance, off)
 
@@ -404,7 +364,7 @@ def _shadow(trial: Trial, one: Place, taken: Pictures, outcome: Outcome) -> Read
     camera, image = taken.seen.centre, sensor_views.grey(taken.centre)
     tip = sensor_views.found_shift(image, sensor_views.tool_outline(one, camera), dark=False)
     shadow = sensor_views.found_shift(image, sensor_views.shadow_outline(one, camera), dark=True)
-    distance = _by_shadow(
+    distance = by_shadow(
         _image(camera, one.tip) + tip,
         _image(camera, np.asarray(sensor_views.shadow_of(one.tip, one.lamp))) + shadow,
         _known(one, taken.seen),
@@ -426,9 +386,9 @@ def _stereo(trial: Trial, one: Place, taken: Pictures, outcome: Outcome) -> Read
         for image, camera in zip(images, pair, strict=True)
     ]
     places = [_image(camera, one.tip) + shift for camera, shift in zip(pair, shifts, strict=True)]
-    (tip,) = _in_space(jnp.stack(places)[:, None], taken.seen)
+    (tip,) = sensor_views.in_space(jnp.stack(places)[:, None], taken.seen)
     wall = optics.Sphere(RADIUS_MM - height)
-    distance = float(_distance_along(wall, tip, _known(one, taken.seen)))
+    distance = float(sensor_views.distance_along(wall, tip, _known(one, taken.seen)))
     off = max(float(np.linalg.norm(shift)) for shift in shifts)
     return _reading(Sensor.STEREO, trial, one, Outcome.READ, distance, off)
 
@@ -488,49 +448,37 @@ class SensorFindings:
 
 _COLOURS = {Sensor.SPOT: BLUE, Sensor.SHADOW: ORANGE, Sensor.STEREO: VERMILION}
 _MARKS = {Sensor.SPOT: "o", Sensor.SHADOW: "^", Sensor.STEREO: "s"}
-_LINES = ("-", "--", ":")
 _SMALLEST_MM, _LARGEST_MM = 1e-4, 5.0
 
 
-def noise_figure(findings: SensorFindings) -> Figure:
-    """Standard deviation against distance: a panel for each path, a line style for each c."""
-
-    def scale(axes: Axes) -> None:
-        axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--", zorder=2.1)
-        axes.set_yscale("log")
-        axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
-
-    shown = findings.expected[findings.expected.path.isin(findings.paths[:4])]
-    return _by_path(shown, "sigma_mm", scale, y="σ of d (mm)")
-
-
-def path_figure(findings: SensorFindings) -> Figure:
-    """Error against distance if the path is taken for a pinhole: a panel for each path."""
-
-    def scale(axes: Axes) -> None:
-        limit_lines(axes, ACCEPTABLE_ERROR_MM)
-
-    wrong = where(findings.wrong, wrong=Wrong.PATH)
-    return _by_path(wrong, "error_mm", scale, y="estimate − truth (mm)", height=3.2)
-
-
-def _by_path(
-    rows: pd.DataFrame, value: str, scale: Callable[[Axes], None], **labels: Any
-) -> Figure:
-    """Values of every sensor against distance, a line for each c and a panel for each path."""
+def by_path_figure(findings: SensorFindings, *, wrong: Wrong | None = None) -> Figure:
+    """Standard deviation against distance, or the error if something is wrong, for each path."""
+    rows, value = findings.expected, "sigma_mm"
+    if wrong is not None:
+        rows, value = where(findings.wrong, wrong=wrong), "error_mm"
 
     def draw(axes: Axes, _: str, path: str) -> None:
-        scale(axes)
-        for sensor in _COLOURS:
+        if wrong is None:
+            axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--", zorder=2.1)
+            axes.set(yscale="log", ylim=(_SMALLEST_MM, _LARGEST_MM))
+        else:
+            limit_lines(axes, ACCEPTABLE_ERROR_MM)
+        for sensor, colour in _COLOURS.items():
             own = grouped(where(rows, path=path, sensor=sensor), "c_mm")
-            for (c, line), style in zip(own, _LINES, strict=False):
-                marks: dict[str, Any] = {"color": _COLOURS[sensor], "marker": _MARKS[sensor]}
-                label = f"{sensor}, c = {c:g} mm"
-                axes.plot(line.d_mm, line[value], style, label=label, ms=3, **marks)
+            for (c, line), style in zip(own, ("-", "--", ":"), strict=False):
+                label, mark = f"{sensor}, c = {c:g} mm", _MARKS[sensor]
+                points = line.d_mm, line[value]
+                axes.plot(*points, style, label=label, ms=3, color=colour, marker=mark)
 
-    paths = rows.path.unique().tolist()
     return small_multiples(
-        draw, rows=[""], columns=paths, x=DISTANCE, legend_columns=3, sharey=True, **labels
+        draw,
+        rows=[""],
+        columns=rows.path.unique().tolist(),
+        x=DISTANCE,
+        y="σ of d (mm)" if wrong is None else "estimate − truth (mm)",
+        height=3.0,
+        legend_columns=3,
+        sharey=True,
     )
 
 
@@ -602,7 +550,7 @@ def report(findings: SensorFindings) -> Report:
         first=[
             Picture(
                 "noise",
-                noise_figure(findings),
+                by_path_figure(findings),
                 "The spot is the most precise of the three sensors. Standard deviation of d, for "
                 f"noise of {CONTOUR_PX:g} px for each of 128 points of the spot's edge, "
                 f"{MARK_PX:g} px in x and y for a tip and for a shadow's tip, {WALL_PX:g} px for "
@@ -639,7 +587,7 @@ def report(findings: SensorFindings) -> Report:
                 "What a wrong assumption gives",
                 Picture(
                     "path",
-                    path_figure(findings),
+                    by_path_figure(findings, wrong=Wrong.PATH),
                     "Error without noise if the microscope's pinhole is known, but the viewing "
                     f"lens and the eye in front of it (z_F = {PINHOLE_HEIGHT_MM:g} mm) are not.",
                     data="wrong.csv",
