@@ -91,7 +91,7 @@ _AFFECTED = {Wrong.LAMP: (Sensor.SHADOW,)}
 
 
 class Assumed(NamedTuple):
-    """What is assumed at each place: the light guide's end, the axis, by how much r is too large."""
+    """What is assumed: the light guide's end, the axis, by how much r is taken too large, mm."""
 
     lamp: Numbers
     axis: Numbers
