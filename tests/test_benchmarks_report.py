@@ -402,7 +402,7 @@ def test_a_run_like_the_paper_reproduces_table_one() -> None:
     ],
 )
 def test_table_one_is_not_reproduced_where_one_criterion_is_missed(
-    trial: str, values: dict[str, float], criterion: Criterion
+    trial: str, values: dict[str, Any], criterion: Criterion
 ) -> None:
     findings = paper_like_run()
     change(findings.planes, trial, **values)
