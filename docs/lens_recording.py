@@ -34,8 +34,7 @@ eyespot render scene.toml --out reading --set source.lens=dome --set source.medi
     --set 'exposures.kinds=["metered"]'
 eyespot track reading --calibration lens.json --out spots.csv
 
-printf 'touch_sigma_mm = 0.02\nclock_sigma_s = 0.005\n' > stated.toml
-eyespot budget reading --calibration lens.json --stated stated.toml --frame 5
+eyespot budget reading --calibration lens.json --frame 5
 """
 """Commands; those without an empty line between them are timed together."""
 

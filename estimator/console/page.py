@@ -146,7 +146,7 @@ class Page:
             if session.source.length:
                 self._slider = ui.slider(min=0, max=session.source.length - 1).classes("scrub")
                 self._slider.on("change", lambda event: session.seek(int(event.args)))
-        self._chart = ui.echart(_chart()).classes("course")
+        self._chart = ui.echart(_chart(robot=session.has_poses)).classes("course")
         ui.label(
             "Click the image to show where the spot is. Keys: space pause, ← → step, F search anew,"
             " R record, D light or dark."
@@ -278,7 +278,7 @@ def _calibration_of(options: Options) -> str:
     return f"calibration {options.calibration.name}, {days:.0f} days old"
 
 
-def _chart() -> dict[str, Any]:
+def _chart(*, robot: bool) -> dict[str, Any]:
     """Distance with its σ, by the robot, and radius, against the seconds before now."""
     thin = {"width": 1, "type": "dotted"}
     line = {"type": "line", "showSymbol": False, "data": []}
@@ -290,22 +290,23 @@ def _chart() -> dict[str, Any]:
         "nameTextStyle": {"color": "#888"},
         "splitLine": {"lineStyle": {"color": "rgba(128, 128, 128, 0.3)"}},
     }
-    radius = axis | {"scale": True, "splitLine": {"show": False}}
+    titled = axis | {"scale": True, "nameLocation": "middle", "nameGap": 44}
+    radius = titled | {"name": "semi-minor axis, px", "splitLine": {"show": False}}
     return {
         "animation": False,
-        "grid": {"left": 60, "right": 60, "top": 34, "bottom": 30},
+        "grid": {"left": 70, "right": 70, "top": 34, "bottom": 30},
         "legend": {
-            "data": ["distance, mm", "by the robot, mm", "radius, px"],
+            "data": ["distance", *["distance by the robot"] * robot, "semi-minor axis"],
             "top": 0,
             "textStyle": {"color": "#888"},
         },
         "xAxis": axis | {"min": -COURSE_S, "max": 0, "name": "s"},
-        "yAxis": [axis | {"scale": True}, radius],
+        "yAxis": [titled | {"name": "distance, mm"}, radius],
         "series": [
-            {**line, "name": "distance, mm", "color": "#2a9d3f"},
+            {**line, "name": "distance", "color": "#2a9d3f"},
             {**line, "name": "− σ", "color": "#2a9d3f", "lineStyle": thin},
             {**line, "name": "+ σ", "color": "#2a9d3f", "lineStyle": thin},
-            {**line, "name": "radius, px", "color": "#3b82d6", "yAxisIndex": 1},
-            {**line, "name": "by the robot, mm", "color": "#d9822b"},
+            {**line, "name": "semi-minor axis", "color": "#3b82d6", "yAxisIndex": 1},
+            {**line, "name": "distance by the robot", "color": "#d9822b"},
         ],
     }

@@ -104,6 +104,7 @@ class Session:
     ) -> None:
         self.source = open_()
         self._open, self._reader, self._response = open_, reader, response or Response()
+        self.has_poses = poses is not None
         self._poses = poses or (lambda: PoseTrack(()))
         self._home: Pose | None = None  # the first pose that was used
         self.view: View | None = None

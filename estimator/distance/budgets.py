@@ -282,12 +282,10 @@ class Budgets:
 
     def _of_lens(self, spot: Spot, found: Range, motion: Motion) -> Budget:
         """By a lens, whose curve contains the calibration's errors."""
-        touch = self._stated.touch_sigma_mm
         return Budget.of(
             found.distance_mm,
             parts=[
                 Part(Cause.IMAGE, found.sigma_mm, _freedom(spot)),
-                Part(Cause.TOUCH, touch, source_sigma=touch, unit="mm"),
                 self._of_clock(motion, float(np.linalg.norm(motion.velocity_mm_s)), 0.0),
             ],
             left_out=("the calibration's own part (it is in that of the image)", "the eye"),

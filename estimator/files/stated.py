@@ -45,7 +45,7 @@ class Stated(Strict):
     touch_sigma_mm: _Sigma = Field(
         0.0,
         description="Of the tip's distance when the calibration's withdrawals began, if the fit "
-        "took it as exact. Fits of a cone contain it.",
+        "took it as exact. Fits of a cone or a lens contain it.",
     )
     axis_sigma_deg: _Degrees = Field(
         1.0, description="Of the beam's axis that the robot reports, across itself."

@@ -79,18 +79,19 @@ def _reported_bugs() -> bool:
     return number > 0
 
 
-def message_of(error: BaseException) -> str | None:
-    """The message of an expected error; None for a bug."""
+def message_of(error: BaseException, *, before: str = "") -> str | None:
+    """The message of an expected error; None for a bug. `before` marks the names of options."""
     # A class whose module was never loaded cannot have been raised.
     pydantic, variant = map(sys.modules.get, ("pydantic", "scenes.machine.variant"))
     if isinstance(error, CycloptsError):
         # `__context__` is what a settings model says of a value.
-        of_model = message_of(error.__context__) if error.__context__ else None
+        of_model = message_of(error.__context__, before="--") if error.__context__ else None
         return of_model or str(error)
     if pydantic and isinstance(error, pydantic.ValidationError):
         return "\n".join(
-            f"{'.'.join(map(str, problem['loc']))}: {rule}; got {problem['input']!r}"
+            f"{before}{name.replace('_', '-') if before else name}: {rule}; got {problem['input']!r}"
             for problem in error.errors()
+            if (name := ".".join(map(str, problem["loc"])))
             if (rule := problem["msg"].removeprefix("Value error, "))
         )
     if variant and isinstance(error, variant.RendererUnavailable):

@@ -272,12 +272,14 @@ class Options(Given):
         if self.stated is None:
             return Stated()
         stated = read_stated(self.stated)
-        # The fit of a cone, whose model is exact, has each trial's touch among its parameters.
-        if stated.touch_sigma_mm and calibration is not None and calibration.model == "exact":
+        # Fits of a cone (exact) and of a lens have each trial's touch among their parameters.
+        if stated.touch_sigma_mm and calibration and calibration.model in ("exact", "lens"):
             say(
-                f"touch_sigma_mm of {self.stated} is counted twice: the standard errors of "
-                f"{self.calibration} contain that of the touch. Leave it out."
+                f"touch_sigma_mm of {self.stated} has no effect: the standard errors of "
+                f"{self.calibration} contain the touch's, which eyespot fit --prior "
+                "touch=MEAN,SIGMA sets."
             )
+            stated = stated.model_copy(update={"touch_sigma_mm": 0.0})
         return stated
 
     def _reference_image(self, microscope: MicroscopeFile) -> np.ndarray | None:
@@ -368,13 +370,24 @@ class Recorded:
             name: see `open_source`.
             unrelated: measure every image by itself, or not; None leaves it to the source.
         """
-        from estimator.files import read_stated
+        from estimator.files import read_microscope, read_stated
 
         poses, frames = self.pose_track(options), self.source(name)
         if poses is None and options.stated and read_stated(options.stated).clock_sigma_s:
             say(f"clock_sigma_s of {options.stated} has no effect without --poses.")
         if unrelated is not None:
             frames = replace(frames, unrelated=unrelated)
+        if frames.microscope_file is not None and (given := options.microscope_file()) is not None:
+            own, other = (
+                m.principal_point_px for m in (read_microscope(frames.microscope_file), given)
+            )
+            if np.hypot(*np.subtract(own, other)) > 1:
+                say(
+                    "The microscope's axis meets the image at ({:.0f}, {:.0f}) px by {}, but at "
+                    "({:.0f}, {:.0f}) px by {}. Distances depend on it.".format(
+                        *other, options.microscope, *own, frames.microscope_file
+                    )
+                )
         return frames, options.of_source(frames), poses
 
     def pose_track(self, options: Options) -> PoseTrack | None:

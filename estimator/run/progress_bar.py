@@ -96,19 +96,20 @@ def _bar(what: str, total: int | None) -> Iterator[Advance]:
 @contextmanager
 def _lines(what: str, total: int | None) -> Iterator[Advance]:
     began = last = time.monotonic()
-    done = 0
+    done = first = 0  # the first step compiles, so the time of the others is foretold without it
 
     def advance(steps: int = 1, *, note: str = "") -> None:
-        nonlocal done, last
+        nonlocal began, done, first, last
         done += steps
         now = time.monotonic()
+        if first == 0:
+            began, first = now, done
         if now - last < SECONDS_BETWEEN_LINES:
             return
         last = now
-        said = f"{what}: {done} done"
-        if total is not None:
-            left = (total - done) / done * (now - began) if done else 0.0
-            said = f"{what}: {done} of {total} done, {duration(left)} left"
+        said = f"{what}: {done} done" if total is None else f"{what}: {done} of {total} done"
+        if total is not None and done > first > 0:
+            said += f", {duration((total - done) / (done - first) * (now - began))} left"
         print(f"{said}{', ' if note else ''}{note}.", file=sys.stderr, flush=True)
 
     yield advance

@@ -58,7 +58,7 @@ def open_video(path: Path) -> Source:
                 seen, image = capture.read()
                 if not seen:
                     break
-                time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+                time_s = round(capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, 9)
                 name = f"{in_utf8(path.name)}#{index}"
                 yield Frame(index=index, file_name=name, time_s=time_s, image=_rgb(image))
                 index += 1

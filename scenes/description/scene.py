@@ -18,6 +18,7 @@ from scenes.description.motion_settings import Clocks, Motion, Seed, Withdrawal
 from scenes.description.settings import (
     Exposures,
     Instrument,
+    REAL_PINHOLE_HEIGHT_MM,
     MicroscopeSettings,
     Phantom,
     SecondTool,
@@ -145,7 +146,8 @@ class Scene(BaseModel):
     def _eye_brings_its_retina(cls, content: Any) -> Any:
         """Fill [phantom] with the retina of [viewing]'s eye; refuse one that contradicts it.
 
-        A scene file of `scene init` holds every default, so a default is not what anyone has set.
+        A scene file of `scene init` holds every default, so a default is not what anyone has set;
+        the default pinhole, which would lie in the cornea, moves up to a real microscope's.
         """
         if not isinstance(content, Mapping):
             return content
@@ -166,7 +168,13 @@ class Scene(BaseModel):
                     f"phantom.{key} contradicts the eye {viewing['eye']!r}, whose retina has "
                     f"{key} {own}; got {said}. Remove it, or choose another eye."
                 )
-        return {**content, "phantom": {**phantom, **retina}}
+        microscope = content.get("microscope", {})
+        if isinstance(microscope, MicroscopeSettings):
+            microscope = microscope.model_dump(exclude_unset=True)
+        usual = MicroscopeSettings.model_fields["pinhole_height_mm"].default
+        if isinstance(microscope, Mapping) and microscope.get("pinhole_height_mm", usual) == usual:
+            microscope = {**microscope, "pinhole_height_mm": REAL_PINHOLE_HEIGHT_MM}
+        return {**content, "phantom": {**phantom, **retina}, "microscope": microscope}
 
     @model_validator(mode="after")
     def _looks_through_what_it_can(self) -> Scene:

@@ -186,6 +186,10 @@ class SecondTool(_Settings):
     )
 
 
+REAL_PINHOLE_HEIGHT_MM = 200.0
+"""Of a microscope over an eye: `scene init --microscope real`, and every view into an eye."""
+
+
 class MicroscopeSettings(_Settings):
     """The microscope: a pinhole camera whose window is centred on the position of [spot]."""
 

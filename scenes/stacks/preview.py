@@ -11,7 +11,7 @@ from estimator.files import written_whole
 from scenes.camera import Camera
 from scenes.description import Scene
 from scenes.rendering import images_of
-from scenes.world import World, paper_exposure
+from scenes.world import World
 
 _SHRINK = 2
 
@@ -27,8 +27,8 @@ def write_preview(scene: Scene, path: Path, *, variant: str = "llvm_ad_rgb") -> 
 def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
     """The frame in the middle of the motion at half of its size, with one sample per pixel.
 
-    It has the fixed exposure of the `paper` frames and the sensor's noise, but no motion blur and
-    no JPEG. The spot may leave the window, unlike in a stack.
+    It has the metered exposure and the sensor's noise, but no motion blur and no JPEG. The spot may
+    leave the window, unlike in a stack.
 
     Args:
         scene: the scene.
@@ -38,16 +38,16 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
         H/2 x W/2 x 3 (R, G, B), uint8 or uint16.
 
     Raises:
-        SceneError: the tip touches the wall, or the exposure is longer than a frame.
+        SceneError: the tip touches the wall.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
     world = World(scene)
     (tip,), (axis,) = world.motion.at(world.times[[world.times.size // 2]])
     small = World(_small(scene))
     radiance, _ = images_of(small, variant=variant).at(tip=tip, axis=axis, seed=0)
-    return Camera(small.scene).raw(
-        radiance, exposure_s=paper_exposure(world), noise_seed=[scene.seed]
-    )
+    camera = Camera(small.scene)
+    exposure_s = camera.metered_s(radiance, np.ones(radiance.shape[:2], bool))
+    return camera.raw(radiance, exposure_s=exposure_s, noise_seed=[scene.seed])
 
 
 def _small(scene: Scene) -> Scene:

@@ -102,7 +102,7 @@ def _moments(scene: Scene) -> NDArray[np.float64]:
     match scene.motion:
         case Withdrawal() as motion:
             travelled = np.linspace(0.0, motion.travel_mm, motion.frames)
-            return travelled / motion.speed_mm_s
+            return np.round(travelled / motion.speed_mm_s, 9)  # 0.3, not 0.30000000000000004
         case Scan() as motion:
             duration = motion.length_mm / motion.speed_mm_s
         case Hand() as motion:
