@@ -10,12 +10,20 @@ from __future__ import annotations
 import importlib.util
 import io
 import sys
+from collections.abc import Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated
 
 from cyclopts import App, Parameter
 
 HOME = Path(__file__).resolve().parents[1]
+HEAVY = (
+    *("cv2", "equinox", "jax", "jaxtyping", "lineax", "matplotlib", "optimistix", "pandas"),
+    *("plotly", "scipy"),
+)
 PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
 
 COMMANDS = {
@@ -127,9 +135,29 @@ def show_docstring(command: App) -> None:
         command.help = None
 
 
+class _Unneeded(MetaPathFinder, Loader):
+    """Stands for libraries that compute: a command's help is its signature and its docstring."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        return ModuleSpec(name, self, is_package=True) if name.split(".")[0] in HEAVY else None
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        from unittest.mock import MagicMock
+
+        module: ModuleType = MagicMock(name=spec.name)
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        pass
+
+
 def run() -> None:
     """Run the command that the command line names."""
     words = sys.argv[1:]
+    if {"-h", "--help"} & {*words} and not {*HEAVY} & sys.modules.keys():
+        sys.meta_path.insert(0, _Unneeded())
     for command in app.parse_commands(words)[1]:
         show_docstring(command)
     app(words)

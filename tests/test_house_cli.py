@@ -48,6 +48,7 @@ def run_process(*arguments, **environment):
 @pytest.fixture
 def run(monkeypatch, capsys):
     """Runs a command in this process, which has loaded JAX already."""
+    monkeypatch.setenv("COLUMNS", "400")
 
     def run_here(*arguments):
         monkeypatch.setattr(sys, "argv", ["eyespot", *map(str, arguments)])
@@ -104,6 +105,12 @@ def test_the_help_of_a_command_is_its_docstring(run, words):
     listed = run(*words.split(), "--help").out
     first_line, *_ = (command_of(words).default_command.__doc__ or "-").splitlines()
     assert first_line in " ".join(listed.split())
+
+
+@pytest.mark.parametrize("words", ["study eccentricity", "validate", "fit"])
+def test_the_help_needs_no_library_that_computes(run, words):
+    # In this process everything is loaded; in a new one the libraries are stood in for.
+    assert run_process(*words.split(), "--help") == run(*words.split(), "--help")
 
 
 def test_an_unknown_option_is_bad_input(run):
