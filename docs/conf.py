@@ -12,6 +12,8 @@ from typing import Any
 import myst_nb.core.render
 from myst_nb.core.utils import coalesce_streams
 
+import eyespot  # noqa: F401  first: what it lets JAX keep is compiled once for all pages and examples
+
 _HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(_HERE.parent))
 # Pages call `eyespot`, which is beside this Python.

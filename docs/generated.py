@@ -19,16 +19,16 @@ from eyespot import command_line
 from scenes import Scene
 
 _PICTURES = {
-    "phantom": "plot_01_cone",
-    "source": "plot_02_lens",
-    "instrument": "plot_07_shadow",
-    "second_tool": "plot_08_second_tool",
-    "motion": "plot_09_motion",
-    "camera": "plot_10_camera",
-    "viewing": "plot_04_contact_lens",
-    "microscope": "plot_11_defocus",
+    "phantom": 1,
+    "source": 2,
+    "instrument": 6,
+    "second_tool": 7,
+    "motion": 8,
+    "camera": 9,
+    "microscope": 10,
+    "viewing": 11,
 }
-"""Examples of the gallery that show what a table of the scene does."""
+"""Pictures of the gallery's example of scenes that show what a table of the scene does."""
 
 _UNITS = {
     "mw_mm2": "mW/mm²",
@@ -102,8 +102,9 @@ def _scene_keys() -> Iterator[str]:
             title = f"[{name}]" + (f" kind = {kind.default!r}" if kind and len(kinds) > 1 else "")
             yield f"\n## `{title}`\n\n{inspect.cleandoc(model.__doc__ or '').splitlines()[0]}\n"
             if name in _PICTURES and number == 0:
-                example = f"../../auto_gallery/scenes/images/sphx_glr_{_PICTURES[name]}_001.png"
-                yield f"```{{image}} {example}\n:width: 320px\n:alt: An example of [{name}]\n```\n"
+                picture = f"images/sphx_glr_plot_scenes_{_PICTURES[name]:03}.png"
+                yield f"```{{image}} ../../auto_gallery/scenes/{picture}\n:width: 320px"
+                yield f":alt: An example of [{name}]\n```\n"
             yield from _table(model)
 
 

@@ -196,6 +196,9 @@ class Fit:
     doubts: Sequence[Doubt]
     exposure: str | None = None
 
+    def __repr__(self) -> str:
+        return f"{self.verdict}\n{self.parameters}"
+
     @property
     def good(self) -> bool:
         """Whether the values are right within their standard errors, and so may be saved."""

@@ -94,7 +94,7 @@ def residuals_figure(fitted: Fitted) -> Figure:
 def _residuals(fitted: Fitted) -> Figure:
     """Each kind of residual against the reading; the last panel has all against a normal's."""
     rows = math.ceil((len(fitted.residuals) + 1) / 3)
-    figure = Figure(figsize=(10.0, 2.4 * rows + 0.5), layout="constrained")
+    figure = Figure(figsize=(10.0, 2.0 * rows + 0.4), layout="constrained")
     panels = figure.subplots(rows, 3, squeeze=False).flat
     normal = statistics.NormalDist()
     quantiles = panels[len(fitted.residuals)]
@@ -110,10 +110,11 @@ def _residuals(fitted: Fitted) -> Figure:
         _marks(quantiles, expected, np.sort(values), kind, name)
     quantiles.axline((0.0, 0.0), slope=1.0, color="#999999", lw=0.8)
     quantiles.set(xlabel="quantile of the normal distribution", ylabel="sorted residual / σ")
-    quantiles.legend(loc="upper left")
+    quantiles.legend(loc="upper left", fontsize=7, labelspacing=0.2, handletextpad=0.1)
     for unused in panels[len(fitted.residuals) + 1 :]:
         unused.set_axis_off()
-    panels[0].legend()
+    if len(fitted.recordings) > 1:
+        panels[0].legend()
     return figure
 
 

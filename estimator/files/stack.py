@@ -177,6 +177,9 @@ class Stack:
     labels: tuple[FrameLabels, ...]
     description: dict[str, Any]
 
+    def __repr__(self) -> str:
+        return f"<Stack {self.folder}: {len(self.labels)} images>"
+
     def exposed(self, exposure: str) -> tuple[FrameLabels, ...]:
         """Labels of the images with one kind of exposure."""
         return tuple(labels for labels in self.labels if labels.exposure == exposure)

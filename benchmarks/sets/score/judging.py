@@ -326,6 +326,10 @@ class Score:
     counts: pd.DataFrame
     errors: pd.DataFrame
 
+    def __repr__(self) -> str:
+        columns = ["estimator", "quantity", "n", "bias", "rmse", "within_2_sigma"]
+        return self.errors[self.errors.condition == ALL][columns].to_string(index=False)
+
     @property
     def by_condition(self) -> pd.DataFrame:
         """Counts with the errors of the main quantity; conditions with one group are omitted."""

@@ -236,7 +236,7 @@ def leaderboard(result: Score, entries: Mapping[str, Entry], *, name: str) -> Re
     return Report(
         title=f"Leaderboard of {name}",
         answer=claims[0].text if claims else "",
-        lead=f"{len(entries)} entries, compared with the true ellipse {result.against}. {_RULE}",
+        lead=f"Compared with the true ellipse {result.against}. {_RULE}",
         first=first,
         claims=claims,
         sections=[*sections, *by_condition, Section("How the entries were made", how)],
