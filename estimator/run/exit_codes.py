@@ -68,6 +68,11 @@ def run_command(app: Callable[[], object]) -> None:
         sys.exit(1 if bugs else 2)
 
 
+def option(name: str) -> str:
+    """How a field is written on the command line."""
+    return f"--{name.replace('_', '-')}"
+
+
 def _reported_bugs() -> bool:
     number = internal_errors.taken()
     if number:
@@ -79,17 +84,17 @@ def _reported_bugs() -> bool:
     return number > 0
 
 
-def message_of(error: BaseException, *, before: str = "") -> str | None:
-    """The message of an expected error; None for a bug. `before` marks the names of options."""
+def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
+    """The message of an expected error; None for a bug."""
     # A class whose module was never loaded cannot have been raised.
     pydantic, variant = map(sys.modules.get, ("pydantic", "scenes.machine.variant"))
     if isinstance(error, CycloptsError):
         # `__context__` is what a settings model says of a value.
-        of_model = message_of(error.__context__, before="--") if error.__context__ else None
+        of_model = message_of(error.__context__, of_options=True) if error.__context__ else None
         return of_model or str(error)
     if pydantic and isinstance(error, pydantic.ValidationError):
         return "\n".join(
-            f"{before}{name.replace('_', '-') if before else name}: {rule}; got {problem['input']!r}"
+            f"{option(name) if of_options else name}: {rule}; got {problem['input']!r}"
             for problem in error.errors()
             if (name := ".".join(map(str, problem["loc"])))
             if (rule := problem["msg"].removeprefix("Value error, "))

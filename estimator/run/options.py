@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from estimator.files import Quaternion, unit_quaternion
+from estimator.run.exit_codes import option
 from estimator.run.progress_bar import say
 from optics import InputError, shortened
 
@@ -75,11 +76,6 @@ def _parts(given: Any) -> Any:
     """The parts of 320,240 (from a command line, in a list) or [320, 240] (from a launch file)."""
     (text,) = given if isinstance(given, list) and len(given) == 1 else (given,)
     return text.split(",") if isinstance(text, str) else given
-
-
-def option(name: str) -> str:
-    """How a field is written on the command line."""
-    return f"--{name.replace('_', '-')}"
 
 
 def _text(form: str) -> Parameter:
@@ -382,11 +378,10 @@ class Recorded:
                 m.principal_point_px for m in (read_microscope(frames.microscope_file), given)
             )
             if np.hypot(*np.subtract(own, other)) > 1:
+                places = [f"({x:.0f}, {y:.0f}) px by" for x, y in (other, own)]
                 say(
-                    "The microscope's axis meets the image at ({:.0f}, {:.0f}) px by {}, but at "
-                    "({:.0f}, {:.0f}) px by {}. Distances depend on it.".format(
-                        *other, options.microscope, *own, frames.microscope_file
-                    )
+                    f"The microscope's axis meets the image at {places[0]} {options.microscope}, "
+                    f"but at {places[1]} {frames.microscope_file}. Distances depend on it."
                 )
         return frames, options.of_source(frames), poses
 

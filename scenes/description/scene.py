@@ -16,9 +16,9 @@ from optics import InputError
 from scenes.description.camera_settings import CameraSettings
 from scenes.description.motion_settings import Clocks, Motion, Seed, Withdrawal
 from scenes.description.settings import (
+    REAL_PINHOLE_HEIGHT_MM,
     Exposures,
     Instrument,
-    REAL_PINHOLE_HEIGHT_MM,
     MicroscopeSettings,
     Phantom,
     SecondTool,
