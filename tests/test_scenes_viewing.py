@@ -177,8 +177,8 @@ def test_colours_are_shifted_apart_as_the_indices_are():
         ),
         (
             {"eye": "navarro", "lens": "flat"},
-            {"microscope": {"pinhole_height_mm": 11.5}},
-            r"must lie above the viewing lens and the cornea, at 14\.9 mm; got 11\.5 mm",
+            {"microscope": {"pinhole_height_mm": 13.0}},
+            r"must lie above the viewing lens and the cornea, at 14\.9 mm; got 13 mm",
         ),
         (
             {"eye": "atchison", "lens": "flat", "refraction_d": 9.0},
@@ -193,7 +193,7 @@ def test_what_cannot_be_seen_is_refused_with_a_remedy(viewing, changes, said):
 
 
 def test_the_command_of_the_page_renders_a_scene_file_that_was_just_made(tmp_path, monkeypatch):
-    """Such a file sets the phantom's radius to its default, which is not that of the eye."""
+    """Such a file has the default radius and pinhole, with which one cannot look into the eye."""
     page = (Path(__file__).parents[1] / "docs/viewing.md").read_text().replace("\\\n", "")
     found = re.search(r"^eyespot (render scene\.toml .*)$", page, re.MULTILINE)
     assert found
@@ -209,6 +209,7 @@ def test_the_command_of_the_page_renders_a_scene_file_that_was_just_made(tmp_pat
     written = tomllib.loads(Path("out/phakic/stack.toml").read_text())
     # The retina's radius of Escudero-Sanz and Navarro (1999).
     assert written["scene"]["phantom"]["radius_mm"] == pytest.approx(12.0)
+    assert written["scene"]["microscope"]["pinhole_height_mm"] == 200.0
 
 
 _LENS = {"numerical_aperture": 0.05, "focus_mm": 1.0}

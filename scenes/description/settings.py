@@ -198,8 +198,8 @@ class MicroscopeSettings(_Settings):
         gt=-1e4,
         description="z_F, height of the pinhole above the eye's centre. 11.5, on the eye's sphere, "
         "is the paper's equation; a real microscope is at about 200 (`scene init --microscope "
-        "real`). inf: telecentric. Below the retina, magnification grows with depth, as through a "
-        "contact lens.",
+        "real`). With viewing.eye 11.5 becomes 200. inf: telecentric. Below the retina, "
+        "magnification grows with depth, as through a contact lens.",
     )
     scale_mm_px: float = Field(
         0.0067, ge=1e-6, le=10, description="Size of a pixel on the wall at the pole."
