@@ -235,6 +235,24 @@ class Column(NamedTuple):
         return number(value * self.scale, self.digits, sign=self.sign)
 
 
+_UNITS = {"_mm_px": "mm/px", "_mm_s": "mm/s", "_mm": "mm", "_px": "px", "_deg": "°"}
+_SYMBOLS = {"delta k": "δk", "r squared": "R²", "z f": "z_F", "numerical aperture": "NA"}
+
+
+def column_of(name: str, values: pd.Series) -> Column:
+    """A column headed as in its CSV file, with four digits of its largest value."""
+    unit = next((unit for unit in _UNITS if name.endswith(unit)), "")
+    heading = name.removesuffix(unit).replace("_", " ")
+    for words, symbol in _SYMBOLS.items():
+        heading = heading.replace(words, symbol)
+    digits = 0
+    if values.dtype.kind == "f":
+        sizes = values[np.isfinite(values)].abs()
+        if (sizes % 1 > 0).any():
+            digits = int(np.clip(3 - math.floor(math.log10(sizes.max())), 0, 4))
+    return Column(f"{heading}, {_UNITS[unit]}" if unit else heading, digits)
+
+
 class Table(NamedTuple):
     """A table of the report.
 
@@ -250,9 +268,16 @@ class Table(NamedTuple):
 
     @classmethod
     def of(
-        cls, frame: pd.DataFrame, columns: Mapping[str, Column], caption: str, *, data: str = ""
+        cls,
+        frame: pd.DataFrame,
+        columns: Mapping[str, Column] | Iterable[str],
+        caption: str,
+        *,
+        data: str = "",
     ) -> Table:
-        """The named columns of a frame."""
+        """The named columns of a frame; by default headed as in its CSV file (`column_of`)."""
+        if not isinstance(columns, Mapping):
+            columns = {name: column_of(name, frame[name]) for name in columns}
         rows = frame[list(columns)].itertuples(index=False, name=None)
         return cls(list(columns.values()), list(rows), caption, data)
 

@@ -6,21 +6,20 @@ import functools
 import importlib.metadata
 import json
 import math
-import multiprocessing
-import os
 import shlex
 import statistics
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from distributed import Client
 
 from benchmarks.paper import VISIBLE_ENOUGH
 from benchmarks.rivals.entries import KINDS, Entry, unavailable
+from benchmarks.sets.make import local_workers
 from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of, true_beam
 from benchmarks.study import versions, write_json
 from estimator import (
@@ -37,9 +36,6 @@ from estimator.run import progress
 from optics import InputError, in_file, read_text
 
 _LEAST_BYTES = 2**20  # of the spots files
-_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")} | {
-    "OPENCV_FOR_THREADS_NUM": "1"
-}
 
 
 class Answers(NamedTuple):
@@ -81,20 +77,24 @@ def run_entries(
             print(f"{name} is left out: {reason}", file=sys.stderr)
     if not able:
         raise InputError("none of the entries can run on this machine. Name another --entry.")
-    with written_whole(out) as whole:
+    with (
+        written_whole(out) as whole,
+        local_workers(min(workers, len(stacks))) as client,
+        progress("Measuring stacks", total=len(stacks)) as advance,
+    ):
         whole.mkdir()
         require_space(out, _LEAST_BYTES)
         seconds: dict[str, list[float]] = {name: [] for name in able}
-        with progress("Measuring stacks", total=len(stacks)) as advance:
-            for stack, sequences in _measured(stacks, able, known, weights, workers):
-                exposures = {sequence.exposure for sequence in sequences}
-                for sequence in sequences:
-                    suffix = f".{sequence.exposure}" if len(exposures) > 1 else ""
-                    file = whole / sequence.entry / f"{qualified_name(stack)}{suffix}.csv"
-                    file.parent.mkdir(parents=True, exist_ok=True)
-                    write_spots(file, sequence.records)
-                    seconds[sequence.entry] += sequence.seconds
-                advance()
+        tasks = [(stack, able, known, weights) for stack in stacks]
+        for stack, future in zip(stacks, client.map(_answers, tasks, pure=False), strict=True):
+            several = len(exposures_of(stack.open())) > 1
+            for sequence in future.result():
+                suffix = f".{sequence.exposure}" if several else ""
+                file = whole / sequence.entry / f"{qualified_name(stack)}{suffix}.csv"
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_spots(file, sequence.records)
+                seconds[sequence.entry] += sequence.seconds
+            advance()
         for name in able:
             write_json(whole / name / "entry.json", _about(name, known, seconds[name]))
     print(f"Wrote {out}: {len(able)} entries on {len(stacks)} stacks.")
@@ -142,17 +142,6 @@ def measure_stack(
                 )
             )
         yield Answers(name, exposure, records, seconds)
-
-
-def _measured(
-    stacks: Sequence[SetStack], names: list[str], known: Constants, weights: Path, workers: int
-) -> Iterable[tuple[SetStack, list[Answers]]]:
-    """Each stack with the answers of all entries, as soon as a worker has them."""
-    os.environ |= _ONE_THREAD  # workers read these when they start
-    spawn = multiprocessing.get_context("spawn")
-    tasks = [(stack, names, known, weights) for stack in stacks]
-    with ProcessPoolExecutor(min(workers, len(stacks)), mp_context=spawn) as pool:
-        yield from zip(stacks, pool.map(_answers, tasks), strict=True)
 
 
 _made: dict[str, Entry] = {}
@@ -242,14 +231,13 @@ def tune(folder: Path, out: Path, *, entries: Sequence[str], every: int, workers
         raise InputError(f"{folder} has no split train. Constants are chosen on nothing else.")
     names = [name for name in entries if KINDS[name].grid and not unavailable(name)]
     found: dict[str, Any] = {}
-    spawn = multiprocessing.get_context("spawn")
     with (
         written_whole(out) as partial,
-        ProcessPoolExecutor(workers, mp_context=spawn) as pool,
+        local_workers(workers) as client,
         progress("Tuning", total=len(names)) as advance,
     ):
         for name in names:
-            found[name] = _chosen(name, stacks, pool)
+            found[name] = _chosen(name, stacks, client)
             advance(note=f"{name} {found[name]['cost_px']:.2f} px")
         manifest = folder / "manifest.json"
         origin = {
@@ -263,7 +251,7 @@ def tune(folder: Path, out: Path, *, entries: Sequence[str], every: int, workers
     print(f"Wrote {out}.")
 
 
-def _chosen(name: str, stacks: Sequence[SetStack], pool: Executor) -> dict[str, Any]:
+def _chosen(name: str, stacks: Sequence[SetStack], client: Client) -> dict[str, Any]:
     """The constants of an entry, with their mean cost and the number of values tried."""
     grid = KINDS[name].grid
     now = {constant: values[0] for constant, values in grid.items()}
@@ -273,7 +261,8 @@ def _chosen(name: str, stacks: Sequence[SetStack], pool: Executor) -> dict[str, 
         key = tuple(constants.values())
         if key not in costs:
             tasks = [(name, constants, stack) for stack in stacks]
-            costs[key] = float(np.mean(np.concatenate(list(pool.map(stack_costs, tasks)))))
+            found = client.gather(client.map(stack_costs, tasks, pure=False))
+            costs[key] = float(np.mean(np.concatenate(found)))
         return costs[key]
 
     for _ in range(_ROUNDS):
@@ -308,11 +297,9 @@ def stack_costs(task: tuple[str, dict[str, Any], SetStack]) -> list[float]:
     costs = []
     for answers in measure_stack(stack, name, entry, distances=False, frames=_kept_frames):
         for record in answers.records:
-            labels = truth[record.file_name]
-            if labels.visible_fraction < VISIBLE_ENOUGH:
-                continue
-            off = math.inf
-            if isinstance(record.result, Spot):
-                off = abs(record.result.semi_minor_px - labels.half_max_semi_minor_px)
-            costs.append(min(off, _MOST_PX) if math.isfinite(off) else _MOST_PX)
+            labels, spot = truth[record.file_name], record.result
+            if labels.visible_fraction >= VISIBLE_ENOUGH:
+                size = spot.semi_minor_px if isinstance(spot, Spot) else math.inf
+                # `fmin` takes the most for NaN, too.
+                costs.append(float(np.fmin(abs(size - labels.half_max_semi_minor_px), _MOST_PX)))
     return costs

@@ -46,7 +46,6 @@ from benchmarks.reporting import (
     PURPLE,
     VERMILION,
     Claim,
-    Column,
     Picture,
     Report,
     Section,
@@ -694,7 +693,7 @@ def _first(findings: DynamicFindings) -> list[Picture | Table]:
         ),
         Table.of(
             table.reset_index(),
-            {name: Column(name) for name in ("motion", "way", *names)},
+            ["motion", "way", *names],
             f"RMS error in mm at {top:g} mm/s, {source}.",
             data="dynamic_spread.csv",
         ),

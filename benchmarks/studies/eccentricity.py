@@ -752,14 +752,7 @@ def _refit(findings: EccentricityFindings) -> Section:
         "correct factor is above 1, the fit ends at c = 0.",
         Table.of(
             refits[chosen],
-            {
-                "z_f_mm": Column("z_F, mm", 1),
-                "c_mm": Column("true c, mm", 0),
-                "fitted_c_mm": Column("fitted c, mm"),
-                "largest_error_mm": Column("error, mm"),
-                "largest_residual_mm": Column("residual, mm"),
-                "hidden_mm": Column("hidden, mm"),
-            },
+            "z_f_mm c_mm fitted_c_mm largest_error_mm largest_residual_mm hidden_mm".split(),
             "Largest error over d with the true c, largest residual with the fitted one, and the "
             "difference, which the fit hides; exact contours.",
             data="refit.csv",
@@ -799,25 +792,16 @@ def _causes(findings: EccentricityFindings) -> Section:
 
 
 def _space(findings: EccentricityFindings) -> Section:
-    units = {"mm": "mm", "deg": "°"}
-    axes = {name: name.replace("_", "-").rsplit("-", 1) for name in AXES}
-    ranges = ", ".join(
-        f"{title} {AXES[name][0]:g} to {AXES[name][1]:g} {units[unit]}"
-        for name, (title, unit) in axes.items()
-    )
-    found = findings.sensitivities.pivot(
-        index=["model", "pinhole"], columns="axis", values="first_order"
-    )
-    headings = {"model": "model", "pinhole": "pinhole"} | {
-        n: title for n, (title, _) in axes.items()
-    }
+    ranges = ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in AXES.items())
+    keys = ["model", "pinhole"]
+    found = findings.sensitivities.pivot(index=keys, columns="axis", values="first_order")
     return Section(
         "The whole space",
         f"{findings.geometries:,} geometries, a scrambled Sobol sequence: {ranges}; z_F = 0, r, "
         "200 mm and infinite. For every half-angle the spot at contact has the scene's size.",
         Table.of(
             found.reset_index(),
-            {name: Column(heading, 2) for name, heading in headings.items()},
+            [*keys, *AXES],
             "Part of the error's variance that each axis alone explains (first-order Sobol "
             "index). The rest is due to axes together.",
             data="sensitivity.csv",

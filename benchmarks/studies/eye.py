@@ -36,7 +36,6 @@ from benchmarks.reporting import (
     SKY,
     VERMILION,
     Claim,
-    Column,
     Picture,
     Report,
     Section,
@@ -469,11 +468,7 @@ def report(findings: EyeFindings) -> Report:
             ),
             Table.of(
                 _first_path(findings)[::-1],
-                {
-                    "recipe": Column("recipe"),
-                    "within_0_1_mm": Column("c for 0.1 mm", 1),
-                    "within_0_5_mm": Column("c for 0.5 mm", 1),
-                },
+                ["recipe", "within_0_1_mm", "within_0_5_mm"],
                 f"c in mm up to which 95 % of the eyes stay within 0.1 and 0.5 mm, through "
                 f"{next(iter(findings.paths))}, tilted beams included.",
                 data="limits.csv",
@@ -495,16 +490,7 @@ def report(findings: EyeFindings) -> Report:
                 "The pinhole that stands for an eye",
                 Table.of(
                     findings.pinholes,
-                    {
-                        "path": Column("path"),
-                        "paraxial": Column("paraxial κ, 1/mm", 3, sign=True),
-                        "schematic": Column("κ, Navarro", 3, sign=True),
-                        "mean": Column("κ, mean", 3, sign=True),
-                        "deviation": Column("σ of κ", 3),
-                        "field_low": Column("field, 5 %", 1),
-                        "field": Column("50 %", 1),
-                        "field_high": Column("95 %, mm", 1),
-                    },
+                    findings.pinholes.columns,
                     "Reciprocal working distance κ = 1/(z_F + r) fitted in each random eye, that "
                     "of the paraxial pinhole of Navarro's eye, and the largest c that a dilated "
                     "pupil of 7 mm shows. Negative κ: the pinhole lies behind the retina.",
@@ -515,12 +501,7 @@ def report(findings: EyeFindings) -> Report:
                 "Why",
                 Table.of(
                     findings.causes,
-                    {
-                        "recipe": Column("recipe"),
-                        "c_mm": Column("c, mm", 1),
-                        "cause": Column("cause"),
-                        "share_mm": Column("share of the 95 % error, mm", sign=True),
-                    },
+                    findings.causes.columns,
                     f"Shapley's shares in the error of 95 % of the eyes, {findings.causes_path}, "
                     "tilted beams included. The first row of each block is the error in the mean "
                     "eye without noise, which the shares add to.",

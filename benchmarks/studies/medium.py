@@ -27,7 +27,6 @@ from benchmarks.reporting import (
     GREEN,
     VERMILION,
     Claim,
-    Column,
     Picture,
     Report,
     Section,
@@ -354,13 +353,7 @@ def _report(scene: Scene, curves: Mapping[tuple[str, str], Curve], errors: pd.Da
             ),
             Table.of(
                 summary[(summary.source == "rendered") & (summary.light == scene.source.lens)],
-                {
-                    "medium": Column("medium"),
-                    "method": Column("method"),
-                    "spots": Column("spots"),
-                    "rms_mm": Column("rms, mm"),
-                    "largest_mm": Column("largest, mm"),
-                },
+                ["medium", "method", "spots", "rms_mm", "largest_mm"],
                 f"Errors of rendered spots of {scene.source.lens}.",
                 data="medium_summary.csv",
             ),
@@ -379,15 +372,7 @@ def _report(scene: Scene, curves: Mapping[tuple[str, str], Curve], errors: pd.Da
                 ),
                 Table.of(
                     cones,
-                    {
-                        "light": Column("light"),
-                        "medium": Column("medium"),
-                        "k": Column("k"),
-                        "b_mm": Column("b, mm"),
-                        "r_squared": Column("R²"),
-                        "ambiguous_from_mm": Column("ambiguous from d, mm", 2),
-                        "ambiguous_to_mm": Column("to d, mm", 2),
-                    },
+                    cones.columns,
                     f"Cones d = kR + b of the half-maximum radius over d = {NEAREST_MM:g} to "
                     f"{FARTHEST_MM:g} mm, and the distances between which one radius belongs to "
                     f"several. Refractive indices: {indices}.",

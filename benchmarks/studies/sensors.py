@@ -31,7 +31,6 @@ from benchmarks.reporting import (
     ORANGE,
     VERMILION,
     Claim,
-    Column,
     Picture,
     Report,
     Section,
@@ -561,14 +560,7 @@ def report(findings: SensorFindings) -> Report:
             ),
             Table.of(
                 where(findings.summaries(), path=findings.paths[0]),
-                {
-                    "sensor": Column("sensor"),
-                    "wall": Column("wall"),
-                    "asked": Column("places"),
-                    "read": Column("read"),
-                    "median_mm": Column("median |error|, mm"),
-                    "largest_mm": Column("largest, mm"),
-                },
+                ["sensor", "wall", "asked", "read", "median_mm", "largest_mm"],
                 f"Readings from rendered pictures through {findings.paths[0]}.",
                 data="readings.csv",
             ),

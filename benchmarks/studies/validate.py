@@ -707,24 +707,15 @@ def _sentences(findings: ValidateFindings) -> Iterator[str]:
 def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> Section:
     if findings.planes.empty:
         return Section("The paper's Tables I and II", "Too few spots for any fit.")
-    about = {name: Column(name) for name in ("source", "way", "trial")}
+    about = ["source", "way", "trial"]
+    line = ["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
+    fit = ["standard_deviation_mm", "mean_absolute_error_mm", "max_error_mm"]
+    beside = [[f"{papers}{name}" for name in of for papers in ("", "paper_")] for of in (line, fit)]
     return Section(
         "The paper's Tables I and II",
         Table.of(
             findings.planes,
-            about
-            | {
-                "delta_k_mm_px": Column("δk, mm/px", 4),
-                "paper_delta_k_mm_px": Column("paper", 4),
-                "b_mm": Column("b, mm"),
-                "paper_b_mm": Column("paper"),
-                "r_squared": Column("R²", 4),
-                "paper_r_squared": Column("paper", 4),
-                "rmse_mm": Column("RMSE, mm", 4),
-                "paper_rmse_mm": Column("paper", 4),
-                "contact_radius_px": Column("−b/δk, px", 1),
-                "spots": Column("spots"),
-            },
+            [*about, *beside[0], "contact_radius_px", "spots"],
             "Table I: fits of d_r = δk e₁′ + b on the plane, and the paper's values for its own "
             "trials. −b/δk is the radius at contact in px. The paper calls b a diameter, but its "
             "value is minus the distance from the virtual apex to the tip.",
@@ -740,19 +731,7 @@ def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> Section:
         ),
         Table.of(
             findings.spheres,
-            about
-            | {
-                "c_true_mm": Column("true c, mm"),
-                "c_fitted_mm": Column("fitted c, mm"),
-                "c_expected_mm": Column("expected"),
-                "standard_deviation_mm": Column("SD, mm", 4),
-                "paper_standard_deviation_mm": Column("paper"),
-                "mean_absolute_error_mm": Column("mean |error|, mm", 4),
-                "paper_mean_absolute_error_mm": Column("paper"),
-                "max_error_mm": Column("max |error|, mm", 4),
-                "paper_max_error_mm": Column("paper"),
-                "at_bound": Column("at the bound"),
-            },
+            [*about, "c_true_mm", "c_fitted_mm", "c_expected_mm", *beside[1], "at_bound"],
             "Table II: fits of the small-plane model in the eyeball. δk and b come from all "
             "planes, and c is the only free parameter. The scenes have the c that the paper "
             "prints. “Expected” is the c whose cos φ is the correct first-order factor of the true "
