@@ -39,9 +39,14 @@ from estimator.run import Options, progress, say
 from optics import InputError, in_file, read_text, shortened
 from scenes import Scene
 from scenes.description import Changes as Changes
-from scenes.description import OutputFolder as OutputFolder
 from scenes.world import true_calibration
 
+OutputFolder = Annotated[
+    Path,
+    Parameter(
+        alias="-o", help="Output folder; created if missing. A stopped run is continued there."
+    ),
+]
 StartingScene = Annotated[
     Path | None,
     Parameter(help="Scene file (TOML) to start from (default: the study's own scene)."),

@@ -82,24 +82,6 @@ def test_the_plane_tilts_under_an_instrument_that_keeps_its_direction(tilt):
 # What the printed figures imply.
 
 
-def test_moments_pool_to_the_line_through_all_spots():
-    rng = np.random.default_rng(7)
-    axes = [rng.normal(mean, 7.0, n) for mean, n in ((45.0, 20), (55.0, 35), (60.0, 11))]
-    reading = [0.13 * e - 5.0 + rng.normal(n, 0.1, e.size) for n, e in enumerate(axes)]
-
-    def row(e: np.ndarray, d: np.ndarray) -> PlaneRow:
-        return PlaneRow(*(float(value) for value in fit_lines(e, d)))
-
-    found = table_one.pooled(
-        [row(e, d) for e, d in zip(axes, reading, strict=True)],
-        means=[float(d.mean()) for d in reading],
-        weights=[e.size for e in axes],
-    )
-    expected = row(np.concatenate(axes), np.concatenate(reading))
-    # Rounding, of differences of squares near 3000 px².
-    assert tuple(found) == pytest.approx(tuple(expected), rel=1e-9)
-
-
 def test_r_squared_and_rmse_tell_the_span_of_evenly_spaced_readings():
     n, span = 2001, 3.3
     d = np.linspace(0.0, span, n)
@@ -107,16 +89,6 @@ def test_r_squared_and_rmse_tell_the_span_of_evenly_spaced_readings():
     row = PlaneRow(*(float(value) for value in fit_lines(e, d)))
     # n readings have a variance (n + 1)/(n - 1) times that of a continuum.
     assert table_one.even_span(row) == pytest.approx(span, rel=1.1 / n)
-
-
-def test_table_ones_own_rows_do_not_pool_to_its_last_row_from_contact():
-    trials = list(TABLE_I.values())[:3]
-    even = table_one.pooled(trials, weights=(1, 1, 1))
-    free = table_one.straightest(trials, least_share=0.1)
-    printed = TABLE_I["all planes"]
-    # Far outside what rounding in the fourth digit of any figure could do.
-    assert even.rmse > 2 * printed.rmse
-    assert even.r_squared < free.r_squared < printed.r_squared - 0.01
 
 
 # A threshold on a lens.

@@ -716,8 +716,6 @@ def dynamic(
 ) -> DynamicFindings:
     """Measure the error while the tip moves: by speed, motion blur and a late pose.
 
-    To continue a run that was stopped, start it again with the same folder.
-
     Args:
         exposure_ms: Exposure time of a frame at the mean distance, 0.1 to 100.
     """

@@ -471,10 +471,7 @@ def medium(
     quick: Quick = False,
     seed: Seed = None,
 ) -> pd.DataFrame:
-    """Calibrate in air, measure in vitreous: the error, and how much the lens model corrects.
-
-    To continue a run that was stopped, start it again with the same folder.
-    """
+    """Calibrate in air, measure in vitreous: the error, and how much the lens model corrects."""
     study = Study("medium", out, scene, changes, quick, seed, check=check)
     base = study.scene
     own = base.source.lens

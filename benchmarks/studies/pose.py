@@ -662,7 +662,7 @@ _COLUMNS = (
 _FIRST = "source spots z_f_mm tip_mm tip_bound_mm axis_deg axis_bound_deg".split()
 
 
-def _report(scene: Scene, errors: pd.DataFrame) -> Report:
+def _report(errors: pd.DataFrame) -> Report:
     keys = ["prior", "source", "spots", "z_f_mm"]
     # A summary by prior, source, number of spots and pinhole.
     scatters = pd.DataFrame([scatter(rows) for _, rows in errors.groupby(keys, sort=False)])
@@ -670,8 +670,11 @@ def _report(scene: Scene, errors: pd.DataFrame) -> Report:
     return Report(
         title="How accurately do one spot and three spots give the tool's pose?",
         answer=_answer(errors),
-        lead="Tip and axis, five parameters, of an ideal cone: from exact contours with noise "
-        "over a working volume of 10 × 10 × 5 mm, and from rendered frames.",
+        lead="Tip and axis, five parameters, of an ideal cone: from exact contours with noise of "
+        f"{NOISE_PX:g} px across each of 128 points over a working volume of 10 × 10 × 5 mm, and "
+        "from rendered frames of an even wall. Three spots are three such cones on one rigid tool, "
+        f"their tips {_FIBRE_MM:g} mm apart, splayed by {_SPLAY_DEG:g}° and lit one after the "
+        "other; the tool's roll is found with its pose.",
         first=[
             Picture(
                 "incidence",
@@ -691,7 +694,6 @@ def _report(scene: Scene, errors: pd.DataFrame) -> Report:
         ],
         claims=list(_claims(errors)),
         sections=[
-            Section("Method", _method(scene, errors)),
             Section(
                 "The mirror solution",
                 Table.of(
@@ -799,23 +801,6 @@ _MIRROR = (
 )
 
 
-def _method(scene: Scene, errors: pd.DataFrame) -> str:
-    noise = errors.noise_px[errors.source == "rendered"].median()
-    low, high = INCIDENCE_DEG
-    source = scene.source
-    return (
-        f"k = {source.cone_k:g}, b = {source.cone_apex_offset_mm:g} mm, "
-        f"{1e3 * scene.microscope.scale_mm_px:g} µm/px; O anywhere in 10 × 10 mm round "
-        f"the microscope's axis, d = {NEAREST_MM:g} to {FARTHEST_MM:g} mm, incidence {low:g} to "
-        f"{high:g}° from all sides; {NOISE_PX:g} px of noise across each of 128 points of a "
-        "contour. Three spots are three such cones on one rigid tool, their tips 0.5 mm apart and "
-        "splayed by 10°, lit one after the other; the tool's roll is found with its pose. Rendered "
-        "frames have an even wall, camera noise and no instrument in front of the spot. The "
-        "estimator's standard errors of their ellipses correspond to noise of "
-        f"{noise:.3f} px on 128 points (median)."
-    )
-
-
 # The command.
 
 
@@ -828,10 +813,7 @@ def pose(
     quick: Quick = False,
     seed: Seed = None,
 ) -> pd.DataFrame:
-    """Estimate the tool's tip and axis from one spot and from three, beside their bounds.
-
-    To continue a run that was stopped, start it again with the same folder.
-    """
+    """Estimate the tool's tip and axis from one spot and from three, beside their bounds."""
     study = Study("pose", out, scene, changes, quick, seed, ("source.kind=cone",), check)
     with study.timed("noise on exact contours"):
         rows = _analytic(study, one=64 if quick else 1024, three=32 if quick else 128)
@@ -842,5 +824,5 @@ def pose(
             poses=3 if quick else 6,
         )
     errors = pd.DataFrame(rows)
-    study.publish(_report, study.scene, errors)
+    study.publish(_report, errors)
     return errors

@@ -678,10 +678,7 @@ def _claims(findings: SensorFindings) -> Iterator[Claim]:
 
 
 def sensors(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> SensorFindings:
-    """Read one distance from the spot, from the instrument's shadow and from a stereo pair.
-
-    To continue a run that was stopped, start it again with the same folder.
-    """
+    """Read one distance from the spot, from the instrument's shadow and from a stereo pair."""
     study = Study("sensors", out, quick=quick, seed=seed)
     paths = [*PATHS][:2] if quick else [*PATHS]
     noise, wrong = [], []

@@ -434,7 +434,7 @@ def _report(
                 "All planes of Table I with all causes, mean ± standard deviation over runs.",
             ),
         ],
-        claims=list(_claims(spreads, causes)),
+        claims=list(_claims(causes)),
         sections=[
             Section(
                 "Tables I and II over many runs",
@@ -482,20 +482,7 @@ def _answer(causes: pd.DataFrame) -> str:
     )
 
 
-def _claims(spreads: pd.DataFrame, causes: pd.DataFrame) -> Iterator[Claim]:
-    pooled = where(spreads, trial=ALL_PLANES).assign(about="Table I")
-    fitted = where(spreads, quantity="c")
-    for row in rows_of(pd.concat([pooled, fitted.assign(about="Table II, " + fitted.trial)])):
-        column = _QUANTITIES[row.quantity]
-        mean, spread, papers = (
-            f"{x:.{column.digits}f}" for x in (row.mean, row.standard_deviation, row.paper)
-        )
-        yield Claim(
-            name=f"{row.about}, {row.way}, {column.heading}",
-            sentence=f"{mean} ± {spread}, mean ± standard deviation over {row.runs} runs; the "
-            f"paper prints {papers}.",
-            value=row.mean,
-        )
+def _claims(causes: pd.DataFrame) -> Iterator[Claim]:
     own, of = (where(causes, scope=scope).set_index("cause") for scope in (OWN, POOLED))
     part, error = 1e3 * of.part_mm2, 1e3 * of.standard_error_mm2
     ordered = list(part[list(CAUSES)].sort_values(ascending=False).index)
@@ -559,10 +546,7 @@ def static(
     quick: Quick = False,
     seed: Seed = None,
 ) -> pd.DataFrame:
-    """Repeat the paper's Tables I and II many times, and split their error by cause.
-
-    To continue a run that was stopped, start it again with the same folder.
-    """
+    """Repeat the paper's Tables I and II many times, and split their error by cause."""
     study = Study("static", out, scene, changes, quick, seed, _DEFAULTS, check)
     runs, textures, frames = (4, 1, 5) if quick else (20, 4, 21)
     with study.timed("render"):

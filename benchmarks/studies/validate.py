@@ -753,8 +753,6 @@ def validate(
 ) -> ValidateFindings:
     """Repeat the paper's static experiment on rendered images and write a report.
 
-    To continue a run that was stopped, start it again with the same folder.
-
     Args:
         seed: Random seed of noise and wall texture.
     """
