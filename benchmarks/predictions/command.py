@@ -146,16 +146,11 @@ def _sentences(found: Judgement) -> list[str]:
         lines.append(
             "If one of these is corrected, the others may agree: the first is the likeliest."
         )
-    if found.misfit > _POOR and wrong:
+    if found.misfit > _POOR:
+        best = "With the best values of all keys" if wrong else "Whatever the stated keys are,"
         lines.append(
-            f"With the best values of all keys {found.misfit:.0f} times the noise remains: the "
-            "plan is linear in its keys, or something differs that it takes as certain. Write a "
-            "plan with the corrected values, and compare again."
-        )
-    elif found.misfit > _POOR:
-        lines.append(
-            f"No values of the stated keys explain the recording: {found.misfit:.0f} times the "
-            "noise remains. Something differs that the plan takes as certain."
+            f"{best} {found.misfit:.0f} times the noise remains: the plan is linear in its keys, "
+            "or something differs that it takes as certain."
         )
     elif not wrong:
         lines.append("Nothing that was stated is contradicted.")

@@ -9,20 +9,18 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PlainSerializer
+from pydantic import ConfigDict, Field
 from pydantic import Strict as StrictType
 
 from benchmarks.sets.read import plain_spot
 from estimator import (
     Ranger,
-    Reading,
     Spot,
     open_source,
     read_calibration,
@@ -31,7 +29,6 @@ from estimator import (
 )
 from estimator.files import PoseTrack, Quaternion, object_in, read_poses, turned, written_whole
 from estimator.run import Options
-from estimator.sources import Frame
 from optics import InputError, Strict, check_schema, in_file, read_text, validated
 from scenes import Scene, World, changed, render_stack, scene_toml
 from scenes.world import kinematics
@@ -65,26 +62,12 @@ def _plain(value: Any) -> Any:
     return found.tolist()
 
 
-if TYPE_CHECKING:
-    _Times: TypeAlias = np.ndarray
-    _Table: TypeAlias = np.ndarray
-    _Tables: TypeAlias = np.ndarray
-else:
-    _in_file = (
-        BeforeValidator(_plain),
-        AfterValidator(partial(np.array, dtype=float)),
-        PlainSerializer(_plain),
-    )
-    _Times = Annotated[list[float], *_in_file]
-    _Table = Annotated[list[list[float | None]], *_in_file]
-    _Tables = Annotated[list[list[list[float | None]]], *_in_file]
-
-
 _Positive = Annotated[float, Field(gt=0)]
+_Table = list[list[float | None]]
 
 
 class Plan(Strict):
-    """Predictions of n frames, as their file has them; NaN where nothing is predicted.
+    """Predictions of n frames, as their file has them; null where nothing is predicted.
 
     Attributes:
         software: that made the plan.
@@ -112,18 +95,17 @@ class Plan(Strict):
     microscope: dict[str, Any]
     uncertain: dict[str, Annotated[tuple[float, _Positive], StrictType(False)]]
     quantities: list[str]
-    times_s: _Times
+    times_s: list[float]
     expected: _Table
     low: _Table
     high: _Table
     noise: _Table
-    moved: _Tables
+    moved: list[_Table]
     sha256: str
 
-    @property
-    def sigma(self) -> np.ndarray:
-        """Standard uncertainty of each prediction: what is stated, and the noise, (n, 6)."""
-        return (self.high - self.low) / (2 * _WITHIN)
+    def array(self, name: str) -> np.ndarray:
+        """A table of the plan, NaN for null."""
+        return np.array(getattr(self, name), float)
 
 
 def write_plan(path: Path, plan: Plan) -> None:
@@ -199,28 +181,25 @@ def _observed(
     file = microscope or frames.microscope_file
     reader = Options.of({"microscope": file}).reader()
     centre = np.array(read_microscope(file).principal_point_px) if file else np.zeros(2)
-    rows: list[tuple[float, np.ndarray, np.ndarray]] = []
-
-    def note(frame: Frame, reading: Reading) -> None:
-        row, spread = np.full((2, len(QUANTITIES)), math.nan)
-        spot = reading.result
-        if isinstance(spot, Spot):
-            row[:ELLIPSE] = spot.ellipse[:ELLIPSE]
-            row[:2] -= centre
-            spread[:ELLIPSE] = np.sqrt(np.diag(spot.covariance)[:ELLIPSE])
-            if ranger is not None:
-                known = poses.at(frame.time_s) if poses is not None else None
-                axis = turned(known[0].axis, eye_from_robot) if known else None
-                x, y = (row[:2] + ranger.microscope.principal_point_px).tolist()
-                moved = replace(spot, x_px=x, y_px=y)
-                row[ELLIPSE] = ranger.distance(moved, axis=axis).distance_mm
-        rows.append((frame.time_s, row, spread))
-
-    tracking = track_source(frames, reader, show=note, write=lambda record: None)
-    times, found, noise = (np.array(column) for column in zip(*rows, strict=True))
+    tracking = track_source(frames, reader)
+    records = tracking.records
+    times = np.array([record.time_s for record in records])
+    found, noise = np.full((2, len(records), len(QUANTITIES)), math.nan)
+    for row, spread, record in zip(found, noise, records, strict=True):
+        spot = record.result
+        if not isinstance(spot, Spot):
+            continue
+        row[:ELLIPSE] = spot.ellipse[:ELLIPSE]
+        row[:2] -= centre
+        spread[:ELLIPSE] = np.sqrt(np.diag(spot.covariance)[:ELLIPSE])
+        if ranger is not None:
+            known = poses.at(record.time_s) if poses is not None else None
+            axis = turned(known[0].axis, eye_from_robot) if known else None
+            x, y = (row[:2] + ranger.microscope.principal_point_px).tolist()
+            row[ELLIPSE] = ranger.distance(replace(spot, x_px=x, y_px=y), axis=axis).distance_mm
     if poses is not None:
-        known = np.array([[pose.time_s, *pose.position_mm] for pose in poses])
-        found[:, -1] = np.interp(times, *_travelled(known), left=math.nan, right=math.nan)
+        rows = np.array([[pose.time_s, *pose.position_mm] for pose in poses])
+        found[:, -1] = np.interp(times, *_travelled(rows), left=math.nan, right=math.nan)
     return Observed(times, found, noise, tracking.no_spot)
 
 
@@ -436,7 +415,10 @@ def judged(plan: Plan, seen: Observed) -> Judgement:
     Raises:
         InputError: no frame was taken at a time that the plan has.
     """
-    expected, noise, *moved = _at(seen.times_s, plan, [plan.expected, plan.noise, *plan.moved])
+    names = ("expected", "noise")
+    expected, noise, *moved = _at(
+        seen.times_s, plan, [*map(plan.array, names), *plan.array("moved")]
+    )
     if np.isnan(expected).all():
         raise InputError(
             f"no frame has a time from {plan.times_s[0]:g} to {plan.times_s[-1]:g} s, for which the"
@@ -444,18 +426,21 @@ def judged(plan: Plan, seen: Observed) -> Judgement:
         )
     off, of_keys = seen.values - expected, np.array(moved).reshape(-1, *expected.shape)
     pulls = off / np.sqrt(noise**2 + np.sum(of_keys**2, axis=0))
-    rows = []
-    for name, pull, wanted in zip(QUANTITIES, pulls.T, expected.T, strict=True):
-        # No poses, no prediction about them; but a spot that is not there is a miss.
-        if np.isnan(wanted).all() or (name == "robot_mm" and np.isnan(pull).all()):
-            continue
-        made, measured = ~np.isnan(wanted), pull[~np.isnan(pull)]
-        hits = int(np.sum(np.abs(pull) <= _WITHIN))
-        rms = float(np.sqrt(np.mean(measured**2))) if measured.size else math.nan
-        missing = int(np.sum(np.isnan(pull) & made))
-        rows.append((name, hits, int(made.sum()) - hits, missing, rms))
-    tallies = pd.DataFrame(rows, columns=["quantity", "hits", "misses", "unmeasured", "rms"])
-    return Judgement(tallies, *_explained(plan, off / noise, of_keys / noise), seen.no_spot)
+    made, hits = ~np.isnan(expected), np.abs(pulls) <= _WITHIN
+    measured = pd.DataFrame(pulls, columns=list(QUANTITIES))
+    tallies = pd.DataFrame(
+        {
+            "hits": hits.sum(axis=0),
+            "misses": (made & ~hits).sum(axis=0),
+            "unmeasured": (made & np.isnan(pulls)).sum(axis=0),
+            "rms": np.sqrt((measured**2).mean()),
+        },
+        index=pd.Index(QUANTITIES, name="quantity"),
+    )
+    # No poses, no prediction about them; but a spot that is not there is a miss.
+    told = made.any(axis=0) & ~((tallies.index == "robot_mm") & tallies.rms.isna())
+    causes, misfit = _explained(plan, off / noise, of_keys / noise)
+    return Judgement(tallies[told].reset_index(), causes, misfit, seen.no_spot)
 
 
 def _at(times: np.ndarray, plan: Plan, tables: list[np.ndarray]) -> list[np.ndarray]:
