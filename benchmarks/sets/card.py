@@ -4,27 +4,32 @@ from __future__ import annotations
 
 import json
 import math
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 import tomli_w
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from benchmarks.reporting import BLUE, GREEN, ORANGE, PURPLE, STYLE, VERMILION, environment
+from benchmarks.reporting import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    STYLE,
+    VERMILION,
+    environment,
+    grouped,
+    rows_of,
+)
 from benchmarks.sets import croissant
 from benchmarks.sets.read import LabelledSet, Row, rows
-from estimator.files import (
-    written_whole,
-)
-
-# Writes the manifest of a set, and verifies a set against it.
-
+from estimator.files import written_whole
 
 # Figures of the data card: histograms of the labels and sample images.
 
@@ -43,38 +48,35 @@ _GAP, _CAPTION = 4, 18  # px
 _LEFT = 0.1  # fraction of the width for the names
 
 
-class Quantity(NamedTuple):
-    """A quantity that follows from the labels of an image."""
-
-    name: str
-    unit: str
-    value: Callable[[Row], float]
-
-    def of(self, rows: Sequence[Row]) -> np.ndarray:
-        """Values for all images."""
-        return np.array([self.value(row) for row in rows])
-
-
-QUANTITIES = (
-    Quantity("c, eccentricity", "mm", lambda row: row.labels.c_mm),
-    Quantity("d, tip to wall along the beam", "mm", lambda row: row.labels.d_mm),
-    Quantity("incidence", "deg", lambda row: math.degrees(row.labels.incidence_rad)),
-    Quantity("k, 1/tan of the cone's half-angle", "", lambda row: row.k),
-    Quantity("semi-minor axis, half maximum", "px", lambda row: row.labels.half_max_semi_minor_px),
-    Quantity("visible fraction of the contour", "", lambda row: row.labels.visible_fraction),
-    Quantity("saturated fraction of the spot", "", lambda row: row.labels.saturated_fraction),
-    Quantity("speed of the tip", "mm/s", lambda row: row.labels.speed_mm_s),
-)
+QUANTITIES = {
+    "c_mm": ("c, eccentricity", "mm"),
+    "d_mm": ("d, tip to wall along the beam", "mm"),
+    "incidence_deg": ("incidence", "deg"),
+    "cone_k": ("k, 1/tan of the cone's half-angle", ""),
+    "half_max_semi_minor_px": ("semi-minor axis, half maximum", "px"),
+    "visible_fraction": ("visible fraction of the contour", ""),
+    "saturated_fraction": ("saturated fraction of the spot", ""),
+    "speed_mm_s": ("speed of the tip", "mm/s"),
+}
+"""Name and unit of labels by column."""
 
 
-def histograms(rows: Sequence[Row], path: Path) -> None:
+def histograms(labels: pd.DataFrame, path: Path) -> None:
     """Draw histograms of each quantity, with one line per split."""
     lines = math.ceil(len(QUANTITIES) / _COLUMNS)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(_WIDTH_IN, 2.1 * lines + 0.4), layout="constrained")
         panels = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
-        for axes, quantity in zip(panels, QUANTITIES, strict=True):
-            _histogram(axes, quantity, rows)
+        for axes, (column, (name, unit)) in zip(panels, QUANTITIES.items(), strict=True):
+            low, high = labels[column].min(), labels[column].max()
+            # If all values are equal up to rounding, draw one bar.
+            alike = high - low < 1e-6 * max(abs(low), abs(high), 1.0)
+            edges = low + np.array([-0.5, 0.5]) if alike else np.linspace(low, high, _BINS + 1)
+            for split, values in grouped(labels, "split"):
+                part = np.histogram(values[column], edges)[0] / len(values)
+                axes.stairs(part, edges, color=_COLOURS[split], label=split)
+            axes.set_xlabel(f"{name} ({unit})" if unit else name)
+            axes.set_ylim(bottom=0)
         panels[0].set_ylabel("fraction of the split's images")
         handles, names = panels[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=len(names))
@@ -116,20 +118,6 @@ def _place(axes: Axes, picture: np.ndarray, row: Row, *, corner: np.ndarray) -> 
     text = f"$d$ {row.labels.d_mm:.1f}, $c$ {row.labels.c_mm:.1f} mm"
     x, y = corner[0] + width / 2, corner[1] + height + 1
     axes.text(x, y, text, ha="center", va="top", size=7)
-
-
-def _histogram(axes: Axes, quantity: Quantity, rows: Sequence[Row]) -> None:
-    every = quantity.of(rows)
-    low, high = every.min(), every.max()
-    # If all values are equal up to rounding, draw one bar.
-    alike = high - low < 1e-6 * max(abs(low), abs(high), 1.0)
-    edges = low + np.array([-0.5, 0.5]) if alike else np.linspace(low, high, _BINS + 1)
-    for split in dict.fromkeys(row.planned.split for row in rows):
-        values = quantity.of([row for row in rows if row.planned.split == split])
-        part = np.histogram(values, edges)[0] / values.size
-        axes.stairs(part, edges, color=_COLOURS[split], label=split)
-    axes.set_xlabel(f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name)
-    axes.set_ylim(bottom=0)
 
 
 def _spread(rows: Sequence[Row]) -> list[Row]:
@@ -178,25 +166,6 @@ _LICENCES = {
 """Text of LICENSE by SPDX name; for other licences it is the name itself."""
 
 
-class Count(NamedTuple):
-    """Number of stacks and images of a split and condition."""
-
-    split: str
-    condition: str
-    stacks: int
-    images: int
-
-
-class Range(NamedTuple):
-    """Range and median of a label in a set."""
-
-    name: str
-    unit: str
-    least: float
-    median: float
-    most: float
-
-
 def write_card(labelled: LabelledSet) -> None:
     """Write README.md with its figures, LICENSE, spec.toml, croissant.json and the label tables.
 
@@ -212,7 +181,14 @@ def write_card(labelled: LabelledSet) -> None:
     licence = _LICENCES.get(labelled.licence, f"{labelled.licence}\n")
     _write(labelled.folder / "LICENSE", licence)
     _write(labelled.folder / "spec.toml", tomli_w.dumps(labelled.description["spec"]))
-    histograms(images, labelled.folder / "histograms.png")
+    labels = pd.DataFrame([{"split": row.planned.split, **row.line()} for row in images])
+    labels = labels.assign(incidence_deg=np.degrees(labels.incidence_rad))
+    counts = labels.groupby(["split", "condition"], sort=False)["stack"]
+    ranges = [
+        (*about, *np.quantile(labels[column], [0.0, 0.5, 1.0]))
+        for column, about in QUANTITIES.items()
+    ]
+    histograms(labels, labelled.folder / "histograms.png")
     samples(images, labelled.folder / "samples.png")
     text = (
         environment()
@@ -222,10 +198,10 @@ def write_card(labelled: LabelledSet) -> None:
             about=labelled.description,
             # `load_dataset(DIR)` loads all splits, `load_dataset(DIR, NAME)` one.
             configs={"default": labelled.splits} | {split: [split] for split in labelled.splits},
-            counts=_counts(images),
+            counts=rows_of(counts.agg(stacks="nunique", images="size").reset_index()),
             images=len(images),
-            ranges=_ranges(images),
-            bounded=any("bound_semi_minor_px" in row.line() for row in images),
+            ranges=ranges,
+            bounded="bound_semi_minor_px" in labels,
             varied=sorted(labelled.stacks[0].parameters),
         )
     )
@@ -248,20 +224,6 @@ def _tables(labelled: LabelledSet, images: Sequence[Row]) -> dict[str, list[dict
         ]
         for split in labelled.splits
     }
-
-
-def _counts(images: Sequence[Row]) -> list[Count]:
-    of_images = Counter((row.planned.split, row.planned.condition or "") for row in images)
-    planned = {row.planned.folder: row.planned for row in images}.values()
-    of_stacks = Counter((stack.split, stack.condition or "") for stack in planned)
-    return [Count(*group, of_stacks[group], number) for group, number in of_images.items()]
-
-
-def _ranges(images: Sequence[Row]) -> list[Range]:
-    return [
-        Range(quantity.name, quantity.unit, *np.quantile(quantity.of(images), [0.0, 0.5, 1.0]))
-        for quantity in QUANTITIES
-    ]
 
 
 def _write(path: Path, text: str) -> None:
