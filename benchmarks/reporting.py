@@ -236,7 +236,9 @@ class Column(NamedTuple):
 
 
 _UNITS = {"_mm_px": "mm/px", "_mm_s": "mm/s", "_mm": "mm", "_px": "px", "_deg": "°"}
-_SYMBOLS = {"delta k": "δk", "r squared": "R²", "z f": "z_F", "numerical aperture": "NA"}
+_SYMBOLS = {"delta k": "δk", "r squared": "R²", "rmse": "RMSE", "z f": "z_F"} | {
+    "numerical aperture": "NA"
+}
 
 
 def column_of(name: str, values: pd.Series) -> Column:

@@ -20,43 +20,23 @@ FILE = "croissant.json"
 _LICENCES = {"CC-BY-4.0": "https://creativecommons.org/licenses/by/4.0/"}
 """Address of a licence by SPDX name; of others the name itself is given."""
 
+_OF_CROISSANT = (
+    "citeAs column equivalentProperty extract field fileProperty fileObject fileSet format "
+    "includes isLiveDataset jsonPath key md5 parentField path recordSet references regex repeated "
+    "replace samplingRate separator source subField transform"
+).split()
 _CONTEXT: dict[str, Any] = {
     "@language": "en",
     "@vocab": "https://schema.org/",
-    "citeAs": "cr:citeAs",
-    "column": "cr:column",
-    "conformsTo": "dct:conformsTo",
+    "sc": "https://schema.org/",
     "cr": "http://mlcommons.org/croissant/",
     "rai": "http://mlcommons.org/croissant/RAI/",
+    "dct": "http://purl.org/dc/terms/",
+    "conformsTo": "dct:conformsTo",
     "data": {"@id": "cr:data", "@type": "@json"},
     "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "dct": "http://purl.org/dc/terms/",
-    "equivalentProperty": "cr:equivalentProperty",
     "examples": {"@id": "cr:examples", "@type": "@json"},
-    "extract": "cr:extract",
-    "field": "cr:field",
-    "fileProperty": "cr:fileProperty",
-    "fileObject": "cr:fileObject",
-    "fileSet": "cr:fileSet",
-    "format": "cr:format",
-    "includes": "cr:includes",
-    "isLiveDataset": "cr:isLiveDataset",
-    "jsonPath": "cr:jsonPath",
-    "key": "cr:key",
-    "md5": "cr:md5",
-    "parentField": "cr:parentField",
-    "path": "cr:path",
-    "recordSet": "cr:recordSet",
-    "references": "cr:references",
-    "regex": "cr:regex",
-    "repeated": "cr:repeated",
-    "replace": "cr:replace",
-    "samplingRate": "cr:samplingRate",
-    "sc": "https://schema.org/",
-    "separator": "cr:separator",
-    "source": "cr:source",
-    "subField": "cr:subField",
-    "transform": "cr:transform",
+    **{name: f"cr:{name}" for name in _OF_CROISSANT},
 }
 """The context that the format prescribes: it gives the keys below their meaning."""
 
@@ -95,83 +75,65 @@ def _version(name: str) -> str:
     return f"{number[1] if number else 1}.0.0"
 
 
+def _node(kind: str, name: str, description: str, **more: Any) -> dict[str, Any]:
+    about = {"@type": f"cr:{kind}", "@id": name, "name": name, "description": description}
+    return about | more
+
+
 def _files(labelled: LabelledSet, split: str) -> list[dict[str, Any]]:
-    table = labelled.folder / split / "metadata.jsonl"
-    return [
-        {
-            "@type": "cr:FileObject",
-            "@id": f"{split}/metadata.jsonl",
-            "name": f"{split}-labels",
-            "description": f"One line of labels for each image of the split {split}.",
-            "contentUrl": f"{split}/metadata.jsonl",
-            "encodingFormat": "application/jsonlines",
-            "sha256": hashlib.sha256(table.read_bytes()).hexdigest(),
-        },
-        *(
-            {
-                "@type": "cr:FileSet",
-                "@id": f"{split}-{kind}-files",
-                "name": f"{split}-{kind}-files",
-                "description": f"The {kind} of the split {split}.",
-                "encodingFormat": "image/png",
-                "includes": f"{split}/*/{kind}/*.png",
-            }
-            for kind in ("frames", "masks")
-        ),
+    table = f"{split}/metadata.jsonl"
+    sha256 = hashlib.sha256((labelled.folder / table).read_bytes()).hexdigest()
+    about = {"contentUrl": table, "encodingFormat": "application/jsonlines", "sha256": sha256}
+    text = f"One line of labels for each image of the split {split}."
+    labels = _node("FileObject", table, text, **about) | {"name": f"{split}-labels"}
+    images = [
+        _node(
+            "FileSet",
+            f"{split}-{kind}-files",
+            f"The {kind} of the split {split}.",
+            encodingFormat="image/png",
+            includes=f"{split}/*/{kind}/*.png",
+        )
+        for kind in ("frames", "masks")
     ]
+    return [labels, *images]
 
 
 def _labels(split: str, lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The label table; its lines have the same columns."""
-    return {
-        "@type": "cr:RecordSet",
-        "@id": split,
-        "name": split,
-        "description": f"Labels of the split {split}. file_name is relative to {split}/.",
-        "field": [
-            {
-                "@type": "cr:Field",
-                "@id": f"{split}/{name}",
-                "name": f"{split}/{name}",
-                "description": meaning(name),
-                "dataType": _type([line[name] for line in lines]),
-                **({"repeated": True} if isinstance(lines[0][name], list | tuple) else {}),
-                "source": {
-                    "fileObject": {"@id": f"{split}/metadata.jsonl"},
-                    "extract": {"column": name},
-                },
-            }
-            for name in lines[0]
-        ],
-    }
+    table = {"@id": f"{split}/metadata.jsonl"}
+    fields = [
+        _node(
+            "Field",
+            f"{split}/{name}",
+            meaning(name),
+            dataType=_type([line[name] for line in lines]),
+            **({"repeated": True} if isinstance(lines[0][name], list | tuple) else {}),
+            source={"fileObject": table, "extract": {"column": name}},
+        )
+        for name in lines[0]
+    ]
+    text = f"Labels of the split {split}. file_name is relative to {split}/."
+    return _node("RecordSet", split, text, field=fields)
 
 
 def _images(split: str, kind: str) -> dict[str, Any]:
-    files = {"fileSet": {"@id": f"{split}-{kind}-files"}}
-    return {
-        "@type": "cr:RecordSet",
-        "@id": f"{split}-{kind}",
-        "name": f"{split}-{kind}",
-        "description": f"The {kind} of the split {split} with their paths in the set.",
-        "field": [
-            {
-                "@type": "cr:Field",
-                "@id": f"{split}-{kind}/path",
-                "name": f"{split}-{kind}/path",
-                "description": "Path within the set.",
-                "dataType": "sc:Text",
-                "source": {**files, "extract": {"fileProperty": "fullpath"}},
-            },
-            {
-                "@type": "cr:Field",
-                "@id": f"{split}-{kind}/image",
-                "name": f"{split}-{kind}/image",
-                "description": "The image.",
-                "dataType": "sc:ImageObject",
-                "source": {**files, "extract": {"fileProperty": "content"}},
-            },
-        ],
-    }
+    name, files = f"{split}-{kind}", {"@id": f"{split}-{kind}-files"}
+    fields = [
+        _node(
+            "Field",
+            f"{name}/{field}",
+            text,
+            dataType=data_type,
+            source={"fileSet": files, "extract": {"fileProperty": extracted}},
+        )
+        for field, text, data_type, extracted in (
+            ("path", "Path within the set.", "sc:Text", "fullpath"),
+            ("image", "The image.", "sc:ImageObject", "content"),
+        )
+    ]
+    text = f"The {kind} of the split {split} with their paths in the set."
+    return _node("RecordSet", name, text, field=fields)
 
 
 def _type(values: Sequence[Any]) -> str:
