@@ -27,7 +27,7 @@ from benchmarks.reporting import (
 )
 from calibration import SphereFit, fit_eccentricity
 from scenes import Scene
-from scenes.world import World
+from scenes.world.world import World
 
 COMPARED = ("small_plane", "corrected", "stereographic", "exact")
 """The models of a spot in an eyeball; `planar` is one of a plane."""

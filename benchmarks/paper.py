@@ -14,20 +14,12 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from benchmarks.reporting import Claim, listed
-from estimator import (
-    FrameLabels,
-    LiteralSettings,
-    NoSpot,
-    Spot,
-    SpotRecord,
-    Stack,
-    SubpixelSettings,
-    track,
-    write_spots,
-)
+from estimator import LiteralSettings, SubpixelSettings, track
+from formats.spots import NoSpot, Spot, SpotRecord, write_spots
+from formats.stack import FrameLabels, Stack
 from scenes import Scene, SceneError
 from scenes.camera import Camera
-from scenes.description import CameraSettings
+from scenes.description.settings import CameraSettings
 
 # Summaries of errors, and Shapley's fair shares of a whole.
 #

@@ -19,7 +19,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calibration.command import templates
+from calibration.command.report import templates
 
 # Style, small multiples and files of figures.
 

@@ -25,21 +25,23 @@ from cyclopts.types import NonNegativeInt
 
 import scenes
 from benchmarks.reporting import STYLE, Report, write_page
-from estimator import Reader, Stack, StackWriter, read_stack, write_calibration
-from estimator.files import (
+from estimator import Reader
+from estimator.run.options import Options
+from estimator.run.progress_bar import progress, say
+from formats.calibration import write_calibration
+from formats.inputs import InputError, in_file, object_in, read_text, shortened
+from formats.stack import Stack, StackWriter, read_stack
+from formats.whole_files import (
     errors_named,
     lock,
-    object_in,
     refuse_foreign,
     require_space,
     sweep,
     written_whole,
 )
-from estimator.run import Options, progress, say
-from optics import InputError, in_file, read_text, shortened
 from scenes import Scene
-from scenes.description import Changes as Changes
-from scenes.world import true_calibration
+from scenes.commands import Changes as Changes
+from scenes.world.labels import true_calibration
 
 OutputFolder = Annotated[
     Path,

@@ -54,8 +54,8 @@ MEANINGS = {
         "retina_tilt_azimuth_deg": "Direction in which its z leans.",
         "retina_shift_mm": "Of its centre across the axis: x, y.",
         "camera": "Noise of the camera by its data sheet (EMVA 1288); the mode pixels needs it.",
-        **attributes_of(named("estimator.files.camera_sheet:CameraSheet")),
-        **attributes_of(named("estimator.files.viewing:PathSeries")),
+        **attributes_of(named("formats.microscope:CameraSheet")),
+        **attributes_of(named("formats.microscope:PathSeries")),
     },
     "spots": {
         "status": "Whether there is a spot.",
@@ -109,7 +109,7 @@ MEANINGS = {
 
 
 def _covariance_meanings() -> dict[str, str]:
-    from estimator.image import PARAMETERS
+    from formats.spots import PARAMETERS
 
     count = len(PARAMETERS)
     pairs = ((PARAMETERS[i], PARAMETERS[j]) for i in range(count) for j in range(i, count))

@@ -17,9 +17,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from benchmarks.reporting import BLACK, STYLE, VERMILION
-from estimator import Ranger, Spot, SubpixelSettings, TrackState, measure, read_microscope
+from estimator import Ranger, SubpixelSettings, TrackState, measure
+from formats.microscope import read_microscope
+from formats.spots import Spot
 from scenes import load_scene, render_stack
-from scenes.world import true_calibration
+from scenes.world.labels import true_calibration
 
 _FILE = Path(__file__).with_name("film.gif")
 _SCENE = [

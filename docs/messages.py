@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from calibration.command.verdict import Fault, remedy
-from estimator import Reason
-from estimator.distance import Cause, RangeFlag, WallMemory
+from estimator.distance.budget import Cause
+from estimator.distance.range import RangeFlag, WallMemory
 from estimator.run import exit_codes
+from formats.spots import Reason
 
 HOME = Path(__file__).resolve().parents[1]
-PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
+PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 _FIT_MODELS = ("plane", "sphere", "cone", "eye", "image", "lens")
 _ERRORS = (
     *("InputError", "SceneError", "StackError", "CalibrationError", "MicroscopeFileError"),
@@ -89,7 +90,7 @@ def errors_page() -> Iterator[str]:
         yield f"| {errno.errorcode[number]} | {_cell(advice)} |"
     yield f"\n## Messages of wrong input ({len(found)})\n"
     yield "A message names what is wrong, with value and unit, the rule, and the way out. The words"
-    yield "in braces are replaced by values. In Python these are `optics.InputError`."
+    yield "in braces are replaced by values. In Python these are `formats.inputs.InputError`."
     for package in PACKAGES:
         mine = [message for message in found if message.file.startswith(f"{package}/")]
         yield f"\n### {package} ({len(mine)})\n"

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.files import Calibration, write_calibration
+from formats.calibration import Calibration, write_calibration
 
 HERE = Path(__file__).parent
 PORT = 8123

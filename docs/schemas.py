@@ -55,8 +55,8 @@ KINDS = (
         "Stack: a line of `metadata.jsonl`",
         "True values of one image. `eyespot render` writes it, `eyespot score` reads it; Hugging "
         "Face `datasets` reads the file as it is.",
-        models=("estimator.files.stack:_Row",),
-        meanings=("estimator.files.stack:FrameLabels",),
+        models=("formats.stack:_Row",),
+        meanings=("formats.stack:FrameLabels",),
     ),
     FileKind(
         "kinematics",
@@ -69,26 +69,26 @@ KINDS = (
         "The camera over the eye. Stacks have one; `eyespot camera` adds the camera's noise. "
         "Camera calibrations of OpenCV, ROS and Kalibr are read, too (`--microscope`).",
         models=(
-            "estimator.files.microscope:_PinholeFile",
-            "estimator.files.microscope:_TelecentricFile",
-            "estimator.files.microscope:_PathFile",
+            "formats.microscope:_PinholeFile",
+            "formats.microscope:_TelecentricFile",
+            "formats.microscope:_PathFile",
         ),
-        meanings=("estimator.files.microscope:MicroscopeFile",),
+        meanings=("formats.microscope:MicroscopeFile",),
     ),
     FileKind(
         "calibration",
         "Calibration (JSON)",
         "Parameters of a beam with their covariance. `eyespot fit` writes it; `track`, `budget`, "
         "`console` and the node read it.",
-        models=("estimator.files.calibration:_CalibrationFile",),
-        meanings=("estimator.files.calibration:Calibration",),
+        models=("formats.calibration:_CalibrationFile",),
+        meanings=("formats.calibration:Calibration",),
     ),
     FileKind(
         "spots",
         "Spots: a row (CSV or Parquet)",
         "What was measured in one frame. `eyespot track` writes it, `eyespot fit` and `eyespot "
         "score` read it.",
-        meanings=("estimator.files.spots:SpotRecord", "estimator.image.spot:Spot"),
+        meanings=("formats.spots:SpotRecord", "formats.spots:Spot"),
     ),
     FileKind(
         "plain-spots",
@@ -105,7 +105,7 @@ KINDS = (
         "stated",
         "Stated uncertainties (TOML)",
         "What a lab knows of its eye, robot and clocks (`--stated`).",
-        models=("estimator.files.stated:Stated",),
+        models=("formats.stated:Stated",),
     ),
     FileKind(
         "plan",
@@ -131,7 +131,7 @@ KINDS = (
         "manifest",
         "Manifest (`manifest.json`)",
         "Size and SHA-256 of each file in a stack or set; `eyespot dataset verify` compares.",
-        models=("estimator.files.manifest:_Manifest",),
+        models=("formats.manifest:_Manifest",),
     ),
     FileKind(
         "entry",
@@ -258,15 +258,16 @@ def _stack() -> dict[str, Any]:
 
 
 def _kinematics() -> dict[str, Any]:
-    from estimator.files.stack import KINEMATICS
+    from formats.stack import KINEMATICS
 
     return _object({name: _NUMBER for name in KINEMATICS})
 
 
 def _spots() -> dict[str, Any]:
-    from estimator import Reason
-    from estimator.distance import Cause, WallMemory
-    from estimator.files import spots
+    from estimator.distance.budget import Cause
+    from estimator.distance.range import WallMemory
+    from formats import spots
+    from formats.spots import Reason
 
     kinds = {int: _WHOLE, str: _TEXT, float: _NUMBER}
     columns = {name: _or_null(kinds[spots._KINDS.get(name, float)]) for name in spots.COLUMNS}
@@ -289,7 +290,7 @@ def _plain_spots() -> dict[str, Any]:
 
 
 def _budget() -> dict[str, Any]:
-    from estimator.distance import Cause
+    from estimator.distance.budget import Cause
 
     causes = [cause.value for cause in Cause]
     number = _or_null(_NUMBER)

@@ -29,7 +29,7 @@ PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
 COMMANDS = {
     "": {
         "benchmarks.studies.validate:validate": "Repeat the paper's experiment, rendered.",
-        "scenes.stacks.command:render": "Render a scene file to an image stack with labels.",
+        "scenes.commands:render": "Render a scene file to an image stack with labels.",
         "estimator.run.command:track": "Measure the spot in every frame; write a spots file.",
         "estimator.console.command:console": "Show a source and its distances in the browser.",
         "estimator.run.budget_command:budget": "Say how uncertain a distance is, and why.",
@@ -42,9 +42,9 @@ COMMANDS = {
         "scenes.machine.doctor:doctor": "Check this machine; explain what is missing.",
     },
     "scene": {
-        "scenes.description.command:init": "Write a scene file with every key and its default.",
-        "scenes.description.command:schema": "Print the JSON schema of scene files, for editors.",
-        "scenes.stacks.command:check": "Check whether a scene file can be rendered.",
+        "scenes.commands:init": "Write a scene file with every key and its default.",
+        "scenes.commands:schema": "Print the JSON schema of scene files, for editors.",
+        "scenes.commands:check": "Check whether a scene file can be rendered.",
     },
     "dataset": {
         "benchmarks.sets.commands:make": "Render a labelled set.",
@@ -172,7 +172,7 @@ def main() -> None:
     if message := _foreign_package():
         print(f"eyespot: {message}", file=sys.stderr)
         sys.exit(2)
-    from estimator.run import run_command
+    from estimator.run.exit_codes import run_command
 
     run_command(run)
 

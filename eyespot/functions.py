@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from estimator.files import Stack as Stack
-from estimator.run import quiet
+from estimator.run.progress_bar import quiet
+from formats.stack import Stack as Stack
 from scenes import Scene as Scene
 from scenes import load_scene as load_scene
 
@@ -40,9 +40,9 @@ def render(
     Raises:
         InputError: the scene is impossible, or `out` exists.
     """
-    from estimator.run import progress as bar
+    from estimator.run.progress_bar import progress as bar
     from scenes import changed, render_stack
-    from scenes.world import frame_count
+    from scenes.world.motion import frame_count
 
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     scene = changed(scene, changes) if changes else scene
@@ -84,8 +84,10 @@ def track(
     Raises:
         InputError: wrong options or files.
     """
-    from estimator.files import read_calibration, spots_table
-    from estimator.run import Options, Recorded, tracked
+    from estimator.run.command import tracked
+    from estimator.run.options import Options, Recorded
+    from formats.calibration import read_calibration
+    from formats.spots import spots_table
 
     files = {"calibration": calibration, "microscope": microscope}
     given = {name: Path(file) for name, file in files.items() if file is not None}
@@ -119,7 +121,8 @@ def fit(sources: File | Sequence[File], *, progress: bool = False, **choices: An
     Raises:
         InputError: wrong options or files.
     """
-    from calibration.command import Choices, fit_recordings
+    from calibration.command.choices import Choices
+    from calibration.command.fitting import fit_recordings
 
     several = [sources] if isinstance(sources, str | Path) else sources
     with quiet(bars=progress):

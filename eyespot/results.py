@@ -1,4 +1,4 @@
 """What the functions return; apart from them, because importing it loads JAX."""
 
 from benchmarks.sets.score.judging import Score as Score
-from calibration.command import Fit as Fit
+from calibration.command.fitting import Fit as Fit

@@ -25,7 +25,7 @@ from benchmarks.studies.sensors import sensors as _sensors
 from benchmarks.studies.static import static as _static
 from benchmarks.studies.table_one import table_one as _table_one
 from benchmarks.studies.validate import validate as _validate
-from estimator.run import quiet
+from estimator.run.progress_bar import quiet
 
 if TYPE_CHECKING:
     import pandas as pd

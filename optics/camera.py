@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
-from optics.input_error import InputError
+from formats.inputs import InputError
 from optics.surface import components
 
 _UNDISTORT_STEPS = 12

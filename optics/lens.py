@@ -13,8 +13,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from optics.input_error import InputError, shortened
-from optics.input_files import check_schema, in_file, read_toml
+from formats.inputs import InputError, check_schema, in_file, read_toml, shortened
 
 _PRESETS = Path(__file__).parent / "lenses"
 _HISTORY = {1: "the format of eyespot 0.1"}

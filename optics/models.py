@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optics.input_error import InputError
+from formats.inputs import InputError
 
 if TYPE_CHECKING:
     from jaxtyping import Array, ArrayLike, Float

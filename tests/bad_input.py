@@ -30,21 +30,21 @@ from benchmarks import study
 from benchmarks.sets.read import read_set, rows, stacks_of, verify_set
 from benchmarks.sets.spec import load_spec, plan
 from calibration.command.choices import Choices
-from estimator import Frame, Pose
-from estimator.distance import Ranger
-from estimator.files import (
-    read_calibration,
-    read_microscope,
-    read_poses,
-    read_spots,
-    read_stack,
-)
-from estimator.run import Options
-from estimator.sources import open_source, write_bag
+from estimator import Frame
+from estimator.distance.ranger import Ranger
+from estimator.run.options import Options
+from estimator.sources.opening import open_source
+from estimator.sources.ros import write_bag
+from formats.calibration import read_calibration
+from formats.microscope import read_microscope
+from formats.poses import Pose, read_poses
+from formats.spots import read_spots
+from formats.stack import read_stack
 from optics import load_lens
-from scenes.description import load_scene, scene_toml
+from scenes.description.scene_file import load_scene, scene_toml
 from scenes.walls.picture import wall_image
-from scenes.world import World, frame_count, kinematics
+from scenes.world.motion import frame_count, kinematics
+from scenes.world.world import World
 
 OLD = Path(__file__).with_name("files-0.1")
 """Files as version 0.1.0 wrote them."""

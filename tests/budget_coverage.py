@@ -19,9 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 import optics
-from estimator import Spot, SubpixelSettings, TrackState, measure
-from estimator.distance import Budget, Budgets, Motion, Ranger
-from estimator.files import Calibration, MicroscopeFile, Stated
+from estimator import SubpixelSettings, TrackState, measure
+from estimator.distance.budget import Budget, Budgets, Motion
+from estimator.distance.ranger import Ranger
+from formats.calibration import Calibration
+from formats.microscope import MicroscopeFile
+from formats.spots import Spot
+from formats.stated import Stated
 from scenes import Scene, World, load_scene
 from scenes.camera import Camera
 from scenes.rendering.images import Images

@@ -18,8 +18,8 @@ import numpy as np
 
 from estimator import Frame, Source
 from estimator.console.page import serve
-from estimator.run import Options
-from optics import InputError
+from estimator.run.options import Options
+from formats.inputs import InputError
 
 
 def disc() -> np.ndarray:

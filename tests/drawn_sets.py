@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator import FrameLabels, StackWriter
+from formats.stack import FrameLabels, StackWriter
 from scenes import load_scene
 from scenes.drawn import Drawing, Truth, frame_of
 

@@ -24,14 +24,15 @@ from jaxtyping import Array
 import optics
 from benchmarks.studies.eye_paths import cameras, drawn
 from calibration.command.choices import Choices
-from calibration.command.cone_models import fit_eye
-from calibration.command.fitted import Fitted
+from calibration.command.models import fit_eye
+from calibration.command.verdict import Fitted
 from calibration.recordings import Recording
-from calibration.spots import ConeTrial, Prior
-from estimator import Spot
-from estimator.distance import Ranger
-from estimator.files import Calibration, MicroscopeFile
-from optics.viewing import PathCamera
+from calibration.spots.cone_trials import ConeTrial, Prior
+from estimator.distance.ranger import Ranger
+from formats.calibration import Calibration
+from formats.microscope import MicroscopeFile
+from formats.spots import Spot
+from optics.viewing.camera import PathCamera
 
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
 CONE_SIGMA = np.array([5e-4 * HALF_ANGLE, 0.005])

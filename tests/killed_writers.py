@@ -37,10 +37,11 @@ from benchmarks.sets.formats.export import export
 from benchmarks.sets.read import verify_set
 from benchmarks.sets.spec import PlannedStack, SetSpec
 from benchmarks.study import Study
-from estimator import NoSpot, Reason, SpotRecord, Stack, StackWriter, read_stack, write_spots
-from estimator.files import is_unfinished, written_whole
-from optics import InputError
-from scenes.description.command import init
+from formats.inputs import InputError
+from formats.spots import NoSpot, Reason, SpotRecord, write_spots
+from formats.stack import Stack, StackWriter, read_stack
+from formats.whole_files import is_unfinished, written_whole
+from scenes.commands import init
 from tests.drawn_sets import MICROSCOPE, labels_of
 
 KILLED, FULL = 77, 78

@@ -11,7 +11,8 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter
 from scipy.special import erfc
 
-from estimator import Spot, SubpixelSettings, TrackState, measure
+from estimator import SubpixelSettings, TrackState, measure
+from formats.spots import Spot
 from tests.own_frames import (
     AMBIENT,
     SHAPE,

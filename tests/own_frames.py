@@ -26,7 +26,7 @@ Light = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Ellipse:
-    """A half-maximum contour, px and rad; the attributes follow `estimator.image.PARAMETERS`."""
+    """A half-maximum contour, px and rad; the attributes follow `formats.spots.PARAMETERS`."""
 
     x: float
     y: float
@@ -36,7 +36,7 @@ class Ellipse:
 
     @property
     def parameters(self) -> np.ndarray:
-        """All five, in the order of `estimator.image.PARAMETERS`."""
+        """All five, in the order of `formats.spots.PARAMETERS`."""
         return np.array([self.x, self.y, self.semi_major, self.semi_minor, self.angle])
 
 

@@ -22,10 +22,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from calibration.command.fitted import Fitted, PixelResiduals
-from calibration.command.verdict import doubts, verdict
-from calibration.pixels import ImageFit, fit_footage
-from optics import InputError
+from calibration.command.verdict import Fitted, PixelResiduals, doubts, verdict
+from calibration.pixels.fit import ImageFit, fit_footage
+from formats.inputs import InputError
 from tests.photon_frames import footage_of, photographed, widened
 from tests.photon_stacks import Recording
 from tests.photons import Drop

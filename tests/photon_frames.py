@@ -18,9 +18,9 @@ import numpy as np
 from scipy import ndimage
 
 from calibration.pixels.data import Footage, Instrument
-from estimator import StackWriter
-from estimator.files.microscope import MicroscopeFile
-from estimator.image import CameraNoise, Response
+from formats.camera import CameraNoise, Response
+from formats.microscope import MicroscopeFile
+from formats.stack import StackWriter
 from scenes import load_scene
 from tests.drawn_sets import labels_of
 from tests.photon_stacks import (

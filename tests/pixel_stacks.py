@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.files import Calibration, read_poses, write_calibration
-from estimator.run import Options
-from estimator.sources import open_source
+from estimator.run.options import Options
+from estimator.sources.opening import open_source
+from formats.calibration import Calibration, write_calibration
+from formats.poses import read_poses
 from scenes import Scene, render_stack
 
 

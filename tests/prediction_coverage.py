@@ -24,9 +24,9 @@ from benchmarks.predictions.plan import (
     measured_as_planned,
     predicted,
 )
-from estimator import write_calibration
+from formats.calibration import write_calibration
 from scenes import Scene, changed, load_scene, render_stack
-from scenes.world import true_calibration
+from scenes.world.labels import true_calibration
 
 UNCERTAIN = {
     "phantom.radius_mm": 0.3,

@@ -11,10 +11,16 @@ from typing import Literal
 
 import numpy as np
 
-from estimator import LiteralSettings, Spot, SubpixelSettings, track
-from estimator.distance import RangeFlag, Ranger
-from estimator.files import Calibration, Pose, PoseTrack, read_stack, write_calibration
-from estimator.sources import Frame, open_source, write_bag
+from estimator import LiteralSettings, SubpixelSettings, track
+from estimator.distance.range import RangeFlag
+from estimator.distance.ranger import Ranger
+from estimator.sources.opening import open_source
+from estimator.sources.ros import write_bag
+from estimator.sources.source import Frame
+from formats.calibration import Calibration, write_calibration
+from formats.poses import Pose, PoseTrack
+from formats.spots import Spot
+from formats.stack import read_stack
 
 HOME = Path(__file__).resolve().parents[1]
 START_S = 1_600_000_000.0  # of the recording; ROS reads 0 as no time

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator import Spot, SubpixelSettings, TrackState, measure
+from estimator import SubpixelSettings, TrackState, measure
+from formats.spots import Spot
 from scenes.drawn import SHAPE, Drawing, any_truth, any_wall, frame_of, with_glints, with_shaft
 
 

@@ -17,10 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator import Spot, SubpixelSettings, TrackState, measure
-from scenes.description import Phantom
+from estimator import SubpixelSettings, TrackState, measure
+from formats.spots import Spot
+from scenes.description.settings import Phantom
 from scenes.drawn import any_wall
-from scenes.walls import PICTURE_MM, PICTURE_PX, wall_picture
+from scenes.walls.picture import PICTURE_MM, PICTURE_PX, wall_picture
 from tests import own_frames
 from tests.own_frames import Ellipse, OwnFrame
 

@@ -13,7 +13,8 @@ import pandas as pd
 
 from benchmarks.bench.__main__ import LONG, benchmarks, table
 from benchmarks.bench.pixels import doubt_of_pose, share_a_radius
-from estimator import NoSpot, Range, Reading, Reason
+from estimator import Range, Reading
+from formats.spots import NoSpot, Reason
 
 HOME = Path(__file__).resolve().parents[1]
 

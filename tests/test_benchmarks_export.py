@@ -30,10 +30,12 @@ from benchmarks.sets.formats import webdataset as webdataset_format
 from benchmarks.sets.formats.bags import START_S
 from benchmarks.sets.formats.export import Format, export
 from benchmarks.sets.read import stacks_of
-from estimator import FrameLabels, Reader, SubpixelSettings, open_source, read_poses, read_stack
-from estimator.files import write_manifest
+from estimator import Reader, SubpixelSettings, open_source
 from estimator.run.offline import track_source
-from optics import InputError
+from formats.inputs import InputError
+from formats.manifest import write_manifest
+from formats.poses import read_poses
+from formats.stack import FrameLabels, read_stack
 from tests.command_line import call
 from tests.drawn_sets import MICROSCOPE, SHAPE, STACKS, labels_of, write_set, write_stack
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.predictions.plan import SURE, Judgement, Plan, predicted, read_plan, write_plan
-from optics import InputError
+from formats.inputs import InputError
 from scenes import Scene, changed, render_stack, scene_toml
 from tests.command_line import call
 from tests.prediction_coverage import drawn, plan_of, planned_scene, verdict

@@ -36,8 +36,9 @@ from benchmarks.sets.read import plain_spot
 from benchmarks.studies import validate
 from benchmarks.studies.validate import ValidateFindings, claims, report
 from benchmarks.study import Study
-from estimator import FrameLabels, NoSpot, Reason, Spot, StackError, StackWriter
-from scenes.description.motion_settings import Withdrawal
+from formats.spots import NoSpot, Reason, Spot
+from formats.stack import FrameLabels, StackError, StackWriter
+from scenes.description.settings import Withdrawal
 from tests.drawn_sets import labels_of
 
 K, B, SCALE = 19.7, -5.1, 0.0067

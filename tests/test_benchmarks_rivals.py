@@ -19,11 +19,14 @@ from benchmarks.rivals.running import read_constants, run_entries, tune
 from benchmarks.sets.read import plain_spot, stacks_of
 from benchmarks.sets.score.judging import images_of
 from benchmarks.sets.score.spots import read_set_spots
-from estimator import Calibration, Frame, MicroscopeFile, NoSpot, Spot, read_microscope
-from optics import InputError
+from estimator import Frame
+from formats.calibration import Calibration
+from formats.inputs import InputError
+from formats.microscope import MicroscopeFile, read_microscope
+from formats.spots import NoSpot, Spot
 from scenes import Scene
 from scenes.drawn import Drawing, Truth, frame_of
-from scenes.world import true_calibration
+from scenes.world.labels import true_calibration
 from tests.drawn_sets import write_set
 
 WRITTEN = Path(__file__).parent / "files-0.1" / "small-v1" / "train" / "0000"

@@ -27,7 +27,7 @@ from benchmarks.rivals.learned.network import (
 )
 from benchmarks.rivals.learned.training import WINDOWS, Epoch, Samples, read_curve, train
 from benchmarks.sets.spec import load_spec, named_specs, plan
-from estimator import read_microscope
+from formats.microscope import read_microscope
 from scenes import Scene, render_stack
 from tests.drawn_sets import labels_of
 

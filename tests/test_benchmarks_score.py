@@ -23,15 +23,8 @@ from benchmarks.sets.score import spots as spots_of_set
 from benchmarks.sets.score.judging import Score, images_of, score, with_derived
 from benchmarks.sets.score.pages import leaderboard, tables
 from benchmarks.sets.score.spots import Entry, read_set_spots
-from estimator import (
-    NoSpot,
-    Reason,
-    Source,
-    Spot,
-    SpotRecord,
-    track_whole_source,
-    write_spots,
-)
+from estimator import Source, track_whole_source
+from formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
 from tests.command_line import call
 from tests.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of, write_set
 from tests.pixel_stacks import calibration_in, cone_stack

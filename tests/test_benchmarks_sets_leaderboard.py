@@ -19,7 +19,7 @@ from benchmarks.reporting import rows_of
 from benchmarks.sets.read import stacks_of
 from benchmarks.sets.score.judging import ALL, Outcome, images_of, standings, with_derived
 from benchmarks.sets.score.spots import entries_in, read_any_spots
-from optics import InputError
+from formats.inputs import InputError
 from tests.command_line import call
 from tests.drawn_sets import image_row, labels_of, write_set
 

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.sets.make import push_set
 from benchmarks.sets.read import SetError, verify_set
 from benchmarks.sets.score.spots import sample_folder
-from optics import InputError
+from formats.inputs import InputError
 from tests.command_line import call
 from tests.hub_stand_in import StandIn, stand_in
 

@@ -24,9 +24,10 @@ from benchmarks.studies.dynamic import (
     DynamicFindings,
     speed_at,
 )
-from estimator import MicroscopeFile, Pose, PoseTrack
+from formats.microscope import MicroscopeFile
+from formats.poses import Pose, PoseTrack
 from scenes import SceneError
-from scenes.world import World
+from scenes.world.world import World
 
 R = 11.5
 SPHERE = optics.Sphere(R)

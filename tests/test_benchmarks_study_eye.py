@@ -20,7 +20,7 @@ from benchmarks.studies.eye_paths import (
     in_batches,
     spots_through,
 )
-from calibration.spots import RETINA
+from calibration.spots.cone_trials import RETINA
 from optics.viewing import load_eye
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")

@@ -9,7 +9,7 @@ import scenes
 from benchmarks.reporting import rows_of
 from benchmarks.studies import medium
 from benchmarks.studies.medium import AIR, VITREOUS, Curve, Method, Regression
-from scenes.world import Cone
+from scenes.world.world import Cone
 
 DISTANCE = np.linspace(0.05, 8.0, 1600)
 ASKED = np.linspace(0.5, 6.0, 12)

@@ -23,7 +23,7 @@ from calibration.spots.tool_pose import (
     tool_contours,
     tool_pose_bound,
 )
-from scenes.world import Cone, World
+from scenes.world.world import Cone, World
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

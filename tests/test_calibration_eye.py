@@ -11,11 +11,12 @@ import pytest
 from scipy import stats
 
 from calibration.command.choices import Choices
-from calibration.command.cone_models import fit_eye
-from estimator import Spot, SpotRecord, write_spots
-from estimator.distance import Ranger
-from estimator.files import Calibration, read_calibration, write_calibration
-from optics import InputError, viewing
+from calibration.command.models import fit_eye
+from estimator.distance.ranger import Ranger
+from formats.calibration import Calibration, read_calibration, write_calibration
+from formats.inputs import InputError
+from formats.spots import Spot, SpotRecord, write_spots
+from optics import viewing
 from tests import eye_fits
 from tests.command_line import call
 

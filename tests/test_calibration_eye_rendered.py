@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 
 import scenes
-from estimator import Spot, Stack, SubpixelSettings, TrackState, measure
-from estimator.distance import Ranger
-from estimator.files import read_calibration, read_microscope, write_calibration
-from scenes.world import true_calibration
+from estimator import SubpixelSettings, TrackState, measure
+from estimator.distance.ranger import Ranger
+from formats.calibration import read_calibration, write_calibration
+from formats.microscope import read_microscope
+from formats.spots import Spot
+from formats.stack import Stack
+from scenes.world.labels import true_calibration
 from tests.command_line import call
 
 pytestmark = pytest.mark.slow

@@ -5,9 +5,9 @@ import pytest
 
 from calibration.pixels.data import Footage, Instrument
 from calibration.pixels.fit import fit_footage
-from estimator.files.microscope import MicroscopeFile
-from estimator.image import CameraNoise, Response
-from optics import InputError
+from formats.camera import CameraNoise, Response
+from formats.inputs import InputError
+from formats.microscope import MicroscopeFile
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -16,10 +16,12 @@ from scipy.spatial.transform import Rotation
 import optics
 import scenes
 from calibration import Prior, fit_cone
-from calibration.recordings.trials import LogBook, read_recording
-from estimator import Spot, SpotRecord, open_source, read_poses, write_spots
-from estimator.files.calibration import read_calibration
-from estimator.sources import write_bag
+from calibration.recordings import LogBook, read_recording
+from estimator import open_source
+from estimator.sources.ros import write_bag
+from formats.calibration import read_calibration
+from formats.poses import read_poses
+from formats.spots import Spot, SpotRecord, write_spots
 from tests.command_line import call
 
 SVG = "{http://www.w3.org/2000/svg}"

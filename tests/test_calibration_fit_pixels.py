@@ -11,11 +11,12 @@ import pytest
 import optics
 import scenes
 from calibration.command.pixel_models import _maps, _of_frames, _propagated
-from calibration.pixels import fit_footage, lens_start, read_footage
-from estimator import Spot
+from calibration.pixels.data import read_footage
+from calibration.pixels.fit import fit_footage, lens_start
 from estimator.distance.ranger import Ranger
-from estimator.files.calibration import read_calibration
-from estimator.files.microscope import read_microscope
+from formats.calibration import read_calibration
+from formats.microscope import read_microscope
+from formats.spots import Spot
 from tests.command_line import call
 
 ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")

@@ -8,17 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.command.fitted import Fitted, PixelResiduals, bounds_hit
 from calibration.command.fitting import MODELS
 from calibration.command.verdict import (
     Fault,
+    Fitted,
+    PixelResiduals,
+    bounds_hit,
     doubts,
     refusal,
     remedy,
     runs_probability,
     verdict,
 )
-from calibration.pixels import Criterion, Failure, Misfit
+from calibration.pixels.fit import Criterion, Failure
+from calibration.pixels.misfit import Misfit
 
 
 @pytest.mark.parametrize(("positive", "negative"), [(4, 4), (3, 6), (1, 5), (5, 4)])

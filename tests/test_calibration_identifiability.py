@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.solvers.identifiability import covariance_and_lost, marginal_information
+from calibration.solvers import covariance_and_lost, marginal_information
 
 NAMES = ("half_angle", "b", "scale")
 

@@ -17,26 +17,28 @@ from scipy import integrate, ndimage, stats
 
 import calibration
 import optics
-from calibration.pixels.data import Footage, Instrument, read_footage
+from calibration.pixels.data import Footage, Instrument, check_names, read_footage
 from calibration.pixels.fit import fit_footage
 from calibration.pixels.light import STATES, Cells, Light
-from calibration.pixels.parameters import check_names
-from estimator import Stack, read_stack
-from estimator.image import CameraNoise, Response
-from optics.wall_light import (
+from formats.camera import CameraNoise, Response
+from formats.stack import Stack, read_stack
+from optics.wall_light.cells import CellBeam, lattice_irradiance
+from optics.wall_light.cone import UniformCone
+from optics.wall_light.lens import (
     TABLE_ERROR,
-    CellBeam,
-    UniformCone,
-    lattice_irradiance,
+    Grid,
+    LensTable,
+    _Field,
+    _means_within,
     lens_parameters,
     lens_samples,
-    square_lattice,
+    lens_table,
 )
-from optics.wall_light.lens import Grid, LensTable, _Field, _means_within, lens_table
+from optics.wall_light.pose_light import square_lattice
 from scenes import Renderer, Scene, render_stack
-from scenes.camera.exposure import expose
-from scenes.description.camera_settings import CameraSettings
-from scenes.world import World
+from scenes.camera import expose
+from scenes.description.settings import CameraSettings
+from scenes.world.world import World
 from tests.photon_frames import View
 from tests.photon_stacks import Recording, steady_light
 from tests.photons import Drop

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.spots.lines import fit_lines
+from calibration.spots.cone_trials import fit_lines
 
 K, B = 20.0, -5.117
 

@@ -13,8 +13,8 @@ import optics
 import scenes
 from calibration.command.fitting import chosen_model
 from calibration.command.pixel_models import guessed_lenses
-from calibration.pixels import lens_start
-from calibration.recordings.trials import read_recording
+from calibration.pixels.fit import lens_start
+from calibration.recordings import read_recording
 
 LENS = {"kind": "lens", "lens": "paper-candidate", "medium": "air"}
 CONE = {"kind": "cone", "cone_k": 20.0, "cone_apex_offset_mm": -5.117}

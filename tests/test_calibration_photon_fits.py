@@ -17,7 +17,7 @@ from scipy import ndimage
 
 import calibration
 import optics
-from estimator.files import read_calibration
+from formats.calibration import read_calibration
 from tests.command_line import call
 from tests.lens_quadrature import irradiance
 from tests.photon_fits import (

@@ -10,7 +10,7 @@ import numpy as np
 import optimistix as optx
 import pytest
 
-from calibration.bridge.render_bridge import render_as_jax
+from calibration.bridge import render_as_jax
 
 SHAPE = (6, 8)
 V, U = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)

@@ -12,10 +12,10 @@ import pytest
 from scipy import ndimage
 
 import calibration
+from calibration.pixels.data import POSE
 from calibration.pixels.light import Cells, Light
-from calibration.pixels.parameters import POSE
-from calibration.spots import Prior
-from estimator import Stack
+from calibration.spots.cone_trials import Prior
+from formats.stack import Stack
 from optics.wall_light.lens import Grid, LensTable
 from scenes import Scene, render_stack
 from tests.spread_disc import lit_by_disc, radii

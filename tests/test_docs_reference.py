@@ -21,8 +21,9 @@ from calibration.command.verdict import Fault
 from docs.generated import write_pages
 from docs.messages import _ERRORS, PACKAGES
 from docs.schemas import KINDS, rows_of, schema_of
-from estimator import Reason
-from estimator.distance import Cause, RangeFlag
+from estimator.distance.budget import Cause
+from estimator.distance.range import RangeFlag
+from formats.spots import Reason
 from scenes import Scene
 from tests.command_line import WORDS, options_of
 

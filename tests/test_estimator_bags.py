@@ -15,14 +15,14 @@ from rosbags import rosbag1, rosbag2
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from estimator import Reader, Spot, SubpixelSettings, track
-from estimator.files import POSE_TOPIC, Pose, PoseTrack, read_poses, turned
+from estimator import Reader, SubpixelSettings, track
 from estimator.run.offline import Ended, track_source
-from estimator.sources import IMAGE_TOPIC, read_frames, write_bag
 from estimator.sources.opening import open_source
-from estimator.sources.ros_images import frame_of_message
+from estimator.sources.ros import IMAGE_TOPIC, frame_of_message, read_frames, write_bag
 from estimator.sources.source import Frame
-from optics import InputError
+from formats.inputs import InputError
+from formats.poses import POSE_TOPIC, Pose, PoseTrack, read_poses, turned
+from formats.spots import Spot
 from scenes.drawn import Drawing, Truth, frame_of
 from tests.ros_messages import (
     EPOCH_S,

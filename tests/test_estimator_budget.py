@@ -12,13 +12,17 @@ from uncertainties import correlated_values, ufloat, umath
 
 import optics
 from benchmarks.model_error import Geometry, estimates, semi_minor
-from estimator import read_spots, read_stack
-from estimator.distance import Budget, Budgets, Cause, Motion, Part, Range, Ranger
+from estimator.distance.budget import Budget, Budgets, Cause, Motion, Part
+from estimator.distance.range import Range
+from estimator.distance.ranger import Ranger
 from estimator.distance.tilted_cone import Eye, distance_of, spot_image
-from estimator.files import Stated, read_stated, write_calibration
-from optics import InputError
+from formats.calibration import write_calibration
+from formats.inputs import InputError
+from formats.spots import read_spots
+from formats.stack import read_stack
+from formats.stated import Stated, read_stated
 from scenes import load_scene, render_stack
-from scenes.world import true_calibration
+from scenes.world.labels import true_calibration
 from tests import budget_coverage
 from tests.command_line import call
 from tests.test_estimator_ranger import R_EYE, SCALE, B, K, calibration, covariance_of, spot

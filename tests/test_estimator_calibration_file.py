@@ -5,12 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from estimator.files.calibration import (
-    Calibration,
-    CalibrationError,
-    read_calibration,
-    write_calibration,
-)
+from formats.calibration import Calibration, CalibrationError, read_calibration, write_calibration
 
 LENS = {
     "core_radius": 0.25,

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
-from estimator import Spot, SubpixelSettings, TrackState, measure
-from estimator.files.microscope import MicroscopeFileError, read_microscope
-from estimator.image import Camera
+from estimator import SubpixelSettings, TrackState, measure
+from formats.camera import Camera
+from formats.microscope import MicroscopeFileError, read_microscope
+from formats.spots import Spot
 
 FOCAL, CENTRE, SIZE = 800.0, np.array([162.25, 118.5]), (320, 240)
 MATRIX = np.array([[FOCAL, 0, CENTRE[0]], [0, FOCAL, CENTRE[1]], [0, 0, 1]])

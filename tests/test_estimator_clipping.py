@@ -10,19 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator import (
-    LiteralSettings,
-    NoSpot,
-    Reason,
-    Spot,
-    SubpixelSettings,
-    TrackState,
-    measure,
-)
-from estimator.image import CameraNoise, Response, measured_noise
+from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
+from estimator.photon_transfer import measured_noise
 from estimator.pixels.picture import Picture
 from estimator.run.options import Options
-from optics import InputError
+from formats.camera import CameraNoise, Response
+from formats.inputs import InputError
+from formats.spots import NoSpot, Reason, Spot
 from tests.drawn_spots import spot_image
 
 SHAPE = (240, 320)

@@ -22,22 +22,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator import Frame, Reason, Source, Spot
-from estimator.console import Guide, Session, Stage, exposure_advice
-from estimator.console.picture import tip_px
-from estimator.files import (
-    Pose,
-    PoseTrack,
-    read_calibration,
-    read_microscope,
-    read_poses,
-    read_spots,
-    read_stack,
-)
-from estimator.image import NoSpot, Response
-from estimator.run import Options
-from estimator.sources import open_source
-from optics import InputError
+from estimator import Frame, Source
+from estimator.console.guide import Guide, Stage, exposure_advice
+from estimator.console.page import tip_px
+from estimator.console.session import Session
+from estimator.run.options import Options
+from estimator.sources.opening import open_source
+from formats.calibration import read_calibration
+from formats.camera import Response
+from formats.inputs import InputError
+from formats.microscope import read_microscope
+from formats.poses import Pose, PoseTrack, read_poses
+from formats.spots import NoSpot, Reason, Spot, read_spots
+from formats.stack import read_stack
 from tests.rig_recordings import HOME, calibrated, rendered_stack
 
 PATIENCE_S = 30.0

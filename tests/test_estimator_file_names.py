@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from estimator import read_spots
-from estimator.sources import open_source
+from estimator.sources.opening import open_source
+from formats.spots import read_spots
 from tests.drawn_sets import write_set
 from tests.drawn_spots import spot_image
 

@@ -9,19 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from estimator import (
-    LiteralSettings,
-    NoSpot,
-    Reason,
-    Response,
-    Spot,
-    SubpixelSettings,
-    TrackState,
-    measure,
-)
-from estimator.detector import spot_shape
+from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from estimator.detector.levels import Levels
-from estimator.image import Camera
+from estimator.detector.shape import spot_shape
+from formats.camera import Camera, Response
+from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import Drawing, any_truth, light_of
 from tests.drawn_frames_at_random import random_frame
 

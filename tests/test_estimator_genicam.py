@@ -9,9 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from estimator.sources import frame_of_message, open_source
 from estimator.sources.genicam import _message
-from optics import InputError
+from estimator.sources.opening import open_source
+from estimator.sources.ros import frame_of_message
+from formats.inputs import InputError
 
 
 @pytest.fixture

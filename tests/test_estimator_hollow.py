@@ -7,10 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from estimator import Spot, SubpixelSettings, TrackState, measure
+from estimator import SubpixelSettings, TrackState, measure
 from estimator.detector.contour import hollow_share
 from estimator.detector.ellipse import Ellipse, Patch
 from estimator.detector.tuning import RAYS, Hollow
+from formats.spots import Spot
 from tests import own_frames
 from tests.lookalikes import taken_for_spots
 

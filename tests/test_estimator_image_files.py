@@ -17,9 +17,12 @@ import tifffile
 from PIL import Image
 from tifffile import TiffWriter
 
-from estimator import Response, Spot, SubpixelSettings, track
-from estimator.sources import Frame, open_source
-from optics import InputError
+from estimator import SubpixelSettings, track
+from estimator.sources.opening import open_source
+from estimator.sources.source import Frame
+from formats.camera import Response
+from formats.inputs import InputError
+from formats.spots import Spot
 from tests.drawn_spots import spot_image
 
 SHAPE = (96, 128)

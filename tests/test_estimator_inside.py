@@ -13,10 +13,10 @@ from benchmarks.sets.formats import hdf5
 from benchmarks.sets.formats.export import export
 from benchmarks.sets.read import SetError, read_set
 from benchmarks.sets.spec import SpecError, load_spec
-from estimator import Pose
-from estimator.files import StackError, inside, read_poses, read_stack
-from estimator.sources import write_bag
-from optics import InputError
+from estimator.sources.ros import write_bag
+from formats.inputs import InputError, inside
+from formats.poses import Pose, read_poses
+from formats.stack import StackError, read_stack
 from tests.bad_input import OLD
 
 

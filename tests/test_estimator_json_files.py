@@ -7,8 +7,7 @@ from typing import Annotated
 import pytest
 from pydantic import Field
 
-from estimator.files.json_files import object_in
-from optics import Strict, check_schema, read_text, validated
+from formats.inputs import Strict, check_schema, object_in, read_text, validated
 
 
 class Eye(Strict):

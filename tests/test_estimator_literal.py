@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator import LiteralSettings, NoSpot, Reason, Spot, TrackState, measure, track
+from estimator import LiteralSettings, TrackState, measure, track
 from estimator.detector.literal import patch_check
+from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import Drawing, Truth, erf_edge, frame_of
 
 _TRUTH = Truth(x=320.3, y=241.6, semi_major=66, semi_minor=60, angle=0.5)

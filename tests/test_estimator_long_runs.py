@@ -19,22 +19,11 @@ import numpy as np
 import pytest
 
 import eyespot
-from estimator import (
-    NoSpot,
-    Reader,
-    Reason,
-    Spot,
-    SpotRecord,
-    SubpixelSettings,
-    read_spots,
-    track,
-    track_source,
-    track_whole_source,
-    write_spots,
-)
-from estimator.files import spots_stream
+from estimator import Reader, SubpixelSettings, track, track_source, track_whole_source
 from estimator.run import reader as reader_module
 from estimator.sources.source import Frame, Source
+from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
+from formats.spots_stream import spots_stream
 from scenes.drawn import Drawing, Truth, frame_of
 
 SHAPE = (160, 200)

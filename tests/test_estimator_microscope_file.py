@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import optics
-from estimator.files.microscope import MicroscopeFileError, read_microscope
+from formats.microscope import MicroscopeFileError, read_microscope
 
 FOCAL, CX, CY = 3432.8, 330.5, 224.25
 MATRIX = np.array([[FOCAL, 0, CX], [0, FOCAL, CY], [0, 0, 1.0]])

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator import NoSpot, Reason, Spot, SubpixelSettings, TrackState, measure
+from estimator import SubpixelSettings, TrackState, measure
+from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import SHAPE, Drawing, Truth, bell, frame_of
 
 _TRUTH = Truth(x=321.3, y=238.8, semi_major=66, semi_minor=60, angle=0.7)

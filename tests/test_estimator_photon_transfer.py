@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from estimator.files import read_microscope
-from estimator.image import measured_noise
-from optics import InputError
+from estimator.photon_transfer import measured_noise
+from formats.inputs import InputError
+from formats.microscope import read_microscope
 from scenes.camera import Camera
-from scenes.description import Scene
+from scenes.description.scene import Scene
 from tests.command_line import call
 
 _SHEET = {"full_well_e": 8000.0, "read_noise_e": 12.0, "black_level_dn": 6.0, "prnu": 0.01}

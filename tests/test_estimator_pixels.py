@@ -9,22 +9,16 @@ import numpy as np
 import pytest
 
 import optics
-from estimator.files import (
-    BeamPose,
-    SpotRecord,
-    read_poses,
-    read_spots,
-    write_spots,
-)
-from estimator.image import NoSpot, Reason
-from estimator.pixels import PixelRanger
 from estimator.pixels.cells import COUNT, CellLight, Window, rolled
 from estimator.pixels.picture import _most_even
-from estimator.run import Options
-from estimator.sources import open_source
-from optics import InputError
-from optics.wall_light import Steps, UniformCone, irradiance_and_slopes, square_lattice
-from optics.wall_light.pose_light import BeamFrame
+from estimator.pixels.tracker import PixelRanger
+from estimator.run.options import Options
+from estimator.sources.opening import open_source
+from formats.inputs import InputError
+from formats.poses import read_poses
+from formats.spots import BeamPose, NoSpot, Reason, SpotRecord, read_spots, write_spots
+from optics.wall_light.cone import UniformCone
+from optics.wall_light.pose_light import BeamFrame, Steps, irradiance_and_slopes, square_lattice
 from tests.pixel_stacks import calibration_in, cone_stack
 
 _HALF_ANGLE, _APEX = math.atan(1 / 20), -5.117

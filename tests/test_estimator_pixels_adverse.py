@@ -5,12 +5,13 @@ import functools
 import numpy as np
 import pytest
 
-from estimator import NoSpot, Reason, SubpixelSettings, TrackState, measure, open_source
-from estimator.distance import RangeFlag, WallMemory
+from estimator import SubpixelSettings, TrackState, measure, open_source
+from estimator.distance.range import RangeFlag, WallMemory
 from estimator.pixels import tracker
 from estimator.pixels.beam import BeamLight
 from estimator.pixels.cells import COUNT
 from estimator.pixels.frame_fit import _grown
+from formats.spots import NoSpot, Reason
 from tests.lookalikes import LOOKALIKES
 from tests.pixel_stacks import cone_stack, reader_in, readings_of
 

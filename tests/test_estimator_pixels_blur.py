@@ -8,11 +8,12 @@ from scipy.integrate import quad
 from scipy.special import k1
 from scipy.stats import norm
 
-from estimator.files import MicroscopeFile
 from estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
 from estimator.pixels.cells import COUNT, STILL, CellLight, Window
 from estimator.pixels.frame_model import FrameModel, FrameState, Texture
-from optics.wall_light import Steps, UniformCone
+from formats.microscope import MicroscopeFile
+from optics.wall_light.cone import UniformCone
+from optics.wall_light.pose_light import Steps
 
 MIDDLE = COUNT // 2
 SCALE, CENTRE = 0.0067, np.full(2, 100.0)  # mm/px, px

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from estimator.distance import WallMemory
+from estimator.distance.range import WallMemory
 from estimator.pixels.cells import COUNT, CellLight, WallMotion, Window
 from estimator.pixels.frame_fit import registered
 from estimator.pixels.frame_model import OWN, Linear
-from estimator.sources import open_source
+from estimator.sources.opening import open_source
 from tests.pixel_stacks import cone_stack, readings_of
 
 

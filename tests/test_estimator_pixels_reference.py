@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from estimator.distance import WallMemory
-from estimator.files import read_poses
-from estimator.run import Options
-from estimator.sources import open_source
-from optics import InputError
+from estimator.distance.range import WallMemory
+from estimator.run.options import Options
+from estimator.sources.opening import open_source
+from formats.inputs import InputError
+from formats.poses import read_poses
 from tests.pixel_stacks import calibration_in, cone_stack
 
 _RETINA = {"wall": "retina", "texture_seed": 6}

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from estimator.files import PoseTrack, read_poses
 from estimator.pixels.beam import Pose
 from estimator.pixels.frame_model import RobotPose, _turn, motion_between
+from formats.poses import PoseTrack, read_poses
 from tests.pixel_stacks import cone_stack, readings_of
 
 

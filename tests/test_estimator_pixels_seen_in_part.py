@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from estimator import NoSpot, Reason, SubpixelSettings, TrackState, measure, open_source
-from estimator.image import Outline
+from estimator import SubpixelSettings, TrackState, measure, open_source
 from estimator.pixels.cells import COUNT
 from estimator.pixels.frame_model import covered, halo
 from estimator.pixels.picture import hidden_pixels
+from formats.spots import NoSpot, Outline, Reason
 from tests.pixel_stacks import cone_stack, readings_of
 
 _MOST = 30.0  # chi squared of five numbers exceeds it once in 70,000

@@ -6,7 +6,8 @@ import re
 
 import pytest
 
-from estimator.run import progress, progress_bar
+from estimator.run import progress_bar
+from estimator.run.progress_bar import progress
 
 
 @pytest.fixture

@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 
 import optics
-from estimator import Response, Spot, SubpixelSettings, TrackState, measure
+from estimator import SubpixelSettings, TrackState, measure
 from estimator.detector.shape import Shape, spot_shape
 from estimator.distance import lens_range
 from estimator.distance.lens_range import LensCurve, distance_from_lens
 from estimator.distance.range import RangeFlag
 from estimator.distance.ranger import Ranger
-from estimator.files.calibration import Calibration
-from estimator.files.microscope import MicroscopeFile
-from estimator.files.model_parameters import LENS_PARAMETERS
+from formats.calibration import LENS_PARAMETERS, Calibration
+from formats.camera import Response
+from formats.inputs import InputError
+from formats.microscope import MicroscopeFile
+from formats.spots import Spot
 from tests.photon_stacks import Recording, direct_light, half_maximum
 from tests.photons import Drop, counted_light
 
@@ -430,7 +432,7 @@ def test_what_does_not_fit_is_refused_with_a_remedy():
 
 def test_a_calibration_of_another_microscope_is_refused():
     zoomed = calibration(k=K, b=B, scale=2 * SCALE)
-    with pytest.raises(optics.InputError, match="another microscope, or of another zoom"):
+    with pytest.raises(InputError, match="another microscope, or of another zoom"):
         Ranger(zoomed, microscope())
 
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from estimator import NoSpot, Reason, Spot, SubpixelSettings, TrackState, measure
+from estimator import SubpixelSettings, TrackState, measure
+from formats.spots import NoSpot, Reason, Spot
 from tests.drawn_spots import spot_image
 
 SHAPE = (480, 640)

@@ -31,11 +31,13 @@ from rosbags.typesys import Stores, get_typestore
 
 from benchmarks.bench.load import memory_mb
 from estimator import LiteralSettings, SubpixelSettings
-from estimator.distance import Ranger
-from estimator.files import read_calibration, read_microscope, read_poses
+from estimator.distance.ranger import Ranger
 from estimator.rig import node as rig_node
+from estimator.rig.messages import Silence
 from estimator.rig.rig import Doubt, Parameters, Rig
-from estimator.rig.silence import Silence
+from formats.calibration import read_calibration
+from formats.microscope import read_microscope
+from formats.poses import read_poses
 from tests.rig_recordings import (
     HOME,
     calibrated,

@@ -21,8 +21,10 @@ import psutil
 import pytest
 
 from estimator import LiteralSettings, SubpixelSettings
-from estimator.distance import Ranger
-from estimator.files import read_calibration, read_microscope, read_poses
+from estimator.distance.ranger import Ranger
+from formats.calibration import read_calibration
+from formats.microscope import read_microscope
+from formats.poses import read_poses
 from tests.rig_recordings import (
     HOME,
     RATE_HZ,

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.sources import frame_of_message, open_source
-from optics import InputError
+from estimator.sources.opening import open_source
+from estimator.sources.ros import frame_of_message
+from formats.inputs import InputError
 from tests.ros_messages import ROS1, ROS2, compressed_message, image_message, write
 
 RNG = np.random.default_rng(1)

@@ -11,19 +11,12 @@ import numpy as np
 import pytest
 import tifffile
 
-from estimator import (
-    FrameLabels,
-    NoSpot,
-    Reader,
-    Reason,
-    Spot,
-    StackWriter,
-    SubpixelSettings,
-    track,
-)
+from estimator import Reader, SubpixelSettings, track
 from estimator.run.offline import Ended, track_source
 from estimator.sources.opening import open_source
 from estimator.sources.source import Frame, Source
+from formats.spots import NoSpot, Reason, Spot
+from formats.stack import FrameLabels, StackWriter
 from scenes.drawn import Drawing, Truth, frame_of
 
 SHAPE = (160, 200)

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator import NoSpot, RangeFlag, Reason, Spot, SpotRecord, read_spots, write_spots
+from estimator import RangeFlag
+from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
 
 _COLUMNS = (
     "frame,file_name,time_s,mode,status,reason,x_px,y_px,semi_major_px,semi_minor_px,angle_rad,"

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from estimator import Spot, SubpixelSettings, TrackState, measure
+from estimator import SubpixelSettings, TrackState, measure
+from formats.spots import Spot
 from tests import own_frames
 from tests.lookalikes import LOOKALIKES, taken_for_spots
 from tests.stated_errors import measured

@@ -11,17 +11,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from skimage.measure import EllipseModel, find_contours
 
-from estimator import (
-    Camera,
-    LiteralSettings,
-    NoSpot,
-    Reason,
-    Response,
-    Spot,
-    SubpixelSettings,
-    TrackState,
-    measure,
-)
+from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
+from formats.camera import Camera, Response
+from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import (
     SHAPE,
     Drawing,

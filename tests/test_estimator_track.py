@@ -11,16 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator import (
-    LiteralSettings,
-    NoSpot,
-    Reason,
-    Spot,
-    SubpixelSettings,
-    TrackState,
-    measure,
-    track,
-)
+from estimator import LiteralSettings, SubpixelSettings, TrackState, measure, track
+from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of, with_shaft
 from tests.spotless import false_spots
 

@@ -21,29 +21,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import eyespot
-from estimator import (
-    FrameLabels,
-    LiteralSettings,
-    NoSpot,
-    Reader,
-    Reason,
-    Response,
-    Spot,
-    SpotRecord,
-    StackWriter,
-    SubpixelSettings,
-    read_spots,
-    track,
-    write_spots,
-)
+from estimator import LiteralSettings, Reader, SubpixelSettings, track
 from estimator.distance.ranger import Ranger
-from estimator.files.calibration import Calibration, read_calibration, write_calibration
-from estimator.files.microscope import read_microscope
-from estimator.files.poses import Pose
-from estimator.image.camera import Camera
 from estimator.run.overlay import annotated, overlay_writer
-from estimator.sources import write_bag
+from estimator.sources.ros import write_bag
 from estimator.sources.source import Frame
+from formats.calibration import Calibration, read_calibration, write_calibration
+from formats.camera import Camera, Response
+from formats.microscope import read_microscope
+from formats.poses import Pose
+from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
+from formats.stack import FrameLabels, StackWriter
 from scenes.drawn import Drawing, Truth, frame_of
 
 EYESPOT = Path(sys.executable).with_name("eyespot")

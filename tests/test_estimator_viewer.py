@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from estimator import Spot
-from estimator.files import read_spots, read_stack
 from estimator.rig.rig import Parameters, opened_rig
 from estimator.viewer import check_recording_path, record_stack
+from formats.spots import Spot, read_spots
+from formats.stack import read_stack
 from scenes import load_scene, render_stack
 from tests.command_line import call
 from tests.drawn_sets import labels_of, write_stack
@@ -137,7 +137,7 @@ def test_the_beam_of_a_recorded_stack_ends_at_its_distance(stack: Path, tmp_path
 
 
 def test_the_rings_of_the_retina_lie_on_the_eyeball() -> None:
-    from estimator.viewer.eyeball import _heights_mm
+    from estimator.viewer import _heights_mm
 
     class Eye:
         plane_normal, eye_radius_mm = None, 11.5

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import optics
-from estimator.distance import Ranger
-from estimator.files import MicroscopeFile
-from estimator.files.viewing import PathSeries, Retina
+from estimator.distance.ranger import Ranger
+from formats.microscope import MicroscopeFile, PathSeries, Retina
 from optics import viewing
 from tests.test_estimator_ranger import B, K, calibration, spot
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from estimator.files import BeingWrittenError, is_unfinished, sweep, written_whole
-from optics import InputError
+from formats.inputs import InputError
+from formats.whole_files import BeingWrittenError, is_unfinished, sweep, written_whole
 
 KINDS = ["file", "folder", "link to a file", "link to a folder", "link to nothing", "pipe"]
 
@@ -127,7 +127,7 @@ def test_only_what_a_killed_writer_left_is_swept(
     killed = """
 import os, sys
 from pathlib import Path
-from estimator.files import written_whole
+from formats.whole_files import written_whole
 with written_whole(Path(sys.argv[1])) as partial:
     partial.write_text("half")
     os._exit(9)

@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 
 import eyespot
-from estimator import read_calibration, read_spots
-from optics import InputError
+from formats.calibration import read_calibration
+from formats.inputs import InputError
+from formats.spots import read_spots
 from tests.command_line import call
 
 HOME = Path(__file__).resolve().parents[1]

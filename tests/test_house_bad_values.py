@@ -10,12 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from estimator.files import read_calibration, read_microscope, read_poses, read_stack
-from estimator.files.image_files import MOST_PIXELS, decoded_image
-from estimator.sources import open_source
-from optics import InputError, shortened
-from scenes.description import load_scene
-from scenes.world import World, frame_count
+from estimator.sources.opening import open_source
+from formats.calibration import read_calibration
+from formats.images import MOST_PIXELS, decoded_image
+from formats.inputs import InputError, shortened
+from formats.microscope import read_microscope
+from formats.poses import read_poses
+from formats.stack import read_stack
+from scenes.description.scene_file import load_scene
+from scenes.world.motion import frame_count
+from scenes.world.world import World
 from tests.bad_input import OLD
 
 

@@ -15,7 +15,7 @@ import pytest
 
 import eyespot
 from eyespot.command_line import COMMANDS
-from optics import InputError
+from formats.inputs import InputError
 from scenes.machine import doctor
 from scenes.machine.llvm import ENVIRONMENT_VARIABLE
 from scenes.machine.variant import RendererUnavailable

@@ -58,7 +58,7 @@ def left_of(group, patience_s=10.0):
 
 DROPPED = """
 import gc, sys, time
-from estimator.run import ending_on_ctrl_c, end_now
+from estimator.run.exit_codes import ending_on_ctrl_c, end_now
 
 def collected(phase, info):
     time.sleep(0.01)  # so that nearly every Ctrl-C comes in here, where Python drops it
@@ -75,7 +75,7 @@ except KeyboardInterrupt:
 
 NATIVE = """
 import hashlib
-from estimator.run import ending_on_ctrl_c
+from estimator.run.exit_codes import ending_on_ctrl_c
 
 with ending_on_ctrl_c():
     print("ready", flush=True)
@@ -90,8 +90,8 @@ def test_neither_a_callback_nor_native_code_swallows_ctrl_c(code):
 
 FINISHING = """
 import time
-from estimator.run import ending_on_ctrl_c, finish_first
-from estimator.run.interrupt import PATIENCE_S
+from estimator.run.exit_codes import ending_on_ctrl_c, finish_first
+from estimator.run.exit_codes import PATIENCE_S
 
 with ending_on_ctrl_c():
     try:

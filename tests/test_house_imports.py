@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,17 +12,18 @@ from typing import NamedTuple
 import pytest
 
 HOME = Path(__file__).resolve().parents[1]
-PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
+PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
 MAY_IMPORT_OF_OURS = {
-    "optics": set(),
-    "estimator": {"optics"},
-    "scenes": {"optics", "estimator"},
-    "calibration": {"optics", "estimator"},
+    "formats": {"optics"},
+    "optics": {"formats"},
+    "estimator": {"formats", "optics"},
+    "scenes": {"formats", "optics", "estimator"},
+    "calibration": {"formats", "optics", "estimator"},
     "benchmarks": set(PACKAGES),
 }
 MAY_BE_IMPORTED_BY = {
-    "cv2": {"estimator", "scenes", "benchmarks"},
+    "cv2": {"formats", "estimator", "scenes", "benchmarks"},
     "mitsuba": {"scenes"},
     "drjit": {"scenes"},
     "optimistix": {"optics", "calibration", "benchmarks"},
@@ -34,18 +34,15 @@ MAY_BE_IMPORTED_BY = {
     "optax": {"benchmarks"},
 }
 
-
-# Where a spot becomes a distance; the microscope is what the others see the eye through.
-FROM_SPOT_TO_DISTANCE = {
-    "estimator/distance/area.py",
-    "estimator/distance/cone_pose.py",
+# Where a spot becomes a distance, and the microscope that the others see the eye through.
+LATE_USERS_OF_OPTICS = {
+    "estimator/distance/cone.py",
     "estimator/distance/lens_range.py",
     "estimator/distance/ranger.py",
     "estimator/distance/tilted_cone.py",
-    "estimator/files/microscope.py",
-    "estimator/files/viewing.py",
     "estimator/pixels/beam.py",
     "estimator/pixels/tracker.py",
+    "formats/microscope.py",
 }
 
 
@@ -129,33 +126,26 @@ def test_a_package_imports_only_what_the_table_allows(package):
     assert not broken
 
 
-OF_INPUT = set(
-    re.findall(r"from \.input_\w+ import (\w+)", (HOME / "optics" / "__init__.pyi").read_text())
-)
-"""Names of `optics` for bad input; they are no physics, and their modules load no JAX."""
-
-
-def test_the_estimator_reaches_for_optics_only_where_a_spot_becomes_a_distance():
+def test_optics_is_imported_late_and_only_where_a_spot_becomes_a_distance():
     found = {
         (path, imported.late)
-        for path, imported in imports_of_package("estimator")
+        for package in ("formats", "estimator")
+        for path, imported in imports_of_package(package)
         if imported.module.partition(".")[0] == "optics"
-        and not (imported.names and set(imported.names) <= OF_INPUT)
     }
-    assert found == {(path, True) for path in FROM_SPOT_TO_DISTANCE}
+    assert found == {(path, True) for path in LATE_USERS_OF_OPTICS}
 
 
-def test_scenes_take_file_formats_progress_and_recordings_from_the_estimator_and_nothing_else():
+def test_scenes_take_progress_and_recordings_from_the_estimator_and_nothing_else():
     taken = {
-        (module, name if module != "estimator.files" else "")
+        (module, name)
         for _, (module, _, _, names) in imports_of_package("scenes")
         if module.partition(".")[0] == "estimator"
         for name in names
     }
     assert taken == {
-        ("estimator.files", ""),
-        ("estimator.run", "progress"),
-        ("estimator.run", "say"),
+        ("estimator.run.progress_bar", "progress"),
+        ("estimator.run.progress_bar", "say"),
         ("estimator.viewer", "check_recording_path"),
         ("estimator.viewer", "record_stack"),
     }
@@ -164,6 +154,7 @@ def test_scenes_take_file_formats_progress_and_recordings_from_the_estimator_and
 @pytest.mark.parametrize(
     ("module", "unwanted"),
     [
+        ("formats", ["jax", "mitsuba", "drjit", "optics", "skimage"]),
         ("estimator", ["jax", "mitsuba", "drjit", "optics", "skimage"]),
         ("eyespot", ["jax", "mitsuba", "cv2", "numpy", "matplotlib", "pydantic", "cyclopts"]),
         ("eyespot.command_line", ["jax", "mitsuba", "cv2", "numpy", "matplotlib", "pydantic"]),

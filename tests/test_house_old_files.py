@@ -14,17 +14,14 @@ import pytest
 
 from benchmarks.sets.read import SetError, read_set, verify_set
 from benchmarks.sets.spec import load_spec
-from estimator import NoSpot, Reason, Spot
-from estimator.files import (
-    read_calibration,
-    read_microscope,
-    read_poses,
-    read_spots,
-    read_stack,
-)
-from optics import InputError
-from scenes.description import load_scene
+from formats.calibration import read_calibration
+from formats.inputs import InputError
+from formats.microscope import read_microscope
+from formats.poses import read_poses
+from formats.spots import NoSpot, Reason, Spot, read_spots
+from formats.stack import read_stack
 from scenes.description.scene import Scene
+from scenes.description.scene_file import load_scene
 
 OLD = Path(__file__).with_name("files-0.1")
 STACK = OLD / "small-v1" / "train" / "0000"

@@ -19,9 +19,9 @@ from benchmarks.sets.score.pages import run as score
 from benchmarks.study import Study
 from calibration.command.choices import Choices
 from calibration.command.fitting import run as fit
-from estimator import StackError, StackWriter, read_stack
-from estimator.files import BeingWrittenError, written_whole
-from optics import InputError
+from formats.inputs import InputError
+from formats.stack import StackError, StackWriter, read_stack
+from formats.whole_files import BeingWrittenError, written_whole
 from scenes import load_scene, render_stack, write_preview
 from tests.drawn_sets import MICROSCOPE, labels_of
 
@@ -105,14 +105,15 @@ WRITERS: dict[str, Callable[[Path, Path], object]] = {
 def another_process_writes(out: Path, writer: str) -> Iterator[subprocess.Popen[str]]:
     """A process that has entered a writer of a path and stays there."""
     code = {
-        "render": "estimator.files.StackWriter(out).__enter__()",
-        "study": "out.mkdir(); estimator.files.lock(out, of=out)",
-    }.get(writer, "w = estimator.files.written_whole(out); w.__enter__()")
+        "render": "formats.stack.StackWriter(out).__enter__()",
+        "study": "out.mkdir(); formats.whole_files.lock(out, of=out)",
+    }.get(writer, "w = formats.whole_files.written_whole(out); w.__enter__()")
     process = subprocess.Popen(
         [
             sys.executable,
             "-c",
-            f"import sys, pathlib, estimator.files; out = pathlib.Path(sys.argv[1]); {code}; "
+            "import sys, pathlib, formats.stack, formats.whole_files; "
+            f"out = pathlib.Path(sys.argv[1]); {code}; "
             "print('here', flush=True); sys.stdin.read()",
             str(out),
         ],

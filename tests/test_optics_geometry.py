@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import optics
+from formats.inputs import InputError
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -92,7 +93,7 @@ def test_camera_matrix_round_trip():
 
 @pytest.mark.parametrize("height", [-R_EYE, -float("inf"), float("nan")])
 def test_a_pinhole_on_the_retina_is_refused_with_the_way_out(height):
-    with pytest.raises(optics.InputError, match=r"eye_radius=11\.5 mm.* Move the pinhole"):
+    with pytest.raises(InputError, match=r"eye_radius=11\.5 mm.* Move the pinhole"):
         camera(height)
 
 

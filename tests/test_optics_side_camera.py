@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import optics
+from formats.inputs import InputError
 from optics import viewing
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -80,5 +81,5 @@ def test_a_window_can_be_centred_on_a_point():
 
 def test_a_telecentric_pinhole_cannot_be_beside_the_axis():
     path = flat_path(pinhole_distance=np.inf)
-    with pytest.raises(optics.InputError, match="needs a pinhole at a finite height"):
+    with pytest.raises(InputError, match="needs a pinhole at a finite height"):
         viewing.side_camera(path, aside=(1.0, 0.0), scale=SCALE)

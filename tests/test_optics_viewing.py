@@ -12,6 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import optics
+from formats.inputs import InputError
 from optics import viewing
 from tests import optiland_paths
 
@@ -336,7 +337,7 @@ def test_cameras_of_many_eyes_are_one_batch():
     ],
 )
 def test_wrong_input_is_named_with_its_remedy(call, said):
-    with pytest.raises(optics.InputError) as error:
+    with pytest.raises(InputError) as error:
         call()
     assert said in str(error.value)
 
@@ -353,6 +354,6 @@ def test_a_wrong_eye_file_names_the_key(tmp_path):
         assert old in text
         path = tmp_path / "own.toml"
         path.write_text(text.replace(old, new))
-        with pytest.raises(optics.InputError, match=r"own\.toml") as error:
+        with pytest.raises(InputError, match=r"own\.toml") as error:
             viewing.load_eye(path)
         assert said in str(error.value)

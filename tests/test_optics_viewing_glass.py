@@ -144,8 +144,8 @@ def test_mitsuba_sees_the_same_retina_through_real_surfaces(glass, form):
 def test_a_rendered_frame_is_mitsubas_through_real_surfaces(glass, form):
     import mitsuba as mi
 
-    from scenes.rendering import Renderer
     from scenes.rendering.build import mitsuba_dict
+    from scenes.rendering.render import Renderer
 
     renderer = Renderer(cone_scene(form))
     world, path = renderer.world, flat_lens(form)

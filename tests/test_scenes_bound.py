@@ -10,12 +10,11 @@ import pytest
 from scipy.optimize import least_squares
 
 import scenes
-from estimator import FrameLabels
-from scenes.camera.information import light_information
-from scenes.description import CameraSettings, SceneError
-from scenes.stacks.bound import ellipse_motion
-from scenes.stacks.ellipse_information import Affine, ellipse_information
-from scenes.world import World
+from formats.stack import FrameLabels
+from scenes.camera import light_information
+from scenes.description.settings import CameraSettings, SceneError
+from scenes.stacks.bound import Affine, ellipse_information, ellipse_motion
+from scenes.world.world import World
 
 SHAPE = (96, 110)
 CENTRE = (52.3, 46.8)

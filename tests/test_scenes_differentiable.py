@@ -18,8 +18,8 @@ import scipy.stats
 
 import optics
 from benchmarks.bench.fits import in_spline_pixels
-from calibration.bridge.render_bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
-from calibration.solvers.levenberg_marquardt import least_squares
+from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
+from calibration.solvers import least_squares
 from scenes import Scene, SceneError, load_mitsuba
 
 ALPHA = 1e-3
@@ -256,7 +256,7 @@ def _spline_pixels(profile: np.ndarray) -> np.ndarray:
 def test_images_are_those_of_mitsuba_s_own_glass(tmp_path):
     """Blocks of pixels by Welch's t over seeds; nothing is scaled to fit."""
     load_mitsuba()
-    from scenes.rendering import glass_images
+    from scenes.rendering.glass import glass_images
 
     inside = scene(DEEP_DOME, tmp_path, spot={"eccentricity_mm": 2.0})
     seeds, per_pixel = 16, 64

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from scenes.camera.camera import metered_exposure
-from scenes.camera.exposure import expose, fixed_patterns
-from scenes.camera.output import after_jpeg, demosaiced, mosaic
-from scenes.camera.response import full_wells
-from scenes.description.camera_settings import CameraSettings
+from scenes.camera import (
+    after_jpeg,
+    demosaiced,
+    expose,
+    fixed_patterns,
+    full_wells,
+    metered_exposure,
+    mosaic,
+)
+from scenes.description.settings import CameraSettings
 
 SIDE = 512
 

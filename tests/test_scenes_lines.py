@@ -3,7 +3,8 @@
 import numpy as np
 
 import scenes
-from scenes.rendering import Renderer, radiance_along
+from scenes.rendering.loaded_scene import radiance_along
+from scenes.rendering.render import Renderer
 
 
 def test_lines_of_the_scenes_own_microscope_give_its_image():

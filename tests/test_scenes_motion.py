@@ -9,8 +9,9 @@ import pytest
 from pydantic import ValidationError
 
 import optics
-from estimator import Spot, SubpixelSettings, TrackState, measure
-from estimator.files import read_poses
+from estimator import SubpixelSettings, TrackState, measure
+from formats.poses import read_poses
+from formats.spots import Spot
 from scenes import (
     Renderer,
     Scene,
@@ -20,8 +21,8 @@ from scenes import (
     render_stack,
     scene_template,
 )
-from scenes.world import World
 from scenes.world.motion import frame_times, kinematics
+from scenes.world.world import World
 
 SMALL = {"width_px": 160, "height_px": 120, "scale_mm_px": 0.0268}
 

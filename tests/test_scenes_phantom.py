@@ -10,7 +10,7 @@ import scipy.ndimage
 
 from scenes import Renderer, Scene, SceneError
 from scenes.walls.picture import PHOTOGRAPH
-from scenes.world import World
+from scenes.world.world import World
 
 
 def scene(**parts) -> Scene:

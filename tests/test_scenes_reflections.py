@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 import scenes
-from optics.viewing import PathCamera
-from scenes.rendering import Renderer
+from optics.viewing.camera import PathCamera
+from scenes.rendering.render import Renderer
+from scenes.world.labels import spot_labels
+from scenes.world.world import World
 from tests.test_scenes_viewing import eye_file, looked_at
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -30,19 +32,19 @@ def test_the_lamp_is_seen_where_its_label_says(tmp_path):
     with_lamp, without = (Renderer(scene_with(tmp_path, reflexes=shown)) for shown in (True, False))
     reflex = (with_lamp.render(0).radiance - without.render(0).radiance)[..., 1].astype(float)
     v, u = np.nonzero(reflex > 0.5 * reflex.max())
-    label = scenes.world.spot_labels(with_lamp.world, 0)
+    label = spot_labels(with_lamp.world, 0)
     # Counting pixels of a disc of radius 10 px; off the axis its image is slightly oval.
     assert u.size > 200
     np.testing.assert_allclose(
         [label["reflex_x_px"], label["reflex_y_px"]], [u.mean(), v.mean()], atol=0.15
     )
-    assert "reflex_x_px" not in scenes.world.spot_labels(without.world, 0)
+    assert "reflex_x_px" not in spot_labels(without.world, 0)
 
 
 def test_the_lamp_s_image_has_the_radiance_of_the_lamp_after_fresnel(tmp_path):
     """A mirror keeps radiance; the lamp's follows from the light that it gives the retina."""
     scene = scene_with(tmp_path)
-    world = scenes.world.World(scene)
+    world = World(scene)
     assert world.reflections is not None and isinstance(world.microscope, PathCamera)
     image = world.reflections.image(np.zeros(2))
     index, glass, radius = 1.336, 1.49, scene.viewing.lamp_radius_mm
@@ -60,7 +62,7 @@ def test_the_lamp_s_image_has_the_radiance_of_the_lamp_after_fresnel(tmp_path):
 def test_the_reflex_moves_with_the_view(tmp_path):
     shaken = Renderer(scene_with(tmp_path, unrest={"shake_px": 3.0, "seed": 2}))
     moment = shaken.world.unrest.at(0, float(shaken.world.times[0]))
-    label = scenes.world.spot_labels(shaken.world, 0)
+    label = spot_labels(shaken.world, 0)
     at_rest = shaken.world.brightest_reflex_px
     np.testing.assert_allclose(
         [label["reflex_x_px"], label["reflex_y_px"]], at_rest + moment.view_px

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import optics
-from estimator import Spot, SubpixelSettings, TrackState, measure, read_stack
-from optics import InputError
+from estimator import SubpixelSettings, TrackState, measure
+from formats.inputs import InputError
+from formats.spots import Spot
+from formats.stack import read_stack
 from scenes import (
     Renderer,
     Scene,
@@ -19,8 +21,8 @@ from scenes import (
     render_stack,
     write_preview,
 )
-from scenes.camera.output import after_jpeg
-from scenes.world import World
+from scenes.camera import after_jpeg
+from scenes.world.world import World
 
 
 def scene(**parts) -> Scene:
@@ -57,7 +59,7 @@ LENS = (-0.2, 0.3, 0.02, -0.03, 0.5)
 def test_mitsubas_camera_is_the_microscope_of_the_labels(kind, height, distortion):
     mi = load_mitsuba()
     from scenes.rendering import build
-    from scenes.world import World
+    from scenes.world.world import World
 
     settings = scene(
         phantom={"kind": kind},

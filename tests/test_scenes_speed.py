@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.files import kept_arrays
+from formats.whole_files import kept_arrays
 from scenes import Scene, load_mitsuba
 from scenes.rendering.images import Images
-from scenes.world import World
+from scenes.world.world import World
 
 
 def scene(**parts: Any) -> Scene:

@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 import pytest
 
-from estimator import Stack, StackError, StackWriter, read_stack
-from estimator.files import BeingWrittenError
-from optics import InputError
+from formats.inputs import InputError
+from formats.stack import Stack, StackError, StackWriter, read_stack
+from formats.whole_files import BeingWrittenError
 from scenes import (
     Scene,
     SceneError,

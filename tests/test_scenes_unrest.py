@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-import optics
 import scenes
-from scenes.rendering import Renderer
+from formats.inputs import InputError
+from scenes.rendering.render import Renderer
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -109,7 +109,7 @@ def test_the_power_swings_all_light_of_the_source():
     [{"phantom": {"kind": "plane"}}, {"phantom": {"stretch": (1.1, 1.0)}}],
 )
 def test_only_a_sphere_turns(tables):
-    with pytest.raises(optics.InputError, match="rotation_deg_s turns a spherical eyeball"):
+    with pytest.raises(InputError, match="rotation_deg_s turns a spherical eyeball"):
         scenes.load_scene(
             None,
             [

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from estimator import Stack, read_stack
+from formats.stack import Stack, read_stack
 from scenes import SceneError, load_scene, render_stack
 from scenes.machine.llvm import ENVIRONMENT_VARIABLE
 

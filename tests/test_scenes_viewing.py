@@ -13,8 +13,9 @@ import pytest
 import eyespot
 import optics
 import scenes
-from scenes.rendering import Renderer
-from scenes.world import World
+from scenes.rendering.render import Renderer
+from scenes.world.labels import spot_labels
+from scenes.world.world import World
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -133,7 +134,7 @@ def test_phi_is_the_angle_of_the_local_normal():
     scene = looked_at({"eye": "atchison", "lens": "flat"}, spot={"eccentricity_mm": 3.0})
     r, (x, _) = scene.phantom.radius_mm, scene.phantom.stretch
     slope = 3.0 / (r * x) ** 2 / (np.sqrt(1 - (3.0 / (r * x)) ** 2) / r)
-    labels = scenes.world.spot_labels(World(scene), 0)
+    labels = spot_labels(World(scene), 0)
     assert labels["phi_rad"] == pytest.approx(np.arctan(slope), abs=1e-12)
 
 

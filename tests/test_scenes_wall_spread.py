@@ -8,9 +8,9 @@ from pydantic import ValidationError
 from scipy.optimize import minimize_scalar
 from skimage.measure import EllipseModel, find_contours
 
-from estimator.files import read_stack
+from formats.stack import read_stack
 from scenes import Renderer, Scene, load_mitsuba, render_stack
-from scenes.walls import wall_spread
+from scenes.walls.picture import wall_spread
 from tests.spread_disc import lit_by_disc
 
 LENGTH = 0.05

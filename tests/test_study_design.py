@@ -8,10 +8,11 @@ import optics
 import scenes
 from benchmarks.studies import design
 from benchmarks.studies.design import LIMITS, Search, limits_in
-from optics import InputError
-from optics.wall_light import lens_parameters, lens_toml, texture
-from scenes.walls import wall_picture, write_random_wall
-from scenes.world import UnknownWall
+from formats.inputs import InputError
+from optics.wall_light.lens import lens_parameters, lens_toml
+from optics.wall_light.unknown_wall import texture
+from scenes.walls.picture import wall_picture, write_random_wall
+from scenes.world.unknown_wall import UnknownWall
 
 DISTANCES = [1.0, 3.0]
 SCENE = scenes.load_scene(None, ("source.medium=vitreous",))

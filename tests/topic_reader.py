@@ -11,8 +11,9 @@ import os
 import sys
 from pathlib import Path
 
-from estimator.rig import RecentPoses, open_topic
-from optics import InputError
+from estimator.rig.rig import RecentPoses
+from estimator.rig.topic import open_topic
+from formats.inputs import InputError
 
 
 def main(topic: str, out: Path) -> None:

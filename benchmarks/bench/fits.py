@@ -27,11 +27,13 @@ from benchmarks.paper import rms
 from benchmarks.studies.pose import PRIOR_DEG, angle_deg, drawn_prior
 from calibration import Prior
 from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
-from calibration.command import Choices, fit_recordings
-from calibration.pixels import Footage, fit_footage, read_footage
+from calibration.command.choices import Choices
+from calibration.command.fitting import fit_recordings
+from calibration.pixels.data import Footage, read_footage
+from calibration.pixels.fit import fit_footage
 from calibration.recordings import read_recording
 from calibration.solvers import least_squares
-from optics.wall_light import lens_toml
+from optics.wall_light.lens import lens_toml
 from scenes import Scene, load_mitsuba, render_stack
 
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}
@@ -352,7 +354,7 @@ class PhotonFit:
 
 def photon_fit(medium: str) -> pd.DataFrame:
     """Fit a lens to photon images at two distances in a medium; rows are parameters."""
-    from scenes.rendering import PhotonImage  # needs Mitsuba's variant
+    from scenes.rendering.differentiable import PhotonImage  # needs Mitsuba's variant
 
     scene = _photon_scene(medium)
     data = _data(scene)[_INNER]
@@ -408,7 +410,7 @@ def _data(scene: Scene) -> np.ndarray:
     """Mitsuba's images of every frame, frames x seeds x H x W."""
     seeds = range(100, 100 + _DATA_SEEDS)
     settings: Any = {"photons_per_pixel": _PHOTONS_PER_PIXEL, "seeds": seeds}
-    from scenes.rendering import glass_images  # needs Mitsuba's variant
+    from scenes.rendering.glass import glass_images  # needs Mitsuba's variant
 
     frames = [glass_images(scene, frame=frame, **settings) for frame in range(_SHOTS)]
     return in_spline_pixels(np.stack(frames))

@@ -27,7 +27,8 @@ from benchmarks.bench import tracks
 from benchmarks.sets.make import Shard, local_workers, make_set, versions
 from benchmarks.sets.read import verify_set
 from benchmarks.sets.spec import SetSpec, load_spec, plan
-from estimator import Reader, Spot, SubpixelSettings
+from estimator import Reader, SubpixelSettings
+from formats.spots import Spot
 from scenes import changed, render_stack
 from scenes.drawn import Drawing, any_truth, any_wall, frame_of
 

@@ -29,22 +29,17 @@ from benchmarks.paper import largest, rms
 from benchmarks.sets.read import own_reader, true_beam
 from benchmarks.sets.spec import SetSpec, load_spec, plan
 from benchmarks.studies.pose import PRIOR_DEG, drawn_prior
-from estimator.distance import RangeFlag, TipPose
-from estimator.files import (
-    Calibration,
-    FrameLabels,
-    Pose,
-    PoseTrack,
-    Stack,
-    cache_file,
-    read_microscope,
-    read_poses,
-    write_calibration,
-)
-from estimator.run import Options, Reader, Reading
-from estimator.sources import open_source
+from estimator.distance.range import RangeFlag, TipPose
+from estimator.run.options import Options
+from estimator.run.reader import Reader, Reading
+from estimator.sources.opening import open_source
+from formats.calibration import Calibration, write_calibration
+from formats.microscope import read_microscope
+from formats.poses import Pose, PoseTrack, read_poses
+from formats.stack import FrameLabels, Stack
+from formats.whole_files import cache_file
 from scenes import Scene, SceneError, load_mitsuba, render_stack
-from scenes.world import World
+from scenes.world.world import World
 
 Row = dict[str, Any]
 """Errors of one frame; lengths in mm, angles in degrees, and NaN where there is no pose.

@@ -10,7 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import optics
-from optics.viewing import load_eye, load_viewing_lens, path_camera, viewing_path
+from optics.viewing.camera import path_camera
+from optics.viewing.eye import load_eye, load_viewing_lens
+from optics.viewing.path import viewing_path
 from scenes import Renderer, Scene, load_mitsuba
 
 _WIDTH, _HEIGHT, _SCALE = 640, 480, 0.0067

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from estimator.run import OUT
-from optics import InputError
-from scenes.description import Changes, SceneFile
+from estimator.run.options import OUT
+from formats.inputs import InputError
+from scenes.commands import Changes, SceneFile
 
 if TYPE_CHECKING:
     from benchmarks.predictions.plan import Judgement
@@ -43,10 +43,10 @@ def preregister(
         exposure: Kind of the images (default: metered, if the scene has it).
     """
     from benchmarks.predictions.plan import predicted, write_plan
-    from estimator.files import refuse_existing
-    from estimator.run import progress
+    from estimator.run.progress_bar import progress
+    from formats.whole_files import refuse_existing
     from scenes import load_scene
-    from scenes.world import frame_count
+    from scenes.world.motion import frame_count
 
     refuse_existing(out)
     if model is not None and calibration is None:

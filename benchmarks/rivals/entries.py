@@ -20,8 +20,11 @@ from skimage.measure import EllipseModel, find_contours, ransac
 from benchmarks.rivals.learned.network import LearnedEstimator, Window, blob_in
 from benchmarks.rivals.pupil import PupilDetector, why_unavailable
 from benchmarks.sets.read import Mode, own_reader, plain_spot
-from estimator import Calibration, Frame, MicroscopeFile, NoSpot, Range, Reason, Spot
-from optics import InputError
+from estimator import Frame, Range
+from formats.calibration import Calibration
+from formats.inputs import InputError
+from formats.microscope import MicroscopeFile
+from formats.spots import NoSpot, Reason, Spot
 
 # What an entry is: a frame goes in, an ellipse or a miss comes out.
 

@@ -22,18 +22,13 @@ from benchmarks.rivals.entries import KINDS, Entry, unavailable
 from benchmarks.sets.make import local_workers
 from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of, true_beam
 from benchmarks.study import versions, write_json
-from estimator import (
-    Frame,
-    Ranger,
-    Spot,
-    SpotRecord,
-    open_source,
-    read_microscope,
-    write_spots,
-)
-from estimator.files import fingerprint, require_space, written_whole
-from estimator.run import progress
-from optics import InputError, in_file, read_text
+from estimator import Frame, Ranger, open_source
+from estimator.run.progress_bar import progress
+from formats.inputs import InputError, in_file, read_text
+from formats.manifest import fingerprint
+from formats.microscope import read_microscope
+from formats.spots import Spot, SpotRecord, write_spots
+from formats.whole_files import require_space, written_whole
 
 _LEAST_BYTES = 2**20  # of the spots files
 

@@ -29,7 +29,7 @@ from benchmarks.reporting import (
 )
 from benchmarks.sets import croissant
 from benchmarks.sets.read import LabelledSet, Row, rows
-from estimator.files import written_whole
+from formats.whole_files import written_whole
 
 # Figures of the data card: histograms of the labels and sample images.
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
 
-from estimator.run import OUT
-from optics import InputError, in_file, shortened
-from scenes.description import Changes
+from estimator.run.options import OUT
+from formats.inputs import InputError, in_file, shortened
+from scenes.commands import Changes
 
 if TYPE_CHECKING:
     from benchmarks.sets.make import Estimate, Shard
@@ -119,7 +119,7 @@ def _shard(text: str | None) -> Shard:
 def _print(found: Estimate, *, workers: int) -> None:
     from rich.filesize import decimal
 
-    from estimator.run import duration
+    from estimator.run.progress_bar import duration
 
     processor, wall = duration(found.processor_s), duration(found.processor_s / workers)
     print(

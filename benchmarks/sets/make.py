@@ -40,19 +40,13 @@ from benchmarks.sets.read import (
     write_set_manifest,
 )
 from benchmarks.sets.spec import PlannedStack, SetSpec, plan
-from estimator.files import (
-    MANIFEST,
-    BeingWrittenError,
-    StackWriter,
-    object_in,
-    require_space,
-    sweep,
-    written_whole,
-)
-from estimator.run import progress as bar
-from estimator.run import say
-from optics import InputError, in_file, read_text, shortened
-from scenes.world import World
+from estimator.run.progress_bar import progress as bar
+from estimator.run.progress_bar import say
+from formats.inputs import InputError, in_file, object_in, read_text, shortened
+from formats.manifest import MANIFEST
+from formats.stack import StackWriter
+from formats.whole_files import BeingWrittenError, require_space, sweep, written_whole
+from scenes.world.world import World
 
 # Renders one stack; a separate file, so that workers import little else.
 

@@ -13,29 +13,24 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from estimator import (
-    Calibration,
-    FrameLabels,
-    LiteralSettings,
-    MicroscopeFile,
-    Reader,
-    Spot,
-    Stack,
-    SubpixelSettings,
-    read_stack,
-)
-from estimator.files import (
+from estimator import LiteralSettings, Reader, SubpixelSettings
+from formats.calibration import Calibration
+from formats.inputs import (
     FOLDER_NAME,
-    MANIFEST,
-    differences,
-    fingerprint,
+    InputError,
+    Strict,
+    check_schema,
+    in_file,
     in_utf8,
     inside,
     object_in,
-    read_manifest,
-    write_manifest,
+    read_text,
+    validated,
 )
-from optics import InputError, Strict, check_schema, in_file, read_text, validated
+from formats.manifest import MANIFEST, differences, fingerprint, read_manifest, write_manifest
+from formats.microscope import MicroscopeFile
+from formats.spots import Spot
+from formats.stack import FrameLabels, Stack, read_stack
 
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}
@@ -240,7 +235,9 @@ def true_beam(stack: Stack) -> Calibration:
 @functools.cache
 def _beam(source: str) -> Calibration:
     from scenes import Scene
-    from scenes.world import true_calibration  # loads JAX, which a reader of files need not have
+    from scenes.world.labels import (
+        true_calibration,  # loads JAX, which a reader of files need not have
+    )
 
     return true_calibration(Scene.model_validate_json(source))
 
@@ -254,7 +251,7 @@ def plain_spot(
         x, y: centre, to the right and downwards, px.
         first, second: semi-axes, px; either may be the longer one.
         angle: of the first one, from +u towards +v, rad.
-        covariance: 5 x 5, order `estimator.image.PARAMETERS`; NaN if unknown.
+        covariance: 5 x 5, order `formats.spots.PARAMETERS`; NaN if unknown.
     """
     if second > first:
         first, second, angle = second, first, angle + math.pi / 2
@@ -300,7 +297,7 @@ def own_reader(
         return Reader(LiteralSettings(**given), start=click)
     pixels = None
     if mode == "pixels":
-        from estimator.pixels import PixelRanger
+        from estimator.pixels.tracker import PixelRanger
 
         assert beam is not None, "the mode pixels needs the beam"
         pixels = PixelRanger(beam, microscope)

@@ -48,10 +48,17 @@ from pydantic import (
 )
 from scipy.stats import qmc
 
-from estimator.files import FOLDER_NAME
-from optics import InputError, at_most_three, check_schema, in_file, read_toml, shortened
+from formats.inputs import (
+    FOLDER_NAME,
+    InputError,
+    at_most_three,
+    check_schema,
+    in_file,
+    read_toml,
+    shortened,
+)
 from scenes import Scene, SceneError, changed, parsed_change
-from scenes.description import problem_sentence
+from scenes.description.scene_file import problem_sentence
 
 # Distributions of a scene key; each maps a quantile in [0, 1) to a value.
 

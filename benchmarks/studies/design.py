@@ -29,13 +29,15 @@ import scenes
 from benchmarks.paper import rms
 from benchmarks.reporting import Claim, Column, Picture, Report, Table, small_multiples
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from estimator import Reader, Stack
-from estimator.files import written_whole
-from optics import InputError
-from optics.wall_light import distance_sigmas, lens_parameters, lens_toml
+from estimator import Reader
+from formats.inputs import InputError
+from formats.stack import Stack
+from formats.whole_files import written_whole
+from optics.wall_light.lens import lens_parameters, lens_toml
+from optics.wall_light.unknown_wall import distance_sigmas
 from scenes import Scene
-from scenes.walls import write_random_wall
-from scenes.world import SpotLight, UnknownWall
+from scenes.walls.picture import write_random_wall
+from scenes.world.unknown_wall import SpotLight, UnknownWall
 
 # The question: which drop, within which limits, at which distances.
 

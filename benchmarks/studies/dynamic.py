@@ -58,18 +58,13 @@ from benchmarks.reporting import (
 )
 from benchmarks.study import Changes, LightSource, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
-from estimator import (
-    MicroscopeFile,
-    PoseTrack,
-    Ranger,
-    Reader,
-    Reading,
-    Stack,
-    read_microscope,
-    read_poses,
-)
+from estimator import Ranger, Reader, Reading
+from formats.microscope import MicroscopeFile, read_microscope
+from formats.poses import PoseTrack, read_poses
+from formats.stack import Stack
 from scenes import Scene, SceneError
-from scenes.world import World, study_calibration, true_calibration
+from scenes.world.labels import study_calibration, true_calibration
+from scenes.world.world import World
 
 # The scenes of the dynamic study: tips moving at several speeds, and the same without blur.
 

@@ -82,7 +82,8 @@ from benchmarks.studies.error_causes import (
     spread_length,
 )
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from estimator.files import written_whole
+from formats.inputs import InputError
+from formats.whole_files import written_whole
 from scenes import Scene
 
 # The space of geometries: scrambled Sobol points, every model's error there, in bounded memory.
@@ -795,11 +796,11 @@ def eccentricity(
         geometries: Number of random geometries (default: 131072; 16384 if quick).
     """
     if geometries is not None and geometries < _FEWEST:
-        raise optics.InputError(
+        raise InputError(
             f"--geometries must be at least {_FEWEST}, to fill each range of c; got {geometries}."
         )
     if any(change.partition("=")[0].strip() == "spot.eccentricity_mm" for change in changes):
-        raise optics.InputError(
+        raise InputError(
             "spot.eccentricity_mm has no effect in this study, which varies c. Leave it out."
         )
     count = geometries or (_GEOMETRIES_IF_QUICK if quick else _GEOMETRIES)

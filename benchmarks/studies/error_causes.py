@@ -25,7 +25,7 @@ import optics
 from benchmarks.model_error import Geometry, place
 from benchmarks.paper import coalitions, shapley_values
 from scenes import Scene
-from scenes.walls import PRESETS_MM, wall_spread
+from scenes.walls.picture import PRESETS_MM, wall_spread
 
 # The chain from a distance to a spot's size and back, each link of which can be real or ideal.
 #

@@ -17,20 +17,19 @@ from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 
 import optics
 from calibration.solvers import gauss_newton_in_blocks
-from calibration.spots import NUISANCES, RETINA, SIZE_PER_MM, Group, misfit, whitening_of
-from optics import read_toml
-from optics.viewing import (
-    Conic,
-    Eye,
-    Medium,
-    PathCamera,
-    Refracting,
-    ViewingLens,
-    load_viewing_lens,
-    local_magnification,
-    path_camera,
-    viewing_path,
+from calibration.spots.cone_trials import (
+    NUISANCES,
+    RETINA,
+    SIZE_PER_MM,
+    Group,
+    misfit,
+    whitening_of,
 )
+from formats.inputs import read_toml
+from optics.viewing.camera import PathCamera, local_magnification, path_camera
+from optics.viewing.eye import Eye, ViewingLens, load_viewing_lens
+from optics.viewing.path import viewing_path
+from optics.viewing.trace import Conic, Medium, Refracting
 
 SCALE_MM_PX = 0.0067
 NOMINAL_RADIUS_MM = 12.0

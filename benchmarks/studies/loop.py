@@ -24,8 +24,12 @@ import scenes
 from benchmarks.paper import largest, rms
 from benchmarks.reporting import GREY, Claim, Column, Picture, Report, Table, small_multiples
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from estimator import Frame, Pose, PoseTrack, Response, SpotRecord
-from estimator.run import overlay_writer, record_of
+from estimator import Frame
+from estimator.run.offline import record_of
+from estimator.run.overlay import overlay_writer
+from formats.camera import Response
+from formats.poses import Pose, PoseTrack
+from formats.spots import SpotRecord
 from scenes import LiveCamera, Scene, World
 
 # The question: an arm through a trocar, a path along the wall, a camera with a delay.

@@ -39,9 +39,13 @@ from benchmarks.reporting import (
 )
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
-from estimator import Calibration, Ranger, Stack, read_microscope
+from estimator import Ranger
+from formats.calibration import Calibration
+from formats.microscope import read_microscope
+from formats.stack import Stack
 from scenes import Scene, SceneError
-from scenes.world import Cone, World, lens_light, study_calibration, true_calibration
+from scenes.world.labels import study_calibration, true_calibration
+from scenes.world.world import Cone, World, lens_light
 
 # Half-maximum radius of a light in a medium against distance, in closed form.
 

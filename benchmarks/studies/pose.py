@@ -42,7 +42,7 @@ from benchmarks.reporting import (
     where,
 )
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from calibration.spots import (
+from calibration.spots.tool_pose import (
     Tool,
     ToolPose,
     contour_mismatch_covariance,
@@ -52,20 +52,15 @@ from calibration.spots import (
     tool_contours,
     tool_pose_bound,
 )
-from estimator import (
-    MicroscopeFile,
-    NoSpot,
-    Ranger,
-    Spot,
-    Stack,
-    SubpixelSettings,
-    TrackState,
-    read_microscope,
-)
+from estimator import Ranger, SubpixelSettings, TrackState
 from estimator import measure as measured
-from estimator.files import written_whole
+from formats.microscope import MicroscopeFile, read_microscope
+from formats.spots import NoSpot, Spot
+from formats.stack import Stack
+from formats.whole_files import written_whole
 from scenes import Scene, SceneError
-from scenes.world import World, true_calibration
+from scenes.world.labels import true_calibration
+from scenes.world.world import World
 
 # The working volume, a pose in it, and how far an estimate is from it.
 
@@ -266,8 +261,8 @@ def errors(
 ) -> list[dict[str, Any]]:
     """Errors of the poses from a noisy contour at each place, with each kind of prior.
 
-    One spot is solved by `optics.pose_from_contour`, several by `calibration.spots.fit_tool` from
-    the ellipses of the same noisy contours.
+    One spot is solved by `optics.pose_from_contour`, several by `fit_tool` from the
+    ellipses of the same noisy contours.
     """
     rng = np.random.default_rng([seed, tool.cones])
     poses = ToolPose(*map(np.array, zip(*(place.pose for place in every), strict=True)))

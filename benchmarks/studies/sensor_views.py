@@ -33,8 +33,9 @@ from optics.viewing import (
 )
 from scenes import Scene
 from scenes.camera import Camera
-from scenes.rendering import images_of, radiance_along
-from scenes.world import World
+from scenes.rendering.images import images_of
+from scenes.rendering.loaded_scene import radiance_along
+from scenes.world.world import World
 
 # What the sensors look at: the instrument, the light guide, the wall, and the microscopes.
 

@@ -77,8 +77,8 @@ from benchmarks.studies.sensor_views import (
     views,
 )
 from benchmarks.study import OutputFolder, Quick, Seed, Study
-from estimator import Stack
-from estimator.run import progress
+from estimator.run.progress_bar import progress
+from formats.stack import Stack
 from scenes import Scene
 
 # What each sensor can reach: exact marks with stated noise, and with one wrong assumption.

@@ -57,9 +57,9 @@ from benchmarks.reporting import (
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import Lines, fit_lines
 from estimator import LiteralSettings
-from estimator.files import written_whole
+from formats.whole_files import written_whole
 from scenes import Scene, SceneError
-from scenes.world import World
+from scenes.world.world import World
 
 
 def even_span(row: PlaneRow) -> float:

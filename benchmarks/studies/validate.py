@@ -90,7 +90,7 @@ from benchmarks.reporting import (
 )
 from benchmarks.study import LightSource, OutputFolder, Quick, Study
 from calibration import fit_eccentricity, fit_lines, fit_plane
-from estimator import Stack, read_stack
+from formats.stack import Stack, read_stack
 from scenes import Scene, World
 
 # The fits of Tables I and II, and the models' errors.

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from cyclopts import Parameter
 
-from estimator.run import Exposure, Given, Options
-from optics import InputError, shortened
+from estimator.run.options import Exposure, Given, Options
+from formats.inputs import InputError, shortened
 
 if TYPE_CHECKING:
     from calibration.recordings import LogBook
-    from calibration.spots import Loss, Prior
-    from estimator.files import Quaternion
+    from calibration.spots.cone_trials import Prior
+    from calibration.spots.plane_fit import Loss
+    from formats.poses import Quaternion
 
 _T = TypeVar("_T")
 
@@ -85,7 +86,7 @@ class Choices(Given):
         Raises:
             InputError: wrong format, or a sigma that is not positive.
         """
-        from calibration.spots import Prior
+        from calibration.spots.cone_trials import Prior
 
         found = {}
         for text in self.prior:

@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from calibration.command.choices import Choices
-from estimator.run import OUT, OUTPUT, Rerun
+from estimator.run.options import OUT, OUTPUT, Rerun
 
 
 def fit(

@@ -25,28 +25,21 @@ from rich.table import Table
 import optics
 from calibration.command import report as fit_report
 from calibration.command.choices import Choices
-from calibration.command.cone_models import EYE, fit_cone_to_spots, fit_eye
-from calibration.command.fitted import Fitted
-from calibration.command.paper_models import fit_planes, fit_sphere
+from calibration.command.models import EYE, fit_cone_to_spots, fit_eye, fit_planes, fit_sphere
 from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_lens
-from calibration.command.verdict import Doubt, doubts, refusal, verdict
-from calibration.pixels import CONE, FREE, NUISANCES, known_names
+from calibration.command.verdict import Doubt, Fitted, doubts, refusal, verdict
+from calibration.pixels.data import CONE, FREE, NUISANCES, known_names
 from calibration.recordings import Recording, is_stack, read_recording
 from calibration.solvers import correlations
-from calibration.spots import PARAMETERS
-from estimator import Ranger, Spot
-from estimator.files import (
-    Calibration,
-    in_terminal,
-    read_calibration,
-    require_space,
-    write_calibration,
-    written_whole,
-)
-from estimator.run import progress, say
-from estimator.sources import open_source
+from calibration.spots.cone_fit import PARAMETERS
+from estimator import Ranger
+from estimator.run.progress_bar import progress, say
+from estimator.sources.opening import open_source
 from estimator.viewer import check_recording_path, recording_of
-from optics import InputError
+from formats.calibration import Calibration, read_calibration, write_calibration
+from formats.inputs import InputError, in_terminal
+from formats.spots import Spot
+from formats.whole_files import require_space, written_whole
 
 _SPOTS_FILES = (".csv", ".parquet")
 

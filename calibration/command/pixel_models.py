@@ -19,16 +19,17 @@ from scipy import ndimage
 
 import optics
 from calibration.command.choices import Choices
-from calibration.command.cone_models import cone_start
-from calibration.command.fitted import Fitted, PixelResiduals, bounds_hit
-from calibration.pixels import LENS, UNITS, ImageFit, fit_footage, lens_start, read_footage
+from calibration.command.models import cone_start
+from calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
+from calibration.pixels.data import LENS, UNITS, read_footage
+from calibration.pixels.fit import ImageFit, fit_footage, lens_start
 from calibration.recordings import Recording
-from calibration.spots import Prior
-from estimator import read_stack
-from estimator.files import BEAM, LENS_PARAMETERS
-from estimator.run import progress, say
-from optics import InputError
-from optics.wall_light import lens_of
+from calibration.spots.cone_trials import Prior
+from estimator.run.progress_bar import progress, say
+from formats.calibration import BEAM, LENS_PARAMETERS
+from formats.inputs import InputError
+from formats.stack import read_stack
+from optics.wall_light.lens import lens_of
 
 _SAGS = (0.02, 0.08, 0.25, 0.5)
 """Heights of the cap over the core's radius: nearly flat to a round drop."""
@@ -51,7 +52,7 @@ def guessed_lenses(recording: Recording, kind: Mapping[str, float]) -> list[dict
 
     Args:
         recording: the measured spots.
-        kind: `optics.wall_light.PARAMETERS` of a lens of the same fibre, which is compared too.
+        kind: `optics.wall_light.lens.PARAMETERS` of a lens of the same fibre, compared too.
 
     Returns:
         The parameters of those that resemble them most, the best one first.

@@ -1,4 +1,4 @@
-"""The report of `eyespot fit`: one HTML page with its pictures inside."""
+"""The page of a fit: parameters, residuals, correlations."""
 
 from __future__ import annotations
 
@@ -9,17 +9,37 @@ import statistics
 from collections.abc import Sequence
 from typing import Any
 
+import jinja2
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calibration.command.fitted import Fitted, PixelResiduals
-from calibration.command.page import templates
-from calibration.command.verdict import SIGNIFICANCE, Doubt, Fault, runs_probability
+from calibration.command.verdict import (
+    SIGNIFICANCE,
+    Doubt,
+    Fault,
+    Fitted,
+    PixelResiduals,
+    runs_probability,
+)
 from calibration.recordings import Recording
 from calibration.solvers import accepted_range, correlations
-from estimator.files import in_figure
+from formats.inputs import in_figure
+
+
+def templates(*packages: str) -> jinja2.Environment:
+    """The templates of packages, beside the style `page.css` that they include."""
+    places = ("calibration.command", *packages)
+    return jinja2.Environment(
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(package) for package in places]),
+        autoescape=lambda name: name is not None and ".html" in name,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+
 
 # Palette of Okabe and Ito, which colour-blind readers can distinguish.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")

@@ -28,13 +28,20 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation
 from scipy.optimize import brentq
 
-from calibration.pixels.data import Footage
-from calibration.pixels.lens_light import NEAREST_MM, LensLight
-from calibration.pixels.light import SHIFT, STATES, TIP, Cells, FrameLight, Light
-from calibration.pixels.parameters import possible
+from calibration.pixels.data import Footage, possible
+from calibration.pixels.light import (
+    NEAREST_MM,
+    SHIFT,
+    STATES,
+    TIP,
+    Cells,
+    FrameLight,
+    LensLight,
+    Light,
+)
 from calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
-from calibration.spots import Prior
-from optics import InputError
+from calibration.spots.cone_trials import Prior
+from formats.inputs import InputError
 
 _UNITS = np.array([0.02, 0.02, 0.003, 0.003, 0.003, 0.1, 0.1])
 """Standard deviations of the states before they are learnt."""

@@ -29,7 +29,7 @@ from calibration.spots.cone_trials import (
     misfit,
     spots,
 )
-from optics import InputError
+from formats.inputs import InputError
 
 PARAMETERS = (
     "half_angle",

@@ -19,7 +19,7 @@ from scipy import stats
 import optics
 from calibration.solvers import GAUSS_NEWTON, Robust, Solution, huber, least_squares, padded
 from calibration.spots.plane_fit import Loss, outlier_indices
-from optics import InputError
+from formats.inputs import InputError
 
 _FEWEST_SPOTS = 2
 # Below this phi, cos(phi) differs from 1 by less than 5e-5, which no measurement resolves.

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 from cyclopts.types import Port
 
-from estimator.files import POSE_TOPIC
-from estimator.run import Options, Recorded
-from optics import InputError
+from estimator.run.options import Options, Recorded
+from formats.inputs import InputError
+from formats.poses import POSE_TOPIC
 
 if TYPE_CHECKING:
-    from estimator.files import PoseTrack
-    from estimator.sources import Source
+    from estimator.sources.source import Source
+    from formats.poses import PoseTrack
 
 _TOPIC = "topic:"
 
@@ -49,7 +49,7 @@ def console(
         raise InputError(
             f"the console needs the package {error.name}: pip install 'eyespot[console]'."
         ) from error
-    from estimator.console.gate import is_loopback
+    from estimator.console.page import is_loopback
 
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder. Make it, or choose another one.")
@@ -72,7 +72,8 @@ def console(
 
 def _topic(topic: str, recorded: Recorded) -> tuple[Callable[[], Source], Callable[[], PoseTrack]]:
     """The source of a topic, and the poses that arrive."""
-    from estimator.rig import RecentPoses, open_topic
+    from estimator.rig.rig import RecentPoses
+    from estimator.rig.topic import open_topic
 
     if recorded.poses is not None:
         raise InputError("poses are of a recording. Those of a running ROS have a --pose-topic.")

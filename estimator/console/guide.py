@@ -1,8 +1,4 @@
-"""A calibration guided by the console: withdraw from contact, see how much is covered, fit, save.
-
-The frames and poses of the withdrawal are recorded in a bag. `eyespot fit` fits it in a program of
-its own, because a fit takes half a minute and JAX.
-"""
+"""The panel of a guided calibration on the page."""
 
 from __future__ import annotations
 
@@ -15,8 +11,51 @@ from enum import Enum
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
+from nicegui import ui
+
 from estimator.console.session import Moment, Session
-from optics import InputError
+from formats.camera import Response
+from formats.inputs import InputError
+from formats.spots import NoSpot, Spot
+
+_SATURATED = 0.01  # of the spot; below it are single hot pixels and reflections
+_DARK, _GOOD = 0.25, 0.8  # of full scale; at a quarter, noise of the edge has four times its least
+
+
+def exposure_advice(result: Spot | NoSpot, frame: np.ndarray, response: Response) -> str:
+    """One sentence about the exposure; empty if it is right.
+
+    Args:
+        result: what was measured in the frame.
+        frame: the frame.
+        response: of the camera.
+    """
+    if isinstance(result, NoSpot):
+        return ""
+    if result.saturated > _SATURATED:
+        # How far the light exceeds full scale is not in the image, so: halve it, and look again.
+        return f"{result.saturated:.0%} of the spot is saturated: halve the exposure."
+    inside = _inside(result, frame)
+    if not inside.size or (frame.dtype != np.uint8 and response.full_scale is None):
+        return ""  # of 16 bits, a camera may use 10
+    peak = float(np.percentile(inside, 99)) / response.full_scale_of(frame)
+    if peak < _DARK:
+        return (
+            f"The spot reaches {peak:.0%} of full scale: make the exposure"
+            f" {_GOOD / max(peak, 0.01):.0f} times as long."
+        )
+    return ""
+
+
+def _inside(spot: Spot, frame: np.ndarray) -> np.ndarray:
+    """The brightest channel of the square in the spot's ellipse."""
+    half = spot.semi_minor_px / np.sqrt(2)
+    x0, x1 = (max(round(spot.x_px + side * half), 0) for side in (-1, 1))
+    y0, y1 = (max(round(spot.y_px + side * half), 0) for side in (-1, 1))
+    patch = frame[y0 : y1 + 1, x0 : x1 + 1]
+    return patch.max(axis=2) if patch.ndim == 3 else patch
+
 
 FEWEST_SPOTS, LEAST_MM = 8, 3.0
 """From here on a fit is worth trying: b and k separate over a withdrawal of 3 to 6 mm."""
@@ -152,3 +191,72 @@ class Guide:
         self._log.close()
         self.said = "\n".join(lines)
         self.stage = Stage.SAVED if code == 0 else Stage.REFUSED
+
+
+_LOOK_S = 0.25
+_MEDIA = ("air", "water", "vitreous")
+_STEPS = (
+    "1. Touch the wall with the tip. 2. Start, and withdraw the tip along the tool by 3 to 6 mm. "
+    "3. Fit: the calibration and its report with the residuals are written beside the bag."
+)
+
+
+class CalibrationPanel:
+    """One window's panel; all windows show the same guide.
+
+    Args:
+        guide: of the session.
+    """
+
+    def __init__(self, guide: Guide) -> None:
+        self._guide = guide
+        with ui.expansion("Calibrate the beam").classes("calibrate"):
+            ui.label(_STEPS).classes("note")
+            with ui.row().classes("controls"):
+                walls = {"plane": "a flat wall", "eyeball": "an eyeball"}
+                self._phantom = ui.select(walls, value="plane").props("dense outlined")
+                self._medium = ui.select(list(_MEDIA), value="air").props("dense outlined")
+                self._start = ui.button("Start at contact", on_click=self._on_start)
+                self._fit = ui.button("Fit", on_click=self._on_fit)
+                self._covered = ui.linear_progress(0.0, show_value=False).classes("covered")
+                self._state = ui.label().classes("note guide")
+            self._said = ui.label().classes("said")
+            self._report = ui.link("Report with residuals", "", new_tab=True).classes("report")
+        ui.timer(_LOOK_S, self._update)
+
+    def _update(self) -> None:
+        guide = self._guide
+        guide.look()
+        self._fit.set_enabled(guide.stage is Stage.WITHDRAWING and guide.enough)
+        self._start.set_enabled(guide.stage is not Stage.FITTING)
+        self._covered.set_value(min(guide.covered_mm / LEAST_MM, guide.spots / FEWEST_SPOTS, 1.0))
+        self._state.set_text(_state(guide))
+        self._said.set_text(guide.said)
+        self._report.set_visibility(guide.stage in (Stage.SAVED, Stage.REFUSED))
+        self._report.props(f'href="/report/{guide.file.stem}"')
+
+    def _on_start(self) -> None:
+        try:
+            self._guide.start()
+        except (InputError, OSError) as error:
+            self._guide.said = f"{error}"
+
+    def _on_fit(self) -> None:
+        try:
+            self._guide.fit(phantom=self._phantom.value, medium=self._medium.value)
+        except (InputError, OSError) as error:
+            self._guide.said = f"{error}"
+
+
+def _state(guide: Guide) -> str:
+    match guide.stage:
+        case Stage.IDLE:
+            return ""
+        case Stage.WITHDRAWING:
+            return f"{guide.covered_mm:.1f} of {LEAST_MM:g} mm or more, {guide.spots} spots"
+        case Stage.FITTING:
+            return "fitting, half a minute"
+        case Stage.SAVED:
+            return f"Saved {guide.file.name}. Start the console with it to read distances."
+        case Stage.REFUSED:
+            return "No good calibration."

@@ -25,7 +25,7 @@ from estimator.detector.ellipse import (
 )
 from estimator.detector.levels import Levels
 from estimator.detector.tuning import RAYS, Rays, Refine, Saturated, Sharp
-from estimator.image import NoSpot, Reason
+from formats.spots import NoSpot, Reason
 
 _ROUNDING = math.sqrt(np.finfo(float).eps)  # leaves half of the digits
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from estimator.detector.ellipse import Ellipse
 from estimator.detector.tuning import Channel, Search
-from estimator.image import GREY, GREY_WEIGHTS, Window, clip_level
+from estimator.image import clip_level
+from formats.camera import GREY, GREY_WEIGHTS, Window
 
 
 def channel_for(

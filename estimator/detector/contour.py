@@ -31,7 +31,8 @@ from estimator.detector.ellipse import Ellipse, Patch
 from estimator.detector.levels import dark_radius
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tuning import RAYS, Capture, Hollow, Refine, Search, Sharp, Texture
-from estimator.image import GREY, NoSpot, Reason, Window
+from formats.camera import GREY, Window
+from formats.spots import NoSpot, Reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ from estimator.detector.levels import (
     slope_of_surroundings,
 )
 from estimator.detector.tuning import RAYS, Broad, Capture, ErrorGrowth, Refine, Saturated
-from estimator.image import NoSpot, Reason
+from formats.spots import NoSpot, Reason
 
 
 def refine_broad(

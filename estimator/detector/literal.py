@@ -32,8 +32,10 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from estimator.image import NoSpot, Reason, Response, Spot, clip_level
-from optics import InputError
+from estimator.image import clip_level
+from formats.camera import Response
+from formats.inputs import InputError
+from formats.spots import NoSpot, Reason, Spot
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,8 +19,8 @@ from functools import cached_property
 
 import numpy as np
 
-from estimator.image import Camera, LightMeter, Response
-from optics import InputError
+from formats.camera import Camera, LightMeter, Response
+from formats.inputs import InputError
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

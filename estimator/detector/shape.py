@@ -8,16 +8,9 @@ import numpy as np
 
 from estimator.detector.ellipse import Ellipse, Patch
 from estimator.detector.tuning import SpotProfile
-from estimator.image import (
-    GREY,
-    Camera,
-    LightMeter,
-    Response,
-    Spot,
-    Window,
-    checked_frame,
-    clip_level,
-)
+from estimator.image import clip_level
+from formats.camera import GREY, Camera, LightMeter, Response, Window, checked_frame
+from formats.spots import Spot
 
 LEVELS = SpotProfile.LEVELS
 """Levels of the isophotes, as fractions of the peak above the background."""

@@ -25,8 +25,9 @@ from estimator.detector.verdict import (
     sighting_in,
     spot_on_reflection,
 )
-from estimator.image import NoSpot, Outline, Reason, Spot, Window, checked_frame, without_repeats
-from optics import InputError
+from formats.camera import Window, checked_frame, without_repeats
+from formats.inputs import InputError
+from formats.spots import NoSpot, Outline, Reason, Spot
 
 
 @dataclass(frozen=True, kw_only=True)

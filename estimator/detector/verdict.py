@@ -39,7 +39,7 @@ from estimator.detector.ellipse import (
 from estimator.detector.levels import RADII, RADIUS_STEP, background_of
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tuning import Motion, Refine, Reflection, Verdict
-from estimator.image import NoSpot, Reason, Spot
+from formats.spots import NoSpot, Reason, Spot
 
 _GRID = np.linspace(-Motion.FLAT, Motion.FLAT, 1601)
 _PER_WIDTH = (len(_GRID) - 1) / (2 * Motion.FLAT)

@@ -1,4 +1,9 @@
-"""What a distance is worth: its uncertainty by cause, in the terms of the GUM (JCGM 100:2008)."""
+"""Makes the budgets of distances: how far each cause moves a distance, and the model's error.
+
+The distance is computed again by exact geometry for a known direction of the beam, in NumPy. Where
+it differs from the reading, the model in use is wrong at this place, distance and tilt, and the
+difference is the correction. Its derivatives say what the errors of each quantity do.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +12,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, Self
+
+import numpy as np
+
+from estimator.detector import tuning
+from estimator.distance.range import Range
+from estimator.distance.ranger import Ranger
+from estimator.distance.tilted_cone import Eye, Slopes, distance_of, slopes_of
+from formats.calibration import BEAM, QUANTITIES
+from formats.spots import Spot
+from formats.stated import Stated
 
 _LEVEL = 0.95
 
@@ -171,3 +186,280 @@ class Budget:
             parts=tuple(part for part in parts if part.sigma_mm != 0),
             left_out=left_out,
         )
+
+
+_ELLIPSE = 5  # parameters that a spot's profiles are fitted with
+_AZIMUTHS = 6  # of an unknown direction
+_GAUSS = 0.5 / math.sqrt(3)  # nodes of a uniform interval, from its middle, in its width
+
+
+class Motion(NamedTuple):
+    """How the tool moved at a frame's time, by the robot's poses; 0 if that is not known.
+
+    Attributes:
+        velocity_mm_s: of the tip, in the eye's frame; if the beam's axis is not known, in any
+            frame, and its length counts.
+        turn_rad_s: of the tool's axis.
+        pose_age_s: of the pose that the axis was taken from.
+    """
+
+    velocity_mm_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    turn_rad_s: float = 0.0
+    pose_age_s: float = 0.0
+
+
+AT_REST = Motion()
+
+
+class Budgets:
+    """Makes the budgets of the distances of one ranger, in two milliseconds each.
+
+    Args:
+        ranger: that computed the distances.
+        stated: uncertainties of what neither spot nor calibration contains.
+    """
+
+    def __init__(self, ranger: Ranger, stated: Stated) -> None:
+        values, view = ranger.calibration.values, ranger.microscope
+        self._ranger, self._stated = ranger, stated
+        self._by_area = ranger.model == "area"
+        self._sigmas = np.sqrt(np.diag(ranger.calibration.covariance))
+        self._traced = ranger.model != "lens"
+        self._through_path = view.viewing_path is not None
+        if self._traced:
+            k = values["k"] if "k" in values else 1 / math.tan(values["half_angle"])
+            self._eye = Eye(
+                k=np.array([k]),
+                b=np.array([values["b"]]),
+                scale=view.scale_mm_px,
+                eye_radius=view.eye_radius_mm,
+                inverse_working_distance=view.inverse_working_distance,
+                normal=view.plane_normal,
+            )
+
+    def of(
+        self,
+        spot: Spot,
+        found: Range,
+        *,
+        axis: np.ndarray | None = None,
+        motion: Motion = AT_REST,
+    ) -> Budget | None:
+        """The budget of a distance; None if there is no distance, or nothing explains the spot.
+
+        Args:
+            spot: that was measured.
+            found: its distance.
+            axis: of the beam, by the robot: unit vector from the tip towards the wall, eye frame.
+            motion: of the tool.
+        """
+        if math.isnan(found.distance_mm):
+            return None
+        if not self._traced:
+            return self._of_lens(spot, found, motion)
+        # A line of sight or a generator that misses the wall gives NaN.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self._of_cone(spot, found, axis, motion)
+
+    def _of_cone(
+        self, spot: Spot, found: Range, axis: np.ndarray | None, motion: Motion
+    ) -> Budget | None:
+        told = axis is not None
+        if found.poses:
+            axis = found.poses[0].axis
+        axes, weights = self._directions(spot, axis)
+        if axes is None:
+            return None
+        size = (
+            math.sqrt(spot.semi_major_px * spot.semi_minor_px)
+            if self._by_area
+            else spot.semi_minor_px
+        )
+        at = np.array([spot.x_px, spot.y_px]) - self._ranger.microscope.principal_point_px
+        distances, points = distance_of(
+            self._eye,
+            at_px=np.tile(at, (len(axes), 1)),
+            size_px=np.full(len(axes), size),
+            axis=axes,
+            by_area=self._by_area,
+        )
+        mean = float(weights @ distances)
+        if math.isnan(mean):
+            return None
+        middle = int(np.argmin(np.abs(distances - mean)))
+        slopes = slopes_of(
+            self._eye,
+            axis=axes[middle],
+            point=points[middle],
+            distance=distances[middle],
+            by_area=self._by_area,
+        )
+        speed = self._speed(motion, axes[middle], points[middle], told=told)
+        known = axis is not None
+        spread = 0.0 if known else math.sqrt(weights @ (distances - mean) ** 2)
+        exact = self._ranger.model in ("exact", "area") or self._through_path
+        return Budget.of(
+            found.distance_mm,
+            correction_mm=0.0 if exact else mean - found.distance_mm,
+            parts=self._parts(spot, found, slopes, spread, (motion, speed), known=known),
+            left_out=("the model's error through this viewing path",)
+            if self._through_path and self._ranger.model not in ("exact", "area")
+            else (),
+        )
+
+    def _directions(
+        self, spot: Spot, axis: np.ndarray | None
+    ) -> tuple[np.ndarray | None, np.ndarray]:
+        """The beam's axis, or several that stand for all that it may be, and their weights."""
+        if axis is not None:
+            return np.asarray(axis)[None], np.ones(1)
+        at = np.array([[spot.x_px, spot.y_px]]) - self._ranger.microscope.principal_point_px
+        normal = self._eye.outward(self._eye.wall_point(at))[0]
+        if np.isnan(normal).any():
+            return None, np.ones(0)
+        low, high = np.radians(self._stated.incidence_deg)
+        tilts = (low + high) / 2 + (high - low) * np.array([-_GAUSS, _GAUSS])
+        turns = 2 * np.pi * np.arange(_AZIMUTHS) / _AZIMUTHS
+        tilt, turn = (grid.ravel()[:, None] for grid in np.meshgrid(tilts, turns))
+        first, second = np.linalg.svd(normal[None])[2][1:]
+        lean = np.cos(turn) * first + np.sin(turn) * second
+        axes = np.cos(tilt) * normal + np.sin(tilt) * lean
+        return axes, np.full(len(axes), 1 / len(axes))
+
+    def _speed(self, motion: Motion, axis: np.ndarray, point: np.ndarray, *, told: bool) -> float:
+        """How fast the distance changes while the tip moves over a wall at rest, mm/s."""
+        velocity = np.array(motion.velocity_mm_s)
+        if not told:
+            return float(np.linalg.norm(velocity))
+        normal = self._eye.outward(point[None])[0]
+        return abs(float(normal @ velocity / (normal @ axis)))
+
+    def _parts(
+        self,
+        spot: Spot,
+        found: Range,
+        slopes: Slopes,
+        spread: float,
+        moving: tuple[Motion, float],
+        *,
+        known: bool,
+    ) -> list[Part]:
+        stated, model = self._stated, self._ranger.model
+        parts = [self._of_image(spot, found, slopes), self._of_calibration(slopes)]
+        values = self._ranger.calibration.values
+        tilt = math.radians(stated.axis_sigma_deg)
+        # The model exact weighs the axis against the ellipse: it is in the image's part.
+        if model != "exact" and known:
+            parts.append(
+                Part(
+                    Cause.TILT,
+                    slopes.tilt * tilt,
+                    source="the beam's axis",
+                    source_sigma=stated.axis_sigma_deg,
+                    unit="deg",
+                )
+            )
+        elif model != "exact":
+            low, high = stated.incidence_deg
+            parts.append(
+                Part(
+                    Cause.TILT,
+                    spread,
+                    source="the beam's axis by the robot's poses, or its incidence",
+                    source_sigma=(high - low) / 2,
+                    unit="deg",
+                )
+            )
+        if "eye_radius" not in values and self._eye.normal is None:
+            sigma = stated.eye_radius_sigma_mm
+            moved = abs(slopes.of["eye_radius"]) * sigma
+            parts.append(Part(Cause.EYE_RADIUS, moved, source_sigma=sigma, unit="mm"))
+        parts.append(self._of_viewing(found, slopes, spot))
+        moved = abs(slopes.of["b"]) * stated.touch_sigma_mm
+        parts.append(Part(Cause.TOUCH, moved, source_sigma=stated.touch_sigma_mm, unit="mm"))
+        turned = slopes.tilt if model != "exact" and known else 0.0
+        parts.append(self._of_clock(*moving, turned))
+        return parts
+
+    def _of_image(self, spot: Spot, found: Range, slopes: Slopes) -> Part:
+        if self._ranger.model == "exact":
+            sigma = found.sigma_image_mm
+        else:
+            by_axes = np.array([0.0, slopes.size])
+            if self._by_area:
+                axes = np.array([spot.semi_major_px, spot.semi_minor_px])
+                by_axes = slopes.size * math.sqrt(axes.prod()) / 2 / axes
+            gradient = np.array([slopes.x, slopes.y, *by_axes])
+            sigma = math.sqrt(gradient @ spot.covariance[:4, :4] @ gradient)
+        return Part(Cause.IMAGE, sigma, _freedom(spot))
+
+    def _of_calibration(self, slopes: Slopes) -> Part:
+        calibration = self._ranger.calibration
+        k = float(self._eye.k[0])
+        # dk/d(half_angle) = -1/sin^2; a boresight's error turns the axis, one way or the other.
+        of = slopes.of | {"half_angle": -(1 + k * k) * slopes.of["k"]}
+        boresight = 0.0 if self._ranger.model == "exact" else slopes.tilt / math.sqrt(2)
+        of |= dict.fromkeys(BEAM, boresight)
+        gradient = np.array([of.get(name, 0.0) for name in calibration.values])
+        variance = float(gradient @ calibration.covariance @ gradient)
+        names = list(calibration.values)
+        most = int(np.argmax(np.abs(gradient) * self._sigmas))
+        return Part(
+            Cause.CALIBRATION,
+            math.sqrt(max(variance, 0.0)),
+            self._stated.calibration_freedom or math.inf,
+            names[most],
+            float(self._sigmas[most]),
+            QUANTITIES[names[most]].unit.removeprefix("1") or "",
+        )
+
+    def _of_viewing(self, found: Range, slopes: Slopes, spot: Spot) -> Part:
+        stated = self._stated
+        sigma = stated.inverse_working_distance_sigma
+        if "inverse_working_distance" in self._ranger.calibration.values:
+            sigma = 0.0
+        of_pinhole = slopes.of["inverse_working_distance"] * sigma
+        at = np.array([[spot.x_px, spot.y_px]]) - self._ranger.microscope.principal_point_px
+        c = float(np.hypot(*self._eye.wall_point(at)[0, :2]))
+        apart = found.distance_mm - float(self._eye.b[0])
+        of_size = stated.size_per_mm * c * apart
+        if abs(of_pinhole) >= of_size:
+            source, own, unit = "1/(z_F + r)", sigma, "1/mm"
+        else:
+            source, own, unit = "the size of spots per mm of c", stated.size_per_mm, ""
+        return Part(
+            Cause.VIEWING,
+            math.hypot(of_pinhole, of_size),
+            source=source,
+            source_sigma=own,
+            unit=unit,
+        )
+
+    def _of_clock(self, motion: Motion, speed: float, tilt: float) -> Part:
+        late = self._stated.clock_sigma_s
+        # The axis turned by so much in one direction, which is half of the square in each of two.
+        turned = motion.turn_rad_s * math.hypot(motion.pose_age_s, late) / math.sqrt(2)
+        return Part(
+            Cause.CLOCK,
+            math.hypot(speed * late, tilt * turned),
+            source="the clocks' offset",
+            source_sigma=late,
+            unit="s",
+        )
+
+    def _of_lens(self, spot: Spot, found: Range, motion: Motion) -> Budget:
+        """By a lens, whose curve contains the calibration's errors."""
+        return Budget.of(
+            found.distance_mm,
+            parts=[
+                Part(Cause.IMAGE, found.sigma_mm, _freedom(spot)),
+                self._of_clock(motion, float(np.linalg.norm(motion.velocity_mm_s)), 0.0),
+            ],
+            left_out=("the calibration's own part (it is in that of the image)", "the eye"),
+        )
+
+
+def _freedom(spot: Spot) -> float:
+    """Degrees of freedom of a spot: profiles that agree, without the ellipse's parameters."""
+    agree = tuning.RAYS * spot.coverage * spot.inlier_fraction
+    return max(agree - _ELLIPSE, 1.0) if math.isfinite(agree) else math.inf

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from estimator.detector import LEVELS, Shape
-from estimator.files import LENS_PARAMETERS, Calibration
+from estimator.detector.shape import LEVELS, Shape
+from formats.calibration import LENS_PARAMETERS, Calibration
 
 if TYPE_CHECKING:
     import optics

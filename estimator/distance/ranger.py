@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estimator.detector import Ellipse, spot_shape
-from estimator.distance.area import AreaDistances
-from estimator.distance.cone_pose import UNKNOWN_SIGMA_PX, ConePoses
+from estimator.detector.ellipse import Ellipse
+from estimator.detector.shape import spot_shape
+from estimator.distance.cone import UNKNOWN_SIGMA_PX, AreaDistances, ConePoses, calibrated_view
 from estimator.distance.lens_range import distance_from_lens, lens_curve
 from estimator.distance.range import Range
-from estimator.distance.view import calibrated_view
-from estimator.files import CONE_MODELS, MODELS, Calibration, MicroscopeFile
-from estimator.image import Spot
-from optics import InputError
+from formats.calibration import CONE_MODELS, MODELS, Calibration
+from formats.inputs import InputError
+from formats.microscope import MicroscopeFile
+from formats.spots import Spot
 
 Numbers = float | np.ndarray
 
@@ -198,7 +198,7 @@ class Ranger:
             return np.asarray(optics.plane_point(**seen, normal=normal))
         if self._path is None:
             return np.asarray(optics.eyeball_point(**seen))
-        from optics.viewing import wall_point
+        from optics.viewing.camera import wall_point
 
         # A line of sight is given by the offset in mm.
         own = eye["scale"] / self.microscope.scale_mm_px
@@ -229,7 +229,7 @@ class Ranger:
                     model, semi_minor_px=semi_minor_px, eccentricity=c, **line, **eye
                 )
             )
-        from optics.viewing import local_magnification
+        from optics.viewing.camera import local_magnification
 
         camera, wall = self._path
         magnification = local_magnification(

@@ -16,12 +16,13 @@ from jaxtyping import Float
 from scipy.fft import dct
 from scipy.special import j1
 
-from estimator.files import MicroscopeFile
-from estimator.image import CameraNoise
 from estimator.pixels.cells import COUNT, STILL, WallMotion, Window
+from formats.camera import CameraNoise
+from formats.microscope import MicroscopeFile
 
 if TYPE_CHECKING:
-    from optics.wall_light import Lattice, Steps
+    from optics.wall_light.cells import Lattice
+    from optics.wall_light.pose_light import Steps
 
 
 LEAST_KURTOSIS, MOST_KURTOSIS = -1.0, 2.0
@@ -111,7 +112,7 @@ def _filtered(values: np.ndarray, waves: np.ndarray, transfer: np.ndarray) -> np
 
 
 POSE = 5
-"""Numbers of a pose's change, as `optics.wall_light.BeamFrame` has them: two shifts of the spot
+"""Numbers of a pose's change, as `BeamFrame` has them: two shifts of the spot
 along the wall, mm; a growth of the distance, mm; and two turns of the beam about the spot, rad."""
 NODES = np.linspace(-0.5, 0.5, 17)
 """Times of a sweep's points, from the exposure's middle, over the exposure. A hand trembles ten
@@ -147,7 +148,7 @@ _WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 
 
 
 class Pose(NamedTuple):
-    """A beam that meets the wall; see `optics.wall_light.BeamFrame`, which has the same fields."""
+    """A beam that meets the wall; `BeamFrame` of `optics` has the same fields."""
 
     tip: Float[np.ndarray, "3"]
     axis: Float[np.ndarray, "3"]
@@ -223,7 +224,7 @@ class BeamLight:
     """Irradiance of the wall by one beam under one microscope.
 
     Args:
-        source: the beam's light, see `optics.wall_light.CellBeam`.
+        source: the beam's light, see `optics.wall_light.cells.CellBeam`.
         microscope: the camera and the wall.
         spread: turns independent numbers of variance 1 into errors of the beam's own parameters.
         sharp: whether the light ends at an edge.
@@ -253,7 +254,7 @@ class BeamLight:
 
     def pose(self, tip: np.ndarray, axis: np.ndarray) -> Pose | None:
         """The pose of a tip and an axis; None if the beam meets no wall ahead of the tip."""
-        from optics.wall_light import beam_meets
+        from optics.wall_light.pose_light import beam_meets
 
         point, normal, distance = map(np.asarray, beam_meets(self.wall, tip, axis))
         if not (distance > 0 and np.isfinite(point).all()):
@@ -264,7 +265,7 @@ class BeamLight:
 
     def wall_points(self, pixels: Float[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.ndarray]:
         """Wall points that pixels see, and the inward normals there, (n, 3)."""
-        from optics.wall_light import pixels_see
+        from optics.wall_light.pose_light import pixels_see
 
         point, normal = pixels_see(self.camera, self.wall, np.asarray(pixels, float))
         return np.asarray(point), np.asarray(normal)
@@ -274,7 +275,7 @@ class BeamLight:
 
         Each side of a cell may be divided into some parts.
         """
-        from optics.wall_light import square_lattice
+        from optics.wall_light.pose_light import square_lattice
 
         corner, right = motion.image_px(window.corner_px), window.side / parts * motion.ways[:, 0]
         count = parts * COUNT
@@ -302,7 +303,7 @@ class BeamLight:
             blur_px2: variance of the image's blur along each side.
             kurtosis: its excess kurtosis.
         """
-        from optics.wall_light import BeamFrame, irradiance_and_slopes
+        from optics.wall_light.pose_light import BeamFrame, irradiance_and_slopes
 
         lattice = self.lattice(window, motion)
         swept_px = 0.0 if sweep is None else self.swept_px(pose, sweep)
@@ -355,7 +356,7 @@ class BeamLight:
 
     def _aside(self, moved: Steps | None, variance_px2: float) -> Steps:
         """Four places around each place of the light, which stand for a blur."""
-        from optics.wall_light import Steps
+        from optics.wall_light.pose_light import Steps
 
         if moved is None:
             moved = Steps(np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1))
@@ -412,7 +413,7 @@ class BeamLight:
         steps: Steps | None = None,
     ) -> Float[np.ndarray, "n"]:
         """Irradiance of the cells without derivatives; `steps` are the places of a moving tip."""
-        from optics.wall_light import BeamFrame, irradiance_alone
+        from optics.wall_light.pose_light import BeamFrame, irradiance_alone
 
         light = irradiance_alone(
             lattice, self.source, BeamFrame(*pose), own=own, spread=self.spread, steps=steps
@@ -427,7 +428,7 @@ def _whole(values: Float[np.ndarray, "m"], parts: int) -> Float[np.ndarray, "n"]
 
 def _steps(sweep: Sweep, counts: tuple[int, ...], needed: float) -> Steps:
     """Places for a moving beam: the least of the counts that is as large as needed, or the last."""
-    from optics.wall_light import Steps
+    from optics.wall_light.pose_light import Steps
 
     nodes, shares = _gauss(next((count for count in counts if count >= needed), counts[-1]))
     return Steps(*sweep.at(0.5 * nodes), 0.5 * shares)

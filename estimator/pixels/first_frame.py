@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from estimator.image import CameraNoise, Outline
 from estimator.pixels.beam import BeamLight, Pose, Sweep
 from estimator.pixels.cells import COUNT, STILL, CellLight, WallMotion, Window
 from estimator.pixels.frame_fit import (
@@ -41,6 +40,8 @@ from estimator.pixels.frame_model import (
 )
 from estimator.pixels.picture import Mix, Picture, Reference, evener_mix
 from estimator.pixels.solver import Solution, Solver
+from formats.camera import CameraNoise
+from formats.spots import Outline
 
 REACH = (2.0, 1.2)
 """Of the window over the half-maximum ellipse, for light without and with a sharp edge: farther out

@@ -21,10 +21,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.image import GREY_WEIGHTS, CameraNoise, Outline, clip_level
+from estimator.image import clip_level
 from estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, WallMotion, Window
 from estimator.pixels.solver import Solution
-from optics import InputError
+from formats.camera import GREY_WEIGHTS, CameraNoise
+from formats.inputs import InputError
+from formats.spots import Outline
 
 _LEAST = 1e-4  # full wells, of a channel
 _LIT = 0.25  # of the brightest cell; darker ones show the ambient light

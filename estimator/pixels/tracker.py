@@ -18,23 +18,21 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from estimator.distance import Range, RangeFlag, WallMemory, calibrated_view
-from estimator.files import (
-    LENS_PARAMETERS,
-    USUAL_SHAKE_PX,
-    Calibration,
-    MicroscopeFile,
-    cache_file,
-    kept_arrays,
-)
-from estimator.image import CameraNoise, Outline
+from estimator.distance.cone import calibrated_view
+from estimator.distance.range import Range, RangeFlag, WallMemory
 from estimator.pixels.beam import POSE, BeamLight, Sweep
 from estimator.pixels.first_frame import Belief, Look, distinct, explained_alone, explained_with
 from estimator.pixels.frame_fit import farthest_px
 from estimator.pixels.frame_model import Direction, RobotPose
 from estimator.pixels.picture import Mix, Picture, Reference
 from estimator.pixels.verdict import flag_of, range_of, shake_covariance
-from optics import InputError
+from formats.calibration import LENS_PARAMETERS, Calibration
+from formats.camera import CameraNoise
+from formats.inputs import InputError
+from formats.microscope import MicroscopeFile
+from formats.spots import Outline
+from formats.stated import USUAL_SHAKE_PX
+from formats.whole_files import cache_file, kept_arrays
 
 _LIKE_LAST = 1.5  # ratio of areas within which an outline may be that of the last frame
 
@@ -300,7 +298,7 @@ class PixelRanger:
 
 def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
     """The cone's light, and how its own parameters scatter."""
-    from optics.wall_light import UniformCone
+    from optics.wall_light.cone import UniformCone
 
     values, names = calibration.values, list(calibration.values)
     first = "k" if "k" in values else "half_angle"
@@ -314,7 +312,13 @@ def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
 def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarray]:
     """The table of a lens's light, and how its own parameters scatter."""
     import optics
-    from optics.wall_light import PARAMETERS, LensTable, halvings_for, lens_parameters, lens_table
+    from optics.wall_light.lens import (
+        PARAMETERS,
+        LensTable,
+        halvings_for,
+        lens_parameters,
+        lens_table,
+    )
 
     values, names = calibration.values, list(calibration.values)
     lens = optics.glue_lens(**{name: values[name] for name in LENS_PARAMETERS if name in values})

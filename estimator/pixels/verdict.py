@@ -29,8 +29,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from estimator.distance import Range, RangeFlag, TipPose, WallMemory
-from estimator.image import Outline
+from estimator.distance.range import Range, RangeFlag, TipPose, WallMemory
 from estimator.pixels.beam import POSE
 from estimator.pixels.cells import COUNT, SIDES, WallMotion
 from estimator.pixels.first_frame import Belief
@@ -44,6 +43,7 @@ from estimator.pixels.frame_model import (
     lit,
 )
 from estimator.pixels.solver import Solution, Solver
+from formats.spots import Outline
 
 _X, _Y = SIDES
 _CUBIC = np.stack([_X**3, _X**2 * _Y, _X * _Y**2, _Y**3]) - 0.6 * np.stack(

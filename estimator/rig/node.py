@@ -8,11 +8,18 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
 import sys
 
 from estimator.rig import ros1, ros2
-from estimator.rig.generation import is_ros2
-from optics import InputError
+from formats.inputs import InputError
+
+
+def is_ros2() -> bool:
+    """Whether ROS 2 is there, by the setup file that was sourced, or else by its library."""
+    sourced = os.environ.get("ROS_VERSION")
+    return sourced == "2" if sourced else importlib.util.find_spec("rclpy") is not None
 
 
 def main() -> None:

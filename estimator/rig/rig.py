@@ -13,14 +13,50 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from estimator.distance import TipPose, WallMemory
-from estimator.files import POSE_TOPIC
-from estimator.image import NoSpot, Reason, Spot
-from estimator.rig.recent_poses import RecentPoses
-from estimator.run import Options, Reading, internal_errors
-from estimator.sources import IMAGE_TOPIC, Frame, frame_of_message
+from estimator.distance.range import TipPose, WallMemory
+from estimator.run import exit_codes as internal_errors
+from estimator.run.options import Options
+from estimator.run.reader import Reading
+from estimator.sources.ros import IMAGE_TOPIC, frame_of_message
+from estimator.sources.source import Frame
 from estimator.viewer import recording_of
-from optics import InputError
+from formats.inputs import InputError
+from formats.poses import POSE_TOPIC, Pose, PoseTrack
+from formats.spots import NoSpot, Reason, Spot
+
+POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node sooner
+
+
+class RecentPoses:
+    """Takes poses in one thread, and gives them in any other."""
+
+    def __init__(self) -> None:
+        self._poses: tuple[Pose, ...] = ()
+
+    def take(self, message: Any, received_s: float) -> None:
+        """Remember a pose.
+
+        Args:
+            message: `geometry_msgs/Transform`, mm.
+            received_s: when it arrived, s: the message has no time stamp.
+
+        Raises:
+            InputError: its rotation is no unit quaternion, or a number is not finite.
+        """
+        position, turn = message.translation, message.rotation
+        pose = Pose(
+            time_s=received_s,
+            position_mm=(position.x, position.y, position.z),
+            rotation=(turn.x, turn.y, turn.z, turn.w),
+        )
+        # Poses arrive in another thread. A tuple is replaced as a whole, never half changed.
+        kept = self._poses[1 - POSES_KEPT :]
+        # A recording that begins anew sets the clock back; the older poses lie in its future.
+        self._poses = (pose,) if kept and received_s < kept[-1].time_s else (*kept, pose)
+
+    def track(self) -> PoseTrack:
+        """The poses that are known now."""
+        return PoseTrack(self._poses)
 
 
 class Parameters(Options):

@@ -6,11 +6,17 @@ import importlib
 import sys
 from typing import Any
 
-from estimator.rig.messages import message_types, messages_of, silence_message, topics_of
-from estimator.rig.recent_poses import POSES_KEPT
-from estimator.rig.rig import Doubt, Parameters, Rig, opened_rig
-from estimator.rig.silence import PERIOD_S, Silence, image_type
-from optics import InputError
+from estimator.rig.messages import (
+    PERIOD_S,
+    Silence,
+    image_type,
+    message_types,
+    messages_of,
+    silence_message,
+    topics_of,
+)
+from estimator.rig.rig import POSES_KEPT, Doubt, Parameters, Rig, opened_rig
+from formats.inputs import InputError
 
 _DEBIAN_PACKAGES = "/usr/lib/python3/dist-packages"  # rospy, outside of environments
 # Larger than an uncompressed 1920x1080 RGB image (6.2 MB). In a smaller buffer old images wait, so

@@ -9,12 +9,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from estimator.files import stamp_s
-from estimator.rig.messages import message_types, messages_of, silence_message, topics_of
-from estimator.rig.recent_poses import POSES_KEPT
-from estimator.rig.rig import Doubt, Parameters, Rig, opened_rig
-from estimator.rig.silence import PERIOD_S, Silence, image_type
-from optics import InputError
+from estimator.rig.messages import (
+    PERIOD_S,
+    Silence,
+    image_type,
+    message_types,
+    messages_of,
+    silence_message,
+    topics_of,
+)
+from estimator.rig.rig import POSES_KEPT, Doubt, Parameters, Rig, opened_rig
+from formats.inputs import InputError
+from formats.ros_bags import stamp_s
 
 _OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 """Parameters that each node has, or how their names begin."""

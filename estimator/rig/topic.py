@@ -8,13 +8,15 @@ from collections.abc import Callable, Collection, Iterator
 from itertools import count
 from typing import Any
 
-from estimator.files import POSE_TOPIC, stamp_s
-from estimator.rig.generation import is_ros2
-from estimator.rig.recent_poses import POSES_KEPT, RecentPoses
+from estimator.rig.messages import PERIOD_S, Silence, image_type
+from estimator.rig.node import is_ros2
+from estimator.rig.rig import POSES_KEPT, RecentPoses
 from estimator.rig.ros1 import BUFFER_BYTES, imported_rospy
-from estimator.rig.silence import PERIOD_S, Silence, image_type
-from estimator.sources import Frame, Source, decoded_frame
-from optics import InputError
+from estimator.sources.ros import decoded_frame
+from estimator.sources.source import Frame, Source
+from formats.inputs import InputError
+from formats.poses import POSE_TOPIC
+from formats.ros_bags import stamp_s
 
 _NAME = "eyespot_console"
 

@@ -10,12 +10,12 @@ from cyclopts import Parameter
 
 from estimator.run.options import OUTPUT, Options, Recorded
 from estimator.run.progress_bar import progress
-from optics import InputError
+from formats.inputs import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from estimator.distance import Budget
+    from estimator.distance.budget import Budget
 
 _ENDLESS = 1e5  # degrees of freedom that no table tells from infinity
 

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from estimator.run.options import OUT
-from optics import InputError
+from formats.inputs import InputError
 
 
 def camera(
@@ -35,15 +35,11 @@ def camera(
         bit_depth: Bits that the camera uses per channel, 8 to 16.
         bayer: Colours are interpolated behind a Bayer filter.
     """
-    from estimator.files import (
-        object_in,
-        read_image,
-        read_microscope,
-        refuse_existing,
-        written_whole,
-    )
-    from estimator.image import measured_noise
-    from optics import in_file, read_text
+    from estimator.photon_transfer import measured_noise
+    from formats.images import read_image
+    from formats.inputs import in_file, object_in, read_text
+    from formats.microscope import read_microscope
+    from formats.whole_files import refuse_existing, written_whole
 
     refuse_existing(out)
     if read_microscope(microscope).response.curve != "linear":

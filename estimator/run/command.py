@@ -17,14 +17,15 @@ from cyclopts import Parameter
 
 from estimator.run.options import OUT, OUTPUT, Options, Recorded, Rerun
 from estimator.run.progress_bar import progress
-from optics import InputError
+from formats.inputs import InputError
 
 if TYPE_CHECKING:
-    from estimator.files import PoseTrack, SpotRecord
     from estimator.run.offline import Tracking
     from estimator.run.overlay import Draw
     from estimator.run.reader import Reader, Reading
-    from estimator.sources import Frame, Source
+    from estimator.sources.source import Frame, Source
+    from formats.poses import PoseTrack
+    from formats.spots import SpotRecord
 
 _LEAST_LINE_BYTES = 60
 """Of a spots file's line for a frame without a spot; one with a spot is seven times as long."""
@@ -58,8 +59,9 @@ def track(
     """
     from rich.console import Console
 
-    from estimator.files import require_space, spots_stream
-    from estimator.run.summary import summary_of, table_of
+    from estimator.run.offline import summary_of, table_of
+    from formats.spots_stream import spots_stream
+    from formats.whole_files import require_space
 
     _check_results(out, overlay, rerun, overwrite=overwrite)
     frames, options, poses = recorded.opened(source, options, unrelated=unrelated)
@@ -127,9 +129,10 @@ def tracked(
 
 def _check_results(out: Path, overlay: Path | None, rerun: str | None, *, overwrite: bool) -> None:
     """Find out before the run what would fail after it."""
-    from estimator.files import in_utf8, refuse_existing
     from estimator.run.overlay import check_overlay_path
     from estimator.viewer import check_recording_path
+    from formats.inputs import in_utf8
+    from formats.whole_files import refuse_existing
 
     if rerun is not None:
         check_recording_path(rerun)
@@ -154,8 +157,8 @@ def _shown(
     target: str | None, frames: Source, options: Options
 ) -> Iterator[Callable[[Frame, Reading], None] | None]:
     """Records every frame with its reading and, of a stack, its labels; None for no recording."""
-    from estimator.files import read_stack
     from estimator.viewer import recording_of
+    from formats.stack import read_stack
 
     if target is None:
         yield None
@@ -178,7 +181,7 @@ def _shown(
 def _overlay(
     path: Path | None, frames: Source, reader: Reader
 ) -> AbstractContextManager[Draw | None]:
-    from estimator.detector import SubpixelSettings
+    from estimator.detector.settings import SubpixelSettings
     from estimator.run.overlay import RIG_RATE_HZ, overlay_writer
 
     if path is None:

@@ -10,15 +10,151 @@ Exit codes:
 from __future__ import annotations
 
 import errno
+import logging
 import os
+import signal
 import sys
-from collections.abc import Callable
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any, NoReturn
 
 from cyclopts import CycloptsError
 
-from estimator.run import internal_errors
-from estimator.run.interrupt import STOPPED, ctrl_c_was_pressed, end_now, ending_on_ctrl_c
-from optics import InputError
+from estimator.run import exit_codes as internal_errors
+from formats.inputs import InputError
+
+STOPPED = 128 + signal.SIGINT
+"""Exit code of a command that Ctrl-C ended, as shells report it: 130."""
+
+PATIENCE_S = 2.0
+"""Time that a command has to end by itself. All results are written whole or not at all, so a
+process may end at any moment."""
+
+_AGAIN_S = 0.02  # until a dropped KeyboardInterrupt is raised again
+
+_pressed = threading.Event()
+_finishing = threading.Event()
+
+
+def ctrl_c_was_pressed() -> bool:
+    """Whether Ctrl-C was pressed. Native code turns a KeyboardInterrupt into errors of its own."""
+    return _pressed.is_set()
+
+
+def end_now() -> NoReturn:
+    """End the process as stopped, without Python's clean-up: it crashes in a running renderer."""
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(STOPPED)
+
+
+def finish_first() -> None:
+    """Give a command that Ctrl-C reached the time to write its results, on a busy machine too.
+
+    From here on a second Ctrl-C ends the process at once.
+    """
+    _finishing.set()
+
+
+@contextmanager
+def ending_on_ctrl_c() -> Iterator[None]:
+    """Let Ctrl-C end this process: by a KeyboardInterrupt, and after `PATIENCE_S` at once.
+
+    A command that called `finish_first` ends at a second Ctrl-C only, or by itself.
+
+    To be used in the main thread.
+    """
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    # Written to by the C signal handler itself, also while the main thread runs native code.
+    before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    handlers = {
+        number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGALRM)
+    }
+    _pressed.clear()
+    _finishing.clear()
+    hook, sys.unraisablehook = sys.unraisablehook, _raise_again
+    threading.Thread(target=_end_at_last, args=(reading,), daemon=True).start()
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(before)
+        os.close(writing)  # ends the thread, unless it counts down already
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    _pressed.set()
+    if not _finishing.is_set():
+        raise KeyboardInterrupt
+
+
+def _raise_again(unraisable: Any) -> None:
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        # By a timer: raised here, it would be dropped as well.
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+    else:
+        sys.__unraisablehook__(unraisable)
+
+
+def _end_at_last(signals: int) -> None:
+    if _ctrl_c_comes(signals):
+        _pressed.set()
+        time.sleep(PATIENCE_S)
+        if not _finishing.is_set() or _ctrl_c_comes(signals):
+            end_now()
+    os.close(signals)
+
+
+def _ctrl_c_comes(signals: int) -> bool:
+    """Wait for the next Ctrl-C; False if the command ends first."""
+    received = os.read(signals, 1)
+    while received and received[0] != signal.SIGINT:
+        received = os.read(signals, 1)
+    return bool(received)
+
+
+_log = logging.getLogger("eyespot")
+_WHOLE = 5  # tracebacks that are logged, each from another place of the code
+_places: set[tuple[str, int | None]] = set()
+_met = 0
+
+
+def taken() -> int:
+    """Number of frames that met a bug since this was last called."""
+    global _met
+    number, _met = _met, 0
+    _places.clear()
+    return number
+
+
+def note(error: Exception, where: str) -> None:
+    """Count an unexpected exception, and log its traceback if its place in the code is new.
+
+    Args:
+        error: what was raised.
+        where: the frame.
+    """
+    global _met
+    _met += 1
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    known = (place.filename, place.lineno) in _places
+    if known or len(_places) == _WHOLE:
+        return
+    _places.add((place.filename, place.lineno))
+    _log.error(
+        "%s met a bug in eyespot. Its reason is internal_error, as of all frames that meet it.",
+        where,
+        exc_info=error,
+    )
+
 
 _REMEDIES = {
     errno.EACCES: "Choose a place that you may write to.",

@@ -1,4 +1,4 @@
-"""Reads a source from its first frame to its last: the spots, and how many of each kind."""
+"""Summary of a run of `eyespot track`: counts by reason, as a table or as JSON."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from estimator.files import BeamPose, PoseTrack, SpotRecord
-from estimator.image import NoSpot, Reason
-from estimator.run.interrupt import finish_first
+from rich.table import Table
+
+from estimator.distance.range import WallMemory
+from estimator.run.exit_codes import finish_first
 from estimator.run.progress_bar import say
 from estimator.run.reader import Reader, Reading
-from estimator.sources import Frame, Source
-from optics import InputError
+from estimator.sources.source import Frame, Source
+from formats.inputs import InputError
+from formats.poses import PoseTrack
+from formats.spots import BeamPose, NoSpot, Reason, SpotRecord
 
 if TYPE_CHECKING:
     from estimator.run.overlay import Draw
@@ -246,3 +249,65 @@ def _pose(reading: Reading) -> BeamPose | None:
     if reading.range is None or best is None or best.covariance is None:
         return None
     return BeamPose(best.tip_mm, best.axis, best.covariance, reading.range.chi_squared)
+
+
+_TOLD = (WallMemory.MOVED.value, WallMemory.DROPPED.value)
+
+
+def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) -> dict[str, Any]:
+    """What `eyespot track --json` prints, except the names of the files written."""
+    return {
+        "source": source.name,
+        "mode": mode,
+        "unrelated": source.unrelated,
+        "frames": tracking.frames,
+        "spots": tracking.spots,
+        "no_spot": dict(tracking.no_spot.most_common()),
+        "most_significant": tracking.most_significant,
+        "distances": tracking.distances,
+        "doubtful_distances": tracking.doubtful,
+        "wall_memory": tracking.wall_memory,
+        "median_pose_age_s": tracking.median_pose_age_s,
+        "seconds": round(seconds, 3),
+        "ended": tracking.ended.value,
+        "fault": tracking.fault,
+    }
+
+
+def table_of(summary: dict[str, Any]) -> Table:
+    """The summary as a table."""
+    table = Table()
+    table.add_column(summary["mode"])
+    table.add_column("frames", justify="right")
+    table.add_row("spot", str(summary["spots"]))
+    for reason, count in summary["no_spot"].items():
+        table.add_row(f"no spot: {reason.replace('_', ' ')}", str(count))
+    table.add_section()
+    table.add_row("all", str(summary["frames"]))
+    if summary["distances"]:
+        table.add_row("with a distance", str(summary["distances"]))
+    for flag, count in summary["doubtful_distances"].items():
+        table.add_row(f"distance {flag.replace('_', ' ')}", str(count))
+    notes = []
+    notes += [
+        f"in {count} of the frames: {_sentence(WallMemory(memory))}"
+        for memory, count in summary["wall_memory"].items()
+        if memory in _TOLD
+    ]
+    if summary["unrelated"]:
+        notes.append("every image measured by itself; --sequence follows the spot")
+    elif "ambiguous" in summary["no_spot"]:
+        notes.append("after a jump a spot is ambiguous; --unrelated ignores jumps")
+    if summary["most_significant"] is not None:
+        notes.append(
+            f"faint spots are up to {summary['most_significant']:.1f} times the noise and texture "
+            "round them"
+        )
+    if summary["median_pose_age_s"] is not None:
+        notes.append(f"median age of the pose: {1e3 * summary['median_pose_age_s']:.1f} ms")
+    table.caption = "\n".join(notes) or None
+    return table
+
+
+def _sentence(memory: WallMemory) -> str:
+    return memory.meaning[0].lower() + memory.meaning[1:]

@@ -19,16 +19,20 @@ from pydantic import (
     ValidationError,
 )
 
-from estimator.files import Quaternion, unit_quaternion
 from estimator.run.exit_codes import option
 from estimator.run.progress_bar import say
-from optics import InputError, shortened
+from formats.inputs import InputError, shortened
+from formats.poses import Quaternion, unit_quaternion
 
 if TYPE_CHECKING:
-    from estimator.detector import LiteralSettings, SubpixelSettings
-    from estimator.files import Calibration, MicroscopeFile, PoseTrack, Stated
+    from estimator.detector.literal import LiteralSettings
+    from estimator.detector.settings import SubpixelSettings
     from estimator.run.reader import Reader
-    from estimator.sources import Source
+    from estimator.sources.source import Source
+    from formats.calibration import Calibration
+    from formats.microscope import MicroscopeFile
+    from formats.poses import PoseTrack
+    from formats.stated import Stated
 
 _NEEDS = {
     **dict.fromkeys(("pinhole_height_mm", "eye_radius_mm", "wall", "calibration"), "microscope"),
@@ -161,9 +165,9 @@ class Options(Given):
             InputError: options or files are wrong, alone or together.
             OSError: a file cannot be read.
         """
-        from estimator.distance import Ranger
-        from estimator.files import read_calibration
+        from estimator.distance.ranger import Ranger
         from estimator.run.reader import Reader
+        from formats.calibration import read_calibration
 
         for name, other in _NEEDS.items():
             if getattr(self, name) is not None and getattr(self, other) is None:
@@ -206,7 +210,7 @@ class Options(Given):
 
     def _best_mode(self, microscope: MicroscopeFile | None) -> str:
         """Pixels where an outline is not enough: behind a lens several distances may share one."""
-        from estimator.files import read_calibration
+        from formats.calibration import read_calibration
 
         if self.calibration is None or microscope is None:
             return "subpixel"
@@ -234,9 +238,9 @@ class Options(Given):
     def _pixels_reader(
         self, settings: LiteralSettings | SubpixelSettings, microscope: MicroscopeFile | None
     ) -> Reader:
-        from estimator.files import read_calibration
-        from estimator.pixels import PixelRanger
+        from estimator.pixels.tracker import PixelRanger
         from estimator.run.reader import Reader
+        from formats.calibration import read_calibration
 
         if self.calibration is None or microscope is None:
             raise InputError("the mode pixels needs a calibration. Give --calibration.")
@@ -263,7 +267,7 @@ class Options(Given):
         )
 
     def _stated(self, calibration: Calibration | None) -> Stated:
-        from estimator.files import Stated, read_stated
+        from formats.stated import Stated, read_stated
 
         if self.stated is None:
             return Stated()
@@ -279,7 +283,7 @@ class Options(Given):
         return stated
 
     def _reference_image(self, microscope: MicroscopeFile) -> np.ndarray | None:
-        from estimator.sources import open_source
+        from estimator.sources.opening import open_source
 
         if self.reference is None:
             return None
@@ -300,7 +304,7 @@ class Options(Given):
             InputError: it is wrong, or lacks a number that no option gives.
             OSError: it cannot be read.
         """
-        from estimator.files import read_microscope
+        from formats.microscope import read_microscope
 
         if self.microscope is None:
             return None
@@ -312,8 +316,9 @@ class Options(Given):
         )
 
     def _settings(self, microscope: MicroscopeFile | None) -> LiteralSettings | SubpixelSettings:
-        from estimator.detector import LiteralSettings, SubpixelSettings
-        from estimator.image import Response
+        from estimator.detector.literal import LiteralSettings
+        from estimator.detector.settings import SubpixelSettings
+        from formats.camera import Response
 
         given: dict[str, Any] = dict(self.settings)
         if given.keys() & {"response", "camera", "reference"}:
@@ -353,7 +358,7 @@ class Recorded:
 
     def source(self, name: str) -> Source:
         """Open a recording, as `open_source`."""
-        from estimator.sources import open_source
+        from estimator.sources.opening import open_source
 
         return open_source(name, exposure=self.exposure, image_topic=self.image_topic)
 
@@ -366,7 +371,8 @@ class Recorded:
             name: see `open_source`.
             unrelated: measure every image by itself, or not; None leaves it to the source.
         """
-        from estimator.files import read_microscope, read_stated
+        from formats.microscope import read_microscope
+        from formats.stated import read_stated
 
         poses, frames = self.pose_track(options), self.source(name)
         if poses is None and options.stated and read_stated(options.stated).clock_sigma_s:
@@ -392,7 +398,7 @@ class Recorded:
             InputError: an option has no effect without poses, or they are wrong.
             OSError: they cannot be read.
         """
-        from estimator.files import read_poses
+        from formats.poses import read_poses
 
         if self.poses is not None:
             return read_poses(self.poses, topic=self.pose_topic)

@@ -13,10 +13,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from estimator.files import SpotRecord, errors_named, written_whole
-from estimator.image import Camera, NoSpot, Response, Spot, outline_px, rgb_8bit
-from estimator.sources import Frame
-from optics import InputError
+from estimator.image import outline_px, rgb_8bit
+from estimator.sources.source import Frame
+from formats.camera import Camera, Response
+from formats.inputs import InputError
+from formats.spots import NoSpot, Spot, SpotRecord
+from formats.whole_files import errors_named, written_whole
 
 RIG_RATE_HZ = 10.0
 """Frame rate of the rig's camera, and of an overlay video if the source's rate is unknown."""

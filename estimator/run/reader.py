@@ -11,21 +11,21 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from estimator.detector import (
-    LiteralSettings,
-    SubpixelSettings,
-    TrackState,
-    measure,
-    outlines_of,
-)
-from estimator.distance import AT_REST, Budget, Budgets, Motion, Range, RangeFlag, Ranger
-from estimator.files import Calibration, Pose, PoseTrack, Quaternion, Stated, turned
-from estimator.image import NoSpot, Reason, Spot
-from estimator.run import internal_errors
-from optics import InputError
+from estimator.detector.literal import LiteralSettings
+from estimator.detector.settings import SubpixelSettings
+from estimator.detector.tracking import TrackState, measure, outlines_of
+from estimator.distance.budget import AT_REST, Budget, Budgets, Motion
+from estimator.distance.range import Range, RangeFlag
+from estimator.distance.ranger import Ranger
+from estimator.run import exit_codes as internal_errors
+from formats.calibration import Calibration
+from formats.inputs import InputError
+from formats.poses import Pose, PoseTrack, Quaternion, turned
+from formats.spots import NoSpot, Reason, Spot
+from formats.stated import Stated
 
 if TYPE_CHECKING:
-    from estimator.pixels import PixelRanger
+    from estimator.pixels.tracker import PixelRanger
 
 _NO_POSES = PoseTrack(())
 _SPAN_S = 0.05
@@ -220,7 +220,8 @@ class Reader:
 
         None if no spot was measured and no pose was found either.
         """
-        from estimator.pixels import NODES, RobotPose, Sweep
+        from estimator.pixels.beam import NODES, Sweep
+        from estimator.pixels.frame_model import RobotPose
 
         axis = sweep = robot = None
         if self._eye_from_robot is not None and pose is not None:

@@ -14,10 +14,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from estimator.files import damage_reported
-from estimator.sources.ros_images import frame_of_message
+from estimator.sources.ros import frame_of_message
 from estimator.sources.source import Frame, Source
-from optics import InputError, shortened
+from formats.inputs import InputError, shortened
+from formats.whole_files import damage_reported
 
 GENICAM = "genicam:"
 """What the name of such a source begins with."""

@@ -8,14 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.files import is_bag, read_stack
-from estimator.image import checked_frame
-from estimator.sources.bag_images import open_bag
+from estimator.sources.files import (
+    IMAGES,
+    TIFF,
+    open_camera,
+    open_folder,
+    open_image,
+    open_tiff,
+    open_video,
+)
 from estimator.sources.genicam import GENICAM, open_genicam
-from estimator.sources.images import IMAGES, TIFF, open_folder, open_image, open_tiff
+from estimator.sources.ros import open_bag
 from estimator.sources.source import Frame, Source
-from estimator.sources.videos import open_camera, open_video
-from optics import InputError, shortened
+from formats.camera import checked_frame
+from formats.inputs import InputError, shortened
+from formats.ros_bags import is_bag
+from formats.stack import read_stack
 
 _USUAL = "metered"
 

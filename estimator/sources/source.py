@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from optics import InputError
+from formats.inputs import InputError
 
 AGAIN = "Record, copy or convert it again."
 """What to do about a damaged recording."""

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, ScalarLike
 
-from optics import Camera, InputError, Surface, components, refract
+from formats.inputs import InputError
+from optics import Camera, Surface, components, refract
 from optics.viewing.path import (
     ViewingPath,
     chebyshev_nodes,

@@ -15,7 +15,15 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from optics import InputError, Strict, check_schema, in_file, read_toml, shortened, validated
+from formats.inputs import (
+    InputError,
+    Strict,
+    check_schema,
+    in_file,
+    read_toml,
+    shortened,
+    validated,
+)
 from optics.viewing.trace import Conic, Medium, Refracting
 
 _HISTORY = {1: "the first format"}

@@ -14,7 +14,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int, ScalarLike
 
-from optics import InputError
+from formats.inputs import InputError
 from optics.viewing.eye import ContactLens, Eye, ViewingLens
 from optics.viewing.trace import (
     Conic,

@@ -33,7 +33,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 import optics
-from optics import InputError
+from formats.inputs import InputError
 from optics.wall_light.cells import Sides, off_axis_part
 
 PARAMETERS = (

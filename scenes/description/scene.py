@@ -12,20 +12,24 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from optics import InputError
-from scenes.description.camera_settings import CameraSettings
-from scenes.description.motion_settings import Clocks, Motion, Seed, Withdrawal
+from formats.inputs import InputError
 from scenes.description.settings import (
     REAL_PINHOLE_HEIGHT_MM,
+    CameraSettings,
+    Clocks,
     Exposures,
     Instrument,
     MicroscopeSettings,
+    Motion,
     Phantom,
     SecondTool,
+    Seed,
     SourceSettings,
     SpotSettings,
+    Viewing,
+    Withdrawal,
+    retina_of,
 )
-from scenes.description.viewing_settings import Viewing, retina_of
 
 _Velocity = Annotated[float, Field(ge=-100, le=100)]
 _Turning = Annotated[float, Field(ge=-90, le=90)]

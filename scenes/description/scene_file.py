@@ -10,11 +10,17 @@ from typing import Any, get_args
 import tomli_w
 from pydantic import BaseModel, ValidationError
 
-from optics import InputError, at_most_three, check_schema, in_file, read_toml, shortened, toml_in
-from scenes.description.motion_settings import MOTIONS, UNNAMED
+from formats.inputs import (
+    InputError,
+    at_most_three,
+    check_schema,
+    in_file,
+    read_toml,
+    shortened,
+    toml_in,
+)
 from scenes.description.scene import Scene
-from scenes.description.settings import SceneError
-from scenes.description.viewing_settings import OF_THE_RETINA
+from scenes.description.settings import MOTIONS, OF_THE_RETINA, UNNAMED, SceneError
 
 HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
 """What changed with each version of the format that is read."""

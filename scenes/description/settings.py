@@ -1,13 +1,347 @@
-"""The tables of a scene file: every key with its unit and default."""
+"""The tables of a scene file, each key with its unit, range and default."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AllowInfNan, BaseModel, ConfigDict, Field
+from pydantic import AllowInfNan, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
-from optics import InputError
-from scenes.description.motion_settings import Angle, Positive, Seed
+from formats.inputs import InputError, shortened
+
+MOST_FRAMES = 100_000
+"""Most frames of a scene. Their labels take a minute and 1 GB, their images days."""
+MOST_HZ = 1e5
+_MOST_MM = 1e4  # larger than any room; squares of it are exact to a nanometre
+_MOST_S = 1e6
+_LONGEST_HAND_S = 600.0  # its top speed is sought at steps of 1 ms, in 1 GB
+_LEAST = 1e-6  # of lengths and speeds that something is divided by
+
+Positive = Annotated[float, Field(ge=_LEAST, le=_MOST_MM)]
+"""A length in mm, or a speed in mm/s."""
+Angle = Annotated[float, Field(ge=-3600, le=3600)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Withdrawal(_Settings):
+    """The tip withdraws along the beam at constant speed."""
+
+    kind: Literal["withdrawal"] = Field(
+        "withdrawal",
+        description="'withdrawal' | 'scan' | 'hand' | 'recorded'; the others follow below.",
+    )
+    start_mm: Annotated[float, Field(ge=0, le=_MOST_MM)] | Literal["contact"] = Field(
+        "contact",
+        description="First distance along the beam; 'contact': the tip's rim touches the wall.",
+    )
+    travel_mm: Positive = Field(6.0, description="Distance that the tip withdraws.")
+    frames: int = Field(
+        61, ge=1, le=MOST_FRAMES, description="Number of frames, evenly spaced over the travel."
+    )
+    speed_mm_s: Positive = Field(0.1, description="Speed of the tip.")
+
+
+class _NamedMotion(_Settings):
+    """A motion that needs the key `kind`; without that key the motion is a withdrawal."""
+
+    model_config = ConfigDict(json_schema_extra={"required": ["kind"]})
+
+
+_TROCAR = (
+    "Distance along the beam from the spot to the point about which the instrument pivots; inf: "
+    "the beam keeps its direction."
+)
+
+
+class Scan(_NamedMotion):
+    """The spot moves along the wall in a line through [spot], at constant distance."""
+
+    kind: Literal["scan"] = "scan"
+    distance_mm: Positive = Field(3.0, description="Distance along the beam.")
+    length_mm: Positive = Field(1.5, description="Length of the spot's path.")
+    direction_deg: Angle = Field(
+        0.0, description="Direction of the path; 0: towards larger eccentricity."
+    )
+    speed_mm_s: Positive = Field(1.0, description="Speed of the spot.")
+    trocar_mm: Annotated[float, AllowInfNan(), Field(gt=0)] = Field(20.0, description=_TROCAR)
+
+
+class Hand(_NamedMotion):
+    """A synthetic hand moves the tip near [spot]; the robot damps its tremor.
+
+    Tremor: 0.18 mm RMS in total (Singh and Riviere 2002) at 8-12 Hz (Wells et al. 2013). Voluntary
+    motion: 99 % of its power lies below 2 Hz (Riviere, Rader and Khosla 1997). The damping by the
+    robot is an assumption.
+    """
+
+    kind: Literal["hand"] = "hand"
+    distance_mm: Positive = Field(3.0, description="Mean distance along the beam.")
+    duration_s: float = Field(
+        6.0, ge=_LEAST, le=_LONGEST_HAND_S, description="Duration of the trial."
+    )
+    top_speed_mm_s: Positive = Field(
+        5.0, description="Highest speed of the tip; the slow motion is scaled to reach it."
+    )
+    tremor_rms_mm: float = Field(
+        0.18, ge=0, le=_MOST_MM, description="Tremor before the robot damps it."
+    )
+    damping: float = Field(
+        0.95,
+        ge=0,
+        le=1,
+        description="Fraction of the tremor that the robot removes (an assumption).",
+    )
+    trocar_mm: Annotated[float, AllowInfNan(), Field(gt=0)] = Field(20.0, description=_TROCAR)
+    seed: Seed = Field(0, description="Random seed of the motion.")
+
+
+class Recorded(_NamedMotion):
+    """The tip follows recorded poses: a CSV file, or a ROS bag in the eye's frame."""
+
+    kind: Literal["recorded"] = "recorded"
+    file: str = Field(
+        "kinematics.csv",
+        max_length=4096,
+        description="File with the columns time_s, x_mm, y_mm, z_mm (tip), axis_x, axis_y, axis_z "
+        "in the eye's frame.",
+    )
+
+
+UNNAMED = "withdrawal"
+"""The motion of a scene without `motion.kind`."""
+
+MOTIONS: dict[str, type[_Settings]] = {
+    "withdrawal": Withdrawal,
+    "scan": Scan,
+    "hand": Hand,
+    "recorded": Recorded,
+}
+
+
+def _kind_of_motion(motion: Any) -> str:
+    """The kind of a motion: a withdrawal if none is given."""
+    kind = getattr(motion, "kind", UNNAMED)
+    if isinstance(motion, dict):
+        kind = motion.get("kind", UNNAMED)
+    return kind if isinstance(kind, str) else shortened(kind)
+
+
+Motion = Annotated[
+    Annotated[Withdrawal, Tag("withdrawal")]
+    | Annotated[Scan, Tag("scan")]
+    | Annotated[Hand, Tag("hand")]
+    | Annotated[Recorded, Tag("recorded")],
+    Discriminator(_kind_of_motion),
+]
+
+
+class Clocks(_Settings):
+    """Clocks of the camera and of the robot. Times are those of the camera's clock."""
+
+    camera_hz: float = Field(
+        10.0,
+        ge=_LEAST,
+        le=MOST_HZ,
+        description="Frame rate; a withdrawal sets its own number of frames.",
+    )
+    camera_jitter_s: float = Field(
+        0.0,
+        ge=0,
+        le=_MOST_S,
+        description="Standard deviation of the times at which frames are taken.",
+    )
+    kinematics_hz: float = Field(
+        200.0, ge=_LEAST, le=MOST_HZ, description="Poses per second from the robot."
+    )
+    kinematics_offset_s: float = Field(
+        0.0,
+        ge=-_MOST_S,
+        le=_MOST_S,
+        description="Time by which the robot's clock is ahead of the camera's.",
+    )
+    kinematics_jitter_s: float = Field(
+        0.0, ge=0, le=_MOST_S, description="Standard deviation of the time stamps of poses."
+    )
+    seed: Seed = Field(0, description="Random seed of both jitters.")
+
+
+# A full well of 1e15 electrons makes a camera without noise.
+_NonNegative = Annotated[float, Field(ge=0, le=1e15)]
+_Positive = Annotated[float, Field(ge=1e-3, le=1e15)]
+
+
+class CameraSettings(BaseModel):
+    """The camera: its data sheet (EMVA 1288) and its image format.
+
+    The defaults describe an 8-bit USB microscope with a full well of 5,000 electrons. Its temporal
+    noise is 3 DN per channel at 180 DN.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    full_well_e: _Positive = Field(
+        default=5000.0, description="Full well: electrons at full scale."
+    )
+    read_noise_e: _NonNegative = Field(
+        default=10.0,
+        description="Read noise: temporal standard deviation of a dark pixel, electrons.",
+    )
+    dark_signal_e: _NonNegative = Field(
+        default=0.0, description="Dark signal: mean thermal electrons per pixel and exposure."
+    )
+    prnu: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="PRNU: standard deviation of the pixels' gain, relative to its mean.",
+    )
+    dsnu_e: _NonNegative = Field(
+        default=0.0, description="DSNU: standard deviation of the pixels' dark signal, electrons."
+    )
+    black_level_dn: _NonNegative = Field(
+        default=4.0, description="Mean value of a dark image before the response curve, DN."
+    )
+    bit_depth: int = Field(default=8, ge=8, le=16, description="Bits per channel in the file.")
+    response: Literal["linear", "srgb"] | Annotated[float, Field(ge=0.01, le=100)] = Field(
+        default="linear",
+        description='Response curve: "linear", "srgb" (IEC 61966-2-1), or a number g for x^(1/g).',
+    )
+    bayer: Literal["none", "RGGB", "BGGR", "GRBG", "GBRG"] = Field(
+        default="none",
+        description="Bayer filter: colours of the first two rows. Other colours are interpolated.",
+    )
+    jpeg_quality: int = Field(
+        default=0,
+        ge=0,
+        le=100,
+        description="JPEG quality, with 4:2:2 colour as in USB video; 0: no JPEG.",
+    )
+
+    @property
+    def dark_variance_e2(self) -> float:
+        """Variance of a pixel without electrons, electrons²: of reading and of rounding."""
+        return self.read_noise_e**2 + 1 / (12 * self.system_gain**2)
+
+    @model_validator(mode="after")
+    def _black_is_below_white(self) -> CameraSettings:
+        if self.black_level_dn >= self.full_scale_dn:
+            raise InputError(
+                f"CameraSettings(black_level_dn=...) must lie below full scale; got black_level_dn="
+                f"{self.black_level_dn:g} DN, full scale {self.full_scale_dn} DN at bit_depth="
+                f"{self.bit_depth}. Lower black_level_dn or raise bit_depth."
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _jpeg_has_eight_bits(self) -> CameraSettings:
+        if self.jpeg_quality and self.bit_depth != 8:
+            raise InputError(
+                f"CameraSettings(jpeg_quality=...) needs 8 bits; got jpeg_quality="
+                f"{self.jpeg_quality} at bit_depth={self.bit_depth}. Set bit_depth to 8 or "
+                "jpeg_quality to 0."
+            )
+        return self
+
+    @property
+    def full_scale_dn(self) -> int:
+        """Largest digital number (DN)."""
+        return (1 << self.bit_depth) - 1
+
+    @property
+    def system_gain(self) -> float:
+        """Overall system gain K before the response curve, DN per electron."""
+        return (self.full_scale_dn - self.black_level_dn) / self.full_well_e
+
+    def sensor_shape(self, *, height: int, width: int) -> tuple[int, ...]:
+        """Shape of the raw frames: one value per pixel with a Bayer filter, otherwise three."""
+        return (height, width, 3) if self.bayer == "none" else (height, width)
+
+
+_FileName = Annotated[str, Field(max_length=4096)]
+_Aside = Annotated[float, Field(ge=-1e3, le=1e3)]
+_Nanometres = Annotated[float, Field(ge=100, le=2000)]
+
+
+class Viewing(BaseModel):
+    """What the microscope looks through: nothing, or a viewing lens and the eye's own optics."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    eye: _FileName = Field(
+        "none",
+        description="'none', an eye (navarro, liou-brennan, atchison), or the path of an eye file. "
+        "An eye brings the shape of its retina. source.medium fills it; 'vitreous' is its own.",
+    )
+    form: Literal["phakic", "aphakic", "pseudophakic"] = Field(
+        "phakic", description="With the crystalline lens, without it, or with an artificial lens."
+    )
+    refraction_d: float = Field(
+        0.0, ge=-30, le=30, description="Refraction in dioptres, for eyes that depend on it."
+    )
+    lens: _FileName = Field(
+        "none",
+        description="'none', a viewing lens (flat, biconcave, wide-field-60, -90, -120, -130), or "
+        "the path of a lens file.",
+    )
+    pupil_mm: float = Field(7.0, ge=0.1, le=100, description="Diameter of the dilated pupil.")
+    upright: bool = Field(
+        False,
+        description="Turn the image of a wide-field lens, which is inverted, as a stereo inverter "
+        "does.",
+    )
+    wavelengths_nm: tuple[_Nanometres, _Nanometres, _Nanometres] = Field(
+        (610.0, 550.0, 465.0),
+        description="Wavelengths of red, green and blue. Labels are those of green, and say how "
+        "far the spot's centre is shifted in red and blue.",
+    )
+    colours: Literal["green", "own"] = Field(
+        "green",
+        description="Lines of sight of red and blue: green's, or their own, which takes three "
+        "renderings.",
+    )
+    reflexes: bool = Field(
+        False,
+        description="Show the lamp of the microscope's coaxial light as the surfaces of the path "
+        "reflect it, each once.",
+    )
+    lamp_mm: tuple[_Aside, _Aside] = Field(
+        (21.0, 0.0),
+        description="Place of that lamp in the plane of the pinhole, X and Y; for its reflexes "
+        "only. The default is 6 degrees beside the axis, 200 mm above the eye.",
+    )
+    lamp_radius_mm: float = Field(5.0, ge=0.1, le=100, description="Radius of that lamp.")
+
+    @property
+    def through_an_eye(self) -> bool:
+        """Whether the microscope looks through an eye, not through a pinhole alone."""
+        return self.eye != "none"
+
+
+def retina_of(content: dict[str, Any]) -> dict[str, Any]:
+    """Keys of [phantom] that an eye determines: radius_mm along z, and stretch.
+
+    Args:
+        content: the table [viewing] as read; keys may be missing or wrong.
+
+    Raises:
+        InputError: no such eye, or a wrong eye file.
+    """
+    from optics.viewing.eye import load_eye
+
+    given = {key: content.get(key, Viewing.model_fields[key].default) for key in _OF_THE_EYE}
+    green = given["wavelengths_nm"][1]
+    eye = load_eye(given["eye"], wavelength_nm=green, refraction_d=given["refraction_d"])
+    x, y, z = eye.retina_semi_axes.tolist()
+    return dict(zip(OF_THE_RETINA, (z, (x / z, y / z)), strict=True))
+
+
+_OF_THE_EYE = ("eye", "refraction_d", "wavelengths_nm")
+OF_THE_RETINA = ("radius_mm", "stretch")
+"""Keys of [phantom] that an eye determines."""
+
 
 GAUGE_DIAMETER_MM = {20: 0.91, 23: 0.64, 25: 0.51}
 """Outer diameter of vitrectomy instruments by gauge, mm."""
@@ -25,10 +359,6 @@ _Coefficient = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Spread = Annotated[float, Field(ge=1e-4, le=1)]
 _Ratio = Annotated[float, Field(ge=0.5, le=2)]
 FileName = Annotated[str, Field(max_length=4096)]
-
-
-class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Phantom(_Settings):

@@ -25,13 +25,13 @@ GIB = 2**30
 MEMORY_NEEDED = 4 * GIB
 
 HOME = Path(__file__).resolve().parents[2]
-"""Folder of the five packages: the checkout, or site-packages."""
+"""Folder of the packages: the checkout, or site-packages."""
 
 # Each variant is tried in its own process, because one that fails may abort its process.
 _TRY_VARIANT = """
 import sys
 import numpy
-from scenes.machine import RendererUnavailable, load_mitsuba
+from scenes.machine.variant import RendererUnavailable, load_mitsuba
 try:
     mi = load_mitsuba(sys.argv[1])
 except RendererUnavailable as unavailable:

@@ -9,7 +9,7 @@ import os
 import sys
 from types import ModuleType
 
-from optics import InputError
+from formats.inputs import InputError
 from scenes.machine.llvm import (
     DEBIAN_COMMAND,
     ENVIRONMENT_VARIABLE,

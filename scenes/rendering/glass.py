@@ -12,10 +12,10 @@ import mitsuba as mi
 import numpy as np
 
 import optics
-from scenes.description import Scene
+from scenes.description.scene import Scene
 from scenes.rendering.build import mitsuba_dict, mover
 from scenes.rendering.photons import photon_image
-from scenes.world import LensLight, World
+from scenes.world.world import LensLight, World
 
 
 def glass_images(

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from scenes.description import Scene, SceneError
-from scenes.machine import load_mitsuba
-from scenes.world import Moment, World, uniform_irradiance
+from scenes.description.scene import Scene
+from scenes.description.settings import SceneError
+from scenes.machine.variant import load_mitsuba
+from scenes.world.labels import uniform_irradiance
+from scenes.world.world import Moment, World
 
 # Far below the eye and pointing away: the tip is not visible, and its beam lights nothing.
 PARKED_MM, DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
@@ -36,14 +38,14 @@ class Images:
         scene = world.scene
         _refuse_slow_light(scene, variant)
         self._mi = load_mitsuba(variant)
-        from scenes.rendering import build, reach, unrest  # Mitsuba's plugins need the variant
+        from scenes.rendering import build, reach  # Mitsuba's plugins need the variant
 
         self.world = world
         uniform = uniform_irradiance(world)
         content = build.mitsuba_dict(world, uniform=uniform)
         self.mitsuba_scene = self._mi.load_dict(content)
         self._move = build.mover(scene, self.mitsuba_scene)
-        self._unsettle = unrest.unsettler(world, self.mitsuba_scene, uniform=uniform)
+        self._unsettle = reach.unsettler(world, self.mitsuba_scene, uniform=uniform)
         self._reflexes = self._reflexes_at(np.zeros(2))
         self.random = (
             scene.source.kind == "photons"

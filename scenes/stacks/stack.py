@@ -1,4 +1,4 @@
-"""Renders a scene into a labelled stack."""
+"""Stacks rendered to disk, one image in memory, and a preview."""
 
 from __future__ import annotations
 
@@ -10,16 +10,93 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
 import optics
-from estimator.files import Stack, StackWriter, fingerprint, read_stack, require_space
-from optics.viewing import PathCamera
-from scenes.description import CameraSettings, Scene
-from scenes.rendering import LinearFrame, Renderer
+from formats.inputs import InputError
+from formats.manifest import fingerprint
+from formats.stack import FrameLabels, Stack, StackWriter, read_stack
+from formats.whole_files import require_space, written_whole
+from optics.viewing.camera import PathCamera
+from scenes.camera import Camera
+from scenes.description.scene import Scene
+from scenes.description.settings import CameraSettings
+from scenes.rendering.images import images_of
+from scenes.rendering.render import LinearFrame, Renderer
 from scenes.stacks.bound import Bounds
-from scenes.stacks.photography import Photography, file_name
-from scenes.world import World, frame_count, kinematics, paper_exposure, spot_labels
+from scenes.world.labels import paper_exposure, spot_labels
+from scenes.world.motion import frame_count, kinematics, longest_exposure
+from scenes.world.world import World
+
+
+def file_name(world: World, frame: int, order: int) -> str:
+    """File name, within the stack, of a frame's image with the order-th kind of exposure."""
+    return f"frames/{frame * len(world.scene.exposures.kinds) + order:06d}.png"
+
+
+class Photography:
+    """Exposes and writes the frames of one stack.
+
+    Args:
+        world: the stack's scene and everything derived from it.
+
+    Attributes:
+        paper_exposure_s: fixed exposure time of the `paper` frames.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._camera = Camera(world.scene)
+        self.paper_exposure_s = paper_exposure(world)
+
+    def exposure_s(self, kind: str, light: np.ndarray, mask: np.ndarray) -> float:
+        """Exposure time; for `metered` it depends on the light within the mask.
+
+        It is never longer than the time between two frames, even if a metered frame is then dark.
+        """
+        if kind == "paper":
+            return self.paper_exposure_s
+        return min(self._camera.metered_s(light, mask), longest_exposure(self._world.scene))
+
+    def raw(self, light: np.ndarray, *, exposure_s: float, frame: int, order: int) -> np.ndarray:
+        """The camera's image of a frame with the order-th kind of exposure, before JPEG."""
+        seed = [self._world.scene.seed, frame, order]
+        return self._camera.raw(light, exposure_s=exposure_s, noise_seed=seed)
+
+    def written(self, raw: np.ndarray) -> np.ndarray:
+        """The image as it is in the file: after JPEG, if the camera uses JPEG."""
+        return self._camera.written(raw)
+
+    def write(
+        self,
+        writer: StackWriter,
+        light: np.ndarray,
+        *,
+        order: int,
+        exposure_s: float,
+        mask: np.ndarray,
+        labels: dict[str, Any],
+    ) -> None:
+        """Expose a frame with the order-th kind of exposure, and write it with its labels."""
+        scene, frame = self._world.scene, labels["frame"]
+        raw = self.raw(light, exposure_s=exposure_s, frame=frame, order=order)
+        saturated = np.any(raw[mask] >= scene.camera.full_scale_dn, axis=-1)
+        row = FrameLabels(
+            file_name=file_name(self._world, frame, order),
+            mask_file_name=f"masks/{frame:06d}.png",
+            exposure=scene.exposures.kinds[order],
+            exposure_s=exposure_s,
+            saturated_fraction=float(saturated.mean()) if saturated.size else 0.0,
+            **labels,
+        )
+        writer.add(
+            self.written(raw),
+            row,
+            np.uint8(255) * mask if order == 0 else None,
+            light if scene.exposures.keep_linear else None,
+        )
+
 
 # Frames that may wait for noise and encoding. More would only use memory.
 _QUEUE = 4
@@ -304,3 +381,134 @@ def least_bytes(scene: Scene) -> float:
     image = math.prod(camera.sensor_shape(**size)) * bits / 8 / 2
     linear = 3 * math.prod(size.values()) * _LINEAR_BYTES if scene.exposures.keep_linear else 0
     return frame_count(scene) * len(scene.exposures.kinds) * (image + linear)
+
+
+def render_image(
+    scene: Scene, *, frame: int = 0, exposure: str | None = None, variant: str = "llvm_ad_rgb"
+) -> np.ndarray:
+    """One image, as `render_stack` writes it.
+
+    Args:
+        scene: the scene.
+        frame: number of the frame.
+        exposure: one of the scene's `exposures.kinds`; None: the first of them.
+        variant: Mitsuba's variant.
+
+    Returns:
+        H x W x 3 (R, G, B), uint8 or uint16.
+
+    Raises:
+        InputError: the scene has no such frame or exposure.
+        SceneError: the tip touches the wall, or the spot leaves the window.
+        RendererUnavailable: Mitsuba cannot run that variant here.
+    """
+    kinds = scene.exposures.kinds
+    kind = kinds[0] if exposure is None else exposure
+    if kind not in kinds:
+        raise InputError(f"exposure = {kind!r} is none of the scene's: {', '.join(kinds)}.")
+    renderer = Renderer(scene, variant=variant)
+    count = renderer.world.times.size
+    if not 0 <= frame < count:
+        raise InputError(f"frame = {frame} is not in the scene: it has 0 to {count - 1}.")
+    photography = Photography(renderer.world)
+    sharp = renderer.render(frame)
+    duration = photography.exposure_s(kind, sharp.radiance, renderer.mask(frame, sharp))
+    light = renderer.exposed(frame, sharp, exposure_s=duration).radiance
+    return photography.written(
+        photography.raw(light, exposure_s=duration, frame=frame, order=kinds.index(kind))
+    )
+
+
+class LiveCamera:
+    """A scene's camera while something else moves the tip, such as a simulated robot.
+
+    Args:
+        scene: its motion is not used, but must be possible.
+        variant: Mitsuba's variant.
+
+    Raises:
+        SceneError: the scene is impossible.
+        RendererUnavailable: Mitsuba cannot run that variant here.
+    """
+
+    def __init__(self, scene: Scene, *, variant: str = "llvm_ad_rgb") -> None:
+        self._images = Renderer(scene, variant=variant).images
+        self._camera, self._seed = Camera(scene), scene.seed
+
+    def image(
+        self, tips: np.ndarray, axes: np.ndarray, *, exposure_s: float, frame: int
+    ) -> np.ndarray:
+        """An image while the tip moves.
+
+        Args:
+            tips: at the beginning, middle and end of the exposure, 3 x 3, mm, eye frame. The light
+                is their mean by Simpson's rule.
+            axes: of the beam, likewise; unit vectors from the tip towards the wall.
+            exposure_s: exposure time, s.
+            frame: number of the image, for its noise.
+
+        Returns:
+            H x W x 3 (R, G, B), uint8 or uint16, before JPEG.
+        """
+        light = sum(
+            share * self._images.at(tip=tip, axis=axis, seed=frame)[0]
+            for share, tip, axis in zip((1 / 6, 2 / 3, 1 / 6), tips, axes, strict=True)
+        )
+        seed = [self._seed, frame]
+        return self._camera.raw(np.asarray(light), exposure_s=exposure_s, noise_seed=seed)
+
+
+_SHRINK = 2
+
+
+def write_preview(scene: Scene, path: Path, *, variant: str = "llvm_ad_rgb") -> None:
+    """Render `preview` into a PNG file, which must not exist."""
+    with written_whole(path) as partial:
+        image = preview(scene, variant=variant)
+        _, encoded = cv2.imencode(".png", image[..., ::-1])
+        partial.write_bytes(encoded.tobytes())
+
+
+def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
+    """The frame in the middle of the motion at half of its size, with one sample per pixel.
+
+    It has the metered exposure and the sensor's noise, but no motion blur and no JPEG. The spot may
+    leave the window, unlike in a stack.
+
+    Args:
+        scene: the scene.
+        variant: Mitsuba's variant.
+
+    Returns:
+        H/2 x W/2 x 3 (R, G, B), uint8 or uint16.
+
+    Raises:
+        SceneError: the tip touches the wall.
+        RendererUnavailable: Mitsuba cannot run that variant here.
+    """
+    world = World(scene)
+    (tip,), (axis,) = world.motion.at(world.times[[world.times.size // 2]])
+    small = World(_small(scene))
+    radiance, _ = images_of(small, variant=variant).at(tip=tip, axis=axis, seed=0)
+    camera = Camera(small.scene)
+    exposure_s = camera.metered_s(radiance, np.ones(radiance.shape[:2], bool))
+    return camera.raw(radiance, exposure_s=exposure_s, noise_seed=[scene.seed])
+
+
+def _small(scene: Scene) -> Scene:
+    """The same field of view with fewer pixels; even numbers, as a Bayer mosaic needs."""
+    large = scene.microscope
+    width, height = (
+        max(16, size // _SHRINK // 2 * 2) for size in (large.width_px, large.height_px)
+    )
+    scale = large.scale_mm_px * max(large.width_px / width, large.height_px / height)
+    x, y = large.window_offset_px
+    fewer = large.scale_mm_px / scale
+    small = {
+        "width_px": width,
+        "height_px": height,
+        "scale_mm_px": scale,
+        "window_offset_px": (fewer * x, fewer * y),
+        "samples": 1,
+    }
+    return scene.model_copy(update={"microscope": large.model_copy(update=small)})

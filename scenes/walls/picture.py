@@ -1,4 +1,4 @@
-"""The picture that a scene selects for its wall, also from an image file, and its mean colour."""
+"""Pictures on the wall: drawn, photographed or random; and how far light spreads in it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.files import read_image
-from optics import InputError, shortened
-from scenes.description import Phantom, SceneError
-from scenes.walls.fundus_image import fundus
+from formats.images import read_image
+from formats.inputs import InputError, shortened
+from optics.wall_light.unknown_wall import texture
+from scenes.description.settings import Phantom, SceneError
+from scenes.walls.fundus import fundus
 
 
 def wall_image(
@@ -116,3 +117,56 @@ def wall_picture(phantom: Phantom) -> np.ndarray:
 def _fundus(seed: int, palette: Any) -> np.ndarray:
     # All trials of a run have the same wall.
     return fundus(seed=seed, extent_mm=PICTURE_MM, pixels=PICTURE_PX, palette=palette)
+
+
+_LEAST = 0.0031308  # linear, below which sRGB is straight (IEC 61966-2-1)
+
+
+def write_random_wall(path: Path, *, seed: int, width_mm: float) -> None:
+    """Write a grey picture whose log reflectance is a Gaussian process.
+
+    Its covariance is `unknown_wall.texture`, by the discrete Fourier transform, so that the
+    picture repeats at its border. The median reflectance is half of white.
+
+    Args:
+        path: of the PNG file, 16 bits, for phantom.wall_image.
+        seed: random seed.
+        width_mm: of the picture, a square; its 1024 pixels must resolve the grain of 0.08 mm.
+    """
+    pixels = 1024
+    along = np.minimum(np.arange(pixels), pixels - np.arange(pixels)) * width_mm / pixels
+    covariance = np.asarray(texture(np.hypot(along[:, None], along)))
+    amplitude = np.sqrt(np.maximum(np.fft.fft2(covariance).real, 0.0))
+    white = np.random.default_rng(seed).standard_normal((pixels, pixels))
+    log_reflectance = np.fft.ifft2(np.fft.fft2(white) * amplitude).real
+    linear = np.clip(0.5 * np.exp(log_reflectance), _LEAST, 1.0)
+    coded = 1.055 * linear ** (1 / 2.4) - 0.055
+    cv2.imwrite(str(path), np.round(65535 * coded).astype(np.uint16))
+
+
+_PAPER_PERIOD_MM = 0.2
+"""Period at which paper has half of its modulation, mm.
+
+Arney, Chauvin, Nauman & Anderson, "Kubelka-Munk theory and the MTF of paper", J. Imaging Sci.
+Technol. 47, 339 (2003) measure it as kappa_p with projected edges; J. S. Arney gives 0.15-0.35 mm
+for all papers that he saw and 0.2 mm as usual. The length hardly depends on the colour (Namedanian,
+Gooran & Nystrom 2011).
+"""
+
+PRESETS_MM = {
+    # The modulation (1 + (2 pi L/period)^2)^(-3/2) is one half there.
+    "printed paper": (np.sqrt(4.0 ** (1 / 3) - 1.0) / (2 * np.pi) * _PAPER_PERIOD_MM,) * 3,
+}
+"""L for red, green and blue, mm.
+
+The retina has no entry: its layers were measured one by one on excised tissue (Hammer et al. 1995),
+and no spread of the whole fundus, which the choroid's absorption and the sclera's depth decide, was
+found that could be checked.
+"""
+
+
+def wall_spread(phantom: Phantom) -> np.ndarray | None:
+    """L for red, green and blue, mm; None if light leaves the wall where it arrives."""
+    if phantom.spread == "none":
+        return None
+    return np.array(PRESETS_MM.get(phantom.spread, phantom.spread_mm))

@@ -7,12 +7,222 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 
 import optics
-from optics.viewing import PathCamera, Pencils
-from scenes.description import Scene
-from scenes.world.reflections import Reflections
-from scenes.world.view import SceneCamera, bare_camera, scene_pencils, scene_reflections
+from optics.viewing.camera import (
+    PathCamera,
+    Pencils,
+    Reflex,
+    focal_depth,
+    path_camera,
+    pencils,
+    reflexes,
+)
+from optics.viewing.eye import load_eye, load_viewing_lens
+from optics.viewing.path import ViewingPath, viewing_path
+from scenes.description.scene import Scene
+from scenes.description.settings import SceneError
+
+_PLACES = 400
+
+
+class Reflections(NamedTuple):
+    """Reflexes of a round lamp of even radiance in the pinhole's plane.
+
+    Attributes:
+        scene: the scene.
+        camera: the microscope behind the path.
+        radiance: of the lamp, in the unit of the images, mW/(mm2 sr).
+        reflexes: at every surface of the path.
+    """
+
+    scene: Scene
+    camera: PathCamera
+    radiance: float
+    reflexes: tuple[Reflex, ...]
+
+    @classmethod
+    def of(
+        cls, scene: Scene, camera: PathCamera, path: ViewingPath, reflexes: tuple[Reflex, ...]
+    ) -> Reflections:
+        """The reflexes of the lamp that gives the coaxial light on the retina.
+
+        A lamp of radiance L, radius rho and distance D gives the irradiance L pi (rho/D)^2 in front
+        of the path, and 1/a^2 of it behind, where a is the path's magnification. Images hold the
+        radiance inside the eye, which is that in air times the squared index.
+        """
+        distance = 1.0 / float(path.pinhole_closeness)
+        in_front = scene.microscope.illumination_mw_mm2 * float(camera.magnification) ** 2
+        in_front /= float(camera.transmittance(camera.principal_point))
+        lamp = in_front / (math.pi * (scene.viewing.lamp_radius_mm / distance) ** 2)
+        return cls(scene, camera, lamp * float(path.medium_index) ** 2, reflexes)
+
+    def image(self, view_px: np.ndarray) -> np.ndarray:
+        """Radiance of all reflexes, H x W, in an image that is shifted by (x, y) px."""
+        microscope = self.scene.microscope
+        height, width = microscope.height_px, microscope.width_px
+        v, u = np.mgrid[:height, :width]
+        aim = self.camera.aim(np.stack([u, v], axis=-1) - view_px)
+        light = np.zeros((height, width))
+        for reflex in self.reflexes:
+            place, part = (np.asarray(a) for a in (reflex.place(aim), reflex.part(aim)))
+            inside = self.scene.viewing.lamp_radius_mm - np.linalg.norm(
+                place - np.array(self.scene.viewing.lamp_mm), axis=-1
+            )
+            # The edge is as wide as a pixel.
+            down, right = np.gradient(inside)
+            light += part * np.clip(inside / np.maximum(np.hypot(down, right), 1e-9) + 0.5, 0, 1)
+        middle = np.array([width, height]) / 2
+        corner = np.sum(((np.stack([u, v], axis=-1) + 0.5 - middle) / np.hypot(*middle)) ** 2, -1)
+        return self.radiance * (1 - microscope.vignetting * corner) * light
+
+    def brightest_px(self) -> np.ndarray:
+        """Where the brightest reflex shows the lamp's centre, (x, y) px; NaN outside the window."""
+        lamp = np.array(self.scene.viewing.lamp_mm)
+        away = float(np.linalg.norm(lamp))
+        outward = lamp / away if away else np.array([1.0, 0.0])
+        best, found = 0.0, np.full(2, np.nan)
+        for reflex in self.reflexes:
+            aim = _aim_at(reflex, away)
+            if aim is None:
+                continue
+            part = float(reflex.part(aim * outward))
+            offset = aim * outward * float(self.camera.px_per_aim) * [1.0, -1.0]
+            at = np.asarray(self.camera.principal_point) + offset
+            if part > best and np.all((at >= -0.5) & (at <= self._last_pixel + 0.5)):
+                best, found = part, at
+        return found
+
+    @property
+    def _last_pixel(self) -> np.ndarray:
+        microscope = self.scene.microscope
+        return np.array([microscope.width_px - 1, microscope.height_px - 1])
+
+
+def _aim_at(reflex: Reflex, away: float) -> float | None:
+    """Signed distance t at which a line of sight returns to a distance from the axis, mm."""
+
+    def missed(t: float) -> float:
+        return float(reflex.place(np.array([t, 0.0]))[0]) - away
+
+    places = np.linspace(-1.0, 1.0, _PLACES) * float(reflex.widest)
+    returned = np.asarray(reflex.place(np.stack([places, 0.0 * places], axis=-1)))[:, 0] - away
+    crossed = np.flatnonzero(returned[:-1] * returned[1:] <= 0.0)
+    if not crossed.size:
+        return None
+    nearest = crossed[np.argmin(np.abs(places[crossed]))]
+    return float(brentq(missed, places[nearest], places[nearest + 1]))
+
+
+SceneCamera = optics.Microscope | PathCamera
+
+_SMALLEST_FIELD_MM = 0.5
+"""Half the width of the smallest field that is worth a look: a spot is as wide."""
+
+
+def bare_camera(scene: Scene, wall: optics.Surface) -> SceneCamera:
+    """The camera with the principal point (0, 0), seen in green.
+
+    Raises:
+        SceneError: the pinhole lies too low, or the microscope sees nothing useful.
+    """
+    settings = scene.microscope
+    if scene.viewing.through_an_eye:
+        return _through_the_eye(scene, wall, channel=1)
+    return optics.microscope(
+        scale=settings.scale_mm_px,
+        pinhole_height=settings.pinhole_height_mm,
+        eye_radius=scene.phantom.radius_mm,
+        distortion=settings.distortion,
+    )
+
+
+def colour_cameras(scene: Scene, wall: optics.Surface) -> tuple[PathCamera, ...]:
+    """Cameras for red, green and blue, each with the principal point (0, 0).
+
+    Raises:
+        SceneError: as for `bare_camera`.
+    """
+    green = _through_the_eye(scene, wall, channel=1)
+    red, blue = (_through_the_eye(scene, wall, channel=k) for k in (0, 2))
+    # One sensor: a pixel sees the same angle in all colours.
+    return red.on_sensor_of(green), green, blue.on_sensor_of(green)
+
+
+def scene_pencils(scene: Scene, camera: PathCamera, *, channel: int) -> Pencils:
+    """Lines of sight through the microscope's pupil about those of one colour's camera."""
+    # One microscope for all colours, focused in green.
+    depth = focal_depth(_path(scene, channel=1), focus=scene.microscope.focus_mm)
+    return pencils(_path(scene, channel=channel), camera, depth=depth)
+
+
+def scene_reflections(scene: Scene, camera: PathCamera, *, channel: int) -> Reflections:
+    """Reflexes of the microscope's lamp, seen by one colour's camera."""
+    path = _path(scene, channel=channel)
+    return Reflections.of(scene, camera, path, reflexes(path))
+
+
+def _path(scene: Scene, *, channel: int) -> ViewingPath:
+    """The viewing path of a colour.
+
+    Raises:
+        SceneError: the microscope's pinhole lies below the viewing lens or the cornea.
+    """
+    viewing, height = scene.viewing, scene.microscope.pinhole_height_mm
+    eye = load_eye(
+        viewing.eye,
+        wavelength_nm=viewing.wavelengths_nm[channel],
+        refraction_d=viewing.refraction_d,
+    )
+    lens = None if viewing.lens == "none" else load_viewing_lens(viewing.lens)
+    medium = scene.source.medium
+    cornea = float(eye.axial_length) - scene.phantom.radius_mm
+    highest = cornea + (0.0 if lens is None else float(lens.above_cornea))
+    if not height > highest:
+        raise SceneError(
+            f"microscope.pinhole_height_mm must lie above the viewing lens and the cornea, at "
+            f"{highest:.1f} mm; got {height:g} mm. Set it to 200, as of a real microscope, or to "
+            "inf."
+        )
+    return viewing_path(
+        eye,
+        lens,
+        form=viewing.form,
+        fill_index=None if medium == "vitreous" else optics.MEDIA[medium],
+        pupil_radius=viewing.pupil_mm / 2,
+        pinhole_distance=height - cornea,
+    )
+
+
+def _through_the_eye(scene: Scene, wall: optics.Surface, *, channel: int) -> PathCamera:
+    viewing, medium = scene.viewing, scene.source.medium
+    path = _path(scene, channel=channel)
+    camera = path_camera(path, scale=scene.microscope.scale_mm_px, upright=viewing.upright)
+    field = float(camera.field(wall))
+    if not field > _SMALLEST_FIELD_MM:
+        why, lens = "", "set viewing.lens to wide-field-90"
+        if viewing.lens == "none":
+            why = ": the fundus lies near infinity"
+            lens = "set viewing.lens to flat (biconcave in air) or to wide-field-90"
+        raise SceneError(
+            f"through viewing.lens {viewing.lens!r} and the {viewing.form} eye {viewing.eye!r} "
+            f"filled with {medium}, with a pupil of {viewing.pupil_mm:g} mm, the microscope sees "
+            f"only c <= {field:.2f} mm{why}. Raise viewing.pupil_mm, or {lens}."
+        )
+    return camera
+
+
+def colour_shifts(cameras: tuple[PathCamera, ...], points: np.ndarray) -> np.ndarray:
+    """Where red and blue show points, relative to green, 2 x n x 2, px.
+
+    Args:
+        cameras: for red, green and blue.
+        points: on the wall, n x 3, mm.
+    """
+    red, green, blue = (np.asarray(camera.project(points)) for camera in cameras)
+    return np.stack([red - green, blue - green])
+
 
 _RIM_POINTS = 64
 

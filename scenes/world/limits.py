@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import optics
-from optics.viewing import PathCamera
-from scenes.description import SceneError
+from optics.viewing.camera import PathCamera
+from scenes.description.settings import SceneError
 from scenes.world.geometry import Geometry, circle_across
 
 _UNDISTORTED_PX = 1e-3

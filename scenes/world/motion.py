@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import optics
-from estimator.files import read_poses
-from optics import in_file
-from scenes.description import MOST_FRAMES, Hand, Recorded, Scan, Scene, SceneError, Withdrawal
+from formats.inputs import in_file
+from formats.poses import read_poses
+from scenes.description.scene import Scene
+from scenes.description.settings import MOST_FRAMES, Hand, Recorded, Scan, SceneError, Withdrawal
 from scenes.world.geometry import Geometry
 
 _TREMOR_HZ = (8.0, 12.0)

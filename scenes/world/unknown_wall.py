@@ -12,15 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import optics
-from optics.wall_light import (
-    CellBeam,
-    SpotCells,
-    UniformCone,
-    distance_sigmas,
-    lens_table,
-    spot_cells,
-)
-from scenes.description import Scene
+from optics.wall_light.cells import CellBeam
+from optics.wall_light.cone import UniformCone
+from optics.wall_light.lens import lens_table
+from optics.wall_light.unknown_wall import SpotCells, distance_sigmas, spot_cells
+from scenes.description.scene import Scene
 from scenes.world.world import World
 
 _NEAREST_MM, _FARTHEST_MM = 0.25, 9.0  # of a table of light
@@ -51,7 +47,7 @@ class UnknownWall:
         scene: its own source and motion are not used.
 
     Attributes:
-        sensor: `electrons` and `dark_e2` of `optics.wall_light.distance_sigmas`.
+        sensor: `electrons` and `dark_e2` of `optics.wall_light.unknown_wall.distance_sigmas`.
         full_dose: radiant exposure that fills the brightest colour's wells, mJ/mm².
     """
 
@@ -77,7 +73,7 @@ class UnknownWall:
         """Light of a glue lens.
 
         Args:
-            values: `optics.wall_light.PARAMETERS`.
+            values: `optics.wall_light.lens.PARAMETERS`.
             distances: d, mm, within 0.25 to 8.
             free: parameters by which the light is differentiated.
             coarse: for a search; errors of a hundredth of the peak.
@@ -107,7 +103,7 @@ class UnknownWall:
         return self._light([cone], distances, (np.array(distances) - b) / k, np.ones(1))
 
     def sigmas(self, light: SpotLight, dose: float, *, outline: bool = False) -> np.ndarray:
-        """Bounds of the standard deviation of d, mm (`optics.wall_light.distance_sigmas`)."""
+        """Bounds of the standard deviation of d, mm (`distance_sigmas`)."""
         rest = {"ambient": light.ambient, "dose": dose, "outline": outline, **self.sensor}
         return np.asarray(distance_sigmas(light.spots, np.zeros(light.ambient.size - 1), **rest))
 

@@ -2,21 +2,124 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import math
 from functools import cached_property
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import optics
-from optics.viewing import PathCamera
-from scenes.walls import wall_colour, wall_spread
-from scenes.world.geometry import Geometry
-from scenes.world.light_cache import LensLight, lens_light
+from formats.whole_files import cache_file, kept_arrays
+from optics.viewing.camera import PathCamera
+from scenes.description.scene import Scene
+from scenes.walls.picture import wall_colour, wall_spread
+from scenes.world.geometry import (
+    Geometry,
+    colour_cameras,
+    colour_shifts,
+    scene_pencils,
+    scene_reflections,
+)
 from scenes.world.limits import check_light, check_poses, check_view, check_window
 from scenes.world.motion import Trajectory, frame_times, trajectory
-from scenes.world.unrest import UnrestPath
-from scenes.world.view import colour_cameras, colour_shifts, scene_pencils, scene_reflections
+
+_LEAST_POWER = 1e-3
+"""Of the mean: a swing of the power does not switch the source off."""
+
+
+class Moment(NamedTuple):
+    """What [unrest] moves, at one time.
+
+    Attributes:
+        view_px: shift of the image, x and y.
+        turn: rotation vector of the eyeball around its centre, rad.
+        power: of the source, relative to its mean.
+    """
+
+    view_px: np.ndarray
+    turn: np.ndarray
+    power: float
+
+
+class UnrestPath:
+    """What [unrest] moves, by frame and time.
+
+    Args:
+        scene: the scene.
+        frames: number of frames.
+    """
+
+    def __init__(self, scene: Scene, *, frames: int) -> None:
+        settings = scene.unrest
+        shake, swing = (np.random.default_rng([settings.seed, own]) for own in (1, 2))
+        self._shake = settings.shake_px * shake.standard_normal((frames, 2))
+        self._power = np.maximum(
+            1.0 + settings.power_swing * swing.standard_normal(frames), _LEAST_POWER
+        )
+        x, y = settings.drift_mm_s
+        # Rows of an image run downwards.
+        self._drift = np.array([x, -y]) / scene.microscope.scale_mm_px
+        self._rate = np.array([math.radians(w) for w in settings.rotation_deg_s])
+
+    def at(self, frame: int, time: float) -> Moment:
+        """The state at a time of a frame's exposure, s."""
+        view = self._shake[frame] + time * self._drift
+        return Moment(view, time * self._rate, float(self._power[frame]))
+
+    def views(self, times: np.ndarray) -> np.ndarray:
+        """Shifts of the image at the middles of all frames' exposures, n x 2, px."""
+        return self._shake + times[:, None] * self._drift
+
+
+class LensLight(NamedTuple):
+    """Light of a lens in a medium.
+
+    Attributes:
+        table: vector irradiance per unit power in the core.
+        transmitted: fraction of that power that leaves the cap.
+    """
+
+    table: optics.IrradianceTable
+    transmitted: float
+
+
+@functools.lru_cache(maxsize=4)
+def lens_light(lens: str, medium_index: float) -> LensLight:
+    """Light of a lens, computed once and then read from the user's cache folder.
+
+    Args:
+        lens: preset name or path of a lens file.
+        medium_index: n0, refractive index of the medium.
+    """
+    glass = optics.load_lens(lens)
+
+    def compute() -> dict[str, Any]:
+        table = optics.irradiance_table(glass, medium_index=medium_index)
+        return {
+            "values": np.asarray(table.values),
+            "medium_index": np.asarray(table.medium_index),
+            "contact_radius": np.asarray(table.contact_radius),
+            "slope": np.asarray(table.slope),
+            "transmitted": np.asarray(optics.transmitted_power(glass, medium_index=medium_index)),
+        }
+
+    # The key is made of all that the result depends on: lens, medium and code.
+    numbers = {name: x if x is None else float(x) for name, x in vars(glass).items()}
+    key = hashlib.sha256(repr((sorted(numbers.items()), medium_index)).encode())
+    for source in (Path(__file__), *sorted(Path(optics.__file__).parent.glob("*.py"))):
+        key.update(source.read_bytes())
+    kept = kept_arrays(cache_file("lens_light", key.hexdigest()), compute)
+    table = optics.IrradianceTable(
+        values=kept["values"],
+        medium_index=kept["medium_index"],
+        contact_radius=kept["contact_radius"],
+        slope=kept["slope"],
+    )
+    return LensLight(table, float(kept["transmitted"]))
+
 
 _CALIBRATED_RANGE_MM = (0.5, 6.0)
 """Distances over which the effective cone of a lens is fitted; as in the paper's trials."""

@@ -47,10 +47,12 @@ from benchmarks.rivals.learned.network import (
 )
 from benchmarks.sets.read import SetStack, read_set
 from benchmarks.study import claim, versions, write_json
-from estimator import FrameLabels, read_microscope
-from estimator.files import MANIFEST, written_whole
-from estimator.run import progress
-from optics import InputError
+from estimator.run.progress_bar import progress
+from formats.inputs import InputError
+from formats.manifest import MANIFEST
+from formats.microscope import read_microscope
+from formats.stack import FrameLabels
+from formats.whole_files import written_whole
 
 BATCH = 32
 _EMPTY = 4  # one frame in so many also shows its empty window

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Literal
 
 from benchmarks.sets.read import SetStack, copy_description, exposures_of, qualified_name
-from estimator import Frame, Pose, open_source, read_poses
-from estimator.sources import write_bag
+from estimator import Frame, open_source
+from estimator.sources.ros import write_bag
+from formats.poses import Pose, read_poses
 
 START_S = 1000.0
 """Time of a bag at the stack's time 0; ROS reads 0 as no time, and poses start before 0."""

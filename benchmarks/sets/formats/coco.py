@@ -18,7 +18,8 @@ import numpy as np
 from pycocotools import mask as run_lengths
 
 from benchmarks.sets.read import SetStack, copy_description, qualified_name, split_name
-from estimator import FrameLabels, Stack, read_microscope
+from formats.microscope import read_microscope
+from formats.stack import FrameLabels, Stack
 
 _CATEGORY = {"id": 1, "name": "spot", "supercategory": "light"}
 _ELLIPSES = ("half_max_", "cone_")

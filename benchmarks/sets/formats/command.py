@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from estimator.run import OUT
+from estimator.run.options import OUT
 
 
 def export(
@@ -23,7 +23,7 @@ def export(
         out: File (hdf5) or folder to write; it must not exist yet.
     """
     from benchmarks.sets.formats.export import export as write
-    from estimator.run import progress
+    from estimator.run.progress_bar import progress
 
     with progress("Exporting", total=None) as advance:
         write(folder, to=to, out=out, progress=lambda total: advance(note=f"of {total}"))

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from benchmarks.sets.read import SetStack, set_files, stacks_of
-from estimator.files import require_space, written_whole
-from optics import InputError
+from formats.inputs import InputError
+from formats.whole_files import require_space, written_whole
 
 Format = Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
 

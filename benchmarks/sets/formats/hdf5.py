@@ -21,9 +21,8 @@ import h5py
 import numpy as np
 
 from benchmarks.sets.read import SetStack, qualified_name, set_files
-from estimator import Stack
-from estimator.files import StackError
-from optics import check_values, in_file, read_text
+from formats.inputs import check_values, in_file, read_text
+from formats.stack import Stack, StackError
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer

@@ -15,7 +15,8 @@ import numpy as np
 from tifffile import TiffWriter
 
 from benchmarks.sets.read import SetStack, copy_description, exposures_of, qualified_name
-from estimator import FrameLabels, Stack, read_microscope
+from formats.microscope import read_microscope
+from formats.stack import FrameLabels, Stack
 
 _CLASSIC_BYTES = 2**32 - 2**25  # size limit of a TIFF with 32-bit offsets, less its tags
 

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from estimator.run import OUT
-from optics import InputError
+from estimator.run.options import OUT
+from formats.inputs import InputError
 
 
 def score(

@@ -13,8 +13,10 @@ import pandas as pd
 
 from benchmarks.paper import VISIBLE_ENOUGH
 from benchmarks.sets.read import SetStack, image_name, qualified_name
-from estimator import Spot, SpotRecord, Stack, read_microscope
-from optics import InputError
+from formats.inputs import InputError
+from formats.microscope import read_microscope
+from formats.spots import Spot, SpotRecord
+from formats.stack import Stack
 
 # The images of a set with their labels, and the conditions by which they are grouped.
 

@@ -53,16 +53,12 @@ from benchmarks.sets.score.spots import (
     track_set,
 )
 from benchmarks.study import versions, write_json
-from estimator import Calibration, SpotRecord, read_calibration, write_spots
-from estimator.files import (
-    fingerprint,
-    in_figure,
-    in_utf8,
-    require_space,
-    written_whole,
-)
-from estimator.run import progress, say
-from optics import InputError
+from estimator.run.progress_bar import progress, say
+from formats.calibration import Calibration, read_calibration
+from formats.inputs import InputError, in_figure, in_utf8
+from formats.manifest import fingerprint
+from formats.spots import SpotRecord, write_spots
+from formats.whole_files import require_space, written_whole
 
 # Tables on the terminal, as wide as they need to be.
 

@@ -23,19 +23,22 @@ from benchmarks.sets.read import (
     qualified_name,
     true_beam,
 )
-from estimator import (
-    Calibration,
-    NoSpot,
-    Reason,
-    Spot,
-    SpotRecord,
-    open_source,
-    read_microscope,
-    read_spots,
-    track_whole_source,
+from estimator import open_source, track_whole_source
+from formats.calibration import Calibration
+from formats.inputs import (
+    InputError,
+    Strict,
+    csv_rows,
+    in_file,
+    in_utf8,
+    number_in,
+    object_in,
+    read_text,
+    shortened,
+    validated,
 )
-from estimator.files import csv_rows, in_utf8, number_in, object_in
-from optics import InputError, Strict, in_file, read_text, shortened, validated
+from formats.microscope import read_microscope
+from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
 
 # The small labelled set that comes with eyespot.
 

@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import optics
-from scenes.world import lens_light
+from scenes.world.world import lens_light
 
 distance = np.linspace(0.05, 6, 400)
 for name, colour in (("dome", "tab:blue"), ("paper-candidate", "tab:red")):

@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.patches import Ellipse
 
 import eyespot
-from estimator import write_calibration
-from scenes.world import true_calibration
+from formats.calibration import write_calibration
+from scenes.world.labels import true_calibration
 
 folder = Path(mkdtemp())
 changes = ["source.kind=cone", "spot.eccentricity_mm=3", "spot.incidence_deg=0"]

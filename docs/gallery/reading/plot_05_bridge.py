@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 from scenes import load_mitsuba, load_scene
 
 load_mitsuba()  # before anything that imports Mitsuba
-from scenes.rendering import PhotonImage  # noqa: E402
+from scenes.rendering.differentiable import PhotonImage  # noqa: E402
 
 changes = ["source.lens=dome", "motion.start_mm=2", "instrument.visible=false"]
 size = ["microscope.width_px=160", "microscope.height_px=120", "microscope.scale_mm_px=0.027"]

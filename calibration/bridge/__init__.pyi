@@ -1,2 +1,0 @@
-from .render_bridge import FLOAT32_LEVENBERG_MARQUARDT as FLOAT32_LEVENBERG_MARQUARDT
-from .render_bridge import render_as_jax as render_as_jax

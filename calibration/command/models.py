@@ -1,0 +1,376 @@
+"""Fits to spots: the cone, and the models of the paper."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+import optics
+from calibration.command.choices import Choices
+from calibration.command.verdict import Curve, Fitted, bounds_hit
+from calibration.pixels.data import CONE
+from calibration.recordings import Recording
+from calibration.solvers import excess_variance
+from calibration.spots.cone_fit import ConeFit, JointPrior, fit_cone
+from calibration.spots.cone_trials import OUTLINE_PER_MM, RETINA, SIZE_PER_MM, Prior, phantom_wall
+from calibration.spots.plane_fit import (
+    Loss,
+    PlaneFit,
+    PlaneTrial,
+    PlaneTrialsFit,
+    fit_plane,
+    fit_plane_trials,
+)
+from calibration.spots.sphere_fit import fit_eccentricity
+from formats.calibration import BEAM, Calibration
+from formats.inputs import InputError
+
+_TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
+
+
+def line_through(recordings: Sequence[Recording], loss: Loss = "squares") -> PlaneFit:
+    """The paper's line through the spots of all recordings."""
+    return fit_plane(
+        semi_minor_px=np.concatenate([np.asarray(r.trial.ellipses.semi_minor) for r in recordings]),
+        distance=np.concatenate([r.trial.readings for r in recordings]),
+        loss=loss,
+    )
+
+
+def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+    """Fit the paper's line through all planes, with each trial's touch and the plane's tilt."""
+    for recording in recordings:
+        if recording.trial.kind != "plane":
+            raise InputError(
+                f"the model plane needs recordings of planes; {recording.name} shows an eyeball. "
+                "Leave it out, or use --model sphere or cone."
+            )
+    planes, pooled, notes = _pooled_planes(recordings, choices.loss)
+    scale = planes[0].microscope.scale_mm_px
+    to_k = np.diag([1.0 / scale, 1.0])
+    names = [recording.name for recording in planes]
+    touches = zip(names, pooled.touch, pooled.touch_error, strict=True)
+    lines = {}
+    for recording in planes:
+        line = line_through([recording], choices.loss)
+        axis = np.sort(np.asarray(recording.trial.ellipses.semi_minor))
+        lines[recording.name] = Curve(axis, line.delta_k * axis + line.b, line.band(axis))
+    return Fitted(
+        calibration_model="planar",
+        values={"k": pooled.delta_k / scale, "b": pooled.b},
+        covariance=to_k @ pooled.covariance @ to_k,
+        converged=pooled.converged,
+        residuals={"the distance": pooled.residuals / pooled.noise},
+        recordings=planes,
+        used=pooled.residuals.size,
+        degrees_of_freedom=pooled.residuals.size - 2,
+        others=[
+            *((f"touch of {name}", touch, error, "mm") for name, touch, error in touches),
+            ("tilt_x", pooled.tilt[0], pooled.tilt_error[0], "1"),
+            ("tilt_y", pooled.tilt[1], pooled.tilt_error[1], "1"),
+            ("noise of a distance", pooled.noise, math.nan, "mm"),
+        ],
+        notes=[f"All planes: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.", *notes],
+        lines=lines,
+    )
+
+
+def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+    """Fit the paper's c of one eyeball trial, given the line through the planes."""
+    spheres = [r for r in recordings if r.trial.kind == "eyeball"]
+    if len(spheres) != 1:
+        raise InputError(
+            "the model sphere needs one recording of an eyeball, and planes; got "
+            f"{len(spheres)} eyeballs. A calibration has one eccentricity: fit each by itself."
+        )
+    _, pooled, notes = _pooled_planes(recordings, choices.loss)
+    (sphere,) = spheres
+    microscope, trial = sphere.microscope, sphere.trial
+    scale, radius = microscope.scale_mm_px, microscope.eye_radius_mm
+    axis = np.asarray(trial.ellipses.semi_minor)
+    # The plane's b is relative to the wall, so add the touch to the eyeball's readings, too.
+    distance = trial.readings + trial.touch.mean
+    fit = fit_eccentricity(
+        semi_minor_px=axis,
+        distance=distance,
+        delta_k=pooled.delta_k,
+        b=pooled.b,
+        scale=scale,
+        eye_radius=radius,
+        loss=choices.loss,
+    )
+    model = optics.small_plane_distance(
+        semi_minor_px=axis,
+        scale=scale,
+        k=pooled.delta_k / scale,
+        b=pooled.b,
+        eccentricity=fit.c,
+        eye_radius=radius,
+    )
+    errors = np.asarray(model) - distance
+    notes = [
+        f"{sphere.name}: SD {fit.standard_deviation:.4f}, mean absolute error "
+        f"{fit.mean_absolute_error:.4f}, largest error {fit.max_error:.4f} mm.",
+        *_outlier_note(sphere, fit.outliers),
+        f"All planes: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.",
+        *notes,
+    ]
+    # c depends on the line with which it was fitted.
+    follows = np.vstack([np.eye(2), fit.sensitivity])
+    covariance = follows @ pooled.covariance @ follows.T
+    covariance[2, 2] += fit.c_error**2
+    to_k = np.diag([1.0 / scale, 1.0, 1.0])
+    order = np.argsort(axis)
+    band = fit.band(axis[order], delta_k=pooled.delta_k, scale=scale, eye_radius=radius)
+    return Fitted(
+        calibration_model="small_plane",
+        values={"k": pooled.delta_k / scale, "b": pooled.b, "eccentricity": fit.c},
+        covariance=to_k @ covariance @ to_k,
+        converged=pooled.converged and fit.converged,
+        bounds=("eccentricity = 0, where the fit is best",) if fit.at_bound else (),
+        residuals={"the distance": errors / np.sqrt(np.sum(errors**2) / (errors.size - 1))},
+        recordings=[sphere],
+        used=errors.size + pooled.residuals.size,
+        degrees_of_freedom=errors.size - 1,
+        notes=notes,
+        lines={sphere.name: Curve(axis[order], np.asarray(model)[order], band)},
+    )
+
+
+def _pooled_planes(
+    recordings: Sequence[Recording], loss: Loss
+) -> tuple[list[Recording], PlaneTrialsFit, list[str]]:
+    """The planes' recordings, the line through them, and a sentence about each."""
+    planes = [r for r in recordings if r.trial.kind == "plane"]
+    if not planes:
+        raise InputError("the model needs a recording of a plane; all of these show eyeballs.")
+    if any(any(recording.tilt) for recording in planes):
+        raise InputError(
+            f"{planes[0].name} shows a tilted plane. The paper's line is valid only for a plane "
+            "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
+        )
+    notes, trials, kept = [], [], []
+    wall = phantom_wall("plane", eye_radius=planes[0].microscope.eye_radius_mm)
+    for recording in planes:
+        fit = line_through([recording], loss)
+        notes.append(
+            f"{recording.name} by itself: δk {fit.delta_k:.6f} ± {fit.delta_k_error:.6f} mm/px, b "
+            f"{fit.b:.4f} ± {fit.b_error:.4f} mm, R² {fit.r_squared:.5f}, RMSE {fit.rmse:.4f} mm."
+        )
+        notes += _outlier_note(recording, fit.outliers)
+        inliers = np.setdiff1d(np.arange(recording.trial.readings.size), fit.outliers)
+        trial = replace(
+            recording.trial,
+            ellipses=optics.Ellipse(*(leaf[inliers] for leaf in recording.trial.ellipses)),
+            covariances=recording.trial.covariances[inliers],
+            readings=recording.trial.readings[inliers],
+        )
+        kept.append(recording._replace(trial=trial))
+        centre = np.asarray(trial.ellipses.centre).mean(axis=0)
+        ray = recording.microscope.ideal_microscope().ray(centre)
+        angle = np.asarray(trial.ellipses.angle)
+        trials.append(
+            PlaneTrial(
+                semi_minor_px=np.asarray(trial.ellipses.semi_minor),
+                readings=trial.readings,
+                # Perpendicular to (cos, sin) in the image, whose v points towards -Y.
+                minor_axes=np.stack([np.sin(angle), np.cos(angle)], axis=-1),
+                place=np.asarray(wall.intersect(*ray).point[:2]),
+                touch=trial.touch,
+            )
+        )
+    pooled = fit_plane_trials(
+        trials,
+        inverse_working_distance=planes[0].microscope.inverse_working_distance,
+        tilt_sigma=_TILT_SIGMA,
+    )
+    return kept, pooled, notes
+
+
+def _outlier_note(recording: Recording, outliers: tuple[int, ...]) -> list[str]:
+    if not outliers:
+        return []
+    readings = ", ".join(f"{recording.trial.readings[i]:.2f}" for i in outliers)
+    return [f"{recording.name}: {len(outliers)} outliers, at readings of {readings} mm."]
+
+
+EYE = ("half_angle", "b", "scale", "inverse_working_distance", "eye_radius")
+"""What is fitted: the cone, which is known, and the pinhole and the sphere that are not."""
+_MISMATCHES = ("position right", "position down", "size", "elongation right", "elongation oblique")
+"""The components of `optics.ellipse_mismatch` after `_along_the_image`, in words."""
+
+
+def cone_start(recordings: Sequence[Recording]) -> dict[str, float]:
+    """The paper's line through all spots, which is close enough for the exact model to converge."""
+    line = line_through(recordings)
+    half_angle = math.atan(recordings[0].microscope.scale_mm_px / line.delta_k)
+    return {"half_angle": half_angle, "b": line.b}
+
+
+def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+    """Fit the exact geometry to planes and eyeballs together."""
+    _require_errors(recordings)
+    tilts = [recording.tilt for recording in recordings if recording.trial.kind == "plane"]
+    tilt = dict(zip(("tilt_x", "tilt_y"), tilts[0] if tilts else (0.0, 0.0), strict=True))
+    fit = fit_cone(
+        [recording.trial for recording in recordings],
+        recordings[0].microscope.pinhole(),
+        start=cone_start(recordings) | tilt,
+        free=choices.names or CONE,
+        priors=_without_touch(choices),
+    )
+    return _fitted(fit, recordings, calibration_model="exact")
+
+
+def _without_touch(choices: Choices) -> dict[str, Prior]:
+    return {name: prior for name, prior in choices.priors.items() if name != "touch"}
+
+
+def _require_errors(recordings: Sequence[Recording]) -> None:
+    for recording in recordings:
+        if not np.isfinite(recording.trial.covariances).all():
+            raise InputError(
+                f"{recording.name} has spots without standard deviations, as the literal mode "
+                "writes them. The exact geometry weights spots by these. Track in the sub-pixel "
+                "mode, or use --model plane."
+            )
+
+
+def _fitted(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model: str) -> Fitted:
+    """The result of `fit_cone` in the form that all models share."""
+    kept = [i for i, name in enumerate(fit.free) if name not in ("tilt_x", "tilt_y")]
+    values = {fit.free[i]: fit.values[fit.free[i]] for i in kept}
+    covariance = fit.covariance[np.ix_(kept, kept)]
+    if len(recordings) == 1 and np.isfinite(fit.boresight_covariance).all():
+        # Several trials may have been made with several tools.
+        slopes = recordings[0].beam_slopes
+        values |= dict(zip(BEAM, (slopes @ fit.boresight[0]).tolist(), strict=True))
+        of_beam = slopes @ fit.boresight_covariance[0] @ slopes.T
+        covariance = block_diag(covariance, of_beam)
+    grown = excess_variance(fit.chi_squared / fit.degrees_of_freedom, fit.degrees_of_freedom)
+    growth = math.sqrt(grown)
+    sigma = growth * np.sqrt(np.diag(fit.covariance))
+    names = [recording.name for recording in recordings]
+    touches = zip(names, fit.touch, growth * fit.touch_error, strict=True)
+    eccentricities = [
+        (f"c of {recording.name}", c, error, "mm")
+        for recording, c, error in zip(
+            recordings, fit.eccentricity, growth * fit.eccentricity_error, strict=True
+        )
+        if recording.trial.kind == "eyeball"
+    ]
+    residuals = np.concatenate(
+        [
+            _along_the_image(residual, np.asarray(recording.trial.ellipses.angle))
+            for residual, recording in zip(fit.residuals, recordings, strict=True)
+        ]
+    )
+    return Fitted(
+        calibration_model=calibration_model,
+        values=values,
+        covariance=grown * covariance,
+        converged=fit.converged,
+        bounds=bounds_hit(values),
+        undetermined=fit.undetermined,
+        chi_squared=fit.chi_squared,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        residuals=dict(zip(_MISMATCHES, residuals.T, strict=True)),
+        recordings=recordings,
+        used=len(residuals),
+        others=[
+            *(
+                (name, fit.values[name], float(sigma[i]), "1")
+                for i, name in enumerate(fit.free)
+                if i not in kept
+            ),
+            *((f"touch of {name}", touch, error, "mm") for name, touch, error in touches),
+            *eccentricities,
+        ],
+        notes=[
+            f"{name}: the beam points {math.degrees(np.hypot(*boresight)):.2f}° off the tool's "
+            f"axis. The robot is rotated by {math.degrees(np.hypot(*lean)):.2f}° against the eye."
+            for name, boresight, lean in zip(names, fit.boresight, fit.lean, strict=True)
+        ],
+    )
+
+
+def _along_the_image(residuals: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Mismatches in the directions of the image instead of those of each measured ellipse.
+
+    Noise makes every measured circle an ellipse, and along its own axis that ellipse is always too
+    long, so that residuals there have one sign and look as if they had structure.
+
+    Args:
+        residuals: n x 5, as `ConeFit.residuals`.
+        angle: of the measured ellipses' major axes, n, rad.
+    """
+    u, v, size, long, oblique = residuals.T
+    once, twice = np.exp(1j * angle), np.exp(2j * angle)
+    place, shape = once * (u + 1j * v), twice * (long + 1j * oblique)
+    return np.stack([place.real, place.imag, size, shape.real, shape.imag], axis=1)
+
+
+def fit_eye(recordings: Sequence[Recording], choices: Choices, cone: Calibration | None) -> Fitted:
+    """Fit pinhole and sphere that stand for an eye and its viewing lens to withdrawals in it."""
+    _require_errors(recordings)
+    if cone is None:
+        raise InputError(
+            "--model eye needs --cone FILE: a calibration of the same fibre in the same medium. "
+            "Fit one to recordings of a phantom with --model cone."
+        )
+    for recording in recordings:
+        if recording.trial.kind != "eyeball":
+            raise InputError(
+                f"{recording.name} was taken on a plane, which does not belong to the eye. Fit it "
+                "by itself with --model cone, and give the result with --cone."
+            )
+        if recording.medium != cone.medium:
+            raise InputError(
+                f"{recording.name} was taken in {recording.medium}, but --cone is valid in "
+                f"{cone.medium}. Calibrate the cone in {recording.medium}."
+            )
+    own = _cone(cone)
+    priors = {"eye_radius": RETINA} | _without_touch(choices)
+    for name in own.mean.keys() & priors.keys():
+        raise InputError(f"--prior {name} is given twice, as --cone contains it. Leave it out.")
+    microscope = recordings[0].microscope
+    # c to a few percent, which are those of the microscope file's scale.
+    offsets = [
+        np.hypot(*np.asarray(one.trial.ellipses.centre[0]) - one.trial.principal_point)
+        for one in recordings
+    ]
+    eccentricities = microscope.scale_mm_px * np.array(offsets)
+    fit = fit_cone(
+        [recording.trial for recording in recordings],
+        microscope.pinhole(),
+        start=dict(own.mean) | {"eye_radius": priors["eye_radius"].mean},
+        free=choices.names or EYE,
+        priors=priors,
+        joint_prior=own,
+        size_sigmas=(SIZE_PER_MM * eccentricities).tolist(),
+        outline_sigmas=(OUTLINE_PER_MM * eccentricities).tolist(),
+    )
+    return _fitted(fit, recordings, calibration_model="area")
+
+
+def _cone(calibration: Calibration) -> JointPrior:
+    """half_angle and b of a calibration."""
+    values = calibration.values
+    if "b" not in values or not {"k", "half_angle"} & values.keys():
+        raise InputError(
+            f"--cone must be a calibration of a cone; got one of the model {calibration.model!r}. "
+            "Fit a phantom with --model cone."
+        )
+    name = "half_angle" if "half_angle" in values else "k"
+    rows = [list(values).index(row) for row in (name, "b")]
+    covariance = calibration.covariance[np.ix_(rows, rows)]
+    angle = values[name]
+    if name == "k":
+        # half_angle = atan(1/k)
+        slopes = np.diag([-1.0 / (1.0 + angle**2), 1.0])
+        covariance, angle = slopes @ covariance @ slopes, math.atan(1.0 / angle)
+    return JointPrior({"half_angle": angle, "b": values["b"]}, covariance)

@@ -1,0 +1,358 @@
+"""Recordings as trials: withdrawals of stacks, spots files and bags with the robot's readings."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+import optics
+from calibration.spots.cone_trials import ConeTrial, Prior, phantom_wall
+from estimator import track_whole_source
+from estimator.run.options import Options
+from estimator.sources.opening import open_source
+from formats.inputs import InputError, shortened
+from formats.microscope import MicroscopeFile, read_microscope
+from formats.poses import Quaternion, read_poses, turned
+from formats.spots import Spot, SpotRecord, read_spots
+from formats.stack import Stack, read_stack
+
+_MOST_ASIDE_MM = 0.05
+"""Largest distance of a withdrawal from its line. The spot then moves by as much, about 7 px."""
+_MOST_ASKEW_DEG = 10.0
+"""Largest angle between the tip's motion and the tool's axis: three standard deviations of
+`BORESIGHT_SIGMA`. A larger angle is another motion, or the axis is given in another frame."""
+
+
+class Withdrawal(NamedTuple):
+    """A straight motion of the tip away from the wall.
+
+    Attributes:
+        readings: distance from the first frame along the motion, mm.
+        motion: unit vector of the motion, reversed, so that it points towards the wall.
+        axis: unit vector of the tool's mean axis, towards the wall.
+        across: unit vectors of the tool's x and y axes in the middle of the withdrawal.
+    """
+
+    readings: Float[np.ndarray, "n"]
+    motion: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    across: Float[np.ndarray, "2 3"]
+
+
+def withdrawal(times: Float[np.ndarray, "n"], poses_file: Path, *, source: Path) -> Withdrawal:
+    """Distance of the tip since the first frame, its direction, and the tool's mean axis.
+
+    Positions are interpolated between poses: at 0.1 mm/s and 200 Hz the latest pose lags by up to
+    0.5 um, which equals one standard error of the half-angle at 5 mm.
+
+    Args:
+        times: times of the frames, s, on the poses' clock.
+        poses_file: see `read_poses`.
+        source: source of the frames, for messages.
+
+    Returns:
+        The withdrawal, in the poses' frame.
+
+    Raises:
+        InputError: poses that cannot be read or do not cover the frames, or no withdrawal.
+    """
+    poses = list(read_poses(poses_file))
+    known = np.array([pose.time_s for pose in poses])
+    # An unknown time is NaN, for which these comparisons are false.
+    if not (known[0] <= times.min() and times.max() <= known[-1]):
+        raise InputError(
+            f"{poses_file} has poses from {known[0]:.3f} to {known[-1]:.3f} s, but the frames of "
+            f"{source} go from {times.min():.3f} to {times.max():.3f} s. Record the robot's poses "
+            "on the frames' clock, from before the first frame until after the last."
+        )
+    reported = np.array([pose.position_mm for pose in poses])
+    places = np.stack([np.interp(times, known, column) for column in reported.T], axis=1)
+    # Use all poses between which the frames lie, even if they are only two.
+    first = np.searchsorted(known, times.min(), side="right") - 1
+    last = np.searchsorted(known, times.max(), side="left")
+    axis = np.mean([pose.axis for pose in poses[first : last + 1]], axis=0)
+    axis /= np.linalg.norm(axis)
+    gone = places[0] - places
+    motion = _direction(gone, axis)
+    readings = gone @ motion
+    aside = np.linalg.norm(gone - readings[:, None] * motion, axis=1).max()
+    askew = math.degrees(math.acos(min(float(motion @ axis), 1.0)))
+    if aside > _MOST_ASIDE_MM or askew > _MOST_ASKEW_DEG:
+        raise InputError(
+            f"{source} is no withdrawal: the tip leaves a straight line by {aside:.2f} mm, and the "
+            f"line is {askew:.1f}° from the tool's axis; {_MOST_ASIDE_MM} mm and "
+            f"{_MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot a trial."
+        )
+    middle = poses[(first + last) // 2].rotation
+    across = np.array([turned(side, middle) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
+    return Withdrawal(readings, motion, axis, across)
+
+
+def _direction(
+    gone: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Unit vector of the straight line through the places, on the axis's side."""
+    _, travel, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
+    # A tip at rest has no direction.
+    line = lines[0] if travel[0] > _MOST_ASIDE_MM else axis
+    return np.asarray(line * np.copysign(1.0, line @ axis))
+
+
+_FEWEST_SPOTS = 3
+_TOUCH_SIGMA_MM = 0.02
+"""Accuracy with which an operator finds the contact; the paper's own trials scatter more."""
+_LEAST_COVERAGE = 0.5
+"""Least visible fraction of the contour; below it, the ellipse depends mainly on the model."""
+_SPOTS_FILES = (".csv", ".parquet")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogBook:
+    """The conditions of a recording. A stack contains them; for other recordings the user does.
+
+    Attributes:
+        kind: kind of the wall, as in `ConeTrial.kind`.
+        tilt: tilt of the plane, as in `phantom_wall`.
+        medium: medium between the tip and the wall, a name in `optics.MEDIA`.
+        fibre_diameter_mm: diameter of the tip's face, whose rim touches first.
+        microscope: file, see `read_microscope`.
+        poses: file, see `read_poses`.
+        eye_from_robot: unit quaternion that turns the poses' frame into the eye's.
+        begins_at_touch: whether the first frame was taken when the tip touched the wall.
+    """
+
+    kind: str
+    medium: str
+    fibre_diameter_mm: float
+    microscope: Path
+    poses: Path
+    tilt: tuple[float, float] = (0.0, 0.0)
+    eye_from_robot: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    begins_at_touch: bool = True
+
+
+class Recording(NamedTuple):
+    """A withdrawal, ready to be fitted.
+
+    Attributes:
+        name: name of its file or folder.
+        source: the file or folder.
+        trial: spots, readings and axis.
+        tilt: tilt of the plane, from the log book.
+        across: unit vectors of the tool's x and y axes, eye frame.
+        frames: number of frames, with or without a usable spot.
+        microscope: content of the microscope file.
+        medium: medium between the tip and the wall.
+        fibre_radius_mm: half the diameter of the tip's face.
+        relative_edge_width: edge width over semi-minor axis of each usable spot; NaN if it was not
+            measured.
+        sha256: checksum of a stack's manifest, which contains the checksums of all its files;
+            otherwise of the files read.
+        records: of the usable spots, as they were measured.
+    """
+
+    name: str
+    source: Path
+    trial: ConeTrial
+    tilt: tuple[float, float]
+    across: Float[np.ndarray, "2 3"]
+    frames: int
+    microscope: MicroscopeFile
+    medium: str
+    fibre_radius_mm: float
+    relative_edge_width: Float[np.ndarray, "n"]
+    sha256: str
+    records: Sequence[SpotRecord] = ()
+
+    @property
+    def beam_slopes(self) -> Float[np.ndarray, "2 2"]:
+        """Derivatives of (beam_x, beam_y) of a calibration with respect to the boresight."""
+        return self.across @ np.stack(optics.perpendicular_frame(self.trial.axis)).T
+
+    @property
+    def is_stack(self) -> bool:
+        """Whether its pixels can be fitted, too, and not only its spots."""
+        return is_stack(self.source)
+
+
+def is_stack(source: Path) -> bool:
+    """Whether a source is a stack, which contains its own log book."""
+    return (source / "stack.toml").is_file()
+
+
+def read_recording(
+    source: Path,
+    *,
+    exposure: str | None = None,
+    log_book: LogBook | None = None,
+    touch: Prior | None = None,
+    progress: Callable[[], None] = lambda: None,
+) -> Recording:
+    """Measure or read the spots of a withdrawal and join them with the robot's poses.
+
+    Readings are distances from the first frame along the motion that the robot reports.
+
+    Args:
+        source: a stack, a spots file, or any other source of `open_source`, such as a bag or video.
+        exposure: see `open_source`.
+        log_book: for a source other than a stack.
+        touch: distance at the first frame, mm; by default the distance at which the rim touches.
+        progress: called after each measured frame.
+
+    Raises:
+        InputError: a missing or broken file, no withdrawal from the touch, or too few spots.
+    """
+    source = Path(source)
+    if is_stack(source):
+        log_book = _of_stack(source)
+        prints = [source / "manifest.json"]
+    elif source.is_dir() and log_book is None:
+        read_stack(source)  # its error says which part of the stack is missing
+    if log_book is None:
+        raise InputError(
+            f"{source} is no stack, so the fit needs --microscope, --poses, --phantom and "
+            "--medium. Add them."
+        )
+    if source.suffix.lower() in _SPOTS_FILES:
+        records = read_spots(source)
+    else:
+        opened = open_source(source, exposure=exposure)
+        reader = Options(microscope=log_book.microscope).reader()
+        records = track_whole_source(opened, reader, progress=lambda record: progress())
+    if not is_stack(source):
+        prints = [*_files(source), *_files(log_book.poses)]
+    if touch is None and not log_book.begins_at_touch:
+        raise InputError(
+            f"{source} does not begin where the tip touches the wall, so the distance at reading 0 "
+            "is unknown. Give the first frame's distance in mm, --prior touch=MEAN,SIGMA, "
+            "or start at contact."
+        )
+    return _joined(source, records, log_book, touch, _sha256(prints))
+
+
+def _of_stack(folder: Path) -> LogBook:
+    stack = read_stack(folder)
+
+    def number(key: str) -> float:
+        return stack.described(f"scene.{key}", float)
+
+    tilt, towards = (math.radians(number(f"phantom.tilt_{part}deg")) for part in ("", "azimuth_"))
+    from_touch = stack.described("scene.motion.kind", str) == "withdrawal"
+    return LogBook(
+        kind=_one_of(stack, "scene.phantom.kind", ("eyeball", "plane")),
+        tilt=(math.tan(tilt) * math.cos(towards), math.tan(tilt) * math.sin(towards)),
+        medium=_one_of(stack, "scene.source.medium", tuple(optics.MEDIA)),
+        fibre_diameter_mm=number("instrument.fibre_diameter_mm"),
+        microscope=folder / "microscope.json",
+        poses=folder / "kinematics.csv",
+        begins_at_touch=from_touch and _start_of(stack) == "contact",
+    )
+
+
+def _start_of(stack: Stack) -> object:
+    motion: dict[str, object] = stack.described("scene.motion", dict)
+    return motion.get("start_mm")
+
+
+def _one_of(stack: Stack, key: str, known: tuple[str, ...]) -> str:
+    found = stack.described(key, str)
+    if found not in known:
+        raise InputError(
+            f"{stack.folder / 'stack.toml'}: {key} must be one of {', '.join(known)}; got "
+            f"{shortened(found)}. Render the stack again."
+        )
+    return found
+
+
+def _joined(
+    source: Path,
+    records: Sequence[SpotRecord],
+    log_book: LogBook,
+    touch: Prior | None,
+    sha256: str,
+) -> Recording:
+    times = np.array([record.time_s for record in records])
+    readings, *directions = withdrawal(times, log_book.poses, source=source)
+    motion, axis, *across = (
+        np.array(turned(tuple(direction), log_book.eye_from_robot))
+        for direction in np.vstack(directions)
+    )
+    usable = [
+        (record, record.result, reading)
+        for record, reading in zip(records, readings, strict=True)
+        # The coverage is NaN in modes that do not measure it.
+        if isinstance(record.result, Spot) and not record.result.coverage < _LEAST_COVERAGE
+    ]
+    if len(usable) < _FEWEST_SPOTS:
+        raise InputError(
+            f"{source} has {len(usable)} usable spots in {len(records)} frames; a fit needs "
+            f"{_FEWEST_SPOTS}. `eyespot track {source} --out spots.csv` shows the reasons."
+        )
+    spots = [spot for _, spot, _ in usable]
+    microscope = read_microscope(log_book.microscope)
+    ellipses = _ellipses(spots)
+    if touch is None:
+        wall = phantom_wall(log_book.kind, eye_radius=microscope.eye_radius_mm, tilt=log_book.tilt)
+        normal = wall.intersect(*microscope.ideal_microscope().ray(ellipses.centre[0])).normal
+        # The rim of a tilted tip touches the wall before the centre does.
+        contact = optics.contact_distance(
+            wall,
+            incidence=jnp.arccos(-normal @ axis),
+            rim_radius=log_book.fibre_diameter_mm / 2,
+        )
+        touch = Prior(float(contact), _TOUCH_SIGMA_MM)
+    return Recording(
+        name=source.name,
+        source=source,
+        trial=ConeTrial(
+            ellipses=ellipses,
+            covariances=np.stack([spot.covariance for spot in spots]),
+            readings=np.array([reading for _, _, reading in usable]),
+            motion=motion,
+            axis=axis,
+            principal_point=np.array(microscope.principal_point_px),
+            touch=touch,
+            kind=log_book.kind,
+        ),
+        tilt=log_book.tilt,
+        across=np.stack(across),
+        frames=len(records),
+        microscope=microscope,
+        medium=log_book.medium,
+        fibre_radius_mm=log_book.fibre_diameter_mm / 2,
+        relative_edge_width=np.array([s.edge_width_px / s.semi_minor_px for s in spots]),
+        sha256=sha256,
+        records=[record for record, _, _ in usable],
+    )
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+
+
+def _sha256(files: Iterable[Path]) -> str:
+    checksum = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as content:
+            checksum.update(hashlib.file_digest(content, "sha256").digest())
+    return checksum.hexdigest()
+
+
+def _ellipses(spots: Sequence[Spot]) -> optics.Ellipse:
+    def column(name: str) -> jnp.ndarray:
+        return jnp.array([getattr(spot, name) for spot in spots])
+
+    return optics.Ellipse(
+        centre=jnp.stack([column("x_px"), column("y_px")], axis=-1),
+        semi_major=column("semi_major_px"),
+        semi_minor=column("semi_minor_px"),
+        angle=column("angle_rad"),
+    )

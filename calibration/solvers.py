@@ -1,0 +1,424 @@
+"""Least squares: Levenberg-Marquardt, robust weights, normal equations, blocks, covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import lineax  # type: ignore[import-untyped]
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
+from scipy import stats
+
+CHANCE = 1e-3
+"""Probability that noise alone puts chi squared outside of the accepted range, on each side."""
+
+
+def accepted_range(degrees_of_freedom: float) -> tuple[float, float]:
+    """Range of chi squared per degree of freedom that noise alone explains."""
+    low, high = stats.chi2.ppf((CHANCE, 1 - CHANCE), degrees_of_freedom)
+    return float(low / degrees_of_freedom), float(high / degrees_of_freedom)
+
+
+def excess_variance(chi_squared_per_degree: float, degrees_of_freedom: float) -> float:
+    """Factor by which variances must grow if residuals without structure exceed their noise.
+
+    It is chi squared per degree of freedom (Birge 1932) if noise alone does not explain it, and 1
+    otherwise.
+    """
+    _, high = accepted_range(degrees_of_freedom)
+    return chi_squared_per_degree if chi_squared_per_degree > high else 1.0
+
+
+MOST_STEPS = 40
+_DAMPING, _MOST_DAMPING = 1e-6, 1e8
+_RIDGE, _NOTHING = 1e-12, 1e-300  # of a parameter's information
+
+
+class NormalEquations(NamedTuple):
+    """Quadratic approximation of a sum of squares at a point.
+
+    Attributes:
+        cost: sum of squared residuals; infinite for impossible parameters.
+        gradient: J^T r.
+        information: J^T J.
+    """
+
+    cost: float
+    gradient: Float[np.ndarray, "p"]
+    information: Float[np.ndarray, "p p"]
+
+
+class Minimum(NamedTuple):
+    """The last point.
+
+    Attributes:
+        x: parameters.
+        at: the normal equations there.
+        first: cost at the start.
+        gain: by how much another step would lower the cost, to first order.
+        steps: number of evaluations after the first.
+        converged: whether the gain is less than the tolerance.
+    """
+
+    x: Float[np.ndarray, "p"]
+    at: NormalEquations
+    first: float
+    gain: float
+    steps: int
+    converged: bool
+
+
+def minimise(
+    evaluate: Callable[[Float[np.ndarray, "p"]], NormalEquations],
+    start: Float[np.ndarray, "p"],
+    *,
+    tolerance: float,
+    most_steps: int = MOST_STEPS,
+) -> Minimum:
+    """Levenberg-Marquardt with Nielsen's damping.
+
+    It ends when an undamped step would lower the cost by less than the tolerance. If the cost is
+    chi squared, this is the square of the step in standard errors (Nielsen 1999, "Damping parameter
+    in Marquardt's method").
+
+    Args:
+        evaluate: function that returns the normal equations at a point.
+        start: first guess.
+        tolerance: tolerance of the cost.
+        most_steps: evaluations after which it ends anyway.
+    """
+    x, at = start, evaluate(start)
+    first = at.cost
+    damping, growth = _DAMPING, 2.0
+    for steps in range(most_steps):
+        gain = expected_gain(at)
+        if gain < tolerance:
+            return Minimum(x, at, first, gain, steps, True)
+        damped = at.information + damping * np.diag(np.diag(at.information))
+        step = -_solved(damped, at.gradient)
+        tried = evaluate(x + step)
+        expected = -(2 * at.gradient + at.information @ step) @ step
+        ratio = (at.cost - tried.cost) / expected
+        if ratio > 0:
+            x, at = x + step, tried
+            damping, growth = damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), 2.0
+        else:
+            damping, growth = damping * growth, 2 * growth
+            if damping > _MOST_DAMPING:
+                break
+    return Minimum(x, at, first, expected_gain(at), steps + 1, False)
+
+
+def expected_gain(at: NormalEquations) -> float:
+    """By how much an undamped step would lower the cost, to first order."""
+    return float(at.gradient @ _solved(at.information, at.gradient))
+
+
+def _solved(
+    information: Float[np.ndarray, "p p"], gradient: Float[np.ndarray, "p"]
+) -> Float[np.ndarray, "p"]:
+    """A^-1 g; directions that the residuals do not determine stay as they are."""
+    size = np.sqrt(np.maximum(np.diag(information), _NOTHING))
+    scaled = information / np.outer(size, size)
+    scaled[np.diag_indices_from(scaled)] += _RIDGE
+    return np.asarray(np.linalg.solve(scaled, gradient / size) / size)
+
+
+_TOLERANCE = 1e-10
+_MAX_STEPS = 256
+_PADDING = 64
+
+Solver = optx.AbstractLeastSquaresSolver
+
+LEVENBERG_MARQUARDT: Solver = optx.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
+"""For distant starts, or if some directions are nearly undetermined."""
+GAUSS_NEWTON: Solver = optx.GaussNewton(
+    rtol=_TOLERANCE, atol=_TOLERANCE, linear_solver=lineax.Normal(lineax.Cholesky())
+)
+"""For few parameters of almost linear problems: it needs a few steps, also for batches."""
+
+
+class Solution(NamedTuple):
+    """Least-squares solution.
+
+    Attributes:
+        parameters: best point found, in the order of the start.
+        covariance: s^2 (J^T J)^-1 with s^2 = sum of squares / (n - p).
+        information: J^T J, whose inverse is the covariance if residuals are over their sigma.
+        residuals: at the solution, in the residual function's unit.
+        converged: whether the solver converged.
+    """
+
+    parameters: Float[Array, "p"]
+    covariance: Float[Array, "p p"]
+    information: Float[Array, "p p"]
+    residuals: Float[Array, "n"]
+    converged: bool | Array
+
+
+def least_squares(
+    residual: Callable[[Float[Array, "p"]], Float[Array, "n"]],
+    start: Float[ArrayLike, "p"],
+    *,
+    count: ArrayLike,
+    solver: Solver = LEVENBERG_MARQUARDT,
+) -> Solution:
+    """Minimise the sum of squared residuals.
+
+    Args:
+        residual: function of the parameters, differentiable by JAX; zero for padding.
+        start: first guess.
+        count: number of data without padding.
+        solver: `LEVENBERG_MARQUARDT` or `GAUSS_NEWTON`.
+    """
+    result: optx.Solution = optx.least_squares(
+        lambda parameters, _: residual(parameters),
+        optx.BestSoFarLeastSquares(solver),
+        jnp.asarray(start),
+        max_steps=_MAX_STEPS,
+        throw=False,
+    )
+    value = residual(result.value)
+    jacobian = jax.jacfwd(residual)(result.value)
+    information = jacobian.T @ jacobian
+    variance = jnp.sum(value**2) / (count - jacobian.shape[1])
+    return Solution(
+        parameters=result.value,
+        covariance=variance * jnp.linalg.inv(information),
+        information=information,
+        residuals=value,
+        converged=result.result == optx.RESULTS.successful,
+    )
+
+
+def padded(*columns: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "m"], ...]:
+    """Columns padded to a multiple of 64, followed by the weights (1, or 0 for padding).
+
+    Trials have different numbers of frames; equal shapes avoid a compilation for each.
+    """
+    count = len(columns[0])
+    missing = -count % _PADDING
+    weight = np.concatenate([np.ones(count), np.zeros(missing)])
+    return (*(np.pad(column, (0, missing)) for column in columns), weight)
+
+
+_TUNING = 1.345
+"""In standard deviations; 95 % as efficient as least squares for normal noise (Huber 1981)."""
+_MAD_OF_NORMAL = 0.6745
+_OUTLIER = 3.5  # modified z-score from which Iglewicz and Hoaglin (1993) call a value an outlier
+
+
+class Robust(NamedTuple):
+    """An M-estimate.
+
+    Attributes:
+        solution: with unweighted residuals and Huber's covariance.
+        outliers: whether each residual exceeds 3.5 robust standard deviations.
+    """
+
+    solution: Solution
+    outliers: Bool[Array, "n"]
+
+
+def huber(
+    residual: Callable[[Float[Array, "p"]], Float[Array, "n"]],
+    start: Float[ArrayLike, "p"],
+    *,
+    weight: Float[ArrayLike, "n"],
+) -> Robust:
+    r"""Minimise Huber's loss by iteratively reweighted least squares.
+
+    The scale is the median of the absolute residuals over 0.6745. Scale and parameters are a fixed
+    point of the reweighting. The covariance is that of Huber (1981, eq. 6.5):
+    $\kappa^2 \frac{\sum\psi^2/(n-p)}{(\overline{\psi'})^2} (J^T J)^{-1}$,
+    $\kappa = 1 + \frac{p}{n}\frac{1 - \overline{\psi'}}{\overline{\psi'}}$.
+
+    Args:
+        residual: unweighted, almost linear function of the parameters; zero for padding.
+        start: first guess.
+        weight: 1, or 0 for padding.
+    """
+    real = jnp.asarray(weight) > 0
+    count = jnp.sum(real)
+
+    def scale(left: Float[Array, "n"]) -> Float[Array, ""]:
+        return jnp.nanmedian(jnp.where(real, jnp.abs(left), jnp.nan)) / _MAD_OF_NORMAL
+
+    def reweighted(parameters: Float[Array, "p"], _: None) -> Float[Array, "p"]:
+        left = residual(parameters)
+        # If the data fit exactly, the scale is 0 and every weight is 1.
+        limit = _TUNING * scale(left)
+        root = jnp.sqrt(jnp.where(jnp.abs(left) > limit, limit / jnp.abs(left), 1.0))
+        return least_squares(
+            lambda p: root * residual(p), parameters, count=count, solver=GAUSS_NEWTON
+        ).parameters
+
+    plain = least_squares(residual, start, count=count, solver=GAUSS_NEWTON)
+    found: optx.Solution = optx.fixed_point(
+        reweighted,
+        optx.FixedPointIteration(rtol=1e-10, atol=1e-10),
+        plain.parameters,
+        max_steps=_MAX_STEPS,
+        throw=False,
+    )
+    left = residual(found.value)
+    jacobian = jax.jacfwd(residual)(found.value)
+    information = jacobian.T @ jacobian
+    spread, limit = scale(left), _TUNING * scale(left)
+    within = jnp.sum(real & (jnp.abs(left) <= limit)) / count
+    parameters = jacobian.shape[1]
+    correction = 1.0 + parameters / count * (1.0 - within) / within
+    variance = jnp.sum(jnp.clip(left, -limit, limit) ** 2) / (count - parameters)
+    return Robust(
+        Solution(
+            parameters=found.value,
+            covariance=correction**2 * variance / within**2 * jnp.linalg.inv(information),
+            information=information,
+            residuals=left,
+            converged=(found.result == optx.RESULTS.successful) & plain.converged,
+        ),
+        outliers=(jnp.abs(left) > _OUTLIER * spread) & (spread > 0),
+    )
+
+
+_MOST_STEPS = 12
+
+
+def gauss_newton_in_blocks(
+    residual: Callable[[Float[Array, "p"], Float[Array, "q"], Any], Float[Array, "n"]],
+    shared: Float[Array, "p"],
+    own: Float[Array, "blocks q"],
+    blocks: PyTree,
+    *,
+    tolerance: float,
+) -> tuple[Float[Array, "p"], Float[Array, "blocks q"], Bool[Array, ""]]:
+    """Minimise the sum of squared residuals of all blocks.
+
+    It compiles the residuals once, with p + q directions, and works under `jit` and `vmap`.
+
+    Args:
+        residual: of one block, over their sigma, priors of its own parameters included.
+        shared: first guess of the shared parameters. Their priors are residuals of a block.
+        own: first guess of each block's own parameters.
+        blocks: data of the blocks, with a leading axis on every leaf.
+        tolerance: largest last step, in the parameters' units.
+
+    Returns:
+        The shared parameters, each block's own, and whether the last step was within the tolerance.
+    """
+    p = shared.size
+
+    def linearised(x: Array, y: Array, block: Any) -> tuple[Array, Array]:
+        def along(direction: Array) -> tuple[Array, Array]:
+            return jax.jvp(lambda z: residual(z[:p], z[p:], block), (z,), (direction,))
+
+        z = jnp.concatenate([x, y])
+        value, slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(z.size))
+        return slopes @ slopes.T, slopes @ value
+
+    def step(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        x, y, _, count = state
+        information, gradient = jax.vmap(linearised, (None, 0, 0))(x, y, blocks)
+        mixed, inner = information[:, :p, p:], information[:, p:, p:]
+        right = jnp.concatenate([mixed.swapaxes(1, 2), gradient[:, p:, None]], axis=2)
+        solved = jnp.linalg.solve(inner, right)
+        outer = jnp.sum(information[:, :p, :p] - mixed @ solved[..., :p], axis=0)
+        pull = jnp.sum(gradient[:, :p] - (mixed @ solved[..., p:])[..., 0], axis=0)
+        dx = -jnp.linalg.solve(outer, pull)
+        dy = -(solved[..., p] + solved[..., :p] @ dx)
+        longest = jnp.maximum(jnp.max(jnp.abs(dx)), jnp.max(jnp.abs(dy)))
+        return x + dx, y + dy, longest, count + 1
+
+    def unfinished(state: tuple[Array, Array, Array, Array]) -> Array:
+        return (state[2] > tolerance) & (state[3] < _MOST_STEPS)
+
+    start = shared, own, jnp.asarray(jnp.inf), jnp.asarray(0)
+    x, y, longest, _ = jax.lax.while_loop(unfinished, step, start)
+    return x, y, longest <= tolerance
+
+
+_PART = 0.1  # least component of a unit direction at which a parameter counts as part of it
+_ALIKE = 0.2  # largest difference of two relative changes that count as equal
+_LOST = 0.5
+"""Information below which a direction counts as undetermined, in units of the parameter's size (or
+of a nuisance's prior). Below it, the standard error exceeds the parameter itself."""
+
+_REMEDIES = {
+    "scale": "a trial in the eyeball, 3 mm or more from the axis",
+    "eye_radius": "a trial in the eyeball, 3 mm or more from the axis",
+    "inverse_working_distance": "trials at other places, 3 mm or more from the axis",
+    "tilt_x": "trials on the plane at other places, 3 mm or more apart",
+    "tilt_y": "trials on the plane at other places, 3 mm or more apart",
+    "b": "touches that are known better",
+    "half_angle": "frames at other distances",
+}
+"""Which data to add, by parameter; the first parameter that is part of a direction applies."""
+
+
+def covariance_and_lost(
+    information: Float[np.ndarray, "p p"],
+    names: Sequence[str],
+    values: Sequence[float] | None = None,
+) -> tuple[Float[np.ndarray, "p p"], tuple[str, ...]]:
+    """Covariance, and a sentence for each direction that the data do not determine.
+
+    Args:
+        information: Fisher information, priors included, of parameters in units of their size (for
+            a nuisance, of its prior's sigma).
+        names: names of the parameters.
+        values: values of the parameters, whose signs distinguish products from ratios; by default
+            all are positive.
+
+    Returns:
+        The inverse, infinite for parameters that are part of an undetermined direction, and a
+        sentence for each of these directions.
+    """
+    strength, directions = np.linalg.eigh(information)
+    lost = strength < _LOST
+    signs = np.ones(len(names)) if values is None else np.where(np.asarray(values) < 0, -1.0, 1.0)
+    sentences = tuple(_sentence(direction, names, signs) for direction in directions.T[lost])
+    inverse = np.where(lost, 0.0, 1.0 / np.where(lost, 1.0, strength))
+    covariance = (directions * inverse) @ directions.T
+    hidden = np.abs(directions[:, lost]).max(axis=1, initial=0.0) > _PART
+    covariance[hidden, :] = covariance[:, hidden] = np.inf
+    return covariance, sentences
+
+
+def marginal_information(
+    information: Float[np.ndarray, "p p"], count: int
+) -> Float[np.ndarray, "f f"]:
+    """Fisher information of the first `count` parameters, with the others unknown."""
+    own, mixed = information[:count, :count], information[:count, count:]
+    return own - mixed @ np.linalg.solve(information[count:, count:], mixed.T)
+
+
+def correlations(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+    """Correlation matrix; NaN where a variance is zero or infinite."""
+    sigma = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return covariance / np.outer(sigma, sigma)
+
+
+def _sentence(
+    direction: Float[np.ndarray, "p"], names: Sequence[str], signs: Float[np.ndarray, "p"]
+) -> str:
+    # If only equal relative growth of two is undetermined, the data determine their ratio.
+    parts = np.flatnonzero(np.abs(direction) > _PART).tolist()
+    called = list(dict.fromkeys(names[i] for i in parts))
+    both = " and ".join(called)
+    growth = (direction * signs)[parts]
+    if len(called) == 1:
+        known = f"{both} is not determined"
+    elif len(parts) == 2 and abs(growth[0] - growth[1]) < _ALIKE:
+        known = f"only the ratio of {both} is determined"
+    elif len(parts) == 2 and abs(growth[0] + growth[1]) < _ALIKE:
+        known = f"only the product of {both} is determined"
+    else:
+        known = f"only a combination of {both} is determined"
+    remedy = next((_REMEDIES[name] for name in _REMEDIES if name in called), "")
+    trial = f"add {remedy}" if remedy else "add a trial in which they differ"
+    return f"{known}: fix one, give a prior, or {trial}"

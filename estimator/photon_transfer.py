@@ -1,0 +1,166 @@
+"""A camera's noise from pairs of frames of an even wall: photon transfer (EMVA 1288).
+
+The difference of two frames of one scene contains no scene, only noise. Its variance grows with the
+mean by the system's gain K, in DN per electron: sigma² = sigma_dark² + K (mu - mu_dark).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from formats.inputs import InputError
+
+_MIDDLE = 0.5  # of the frame's width and height, which is the most even
+_DARK = 0.1  # of full scale; a pair with the light off lies below
+_BRIGHT = 0.9  # of full scale; above, noise is clipped
+_SPREAD = 3.0  # least ratio of the brightest and the darkest pair with light
+_STRAIGHT = 0.05  # largest deviation of a pair's variance from the line, relative, without scatter
+_ROUNDING = 1.0 / 12.0  # DN², variance of rounding to whole numbers
+_SMOOTH_PX = 7  # side of the box that takes the wall's shading out of the fixed pattern
+
+
+class PhotonTransfer(NamedTuple):
+    """What a camera's data sheet says, measured.
+
+    Attributes:
+        full_well_e: electrons at full scale.
+        read_noise_e: temporal standard deviation of a dark pixel, electrons.
+        black_level_dn: mean of a dark frame, DN.
+        prnu: standard deviation of the pixels' gain, relative.
+        dsnu_e: standard deviation of the pixels' dark signal, electrons.
+        gain_dn_e: K, DN per electron.
+        gain_sigma_dn_e: its standard error.
+        worst: largest deviation of a variance from the line, relative.
+    """
+
+    full_well_e: float
+    read_noise_e: float
+    black_level_dn: float
+    prnu: float
+    dsnu_e: float
+    gain_dn_e: float
+    gain_sigma_dn_e: float
+    worst: float
+
+
+class _Pair(NamedTuple):
+    mean: float
+    variance: float
+    pattern: float
+    pixels: int
+
+
+def measured_noise(
+    pairs: list[tuple[np.ndarray, np.ndarray]], *, full_scale: int
+) -> PhotonTransfer:
+    """Measure a camera with a linear response.
+
+    Args:
+        pairs: two frames each of one scene and exposure, H x W x 3; one pair or more in the dark,
+            and at least three at different brightness.
+        full_scale: largest value of a pixel.
+
+    Raises:
+        InputError: no dark pair, too few bright ones, or a variance that does not grow in
+            proportion to the light: another response, an automatic gain, or a scene that moved.
+    """
+    most = max(int(frame.max()) for pair in pairs for frame in pair)
+    if most > full_scale:
+        raise InputError(
+            f"the images have values up to {most}, above the full scale {full_scale} of the bit "
+            "depth. Give another --bit-depth; values that were shifted to the upper bits must be "
+            "shifted back."
+        )
+    found = sorted(
+        (
+            _pair(*pair)
+            for pair in pairs
+            if np.mean(pair) < _DARK * full_scale or not any(map(_is_clipped, pair))
+        ),
+        key=lambda one: one.mean,
+    )
+    dark = [one for one in found if one.mean < _DARK * full_scale]
+    lit = [one for one in found if _DARK * full_scale <= one.mean < _BRIGHT * full_scale]
+    if not dark:
+        raise InputError(
+            f"the darkest pair has a mean of {found[0].mean:.1f} DN of {full_scale}; a pair with "
+            f"the light off must lie below {_DARK * full_scale:.0f} DN. Add one."
+        )
+    if len(lit) < 3 or lit[-1].mean < _SPREAD * lit[0].mean:
+        raise InputError(
+            f"{len(lit)} pairs lie between {_DARK * full_scale:.0f} and "
+            f"{_BRIGHT * full_scale:.0f} DN; at least three are needed, the brightest "
+            f"{_SPREAD:g} times as bright as the darkest. Change the exposure or the light."
+        )
+    black = float(np.mean([one.mean for one in dark]))
+    light = np.array([one.mean for one in lit]) - black
+    variance = np.array([one.variance for one in lit])
+    # A variance from n pixels scatters by sqrt(2/n) of itself.
+    scatter = variance * np.sqrt(2.0 / np.array([one.pixels for one in lit]))
+    # The dark pair gives the black level only: noise below a step of the file is rounded away.
+    (floor, gain), covariance = _line(light, variance, scatter)
+    off = np.abs(variance - floor - gain * light)
+    # A curve looks straight from a third of its length on, but then misses the dark pair.
+    bent = floor - dark[0].variance - _ROUNDING > _STRAIGHT * variance.max()
+    worst = float(np.max(off / variance))
+    if not gain > 0 or bent or np.any(off > _STRAIGHT * variance + 4.0 * scatter):
+        raise InputError(
+            f"the noise's variance is off a straight line in the light by {100 * worst:.0f} %. "
+            "Switch automatic exposure, gain and gamma off, let nothing move within a pair, and "
+            "record raw frames."
+        )
+    unevenness = [(one.pattern - dark[0].pattern) / (one.mean - black) ** 2 for one in lit]
+    return PhotonTransfer(
+        full_well_e=(full_scale - black) / gain,
+        read_noise_e=float(np.sqrt(max(floor - _ROUNDING, 0.0))) / gain,
+        black_level_dn=black,
+        prnu=float(np.sqrt(max(float(np.median(unevenness)), 0.0))),
+        dsnu_e=float(np.sqrt(max(dark[0].pattern, 0.0))) / gain,
+        gain_dn_e=gain,
+        gain_sigma_dn_e=float(np.sqrt(covariance[1, 1])),
+        worst=worst,
+    )
+
+
+def _is_clipped(frame: np.ndarray) -> bool:
+    """Whether more pixels have the largest value of a channel than the next one: noise ends."""
+    for plane in np.moveaxis(np.atleast_3d(_middle(frame)), 2, 0):
+        _, counts = np.unique(plane, return_counts=True)
+        if counts[-1] > max(2 * counts[-2:-1].sum(), 0.01 * plane.size):
+            return True
+    return False
+
+
+def _line(
+    light: np.ndarray, variance: np.ndarray, scatter: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Intercept and slope of variances over light, and their covariance."""
+    slopes = np.stack([np.ones_like(light), light], axis=-1) / scatter[:, None]
+    covariance = np.linalg.inv(slopes.T @ slopes)
+    return covariance @ slopes.T @ (variance / scatter), covariance
+
+
+def _pair(first: np.ndarray, second: np.ndarray) -> _Pair:
+    if first.shape != second.shape:
+        raise InputError(
+            f"the frames of a pair must have one size; got {first.shape} and {second.shape}."
+        )
+    one, other = (_middle(frame).astype(float) for frame in (first, second))
+    difference = one - other
+    variance = float(np.mean(np.var(difference, axis=(0, 1)))) / 2.0
+    mean = 0.5 * (one + other)
+    rough = mean - cv2.blur(mean, (_SMOOTH_PX, _SMOOTH_PX)).reshape(mean.shape)
+    # The box takes its own share of each pixel out, and the mean of two frames has half the noise.
+    kept = 1.0 - 1.0 / _SMOOTH_PX**2
+    pattern = float(np.mean(np.var(rough, axis=(0, 1)))) / kept - variance / 2.0
+    return _Pair(float(np.mean(one + other)) / 2.0, variance, pattern, difference.size)
+
+
+def _middle(frame: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "rows columns 3"]:
+    height, width = frame.shape[:2]
+    rows, columns = round(0.5 * (1 - _MIDDLE) * height), round(0.5 * (1 - _MIDDLE) * width)
+    return frame[rows : height - rows, columns : width - columns]

@@ -1,0 +1,221 @@
+"""Images and videos as sources of frames."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from estimator.sources.source import AGAIN, Frame, Source, note_of_turn
+from formats.images import check_pixels, image_of_page, opened_tiff, pages_of_frames, read_image
+from formats.inputs import InputError, in_utf8, shortened
+from formats.whole_files import damage_reported
+
+TIFF = (".tif", ".tiff", ".btf", ".tf8", ".lsm", ".stk")
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pgm", ".ppm", ".pbm", ".pnm", ".jp2", *TIFF)
+
+
+def open_folder(folder: Path) -> Source:
+    """A folder of images, in the natural order of their names.
+
+    Images whose names differ only in one number that counts up by a constant step, such as
+    frame_000.png, frame_002.png, are a recording. All others are unrelated to each other.
+
+    Raises:
+        InputError: it contains no images.
+    """
+    pictures = [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in IMAGES and not path.name.startswith(".")
+    ]
+    if not pictures:
+        raise InputError(
+            f"{folder} holds no images ({', '.join(IMAGES)}), and is neither a stack (stack.toml)"
+            " nor a ROS 2 bag (metadata.yaml). Check the path."
+        )
+    pictures.sort(key=lambda path: (_natural(path.name), path.name))
+    return replace(_images(folder, pictures), unrelated=not _is_counted(pictures))
+
+
+def open_image(path: Path) -> Source:
+    """A source of one frame."""
+    return _images(path.parent, [path])
+
+
+def _is_counted(pictures: list[Path]) -> bool:
+    """Whether the names differ only in one number that counts up by a constant step."""
+    rows = [_natural(path.name) for path in pictures]
+    if len({len(row) for row in rows}) > 1:
+        return False
+    varying = [column for column in zip(*rows, strict=True) if len(set(column)) > 1]
+    if len(varying) != 1 or isinstance(varying[0][0], str):
+        return len(rows) == 1
+    return len({after - before for before, after in pairwise(varying[0])}) == 1
+
+
+def _natural(name: str) -> list[int | str]:
+    """Text and numbers of a name, by which frame9 comes before frame10."""
+    parts = re.split("([0-9]+)", name.lower())
+    return [int(part) if index % 2 else part for index, part in enumerate(parts)]
+
+
+def _images(folder: Path, pictures: list[Path]) -> Source:
+    def read() -> Iterator[Frame]:
+        for index, path in enumerate(pictures):
+            name = in_utf8(path.relative_to(folder))
+            with damage_reported(f"{path} (frame {index})", AGAIN):
+                found = read_image(path)
+            yield Frame(
+                index=index,
+                file_name=name,
+                time_s=math.nan,
+                image=found.image,
+                full_scale=found.full_scale,
+            )
+
+    name = pictures[0] if len(pictures) == 1 else folder
+    notes: tuple[str, ...] = ()
+    with suppress(InputError, OSError):  # damage is reported when the frame is read
+        if read_image(pictures[0]).orientation != 1:
+            notes = (note_of_turn(pictures[0].name),)
+    return Source(name=str(name), read=read, length=len(pictures), notes=notes)
+
+
+def open_tiff(path: Path) -> Source:
+    """The pages of a TIFF.
+
+    Raises:
+        InputError: it cannot be read, or as `pages_of_frames`.
+    """
+    with damage_reported(f"{path}", AGAIN), opened_tiff(path) as file:
+        numbers, whole = pages_of_frames(file)
+        turned = file.pages[numbers[0]].aspage().tags.valueof("Orientation", 1) != 1
+
+    def read() -> Iterator[Frame]:
+        with opened_tiff(path) as file:
+            for index, number in enumerate(numbers):
+                with damage_reported(f"{path}, frame {index}", AGAIN):
+                    found = image_of_page(file.pages[number].aspage())
+                yield Frame(
+                    index=index,
+                    file_name=f"{in_utf8(path.name)}#{number}",
+                    time_s=math.nan,
+                    image=found.image,
+                    full_scale=found.full_scale,
+                )
+        if not whole:
+            raise InputError(f"{path} breaks off after frame {len(numbers) - 1}. {AGAIN}")
+
+    return Source(
+        name=str(path),
+        read=read,
+        length=len(numbers),
+        notes=(note_of_turn(path.name),) if turned else (),
+    )
+
+
+_MOST_DIGITS = 4  # of a camera's number; video4linux counts to 63
+_MOST_FRAMES = 2**31
+_SIDES = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+
+
+@contextmanager
+def _capturing(what: Path | int, refusal: str) -> Iterator[cv2.VideoCapture]:
+    with ExitStack() as files:
+        name = what if isinstance(what, int) else str(what)
+        if isinstance(what, Path) and in_utf8(what) != name:
+            # OpenCV would end the process at a name that is not UTF-8.
+            name = f"/proc/self/fd/{files.enter_context(what.open('rb')).fileno()}"
+        capture = cv2.VideoCapture(name)
+        files.callback(capture.release)
+        if not capture.isOpened():
+            raise InputError(refusal)
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # frames as the sensor saw them
+        yield capture
+
+
+def open_video(path: Path) -> Source:
+    """A video file.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    refusal = f"{path} is not a video that OpenCV can read, or it is truncated. {AGAIN}"
+    with _capturing(path, refusal) as capture:
+        announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        rate_hz = capture.get(cv2.CAP_PROP_FPS)
+        turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
+        with damage_reported(f"{path}", AGAIN):
+            check_pixels(*(capture.get(side) for side in _SIDES))
+    length = int(announced) if 0 < announced < _MOST_FRAMES else None
+    rate = rate_hz if 0 < rate_hz < math.inf else None
+
+    def read() -> Iterator[Frame]:
+        index, time_s = 0, 0.0
+        with _capturing(path, refusal) as capture:
+            while True:
+                seen, image = capture.read()
+                if not seen:
+                    break
+                time_s = round(capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, 9)
+                name = f"{in_utf8(path.name)}#{index}"
+                yield Frame(index=index, file_name=name, time_s=time_s, image=_rgb(image))
+                index += 1
+        # Some containers state only a duration, and the frame rate may vary: a video is truncated
+        # if both its frames and its time are fewer than announced.
+        if length and rate and index < length and time_s * rate < length - 2:
+            raise InputError(
+                f"{path} breaks off at frame {index} of the {length} that it announces. {AGAIN}"
+            )
+
+    notes = (note_of_turn(path.name),) if turned else ()
+    return Source(name=str(path), read=read, length=length, rate_hz=rate, notes=notes)
+
+
+def _rgb(image: np.ndarray) -> np.ndarray:
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def open_camera(digits: str) -> Source:
+    """A camera; the time of a frame is that of its arrival, s since 1970.
+
+    Args:
+        digits: its number.
+
+    Raises:
+        InputError: it cannot be opened.
+    """
+    if len(digits) > _MOST_DIGITS:
+        raise InputError(
+            f"camera {shortened(digits)}: a camera's number has at most {_MOST_DIGITS} digits, and "
+            "no file has this name. Check the path or the number (ls /dev/video*)."
+        )
+    number = int(digits)
+    refusal = (
+        f"camera {number} cannot be opened (and no file is named {number}). Check that it is"
+        " plugged in, that no other program uses it, and its number (ls /dev/video*)."
+    )
+    with _capturing(number, refusal) as capture:
+        rate_hz = capture.get(cv2.CAP_PROP_FPS)
+
+    def read() -> Iterator[Frame]:
+        index = 0
+        with _capturing(number, refusal) as capture:
+            while True:
+                seen, image = capture.read()
+                if not seen:
+                    raise InputError(f"camera {number} stopped at frame {index}. Check its cable.")
+                yield Frame(index=index, file_name="", time_s=time.time(), image=_rgb(image))
+                index += 1
+
+    rate = rate_hz if 0 < rate_hz < math.inf else None
+    return Source(name=f"camera {number}", read=read, rate_hz=rate, live=True)

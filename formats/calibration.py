@@ -1,0 +1,374 @@
+"""Calibration file: JSON with a model's fitted parameters, their covariance and their origin."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import AllowInfNan, ConfigDict, Field
+
+from formats.inputs import (
+    InputError,
+    Strict,
+    check_schema,
+    in_file,
+    object_in,
+    read_text,
+    shortened,
+    validated,
+)
+from formats.poses import Vector
+from formats.whole_files import written_whole
+
+CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact", "area")
+"""Models of a sharp cone: each can use a calibration that was fitted with another of them."""
+MODELS = (*CONE_MODELS, "lens")
+
+
+class CalibrationError(InputError):
+    """A calibration that cannot be used; the text names file, key, value and remedy."""
+
+
+_ASKEW = math.radians(20)  # of a fibre against its tool; more is another tool
+_LARGE, _BRIGHTEST = 1e6, 1e12
+"""End of a range that has none by nature; squares and products of such values stay finite."""
+
+
+class Quantity(NamedTuple):
+    """Unit and range of a parameter."""
+
+    unit: str
+    low: float
+    high: float
+    low_included: bool = False
+
+
+QUANTITIES = {
+    "k": Quantity("1", 0, _LARGE),
+    "half_angle": Quantity("rad", 0, math.pi / 2),
+    "b": Quantity("mm", -_LARGE, _LARGE),
+    "scale": Quantity("mm/px", 0, _LARGE),
+    "eye_radius": Quantity("mm", 0, _LARGE),
+    "inverse_working_distance": Quantity("1/mm", -_LARGE, _LARGE),
+    "eccentricity": Quantity("mm", 0, _LARGE, low_included=True),
+    "beam_x": Quantity("rad", -_ASKEW, _ASKEW),
+    "beam_y": Quantity("rad", -_ASKEW, _ASKEW),
+    "core_radius": Quantity("mm", 0, _LARGE),
+    "glue_length": Quantity("mm", 0, _LARGE, low_included=True),
+    "aperture_radius": Quantity("mm", 0, _LARGE),
+    "sag": Quantity("mm", 0, _LARGE, low_included=True),
+    "glue_index": Quantity("1", 1, 4, low_included=True),
+    "numerical_aperture": Quantity("1", 0, 4),
+    "launch_radius": Quantity("mm", 0, _LARGE),
+    "launch_aperture": Quantity("1", 0, _LARGE),
+    "brightness": Quantity("mm2/s", 0, _BRIGHTEST),
+}
+"""Unit and range of every parameter that a file may hold.
+
+k = 1/tan(half_angle); b: apex offset; scale: delta at the pole; inverse_working_distance: 1/(z_F +
+r), 0 if telecentric, negative if the pinhole lies behind the retina; eccentricity: c of the trials
+that were fitted; beam_x, beam_y: angles of the beam from the tool's +z axis, towards the tool's +x
+and +y axes; core_radius ... launch_aperture: of the glue lens, as `optics.GlueLens` has them;
+brightness: of the spot's peak as a fraction of full scale, over irradiance (1/mm2 per unit power)
+and exposure time.
+"""
+
+_NAMES = tuple(QUANTITIES)
+LENS_PARAMETERS = _NAMES[_NAMES.index("core_radius") : _NAMES.index("brightness")]
+_LENS_REQUIRED = LENS_PARAMETERS[:6]
+BEAM = ("beam_x", "beam_y")
+_COMMON = {"scale", "eye_radius", "inverse_working_distance", "eccentricity", *BEAM}
+
+
+def check_parameters(model: str, values: Mapping[str, float]) -> None:
+    """Refuse values that no fit of a model can give.
+
+    Raises:
+        CalibrationError: unknown model, a parameter that is missing or not of this model, or a
+            value out of range.
+    """
+    if model not in MODELS:
+        raise CalibrationError(f"model must be one of {', '.join(MODELS)}; got {shortened(model)}.")
+    names = set(values)
+    for name in names:
+        quantity(name)
+    if model == "lens":
+        required, optional = set(_LENS_REQUIRED), set(LENS_PARAMETERS) | {"brightness"}
+    else:
+        if len(names & {"k", "half_angle"}) != 1:
+            raise CalibrationError(
+                f"model {model} takes either k or half_angle; got {_listed(names)}."
+            )
+        required, optional = {"b"}, {"k", "half_angle"}
+    missing, strange = required - names, names - required - optional - _COMMON
+    if missing or strange:
+        raise CalibrationError(
+            f"parameters of the model {model}: missing {_listed(missing)}; not of this model "
+            f"{_listed(strange)}. Fit this model, or name the model that was fitted."
+        )
+
+    for name, value in values.items():
+        _check_value(name, value)
+
+
+def quantity(name: str) -> Quantity:
+    """Unit and range of a parameter.
+
+    Raises:
+        CalibrationError: there is no such parameter.
+    """
+    if name not in QUANTITIES:
+        raise CalibrationError(
+            f"parameters.{shortened(name)[1:-1]} is unknown; known are {', '.join(QUANTITIES)}."
+        )
+    return QUANTITIES[name]
+
+
+def _check_value(name: str, value: float) -> None:
+    unit, low, high, low_included = QUANTITIES[name]
+    above = value >= low if low_included else value > low
+    # NaN fails every comparison.
+    if not (above and value < high):
+        raise CalibrationError(
+            f"parameters.{name} must lie in {'[' if low_included else '('}{low:.6g}, {high:.6g}) "
+            f"{unit}; got {value}. Fit again, or restore the value."
+        )
+
+
+def _listed(names: set[str]) -> str:
+    return ", ".join(sorted(names)) or "none"
+
+
+SCHEMA = 2
+HISTORY = {
+    1: "the format of eyespot 0.1",
+    2: "the parameters may contain beam_x and beam_y, the beam's direction in the tool's frame; "
+    "sigma_inflation says by how much a misfit enlarges the standard errors",
+}
+"""What changed with each version of the format that is read."""
+
+_LARGEST = 1e24  # of a covariance, in the square of a parameter's unit
+
+_SAME = 1e-6  # relative; sigma and covariance are one number written twice
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """Parameters of a model, their errors, and their origin.
+
+    Attributes:
+        model: the model that was fitted, one of `model_parameters.MODELS`.
+        values: by name in the units of `model_parameters.QUANTITIES`, in the covariance's order. A
+            model of a cone has b and either k or half_angle; a lens has what `optics.glue_lens`
+            takes.
+        covariance: symmetric, in products of those units.
+        medium: name of the medium between tip and wall; another medium needs another calibration.
+        medium_index: its refractive index.
+        fitted_on: free text: the data of the fit.
+        data_sha256: fingerprint of those data, 64 hexadecimal digits.
+        software: name and version that made the fit.
+        sigma_inflation: largest factor by which the standard errors exceed those from noise alone,
+            because the model misses part of the light; 1 for a good fit and in files of version 1.
+    """
+
+    model: str
+    values: Mapping[str, float]
+    covariance: np.ndarray
+    medium: str
+    medium_index: float
+    fitted_on: str
+    data_sha256: str
+    software: str
+    sigma_inflation: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Reject what no fit can give.
+
+        Raises:
+            CalibrationError: naming key, value and remedy.
+        """
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+        object.__setattr__(self, "covariance", np.asarray(self.covariance, float))
+        check_parameters(self.model, self.values)
+        _check_covariance(self.covariance, len(self.values))
+        if not 1 <= self.medium_index <= 2:
+            raise CalibrationError(
+                f"medium index must lie in [1, 2]; got {self.medium_index}. Air has 1, vitreous "
+                "1.336."
+            )
+        if not re.fullmatch("[0-9a-f]{64}", self.data_sha256):
+            raise CalibrationError(
+                "fitted_on sha256 must be 64 hexadecimal digits, lower case; got "
+                f"{shortened(self.data_sha256)}. Fit again to get a true one."
+            )
+
+    @property
+    def beam_in_tool(self) -> Vector:
+        """Unit vector of the beam in the tool's frame; +z if the fit did not determine it."""
+        x, y = (self.values.get(name, 0.0) for name in BEAM)
+        size = math.hypot(x, y, 1.0)
+        return x / size, y / size, 1.0 / size
+
+    def sigma(self, name: str) -> float:
+        """Standard error of a parameter, in its own unit."""
+        index = list(self.values).index(name)
+        return math.sqrt(self.covariance[index, index])
+
+
+def write_calibration(path: str | Path, calibration: Calibration) -> None:
+    """Write a calibration file, whole or not at all; replaces an older file of that name."""
+    content = {
+        "schema": SCHEMA,
+        "model": calibration.model,
+        "medium": {"name": calibration.medium, "index": calibration.medium_index},
+        "parameters": {
+            name: {
+                "value": value,
+                "unit": quantity(name).unit,
+                "sigma": calibration.sigma(name),
+            }
+            for name, value in calibration.values.items()
+        },
+        "covariance": {
+            "order": list(calibration.values),
+            "matrix": calibration.covariance.tolist(),
+        },
+        "fitted_on": {
+            "description": calibration.fitted_on,
+            "sha256": calibration.data_sha256,
+        },
+        "sigma_inflation": calibration.sigma_inflation,
+        "software": calibration.software,
+    }
+    text = json.dumps(content, indent=1) + "\n"
+    with written_whole(Path(path)) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """Read a calibration file.
+
+    Raises:
+        CalibrationError: not a calibration file, of another schema, or with a value that no fit
+            can give; the text names the file, the key, the value and what to do.
+        OSError: the file cannot be read.
+    """
+    path = Path(path)
+    with in_file(path, CalibrationError):
+        with in_file("not a calibration file"):
+            content = object_in(read_text(path))
+        return _calibration(content)
+
+
+class _Medium(Strict):
+    name: str = Field(description="Of the medium.")
+    index: float = Field(description="Refractive index of the medium.")
+
+
+class _Parameter(Strict):
+    value: float = Field(description="Of the parameter.")
+    unit: str = Field(description="Of the parameter.")
+    sigma: Annotated[float, Field(ge=0)] = Field(description="Standard error of the parameter.")
+
+
+class _Covariance(Strict):
+    order: list[str] = Field(description="Names of the parameters in the order of the matrix.")
+    matrix: list[list[Annotated[float, AllowInfNan()]]] = Field(
+        description="Covariance, in products of the parameters' units."
+    )
+
+
+class _Origin(Strict):
+    description: str = Field(description="The data of the fit, in words.")
+    sha256: str = Field(description="Fingerprint of those data.")
+
+
+class _CalibrationFile(Strict):
+    model_config = ConfigDict(protected_namespaces=())  # `model` is the format's own key
+
+    schema_: Annotated[int, Field(alias="schema")]
+    model: str
+    medium: _Medium
+    parameters: dict[str, _Parameter] = Field(description="Values with standard errors, by name.")
+    covariance: _Covariance
+    fitted_on: _Origin
+    sigma_inflation: Annotated[float, Field(ge=1, le=_LARGEST)] = 1.0
+    software: str
+
+
+def _calibration(content: dict[str, Any]) -> Calibration:
+    check_schema(content.get("schema"), HISTORY, remedy="Fit again, or restore the file.")
+    file = validated(_CalibrationFile, content, remedy="Restore the file, or fit again.")
+    for name, entry in file.parameters.items():
+        unit = quantity(name).unit
+        if entry.unit != unit:
+            raise CalibrationError(
+                f"parameters.{name} must be in {unit!r}; got unit {shortened(entry.unit)}. "
+                "Convert value, sigma and covariance."
+            )
+    names = list(file.parameters)
+    if file.covariance.order != names:
+        raise CalibrationError(
+            f"covariance order must list the parameters in their order, {names}; got "
+            f"{shortened(file.covariance.order)}. Sort rows and columns of the matrix likewise."
+        )
+    calibration = Calibration(
+        model=file.model,
+        values={name: entry.value for name, entry in file.parameters.items()},
+        covariance=_matrix(file.covariance.matrix),
+        medium=file.medium.name,
+        medium_index=file.medium.index,
+        fitted_on=file.fitted_on.description,
+        data_sha256=file.fitted_on.sha256,
+        software=file.software,
+        sigma_inflation=file.sigma_inflation,
+    )
+    for name, entry in file.parameters.items():
+        expected = calibration.sigma(name)
+        if not math.isclose(entry.sigma, expected, rel_tol=_SAME, abs_tol=1e-300):
+            raise CalibrationError(
+                f"sigma of {name} is {entry.sigma:g}, but the covariance says {expected:g}. Change "
+                "both, or fit again."
+            )
+    return calibration
+
+
+def _matrix(rows: list[list[float]]) -> np.ndarray:
+    if len({len(row) for row in rows}) > 1:
+        raise CalibrationError(
+            f"covariance matrix must have rows of equal length; got {shortened(rows)}."
+        )
+    return np.array(rows, float)
+
+
+def _check_covariance(matrix: np.ndarray, count: int) -> None:
+    if matrix.shape != (count, count):
+        raise CalibrationError(
+            f"covariance must be {count}x{count}, a row and a column a parameter; got shape "
+            f"{matrix.shape}."
+        )
+    if not (np.abs(matrix) <= _LARGEST).all():
+        raise CalibrationError(
+            f"covariance must be finite, at most {_LARGEST:g}. Leave out parameters that the "
+            "data do not determine."
+        )
+    deviation = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale = np.outer(deviation, deviation)
+    if (np.diag(matrix) < 0).any() or (np.abs(matrix - matrix.T) > _SAME * scale).any():
+        raise CalibrationError(
+            "covariance must be symmetric with no negative variance. Restore the matrix."
+        )
+    fixed = deviation == 0
+    correlation = matrix / np.where(scale > 0, scale, 1.0)
+    if matrix[fixed].any() or np.linalg.eigvalsh(correlation).min() < -_SAME:
+        raise CalibrationError(
+            "covariance must be positive semi-definite: no correlation may exceed 1. Restore the "
+            "matrix."
+        )

@@ -1,0 +1,480 @@
+"""What a camera's values mean: frames, response, noise, distortion."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from formats.inputs import InputError
+
+FULL_SCALE = {np.uint8: 255.0, np.uint16: 65535.0, np.float32: 1.0, np.float64: 1.0}
+"""Types of a frame's values, and the value at which they saturate by default."""
+
+_ROWS = 8  # that are looked at
+_CHANGES = 64  # in them; by chance all are at even places once in 2^64 frames
+_MOST_REPEATS = 8  # of a pixel by a digital zoom
+
+
+def checked_frame(frame: np.ndarray) -> np.ndarray:
+    """A frame as (H, W) or (H, W, 3) in native byte order.
+
+    Raises:
+        InputError: not an array of uint8, uint16, float32 or float64, not grey or RGB, empty, or
+            not finite.
+    """
+    if not isinstance(frame, np.ndarray):
+        raise InputError(f"A frame must be a NumPy array; got {type(frame).__name__}.")
+    if frame.dtype.type not in FULL_SCALE:
+        raise InputError(
+            f"A frame must be uint8, uint16, float32 or float64; got {frame.dtype.name}."
+            " Convert it with astype, and give Response(full_scale=...) if its range differs."
+        )
+    if frame.ndim == 3 and frame.shape[2] == 1:
+        frame = frame[:, :, 0]
+    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3):
+        raise InputError(
+            f"A frame must have shape (H, W) or (H, W, 3), RGB; got {frame.shape}."
+            " Drop an alpha channel with frame[:, :, :3]."
+        )
+    if frame.size == 0:
+        raise InputError(f"A frame must have pixels; got shape {frame.shape}.")
+    if frame.dtype.kind == "f" and not np.abs(frame).max() < 1e12:
+        raise InputError(
+            "A frame must be finite (and below 1e12); got NaN, infinity or more."
+            " Replace such pixels before measuring."
+        )
+    if not frame.dtype.isnative:
+        frame = frame.astype(frame.dtype.newbyteorder("="))
+    return frame
+
+
+def without_repeats(frame: np.ndarray) -> np.ndarray:
+    """A frame whose digital zoom, which repeats every pixel, is made one that interpolates.
+
+    Args:
+        frame: checked; returned unchanged if its pixels are not repeated 2 to 8 times either way.
+    """
+    plain = frame if frame.ndim == 2 else frame[..., 0]
+    sides = [_repeats(plain), _repeats(plain.T)]
+    if max(sides) < 2:
+        return frame
+    # A box as wide as a repeated pixel makes ramps of the steps. An even one has half a pixel at
+    # either end, so that it is centred.
+    x, y = (np.full(k, 1 / k) if k % 2 else np.r_[0.5, np.ones(k - 1), 0.5] / k for k in sides)
+    return cv2.sepFilter2D(frame, -1, x, y, borderType=cv2.BORDER_REFLECT)
+
+
+def _repeats(frame: np.ndarray) -> int:
+    """How often each pixel of a row is repeated; 1 if not, or if too little is in the frame."""
+    # One row tells most frames.
+    for rows in frame[len(frame) // 2 :][:1], frame[:: max(len(frame) // _ROWS, 1)]:
+        changes = rows[:, 1:] != rows[:, :-1]
+        places = np.flatnonzero(changes.any(axis=0))
+        steps = int(np.gcd.reduce(places - places[:1], initial=0))
+        if steps == 1:
+            return 1
+    return steps if steps <= _MOST_REPEATS and np.count_nonzero(changes) >= _CHANGES else 1
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of a frame, in whole pixels: columns x0 <= x < x1, rows y0 <= y < y1."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @classmethod
+    def around(
+        cls, x: float, y: float, half_width: float, half_height: float, frame: np.ndarray
+    ) -> Window:
+        """The part of the frame within the half sizes of a point; never empty."""
+        height, width = frame.shape[:2]
+        x0 = int(min(max(x - half_width, 0), width - 1))
+        y0 = int(min(max(y - half_height, 0), height - 1))
+        x1 = int(min(max(x + half_width + 1, x0 + 1), width))
+        y1 = int(min(max(y + half_height + 1, y0 + 1), height))
+        return cls(x0, y0, x1, y1)
+
+    @classmethod
+    def whole(cls, frame: np.ndarray) -> Window:
+        """All of the frame."""
+        return cls(0, 0, frame.shape[1], frame.shape[0])
+
+    def on_grid(self, stride: int) -> Window:
+        """The window from multiples of a stride on: all such windows subsample the same pixels."""
+        return Window(self.x0 - self.x0 % stride, self.y0 - self.y0 % stride, self.x1, self.y1)
+
+    def of(self, frame: np.ndarray, stride: int = 1) -> np.ndarray:
+        """The window's pixels, or every n-th of them in either direction."""
+        values = frame[self.y0 : self.y1, self.x0 : self.x1]
+        height, width = values.shape[0] // stride, values.shape[1] // stride
+        if stride == 1 or min(height, width) < 1 or values.dtype == np.float64:
+            return values[::stride, ::stride]
+        whole = values[: height * stride, : width * stride]
+        # Four times as fast as a strided copy of colour pixels.
+        return cv2.resize(whole, (width, height), interpolation=cv2.INTER_NEAREST)
+
+
+GREY = -1
+"""Channel number of the weighted mean of red, green and blue."""
+
+GREY_WEIGHTS = (0.299, 0.587, 0.114)
+"""Weights of red, green and blue, as in cv2's RGB2GRAY."""
+
+_SRGB_EXPONENT = 2.4
+_BRIGHTEST = 1e6  # light over full scale; the squares of brighter light are no float32 numbers
+_REFERENCE_BLUR_PX = 3.0  # removes noise from the reference frame, and keeps the wall's texture
+_DARKEST_REFERENCE = 0.2  # of its median; darker pixels are a shaft, not the wall
+
+
+@dataclass(frozen=True, kw_only=True)
+class Response:
+    """Relation of a frame's values to light.
+
+    Attributes:
+        curve: "linear", "srgb" (IEC 61966-2-1) or "gamma" (value = light ** (1 / gamma)).
+        gamma: exponent of the curve "gamma".
+        full_scale: value of the brightest light that the camera measures, such as 4095 of 12 bits
+            in uint16; by default the largest of an unsigned dtype, 1 for floats. Frames that were
+            shifted to the upper bits, or reduced to 8 bits, end at what corresponds to it. Spots
+            may be clipped below it, see `clip_level`.
+    """
+
+    curve: Literal["linear", "srgb", "gamma"] = "linear"
+    gamma: float = 2.2
+    full_scale: float | None = None
+
+    def __post_init__(self) -> None:
+        """Reject curves that cannot be inverted."""
+        if self.curve not in ("linear", "srgb", "gamma"):
+            raise InputError(
+                f"Response(curve=...) must be 'linear', 'srgb' or 'gamma'; got {self.curve!r}."
+            )
+        if not 0 < self.gamma < float("inf"):
+            raise InputError(f"Response(gamma=...) must be positive; got {self.gamma}.")
+        if self.full_scale is not None and not 0 < self.full_scale < float("inf"):
+            raise InputError(f"Response(full_scale=...) must be positive; got {self.full_scale}.")
+
+    def full_scale_of(self, frame: np.ndarray) -> float:
+        """Value of the brightest light in a frame of this kind.
+
+        Raises:
+            InputError: the frame has brighter values, or it does not show what the curve needs.
+        """
+        container = FULL_SCALE[frame.dtype.type]
+        if frame.dtype == np.uint8:
+            return min(self.full_scale or container, container)
+        if self.full_scale is None and (self.curve == "linear" or frame.dtype.kind == "f"):
+            return container
+        most = float(frame.max())
+        if self.full_scale is not None and (most <= self.full_scale or frame.dtype.kind == "f"):
+            return self.full_scale
+        if self.full_scale is None and most >= container / 2:
+            return container
+        # The lowest bits of values that were shifted up are 0.
+        used = int(np.bitwise_or.reduce(frame, axis=None))
+        shift = (used & -used).bit_length() - 1 if used else 0
+        if shift and most >= container / 2:
+            return container + 1 - (1 << shift)
+        if self.full_scale is None:
+            raise InputError(
+                f"the full scale of 16-bit images with the curve {self.curve} is not known; the "
+                f"largest value is {most:g}. Give full_scale (--full-scale 4095 for 12 bits), or "
+                "write it into the microscope file."
+            )
+        raise InputError(
+            f"full_scale (or camera.bit_depth of the microscope file) is {self.full_scale:g}, but "
+            f"the image has values up to {most:g}. Correct it, or give another --full-scale."
+        )
+
+    def light(self, values: np.ndarray, full_scale: float) -> np.ndarray:
+        """Invert the curve: float32 light in units in which full scale is `full_scale`."""
+        if self.curve == "linear":
+            return values.astype(np.float32)
+        if values.dtype == np.uint8:
+            table = self._inverted(np.arange(256, dtype=np.float32) / np.float32(full_scale))
+            return cv2.LUT(values, table * np.float32(full_scale))
+        fraction = values.astype(np.float32) / np.float32(full_scale)
+        return self._inverted(fraction) * np.float32(full_scale)
+
+    def _inverted(self, fraction: np.ndarray) -> np.ndarray:
+        # Floats may exceed full scale, but not grow without limit.
+        exponent = self.gamma if self.curve == "gamma" else _SRGB_EXPONENT
+        fraction = np.clip(fraction, np.float32(0), np.float32(_BRIGHTEST ** (1 / exponent)))
+        if self.curve == "gamma":
+            return fraction ** np.float32(self.gamma)
+        above = ((fraction + np.float32(0.055)) / np.float32(1.055)) ** np.float32(_SRGB_EXPONENT)
+        return np.where(fraction <= 0.04045, fraction / np.float32(12.92), above)
+
+
+class LightMeter:
+    """Converts parts of frames into light; with a reference frame, as if the wall were even."""
+
+    def __init__(self, response: Response, reference: np.ndarray | None) -> None:
+        self.response = response
+        self._reference = None if reference is None else checked_frame(reference)
+        self._walls: dict[int, np.ndarray] = {}
+
+    def check(self, frame: np.ndarray) -> None:
+        """Refuse frames that do not fit the reference.
+
+        Raises:
+            InputError: the reference frame has another shape.
+        """
+        if self._reference is not None and self._reference.shape != frame.shape:
+            raise InputError(
+                "SubpixelSettings(reference=...) must have the frames' shape;"
+                f" got {self._reference.shape}, frame {frame.shape}."
+            )
+
+    def light(
+        self, values: np.ndarray, window: Window, channel: int, full_scale: float, stride: int = 1
+    ) -> np.ndarray:
+        """Light of one channel, or of the grey mean, as float32 in units of the frame's values.
+
+        Args:
+            values: the window's, `window.of(frame, stride)`.
+            window: their place in a checked frame.
+            channel: 0, 1, 2 or GREY.
+            full_scale: of the frame.
+            stride: px of the frame per value.
+        """
+        light = self._channel(values, channel, full_scale)
+        if self._reference is None:
+            return light
+        return light / window.of(self._wall(self._reference, channel), stride)
+
+    def ceiling(
+        self, window: Window, channel: int, clips: tuple[float, ...], full_scale: float
+    ) -> float:
+        """Light at which pixels are clipped where the wall is brightest.
+
+        Args:
+            window: of a checked frame.
+            channel: 0, 1, 2 or GREY.
+            clips: value at which each channel is clipped.
+            full_scale: of the frame.
+        """
+        light = self.response.light(np.array(clips, np.float32), full_scale).tolist()
+        grey = (
+            sum(w * c for w, c in zip(GREY_WEIGHTS, light, strict=True)) if light[1:] else light[0]
+        )
+        brightest = grey if channel == GREY else light[channel]
+        if self._reference is None:
+            return float(brightest)
+        return float(brightest / window.of(self._wall(self._reference, channel)).max())
+
+    def _channel(self, values: np.ndarray, channel: int, full_scale: float) -> np.ndarray:
+        if values.ndim == 2:
+            return self.response.light(values, full_scale)
+        if channel != GREY:
+            return self.response.light(cv2.extractChannel(values, channel), full_scale)
+        if self.response.curve == "linear":
+            return _grey(values).astype(np.float32)
+        return _grey(self.response.light(values, full_scale))
+
+    def _wall(self, reference: np.ndarray, channel: int) -> np.ndarray:
+        if channel not in self._walls:
+            full_scale = self.response.full_scale_of(reference)
+            light = self._channel(reference, channel, full_scale)
+            smooth = cv2.GaussianBlur(light, (0, 0), _REFERENCE_BLUR_PX)
+            typical = max(float(np.median(smooth)), 1e-6 * full_scale)
+            even = np.maximum(smooth / np.float32(typical), np.float32(_DARKEST_REFERENCE))
+            self._walls[channel] = even
+        return self._walls[channel]
+
+
+def _grey(values: np.ndarray) -> np.ndarray:
+    if values.dtype == np.float64:
+        values = values.astype(np.float32)
+    return cv2.cvtColor(values, cv2.COLOR_RGB2GRAY)
+
+
+_CHANNELS = 3
+_JPEG_DN2 = _CHANNELS * 2.5**2 / 12
+"""At quality 90 the waves of a block are rounded to steps of 2 to 3 DN, in all channels alike: a
+mean over them is no better than one."""
+_CLEAR_SIGMAS = 4.0  # least distance of a pixel from black and white, where noise is clipped
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CameraNoise:
+    """A camera's temporal noise after EMVA 1288, in full wells.
+
+    Attributes:
+        full_well_e: electrons at full scale.
+        read_noise_e: standard deviation of a dark pixel, electrons.
+        dark_signal_e: mean thermal electrons.
+        black: level of a dark pixel, as a fraction of full scale.
+        full_scale: largest pixel value in a file.
+        response: response curve of the pixel values.
+        prnu: standard deviation of the pixels' gain, relative.
+        dsnu_e: standard deviation of the pixels' dark signal, electrons.
+        cut: error of a pixel that an edge cuts, over the step; no camera sees all of a pixel alike.
+            In rendered cells of known pose the likeliest value was 0 to 0.015, by wall.
+        correlated: growth of the variance of a mean over many pixels, whose noise is correlated.
+        coarse_colours: whether only the sum of the channels is true to the light, as after JPEG.
+    """
+
+    full_well_e: float
+    read_noise_e: float
+    dark_signal_e: float
+    black: float
+    full_scale: int
+    response: Response
+    prnu: float = 0.0
+    dsnu_e: float = 0.0
+    cut: float = 0.01
+    correlated: float = 1.0
+    coarse_colours: bool = False
+
+    @classmethod
+    def of(cls, camera: dict[str, Any], response: Response) -> CameraNoise:
+        """Read the table [camera] of the scene.
+
+        Raises:
+            InputError: the camera correlates the noise of pixels or has fixed-pattern noise.
+        """
+        unsupported = {
+            "bayer": camera["bayer"] != "none",
+            "jpeg_quality": camera["jpeg_quality"] > 0,
+            "prnu": camera["prnu"] > 0,
+            "dsnu_e": camera["dsnu_e"] > 0,
+        }
+        if any(unsupported.values()):
+            names = ", ".join(f"{name} = {camera[name]}" for name, on in unsupported.items() if on)
+            raise InputError(
+                f"the image fit needs independent noise in every pixel; this camera has {names}. "
+                "Record raw frames, divided by a flat field, or fit the spots (--model cone)."
+            )
+        full_scale = (1 << camera["bit_depth"]) - 1
+        return cls(
+            full_well_e=camera["full_well_e"],
+            read_noise_e=camera["read_noise_e"],
+            dark_signal_e=camera["dark_signal_e"],
+            black=camera["black_level_dn"] / full_scale,
+            full_scale=full_scale,
+            response=response,
+        )
+
+    def light(self, values: np.ndarray) -> Float[np.ndarray, "h w"]:
+        """Mean light of an image's channels; with noise it can be negative."""
+        return self.channels(values).mean(axis=-1, dtype=float)
+
+    def channels(self, values: np.ndarray) -> Float[np.ndarray, "h w 3"]:
+        """Light of an image's channels; with noise it can be negative."""
+        dark = self.dark_signal_e / self.full_well_e
+        return (self._straight(values) - self.black) / (1 - self.black) - dark
+
+    def variance(self, light: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Variance of the mean over channels for known light, see `channel_variance`."""
+        return self.channel_variance(light) / _CHANNELS
+
+    def channel_variance(self, light: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Variance of a channel for known light: shot noise, read noise and rounding.
+
+        Pixel values are rounded after the response curve, so the inverse curve gives the step in
+        light.
+        """
+        electrons = np.maximum(light, 0) * self.full_well_e + self.dark_signal_e
+        still = self.read_noise_e**2 + self.dsnu_e**2 + (self.prnu * electrons) ** 2
+        counted = (electrons + still) / self.full_well_e**2
+        step = np.interp(self._level(light), *self._steps) / (1 - self.black)
+        rounded = step**2 / 12
+        if self.coarse_colours:
+            rounded = rounded + _JPEG_DN2 * step**2
+        return self.correlated * (counted + rounded)
+
+    def is_clear(self, light: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
+        """Whether a pixel with this light stays between black and white in spite of noise."""
+        reach = _CLEAR_SIGMAS * np.sqrt(_CHANNELS * self.variance(light))
+        level = self._level(light)
+        return (level > reach) & (level < 1 - reach)
+
+    @functools.cached_property
+    def _steps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Light of each pixel value before the response curve, and the step to the next one."""
+        levels = np.arange(self.full_scale + 1).astype(np.min_scalar_type(self.full_scale))
+        straight = self._straight(levels)
+        return straight, np.gradient(straight)
+
+    def _level(self, light: np.ndarray) -> np.ndarray:
+        return self.black + (1 - self.black) * (light + self.dark_signal_e / self.full_well_e)
+
+    def _straight(self, values: np.ndarray) -> np.ndarray:
+        """Pixel values before the response curve, as fractions of full scale."""
+        light = self.response.light(values, float(self.full_scale))
+        return light.astype(float) / self.full_scale
+
+
+_UNDONE_PX = 1.0  # OpenCV's few iterations end within this where there is an inverse
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Camera:
+    """Removes a lens's distortion from image points.
+
+    Attributes:
+        matrix: 3x3 camera matrix K, px; its focal lengths are negative if the pinhole, seen through
+            the eye, lies behind the scene.
+        distortion: 4, 5, 8, 12 or 14 coefficients in OpenCV's order; 4 of equidistant.
+        model: brown is that of cv2.calibrateCamera; equidistant that of cv2.fisheye (Kannala and
+            Brandt, 2006): r = f theta (1 + k1 theta^2 + ... + k4 theta^8) at the angle theta.
+    """
+
+    matrix: np.ndarray
+    distortion: np.ndarray
+    model: Literal["brown", "equidistant"] = "brown"
+
+    def __post_init__(self) -> None:
+        """Refuse matrices and coefficients that OpenCV cannot use."""
+        matrix, distortion = np.asarray(self.matrix, float), np.asarray(self.distortion, float)
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or matrix[0, 0] == 0:
+            raise InputError(
+                "camera_matrix must be a finite 3x3 matrix with focal lengths other than 0;"
+                f" got shape {matrix.shape}. Calibrate the camera."
+            )
+        counts = (4,) if self.model == "equidistant" else (4, 5, 8, 12, 14)
+        if distortion.size not in counts or not np.isfinite(distortion).all():
+            raise InputError(
+                f"the distortion must have {' or '.join(map(str, counts))} finite coefficients;"
+                f" got {distortion.size}. Calibrate the camera."
+            )
+        object.__setattr__(self, "matrix", matrix)
+        object.__setattr__(self, "distortion", distortion.ravel())
+
+    def undistorted(self, points: np.ndarray) -> np.ndarray:
+        """The points in the image of an ideal pinhole with the same matrix, (n, 2), px."""
+        undistort = cv2.undistortPoints if self.model == "brown" else cv2.fisheye.undistortPoints
+        return undistort(points.reshape(-1, 1, 2), self.matrix, self.distortion, P=self.matrix)[
+            :, 0
+        ]
+
+    def can_undistort(self, points: np.ndarray) -> bool:
+        """Whether the distortion has an inverse at points, (n, 2), px.
+
+        A polynomial that was fitted to a part of the image turns back outside of it: several points
+        of the ideal image are seen at one place, and OpenCV's iteration finds any or none of them.
+        """
+        back = self.all_distorted(self.undistorted(points))
+        return bool(np.abs(back - points).max() < _UNDONE_PX)
+
+    def all_distorted(self, points: np.ndarray) -> np.ndarray:
+        """Points of the ideal image in this camera's image, (n, 2), px."""
+        rays = np.linalg.solve(self.matrix, np.column_stack([points, np.ones(len(points))]).T)
+        project = cv2.projectPoints if self.model == "brown" else cv2.fisheye.projectPoints
+        rays = rays.T.reshape(-1, 1, 3)
+        seen, _ = project(rays, np.zeros(3), np.zeros(3), self.matrix, self.distortion)
+        return seen[:, 0]
+
+    def distorted(self, x: float, y: float) -> tuple[float, float]:
+        """A point of the ideal image in this camera's image, px."""
+        u, v = self.all_distorted(np.array([[x, y]]))[0].tolist()
+        return u, v

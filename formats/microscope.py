@@ -1,0 +1,607 @@
+"""Microscope files: the stack's microscope.json, or a camera calibration of OpenCV, ROS or Kalibr.
+
+All are read into one `MicroscopeFile`. A calibration describes the camera but not the eye: the
+pinhole's height and the eye's radius come with the call.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, model_validator
+
+from formats.camera import Camera, CameraNoise, Response
+from formats.camera_files import calibration_in, camera_of
+from formats.inputs import (
+    InputError,
+    Strict,
+    check_schema,
+    in_file,
+    object_in,
+    read_text,
+    validated,
+)
+
+if TYPE_CHECKING:
+    import optics
+    from optics.viewing.camera import PathCamera
+
+
+_BAYER = 10.0 / 3.0
+"""Growth of the variance of a mean over many pixels by a Bayer filter: a mean of three independent
+channels has 3 variances of 9, one of a filtered camera's 4 + 2 + 4, as it has read a quarter, half
+and a quarter of the pixels."""
+_BAYER_CUT = 0.5
+"""Error of a pixel that an edge cuts, over the step, with a Bayer filter. Edges at random places
+and angles leave 0.3 of the step in a demosaiced red or blue image and 0.14 in a green one, and 0.5
+in a mixture like 1.8 red - 0.9 green, in which a retina is even."""
+_NonNegative = Annotated[float, Field(ge=0, le=1e15)]
+
+
+class CameraSheet(Strict):
+    """A camera's temporal noise and fixed pattern.
+
+    Attributes:
+        full_well_e: electrons at full scale.
+        read_noise_e: temporal standard deviation of a dark pixel, electrons.
+        dark_signal_e: mean thermal electrons.
+        black_level_dn: mean of a dark image before the response curve, DN.
+        bit_depth: bits per channel.
+        prnu: standard deviation of the pixels' gain, relative.
+        dsnu_e: standard deviation of the pixels' dark signal, electrons.
+        bayer: whether colours are interpolated between the pixels of a Bayer filter.
+        jpeg: whether the images were compressed, which leaves their colours coarse.
+    """
+
+    full_well_e: Annotated[float, Field(gt=0, le=1e15)]
+    read_noise_e: _NonNegative
+    dark_signal_e: _NonNegative = 0.0
+    black_level_dn: _NonNegative
+    bit_depth: Annotated[int, Field(ge=8, le=16)]
+    prnu: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    dsnu_e: _NonNegative = 0.0
+    bayer: bool = False
+    jpeg: bool = False
+
+    def noise(self, response: Response) -> CameraNoise:
+        """The noise of a camera with a response curve."""
+        full_scale = (1 << self.bit_depth) - 1
+        return CameraNoise(
+            full_well_e=self.full_well_e,
+            read_noise_e=self.read_noise_e,
+            dark_signal_e=self.dark_signal_e,
+            black=self.black_level_dn / full_scale,
+            full_scale=full_scale,
+            response=response,
+            prnu=self.prnu,
+            dsnu_e=self.dsnu_e,
+            cut=_BAYER_CUT if self.bayer else CameraNoise.cut,
+            correlated=_BAYER if self.bayer else 1.0,
+            coarse_colours=self.jpeg,
+        )
+
+
+_Series = Annotated[
+    list[Annotated[float, Field(ge=-1e12, le=1e12)]], Field(min_length=1, max_length=1000)
+]
+_NEGLIGIBLE_MM = 1e-7  # 2e-5 px
+Length = Annotated[float, Field(gt=0, le=1e6)]
+"""A positive number of mm."""
+
+
+def _sign(value: float) -> float:
+    if abs(value) != 1.0:
+        raise InputError("must be 1 (upright image) or -1 (inverted)")
+    return value
+
+
+class PathSeries(Strict):
+    """Lines of sight through a viewing path, as `optics.viewing.camera.PathCamera` describes them.
+
+    Attributes:
+        crossing: Chebyshev coefficients of a.
+        steepness_per_mm: Chebyshev coefficients of b, 1/mm.
+        transmittance: Chebyshev coefficients of the transmittance.
+        widest_mm: largest t of the series.
+        pupil_mm: largest t that passes the iris; None if the iris stops no line of sight.
+        orientation: +1 if the image is upright, -1 if it is inverted.
+    """
+
+    crossing: _Series
+    steepness_per_mm: _Series
+    transmittance: _Series
+    widest_mm: Length
+    pupil_mm: Length | None = None
+    orientation: Annotated[float, AfterValidator(_sign)]
+
+    @model_validator(mode="after")
+    def _is_a_path(self) -> Self:
+        lengths = [len(s) for s in (self.crossing, self.steepness_per_mm, self.transmittance)]
+        if len(set(lengths)) > 1:
+            raise InputError(
+                "must have equally many coefficients of crossing, steepness_per_mm and "
+                f"transmittance, not {lengths[0]}, {lengths[1]} and {lengths[2]}"
+            )
+        if not _on_axis(self.crossing):
+            raise InputError("must have a crossing that is not 0 on the axis")
+        return self
+
+    @property
+    def inverse_working_distance(self) -> float:
+        """kappa of the path's paraxial pinhole, 1/mm."""
+        return _on_axis(self.steepness_per_mm) / _on_axis(self.crossing)
+
+    def camera(
+        self,
+        *,
+        scale_mm_px: float,
+        principal_point_px: tuple[float, float],
+        eye_radius_mm: float,
+    ) -> PathCamera:
+        """The microscope behind the path. Loads JAX."""
+        from optics.viewing.camera import PathCamera
+
+        # Arrays: for plain numbers JAX would compile every time.
+        array: Any = np.array
+        # The time to compile a pose grows with the terms.
+        terms = max(self._terms(self.crossing), self._terms(self.steepness_per_mm))
+        return PathCamera(
+            scale=array(scale_mm_px),
+            principal_point=array(principal_point_px),
+            pole_height=array(-eye_radius_mm),
+            crossing=array(self.crossing[:terms]),
+            steepness=array(self.steepness_per_mm[:terms]),
+            passing=array(self.transmittance),
+            widest=array(self.widest_mm),
+            pupil=array(math.inf if self.pupil_mm is None else self.pupil_mm),
+            orientation=array(self.orientation),
+        )
+
+    def _terms(self, series: list[float]) -> int:
+        """Number of terms without which a line of sight moves by more than 1e-7 mm."""
+        beyond = np.cumsum(np.abs(series[::-1]))[::-1] * self.widest_mm
+        return max(int(np.sum(beyond > _NEGLIGIBLE_MM)), 1)
+
+
+def _on_axis(series: list[float]) -> float:
+    """A Chebyshev series at t = 0, where its argument is -1 and T_n = (-1)^n."""
+    return sum(series[::2]) - sum(series[1::2])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Retina:
+    """The retina as an ellipsoid through the pole, placed as `optics.Ellipsoid` describes it.
+
+    Attributes:
+        semi_axes_mm: x, y and z.
+        tilt_deg: angle of its z from the microscope's axis.
+        tilt_azimuth_deg: azimuth of the direction in which its z leans.
+        shift_mm: of its centre across the microscope's axis.
+    """
+
+    semi_axes_mm: tuple[float, ...]
+    tilt_deg: float = 0.0
+    tilt_azimuth_deg: float = 0.0
+    shift_mm: tuple[float, ...] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse a retina that the microscope's axis does not meet."""
+        across = min(self.semi_axes_mm[:2])
+        if not math.hypot(*self.shift_mm) < across:
+            raise InputError(
+                f"retina_shift_mm must be less than {across:g} mm, its smaller semi-axis across; "
+                f"got {list(self.shift_mm)}. Restore the key."
+            )
+
+    def surface(self) -> optics.Ellipsoid:
+        """The wall. Loads JAX."""
+        import optics
+
+        x, y = self.shift_mm
+        return optics.Ellipsoid(
+            np.array(self.semi_axes_mm),
+            shift=(x, y),
+            tilt=math.radians(self.tilt_deg),
+            tilt_azimuth=math.radians(self.tilt_azimuth_deg),
+        )
+
+
+SCHEMA = 1
+HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read."""
+
+_BYTE = 8  # bits of most files; with more, they leave open where the camera's values end
+_MOST_PX = 2**20  # sides of a frame, and the place of its principal point
+_LARGEST_MM = 1e6
+_LARGEST = 1e12  # of other numbers
+_MOST_BYTES = 2**20
+_STEEPEST = 100  # exponent of a gamma curve
+_SAME = 1e-6  # relative; numbers that a file contains twice agree to JSON's digits
+_UNIT = 1e-3  # of a normal's length, as people round it
+_SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
+
+
+class MicroscopeFileError(InputError):
+    """A file describes no microscope that this version can use; the text says why."""
+
+
+_MOST = {
+    "width_px": _MOST_PX,
+    "height_px": _MOST_PX,
+    "scale_mm_px": _LARGEST_MM,
+    "eye_radius_mm": _LARGEST_MM,
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MicroscopeFile:
+    """A pinhole on the axis of the eye, looking down at the retinal pole, and the wall there.
+
+    Attributes:
+        width_px: of the frames.
+        height_px: of the frames.
+        camera_matrix: K of OpenCV, 3x3, px; None for a telecentric microscope.
+        distortion: coefficients in OpenCV's order.
+        scale_mm_px: delta at the height of the pole.
+        principal_point_px: (u0, v0); may lie outside the frame.
+        pinhole_height_mm: z_F above the eyeball's centre; infinite if telecentric. Below the pole,
+            magnification grows with depth.
+        eye_radius_mm: r; the pole lies at -r.
+        response: relation of the frames' values to light; linear if the file does not say.
+        paper_exposure_s: exposure time of the stack's frames of fixed exposure; None if unknown.
+        plane_normal: of a plane wall through the pole, a unit vector towards the microscope; None
+            if the wall is the eyeball.
+        viewing_path: what lies between the microscope and the retina; `pinhole_height_mm` is then
+            that of its paraxial pinhole. None for a pinhole.
+        retina: shape of the eyeball; None for a sphere of `eye_radius_mm`.
+        noise: of the camera; None if it was not measured.
+        distortion_model: as `Camera.model`; brown in files of ours.
+    """
+
+    width_px: int
+    height_px: int
+    camera_matrix: np.ndarray | None
+    distortion: np.ndarray
+    scale_mm_px: float
+    principal_point_px: tuple[float, float]
+    pinhole_height_mm: float
+    eye_radius_mm: float
+    response: Response = field(default_factory=Response)
+    paper_exposure_s: float | None = None
+    plane_normal: tuple[float, float, float] | None = None
+    viewing_path: PathSeries | None = None
+    retina: Retina | None = None
+    noise: CameraNoise | None = None
+    distortion_model: Literal["brown", "equidistant"] = "brown"
+
+    def __post_init__(self) -> None:
+        """Reject what no microscope can have."""
+        for name, most in _MOST.items():
+            value = getattr(self, name)
+            if not 0 < value <= most:
+                raise MicroscopeFileError(
+                    f"{name} must be positive and at most {most:g}; got {value}."
+                )
+        reach = self.pinhole_height_mm + self.eye_radius_mm
+        if not (reach > 0 or -math.inf < reach < 0):
+            raise MicroscopeFileError(
+                "pinhole_height_mm must lie above or below the retinal pole, which is at "
+                f"-eye_radius_mm; got {self.pinhole_height_mm} mm with eye_radius_mm = "
+                f"{self.eye_radius_mm}. It counts from the eyeball's centre, up."
+            )
+        if self.plane_normal is not None:
+            _check_normal(self.plane_normal)
+        if not (np.abs(self.principal_point_px) <= _MOST_PX).all():
+            raise MicroscopeFileError(
+                f"principal_point_px must lie within {_MOST_PX} px of the frame; got "
+                f"{self.principal_point_px}."
+            )
+
+    @property
+    def inverse_working_distance(self) -> float:
+        """kappa = 1/(z_F + r), 1/mm; 0 if telecentric, negative for a pinhole below the pole."""
+        return 1.0 / (self.pinhole_height_mm + self.eye_radius_mm)
+
+    def wall(self) -> optics.Surface:
+        """The wall that the spots lie on. Loads JAX."""
+        import optics
+
+        if self.plane_normal is None:
+            return (
+                optics.Sphere(self.eye_radius_mm) if self.retina is None else self.retina.surface()
+            )
+        pole = np.array([0.0, 0.0, -self.eye_radius_mm])
+        return optics.Plane(point=pole, inward=np.array(self.plane_normal))
+
+    def camera(self) -> Camera | None:
+        """For `SubpixelSettings(camera=...)`; None if there is no distortion."""
+        is_ideal = self.distortion_model == "brown" and not self.distortion.any()
+        if self.camera_matrix is None or is_ideal:
+            return None
+        return Camera(
+            matrix=self.camera_matrix, distortion=self.distortion, model=self.distortion_model
+        )
+
+    def ideal_microscope(self) -> optics.Camera:
+        """The camera without distortion, in whose image undistorted spots lie. Loads JAX."""
+        path = self.viewing_path
+        if path is None:
+            return self.pinhole()
+        return path.camera(
+            scale_mm_px=self.scale_mm_px,
+            principal_point_px=self.principal_point_px,
+            eye_radius_mm=self.eye_radius_mm,
+        )
+
+    def pinhole(self) -> optics.Microscope:
+        """The pinhole without distortion, of a viewing path the paraxial one. Loads JAX."""
+        import optics
+
+        return optics.microscope(
+            scale=self.scale_mm_px,
+            pinhole_height=self.pinhole_height_mm,
+            eye_radius=self.eye_radius_mm,
+            principal_point=self.principal_point_px,
+        )
+
+
+def read_microscope(
+    path: str | Path,
+    *,
+    pinhole_height_mm: float | None = None,
+    eye_radius_mm: float | None = None,
+    plane_normal: tuple[float, float, float] | None = None,
+) -> MicroscopeFile:
+    """Read a microscope from a stack's microscope.json or from a camera calibration.
+
+    Args:
+        path: of the file.
+        pinhole_height_mm: z_F above the eyeball's centre, for calibrations, which lack it.
+        eye_radius_mm: r, for calibrations, which lack it.
+        plane_normal: of a plane wall, for files that lack it, such as calibrations; None: the
+            file's, or the eyeball.
+
+    Raises:
+        MicroscopeFileError: the file is neither, of another schema, contradicts itself, lacks
+            something, or already holds what was given; the text says which key.
+        OSError: the file cannot be read.
+    """
+    path = Path(path)
+    given = {"pinhole_height_mm": pinhole_height_mm, "eye_radius_mm": eye_radius_mm}
+    with in_file(path, MicroscopeFileError):
+        text = read_text(path, most_bytes=_MOST_BYTES)
+        content = _json_in(text)
+        if "schema" not in content:
+            return _from_calibration(content or calibration_in(text), given, plane_normal)
+        twice = [name for name, value in given.items() if value is not None]
+        if plane_normal is not None:
+            # A file of a version that did not know planes has no such key.
+            twice += ["plane_normal"] * ("plane_normal" in content)
+            content["plane_normal"] = list(plane_normal)
+        if twice:
+            raise MicroscopeFileError(
+                f"{twice[0]} is in the file already. Leave it out of the call, or edit the file."
+            )
+        return _ours(content)
+
+
+def _json_in(text: str) -> dict[str, Any]:
+    try:
+        return object_in(text)
+    except InputError:
+        return {}  # YAML or XML
+
+
+def _numbers(*shape: int) -> PlainValidator:
+    """Finite numbers of a shape, or without one a list of any length, as an array."""
+
+    def array(value: object) -> np.ndarray:
+        try:
+            found = np.asarray(value, float)
+        except (TypeError, ValueError, OverflowError):
+            found = np.asarray(math.nan)
+        fits = found.shape == shape if shape else found.ndim == 1
+        if not (fits and (np.abs(found) <= _LARGEST).all()):
+            wanted = "x".join(map(str, shape)) or "a list"
+            raise InputError(f"must be finite numbers ({wanted}), at most {_LARGEST:g}")
+        return found
+
+    return PlainValidator(
+        array, json_schema_input_type=list[list[float]] if shape[1:] else list[float]
+    )
+
+
+def _curve(value: object) -> Response:
+    """The scene file's names: linear, srgb, or g for the curve x^(1/g)."""
+    if value == "linear" or value == "srgb":
+        return Response(curve=value)
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= _STEEPEST:
+        return Response(curve="gamma", gamma=float(value))
+    raise InputError("must be linear, srgb or the exponent of a gamma curve, at most 100")
+
+
+_Pixels = Annotated[float, Field(ge=1, le=_MOST_PX)]
+_Millimetres = Annotated[float, Field(ge=-_LARGEST_MM, le=_LARGEST_MM)]
+
+
+class _PinholeFile(Strict):
+    model_config = ConfigDict(extra="ignore", arbitrary_types_allowed=True)
+
+    width_px: _Pixels
+    height_px: _Pixels
+    camera_matrix: Annotated[np.ndarray, _numbers(3, 3)]
+    distortion: Annotated[np.ndarray, _numbers()]
+    scale_mm_px: float
+    principal_point_px: Annotated[np.ndarray, _numbers(2)]
+    pinhole_height_mm: _Millimetres | None = None
+    eye_radius_mm: _Millimetres
+    response: Annotated[
+        Response, PlainValidator(_curve, json_schema_input_type=Literal["linear", "srgb"] | float)
+    ]
+    full_scale: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
+    paper_exposure_s: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
+    plane_normal: Annotated[np.ndarray, _numbers(3)] | None = None
+    viewing_path: None = None
+    retina_semi_axes_mm: Annotated[list[Length], Field(min_length=3, max_length=3)] | None = None
+    retina_tilt_deg: Annotated[float, Field(gt=-90, lt=90)] = 0.0
+    retina_tilt_azimuth_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+    retina_shift_mm: Annotated[list[_Millimetres], Field(min_length=2, max_length=2)] | None = None
+    camera: CameraSheet | None = None
+
+
+class _TelecentricFile(_PinholeFile):
+    camera_matrix: None = None  # type: ignore[assignment]
+
+
+class _PathFile(_TelecentricFile):
+    viewing_path: PathSeries  # type: ignore[assignment]
+
+
+def _ours(content: dict[str, Any]) -> MicroscopeFile:
+    check_schema(content["schema"], HISTORY, remedy="Restore the file, or render again.")
+    telecentric = content.get("pinhole_height_mm") is None
+    through_path = content.get("viewing_path") is not None
+    file = validated(
+        _PathFile if through_path else _TelecentricFile if telecentric else _PinholeFile,
+        content,
+        remedy="Restore the key. With a viewing_path, or without pinhole_height_mm (a telecentric "
+        "microscope), camera_matrix is null.",
+    )
+    height, full_scale = file.pinhole_height_mm, file.full_scale
+    if full_scale is None and file.camera is not None and file.camera.bit_depth > _BYTE:
+        full_scale = (1 << file.camera.bit_depth) - 1
+    microscope = MicroscopeFile(
+        width_px=int(file.width_px),
+        height_px=int(file.height_px),
+        camera_matrix=file.camera_matrix,
+        distortion=file.distortion,
+        scale_mm_px=file.scale_mm_px,
+        principal_point_px=_pair(file.principal_point_px),
+        pinhole_height_mm=math.inf if height is None else height,
+        eye_radius_mm=file.eye_radius_mm,
+        response=replace(file.response, full_scale=full_scale),
+        paper_exposure_s=file.paper_exposure_s,
+        plane_normal=None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
+        viewing_path=file.viewing_path,
+        retina=_retina(file),
+        noise=None if file.camera is None else file.camera.noise(file.response),
+    )
+    _agrees_with_its_matrix(microscope)
+    _agrees_with_its_eye(microscope)
+    return microscope
+
+
+def _agrees_with_its_matrix(microscope: MicroscopeFile) -> None:
+    """Refuse a file in which only one of two copies of a number was edited."""
+    matrix = microscope.camera_matrix
+    if matrix is None:
+        return
+    focal = 1.0 / (microscope.inverse_working_distance * microscope.scale_mm_px)
+    said = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
+    implied = (focal, focal, *microscope.principal_point_px)
+    if not np.allclose(said, implied, rtol=_SAME, atol=1e-6):
+        raise MicroscopeFileError(
+            f"camera_matrix has (fx, fy, cx, cy) = {_listed(said)} px, but (pinhole_height_mm + "
+            f"eye_radius_mm)/scale_mm_px and principal_point_px say {_listed(implied)} px. Change "
+            "both alike."
+        )
+
+
+def _retina(file: _PinholeFile) -> Retina | None:
+    if file.retina_semi_axes_mm is None:
+        return None
+    return Retina(
+        semi_axes_mm=tuple(file.retina_semi_axes_mm),
+        tilt_deg=file.retina_tilt_deg,
+        tilt_azimuth_deg=file.retina_tilt_azimuth_deg,
+        shift_mm=tuple(file.retina_shift_mm or (0.0, 0.0)),
+    )
+
+
+def _agrees_with_its_eye(microscope: MicroscopeFile) -> None:
+    """Refuse a viewing path or a retina that contradicts another number of the file."""
+    path, retina = microscope.viewing_path, microscope.retina
+    if path is not None:
+        if microscope.distortion.any():
+            raise MicroscopeFileError(
+                "distortion must be 0 with a viewing_path, which contains the lenses' distortion; "
+                f"got {microscope.distortion.tolist()}. Undistort the images first."
+            )
+        said, implied = microscope.inverse_working_distance, path.inverse_working_distance
+        if not math.isclose(said, implied, rel_tol=_SAME, abs_tol=_SAME):
+            raise MicroscopeFileError(
+                f"pinhole_height_mm and eye_radius_mm say 1/(z_F + r) = {said:.6g}/mm, but "
+                f"viewing_path says {implied:.6g}/mm on the axis. Change both alike."
+            )
+    if retina is not None and microscope.plane_normal is not None:
+        raise MicroscopeFileError(
+            f"plane_normal {microscope.plane_normal} and retina_semi_axes_mm "
+            f"{list(retina.semi_axes_mm)} describe two walls. Remove one."
+        )
+    if retina is not None and not math.isclose(
+        retina.semi_axes_mm[2], microscope.eye_radius_mm, rel_tol=_SAME
+    ):
+        raise MicroscopeFileError(
+            f"eye_radius_mm must be the semi-axis along z of retina_semi_axes_mm, "
+            f"{retina.semi_axes_mm[2]:g} mm; got {microscope.eye_radius_mm:g} mm. Change both "
+            "alike."
+        )
+
+
+def _from_calibration(
+    content: dict[str, Any],
+    given: dict[str, float | None],
+    plane_normal: tuple[float, float, float] | None,
+) -> MicroscopeFile:
+    camera, size = camera_of(content)
+    height, radius = (_given(name, value) for name, value in given.items())
+    matrix = camera.matrix
+    fx, fy, skew = matrix[0, 0], matrix[1, 1], matrix[0, 1]
+    if abs(fx - fy) > _SQUARE * fx or abs(skew) > _SQUARE * fx:
+        raise MicroscopeFileError(
+            f"camera_matrix must have square pixels without skew to {_SQUARE:g} of fx; got fx = "
+            f"{fx:g} px, fy = {fy:g} px, skew = {skew:g} px. Calibrate with "
+            "cv2.CALIB_FIX_ASPECT_RATIO."
+        )
+    return MicroscopeFile(
+        width_px=size[0],
+        height_px=size[1],
+        camera_matrix=matrix,
+        distortion=camera.distortion,
+        distortion_model=camera.model,
+        # Below the pole, the pinhole that the eye shows sees a pixel under the same angle.
+        scale_mm_px=abs(height + radius) / math.sqrt(fx * fy),
+        principal_point_px=_pair(matrix[:2, 2]),
+        pinhole_height_mm=height,
+        eye_radius_mm=radius,
+        plane_normal=plane_normal,
+    )
+
+
+def _given(name: str, value: float | None) -> float:
+    if value is None or not math.isfinite(value):
+        raise MicroscopeFileError(
+            f"a camera calibration does not hold {name}. Give it with the file, in mm; got {value}."
+        )
+    return value
+
+
+def _check_normal(normal: tuple[float, float, float]) -> None:
+    if not (abs(math.hypot(*normal) - 1) < _UNIT and normal[2] > 0):
+        raise MicroscopeFileError(
+            f"plane_normal must be a unit vector towards the microscope (z > 0); got {normal}. A "
+            "plane square to the microscope's axis has (0, 0, 1)."
+        )
+
+
+def _pair(values: np.ndarray) -> tuple[float, float]:
+    first, second = values.tolist()
+    return first, second
+
+
+def _listed(values: tuple[float, ...]) -> str:
+    return ", ".join(f"{value:.6g}" for value in values)

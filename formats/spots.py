@@ -1,0 +1,555 @@
+"""A measured spot, why there is none, and the spots file: CSV or Parquet, one line per frame."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import io
+import math
+import re
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
+
+import numpy as np
+
+from formats.inputs import (
+    MOST_ROWS,
+    InputError,
+    check_regular,
+    check_schema,
+    csv_rows,
+    in_file,
+    number_in,
+    shortened,
+)
+from formats.whole_files import damage_reported, written_whole
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+PARAMETERS = ("x", "y", "semi_major", "semi_minor", "angle")
+"""Order of the rows and columns of `Spot.covariance`."""
+
+
+class Reason(Enum):
+    """Why a frame has no spot: the closed list of the spots file.
+
+    `INTERNAL_ERROR` is a bug of the measurement that the frame met; all others are findings.
+    """
+
+    NONE_FOUND = "none_found"
+    CLIPPED = "clipped"
+    TOO_SMALL = "too_small"
+    TOO_LARGE = "too_large"
+    TOO_FAINT = "too_faint"
+    SATURATED = "saturated"
+    OCCLUDED = "occluded"
+    AMBIGUOUS = "ambiguous"
+    UNREADABLE = "unreadable"
+    INTERNAL_ERROR = "internal_error"
+
+    @property
+    def meaning(self) -> str:
+        """What was found, and what to do, in a sentence or two."""
+        return _MEANINGS[self]
+
+
+_MEANINGS = {
+    Reason.NONE_FOUND: "Nothing bright in the frame has the outline of a spot. Look at the frame. "
+    "Switch the light on, or expose longer.",
+    Reason.CLIPPED: "The border of the image cuts the spot. Move the window or the spot.",
+    Reason.TOO_SMALL: "The spot is smaller than can be measured. Withdraw the tip, or use a finer "
+    "scale.",
+    Reason.TOO_LARGE: "The spot is larger than allowed for this image. Approach the wall, or use a "
+    "coarser scale.",
+    Reason.TOO_FAINT: "The spot hardly exceeds the noise and texture round it. Expose longer, or "
+    "dim the other light.",
+    Reason.SATURATED: "So much of the spot is at full scale that its outline is not in the image. "
+    "Shorten the exposure.",
+    Reason.OCCLUDED: "Too little of the outline is visible: an instrument, a shadow or a "
+    "reflection hides it.",
+    Reason.AMBIGUOUS: "Two places could be the spot. Click it (console), or cover the other light.",
+    Reason.UNREADABLE: "The frame could not be decoded; the note says why. Record it again, or in "
+    "another encoding.",
+    Reason.INTERNAL_ERROR: "The measurement failed. This is a bug; please report the frame.",
+}
+
+
+class Outline(NamedTuple):
+    """Where a spot is in an image, and how large (pixel centres at integers).
+
+    Attributes:
+        x_px: centre, to the right, px.
+        y_px: centre, downwards, px.
+        semi_major_px: half of the longer axis, px.
+        semi_minor_px: half of the shorter axis, px.
+        angle_rad: semi-major axis from +u (right) towards +v (down).
+        edge_width_px: as of `Spot`; 0 where it is not known.
+        measured: whether it is that of a spot, and not of something bright that may be one.
+    """
+
+    x_px: float
+    y_px: float
+    semi_major_px: float
+    semi_minor_px: float
+    angle_rad: float
+    edge_width_px: float = 0.0
+    measured: bool = True
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spot:
+    """Ellipse of a spot in image coordinates (pixel centres at integers), with its quality.
+
+    A value that a mode does not measure is NaN.
+
+    Attributes:
+        x_px: centre, to the right, px.
+        y_px: centre, downwards, px.
+        semi_major_px: half of the longer axis, px.
+        semi_minor_px: half of the shorter axis, px.
+        angle_rad: semi-major axis from +u (right) towards +v (down), in (-pi/2, pi/2].
+        covariance: 5x5, order `PARAMETERS`, px and rad.
+        edge_width_px: standard deviation of the Gaussian-blurred step that has the edge's slope
+            at half maximum, px.
+        coverage: fraction of the contour's length on which an edge is visible.
+        inlier_fraction: fraction of the visible edges that belong to the ellipse.
+        saturated: fraction of the spot's pixels at full scale in the channel measured.
+    """
+
+    x_px: float
+    y_px: float
+    semi_major_px: float
+    semi_minor_px: float
+    angle_rad: float
+    covariance: np.ndarray
+    edge_width_px: float
+    coverage: float
+    inlier_fraction: float
+    saturated: float
+
+    @property
+    def ellipse(self) -> tuple[float, ...]:
+        """Its five parameters, in the order of `PARAMETERS`, px and rad."""
+        return self.x_px, self.y_px, self.semi_major_px, self.semi_minor_px, self.angle_rad
+
+    @property
+    def outline(self) -> Outline:
+        """Its ellipse and how wide its edge is."""
+        return Outline(
+            x_px=self.x_px,
+            y_px=self.y_px,
+            semi_major_px=self.semi_major_px,
+            semi_minor_px=self.semi_minor_px,
+            angle_rad=self.angle_rad,
+            edge_width_px=self.edge_width_px,
+        )
+
+    @property
+    def sigma_semi_minor_px(self) -> float:
+        """Standard deviation of the semi-minor axis, px."""
+        return math.sqrt(self.covariance[3, 3])
+
+
+@final
+@dataclass(frozen=True)
+class NoSpot:
+    """A frame without a measurable spot, with the reason; falsy.
+
+    Attributes:
+        reason: why there is none.
+        significance: of a spot that is `TOO_FAINT`: its peak above the background over the standard
+            deviation round it; NaN for other reasons.
+    """
+
+    reason: Reason
+    significance: float = field(default=math.nan, compare=False, repr=False)
+
+    def __bool__(self) -> Literal[False]:
+        """Always false, so that `if result:` means that there is a spot."""
+        return False
+
+
+SCHEMA_VERSION = 3
+HISTORY = {
+    1: "the format of eyespot 0.1; files written since may have the reason internal_error "
+    "or unreadable",
+    2: "distance_low_mm, distance_high_mm and largest_cause: the distance's 95 % interval, and "
+    "what makes it wide; tip, axis, their covariance, chi_squared and wall_memory of the mode "
+    "pixels",
+    3: "significance of a spot that is too_faint",
+}
+"""What changed with each version of the format that is read."""
+
+_MOST_FRAMES = 2**31
+_LARGEST_PX = 1e6
+
+_UPPER = [(i, j) for i in range(5) for j in range(i, 5)]
+_VALUES = (
+    "x_px",
+    "y_px",
+    "semi_major_px",
+    "semi_minor_px",
+    "angle_rad",
+    "sigma_semi_minor_px",
+    "edge_width_px",
+    "coverage",
+    "inlier_fraction",
+    "saturated",
+)
+_PLACE = _VALUES[:4]
+_DISTANCES = ("distance_mm", "sigma_distance_mm", "pose_age_s")
+_INTERVAL = ("distance_low_mm", "distance_high_mm")
+_POSE = tuple(f"{part}_{x}{unit}" for part, unit in (("tip", "_mm"), ("axis", "")) for x in "xyz")
+_POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in _UPPER)
+_POSES = (*_POSE, *_POSE_COVARIANCES, "chi_squared")
+_LATER = (*_INTERVAL, "largest_cause", *_POSES, "wall_memory", "significance")
+_COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in _UPPER)
+COLUMNS = (
+    "frame",
+    "file_name",
+    "time_s",
+    "mode",
+    "status",
+    "reason",
+    *_VALUES,
+    *_DISTANCES,
+    *_COVARIANCES,
+    *_LATER,
+    "schema_version",
+)
+FIRST_COLUMNS = (
+    *("frame", "file_name", "time_s", "distance_mm", *_INTERVAL),
+    *(*_VALUES[:5], "reason"),
+)
+"""The columns that people look at, in front in `spots_table`."""
+_KINDS: dict[str, type] = {
+    **dict.fromkeys(("frame", "schema_version"), int),
+    **dict.fromkeys(("file_name", "mode", "status", "reason", "largest_cause", "wall_memory"), str),
+}
+"""Type of a Parquet column; the others are floats."""
+
+
+class BeamPose(NamedTuple):
+    """Tip and axis of the beam in the eye frame.
+
+    Attributes:
+        tip_mm: S, (3,).
+        axis: unit vector from the tip towards the wall, (3,).
+        covariance: 5 x 5, of the tip (mm) and of the axis's turns (rad) towards two unit vectors:
+            the axis cross the coordinate axis that is farthest from it, and the axis cross that.
+        chi_squared: per cell; 1 where beam, wall and camera explain the light.
+    """
+
+    tip_mm: np.ndarray
+    axis: np.ndarray
+    covariance: np.ndarray
+    chi_squared: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpotRecord:
+    """One line of a spots file.
+
+    Attributes:
+        frame: index of the frame.
+        file_name: of the frame's image; empty if there is none.
+        time_s: of the frame; NaN if unknown.
+        mode: "literal", "subpixel" or "pixels".
+        result: the spot, or why there is none.
+        distance_mm: from the tip to the wall along the beam; NaN without a calibration. The mode
+            pixels may know it without a spot.
+        sigma_distance_mm: its standard deviation.
+        pose_age_s: age of the robot's pose at the frame's time; NaN if unknown.
+        distance_low_mm: begin of the 95 % interval of the distance, which contains the model's
+            correction; NaN if unknown, as in files of version 1.
+        distance_high_mm: its end.
+        largest_cause: what makes it wide: one of `Cause`; empty if unknown.
+        pose: tip and axis of the mode pixels; None of the others.
+        wall_memory: what the mode pixels knew of the wall: one of `WallMemory`; empty in the
+            others.
+    """
+
+    frame: int
+    file_name: str
+    time_s: float
+    mode: str
+    result: Spot | NoSpot
+    distance_mm: float = field(default=math.nan)
+    sigma_distance_mm: float = field(default=math.nan)
+    pose_age_s: float = field(default=math.nan)
+    distance_low_mm: float = field(default=math.nan)
+    distance_high_mm: float = field(default=math.nan)
+    largest_cause: str = ""
+    pose: BeamPose | None = None
+    wall_memory: str = ""
+
+    @property
+    def status(self) -> str:
+        """The file's `status`: "spot" or "no_spot"."""
+        return "spot" if self.result else "no_spot"
+
+    @property
+    def reason(self) -> str:
+        """The file's `reason`: one of `Reason`, empty with a spot."""
+        return self.result.reason.value if isinstance(self.result, NoSpot) else ""
+
+    @property
+    def significance(self) -> float:
+        """Of a spot that is too faint, see `NoSpot`; NaN of others."""
+        return self.result.significance if isinstance(self.result, NoSpot) else math.nan
+
+
+def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
+    """Write a spots file, whole or not at all; one of the same name is replaced.
+
+    Args:
+        path: of the file; the suffix `.parquet` selects Parquet, any other CSV.
+        records: in the order of the file's lines.
+
+    Raises:
+        InputError: Parquet without pyarrow installed.
+    """
+    write = _write_parquet if is_parquet(path) else _write_csv
+    with written_whole(Path(path), replace=True) as partial:
+        write(partial, records)
+
+
+def spots_table(records: Iterable[SpotRecord]) -> pd.DataFrame:
+    """The records as a table with the columns of a spots file, what is looked at first in front."""
+    import pandas as pd
+
+    table = pd.DataFrame(map(_line, records), columns=[*COLUMNS])
+    for name in COLUMNS:
+        if (kind := _KINDS.get(name, float)) is not str:
+            table[name] = table[name].replace("", "nan").astype(float).astype(kind)
+    return table[[*FIRST_COLUMNS, *(name for name in COLUMNS if name not in FIRST_COLUMNS)]]
+
+
+def read_spots(path: str | Path) -> list[SpotRecord]:
+    """Read a spots file.
+
+    Raises:
+        InputError: not a spots file, of another schema version, or with a wrong value; the message
+            names the file and the line.
+    """
+    path = Path(path)
+    rows = _parquet_rows(path) if is_parquet(path) else csv_rows(path, check=_check_columns)
+    records = []
+    for row, where in rows:
+        with in_file(where):
+            records.append(_record(row))
+    return records
+
+
+def pyarrow() -> Any:
+    """The library that reads and writes Parquet, loaded when it is needed.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        importlib.import_module("pyarrow.parquet")
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "Parquet needs the package pyarrow: pip install 'eyespot[parquet]'. CSV needs nothing."
+        ) from error
+    return importlib.import_module("pyarrow")
+
+
+def is_parquet(path: str | Path) -> bool:
+    """Whether a spots file of this name is Parquet, and not CSV."""
+    return Path(path).suffix.lower() == ".parquet"
+
+
+def csv_line(record: SpotRecord | None) -> str:
+    """The line of a record in a CSV file; without a record, the line of the column names."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(_line(record) if record else COLUMNS)
+    return text.getvalue()
+
+
+def parquet_of_csv(lines: Path, path: Path) -> None:
+    """Write the Parquet file with the lines of a CSV file, a part at a time.
+
+    Args:
+        lines: spots file, CSV.
+        path: of the Parquet file.
+    """
+    pa, csv_reader = pyarrow(), importlib.import_module("pyarrow.csv")
+    kinds = {int: pa.int64(), str: pa.string(), float: pa.float64()}
+    schema = pa.schema([(name, kinds[_KINDS.get(name, float)]) for name in COLUMNS])
+    # Only numbers may be missing, and only as empty cells: NA may be the name of a file.
+    convert = csv_reader.ConvertOptions(column_types=schema, null_values=[""])
+    parse = csv_reader.ParseOptions(newlines_in_values=True)
+    # As open files: pyarrow takes no names that are not UTF-8.
+    with (
+        lines.open("rb") as source,
+        path.open("wb") as sink,
+        csv_reader.open_csv(source, convert_options=convert, parse_options=parse) as parts,
+        pa.parquet.ParquetWriter(sink, schema) as file,
+    ):
+        for part in parts:
+            file.write_batch(part)
+
+
+def _write_csv(path: Path, records: Iterable[SpotRecord]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(csv_line(None))
+        file.writelines(map(csv_line, records))
+
+
+def _write_parquet(path: Path, records: Iterable[SpotRecord]) -> None:
+    lines = path.with_name("lines.csv")
+    _write_csv(lines, records)
+    parquet_of_csv(lines, path)
+
+
+def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
+    pa = pyarrow()
+    again = "Write it with write_spots."
+    with in_file(path):
+        check_regular(path)
+    with path.open("rb") as opened:
+        with damage_reported(f"{path}", again):
+            file = pa.parquet.ParquetFile(opened)
+            names, count = file.schema_arrow.names, file.metadata.num_rows
+        with in_file(path):
+            _check_columns(names)
+            if count > MOST_ROWS:
+                raise InputError(f"{count:,} rows; at most {MOST_ROWS:,} are read. Split the file.")
+        with damage_reported(f"{path}", again):
+            rows = file.read(columns=[n for n in COLUMNS if n in names]).to_pylist()
+    for index, row in enumerate(rows):
+        cells = {name: "" if value is None else str(value) for name, value in row.items()}
+        yield cells, f"{path}, row {index}"
+
+
+def _check_columns(names: Collection[str]) -> None:
+    missing = [name for name in COLUMNS if name not in names and name not in _LATER]
+    if missing:
+        raise InputError(
+            f"not a spots file: column {missing[0]!r} is missing"
+            f" ({len(missing)} of {len(COLUMNS)} are). Write it with write_spots."
+        )
+
+
+def _line(record: SpotRecord) -> list[str]:
+    spot = record.result if isinstance(record.result, Spot) else None
+    values = [getattr(spot, name) for name in _VALUES] if spot else [math.nan] * len(_VALUES)
+    covariance = [spot.covariance[i, j] if spot else math.nan for i, j in _UPPER]
+    return [
+        str(record.frame),
+        record.file_name,
+        _cell(record.time_s),
+        record.mode,
+        record.status,
+        record.reason,
+        *map(_cell, values),
+        *(_cell(getattr(record, name)) for name in _DISTANCES),
+        *map(_cell, covariance),
+        *(_cell(getattr(record, name)) for name in _INTERVAL),
+        record.largest_cause,
+        *map(_cell, _pose_cells(record.pose)),
+        record.wall_memory,
+        _cell(record.significance),
+        str(SCHEMA_VERSION),
+    ]
+
+
+def _pose_cells(pose: BeamPose | None) -> list[float]:
+    if pose is None:
+        return [math.nan] * len(_POSES)
+    covariance = [float(pose.covariance[i, j]) for i, j in _UPPER]
+    return [*map(float, pose.tip_mm), *map(float, pose.axis), *covariance, pose.chi_squared]
+
+
+def _pose(values: dict[str, float]) -> BeamPose | None:
+    if math.isnan(values["tip_x_mm"]):
+        return None
+    place = np.array([values[name] for name in _POSE])
+    covariance = np.empty((5, 5))
+    for (i, j), name in zip(_UPPER, _POSE_COVARIANCES, strict=True):
+        covariance[i, j] = covariance[j, i] = values[name]
+    return BeamPose(place[:3], place[3:], covariance, values["chi_squared"])
+
+
+def _cell(value: float) -> str:
+    return "" if math.isnan(value) else repr(float(value))
+
+
+def _record(row: dict[str, str]) -> SpotRecord:
+    version = row["schema_version"]
+    found = int(version) if re.fullmatch("[0-9]{1,9}", version) else version or None
+    check_schema(found, HISTORY, remedy="Write the file again.")
+    values = {
+        name: number_in(row.get(name, ""), name)
+        for name in (
+            "time_s",
+            *_VALUES,
+            *_DISTANCES,
+            *_COVARIANCES,
+            *_INTERVAL,
+            *_POSES,
+            "significance",
+        )
+    }
+    frame = number_in(row["frame"], "frame")
+    if not (0 <= frame < _MOST_FRAMES and frame == int(frame)):
+        raise InputError(
+            f"frame must be a whole number from 0 on, below {_MOST_FRAMES:,}; got "
+            f"{shortened(row['frame'])}."
+        )
+    return SpotRecord(
+        frame=int(frame),
+        file_name=row["file_name"],
+        time_s=values["time_s"],
+        mode=row["mode"],
+        result=_result(row, values),
+        **{name: values[name] for name in (*_DISTANCES, *_INTERVAL)},
+        largest_cause=row.get("largest_cause", ""),
+        pose=_pose(values),
+        wall_memory=row.get("wall_memory", ""),
+    )
+
+
+def _result(row: dict[str, str], values: dict[str, float]) -> Spot | NoSpot:
+    if row["status"] == "no_spot":
+        try:
+            return NoSpot(Reason(row["reason"]), values["significance"])
+        except ValueError:
+            known = ", ".join(reason.value for reason in Reason)
+            raise InputError(
+                f"reason must be one of {known}; got {shortened(row['reason'])}."
+            ) from None
+    if row["status"] != "spot":
+        raise InputError(f"status must be spot or no_spot; got {shortened(row['status'])}.")
+    covariance = np.empty((5, 5))
+    for (i, j), name in zip(_UPPER, _COVARIANCES, strict=True):
+        covariance[i, j] = covariance[j, i] = values[name]
+    _check_ellipse(values)
+    measured = {name: values[name] for name in _VALUES if name != "sigma_semi_minor_px"}
+    return Spot(covariance=covariance, **measured)
+
+
+def _check_ellipse(values: dict[str, float]) -> None:
+    """Refuse an ellipse that no image has; what a mode does not measure is NaN."""
+    for name in _PLACE:
+        low = -_LARGEST_PX if name in ("x_px", "y_px") else 0.0
+        if not low < values[name] < _LARGEST_PX:
+            raise InputError(
+                f"{name} of a spot must lie in ({low:g}, {_LARGEST_PX:g}) px; got {values[name]}."
+            )
+    if not abs(values["angle_rad"]) <= 4.0:
+        raise InputError(f"angle_rad must lie in (-pi/2, pi/2]; got {values['angle_rad']} rad.")
+    negative = [f"cov_{name}_{name}" for name in PARAMETERS if values[f"cov_{name}_{name}"] < 0]
+    if negative or any(abs(values[name]) > _LARGEST_PX**2 for name in _COVARIANCES):
+        raise InputError(
+            f"{(negative or ['a covariance'])[0]} must be a variance, from 0 to "
+            f"{_LARGEST_PX**2:g}. Write the spots again."
+        )

@@ -1,0 +1,560 @@
+"""Stack folder: frames, masks, one line of labels per frame, the scene as run, checksums.
+
+The writer adds frame by frame, so that a stopped run can continue.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import shutil
+import threading
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Self, TypeVar, get_type_hints
+
+import cv2
+import numpy as np
+import tomli_w
+from pydantic import ConfigDict, Field, create_model
+from pydantic import Strict as StrictType
+
+from formats.images import read_image
+from formats.inputs import (
+    InputError,
+    Strict,
+    check_schema,
+    csv_rows,
+    in_file,
+    inside,
+    number_in,
+    object_in,
+    read_text,
+    read_toml,
+    shortened,
+    validated,
+)
+from formats.manifest import MANIFEST, Fingerprint, differences, read_manifest, write_manifest
+from formats.whole_files import (
+    STOPPED,
+    empty,
+    errors_named,
+    give_name,
+    hidden_beside,
+    lock,
+    refuse_existing,
+    sweep,
+    written_whole,
+)
+
+SCHEMA = 1
+HISTORY = {1: "the format of eyespot 0.1"}
+"""What changed with each version of the format that is read, in any of its files."""
+
+KINEMATICS = ("time_s", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z")
+"""Columns of kinematics.csv."""
+
+_MOST_LABEL_BYTES = 2**28  # of metadata.jsonl: 250,000 images
+_LARGEST = 1e12  # of any label; times in s since 1970 have ten digits
+_AGAIN = "Render the stack again."
+_Kind = TypeVar("_Kind")
+
+Vector = Annotated[tuple[float, float, float], StrictType(False)]
+"""Three numbers; JSON has a list for the tuple."""
+
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+"""A whole number that NumPy and HDF5 can have, too."""
+
+
+class StackError(InputError):
+    """A folder is not a stack, or not one that this version reads; the text says which file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameLabels:
+    """True values of one image; lengths mm, angles rad, eye frame; image quantities px.
+
+    Attributes:
+        frame: index of the moment; images of several exposures share it.
+        time_s: middle of the exposure, on the camera's clock; 0 where the motion begins.
+        exposure: "paper" or "metered".
+        d_mm: |SO|, tip to wall along the beam's axis.
+        nearest_mm: tip to the nearest wall point.
+        c_mm, azimuth_rad, phi_rad: of O; sin(phi) = c/r.
+        incidence_rad, incidence_azimuth_rad: of the beam at O.
+        cone_*: ellipse of the geometric cone's edge.
+        half_max_*: ellipse of half of the noise-free, unoccluded direct peak.
+        spread_cone_*, spread_half_max_*: the same two after the wall has spread the light, in
+            green: where half of the light of a point comes from inside the cone's edge, and half
+            of the spread light's peak. NaN, and not in the file, if the wall does not spread it.
+        red_shift_*, blue_shift_*: where red and blue show O, against green; NaN, and not in the
+            file, for a pinhole.
+        reflex_*: where the brightest reflex of the microscope's lamp shows the lamp's centre; NaN,
+            and not in the file, if the scene shows none.
+        view_*: shift of the image by drift and shake, which the ellipses contain; NaN, and not in
+            the file, if the view keeps still. So are the next two.
+        eye_turn_*: rotation vector of the eyeball, and with it of the wall's picture, degrees.
+        relative_power: power of the source, relative to its mean.
+        bound_*: Cramér-Rao bound: the least standard deviation with which an unbiased estimator can
+            measure the half-maximum ellipse in this image, and bound_d_mm the distance from it;
+            NaN, and not in the file, if the scene does not ask for it.
+        visible_fraction: part of the half-maximum contour that the camera sees.
+        speed_mm_s: of the tip in the middle of the exposure.
+        saturated_fraction: part of the mask's pixels with a channel at full scale.
+    """
+
+    file_name: str
+    mask_file_name: str
+    frame: Count
+    time_s: float
+    exposure: str
+    exposure_s: float
+    d_mm: float
+    nearest_mm: float
+    c_mm: float
+    azimuth_rad: float
+    phi_rad: float
+    incidence_rad: float
+    incidence_azimuth_rad: float
+    tip_mm: Vector
+    axis: Vector
+    spot_mm: Vector
+    cone_x_px: float
+    cone_y_px: float
+    cone_semi_major_px: float
+    cone_semi_minor_px: float
+    cone_angle_rad: float
+    half_max_x_px: float
+    half_max_y_px: float
+    half_max_semi_major_px: float
+    half_max_semi_minor_px: float
+    half_max_angle_rad: float
+    visible_fraction: float
+    saturated_fraction: float
+    speed_mm_s: float
+    medium: str
+    seed: Count
+    spread_cone_x_px: float = math.nan
+    spread_cone_y_px: float = math.nan
+    spread_cone_semi_major_px: float = math.nan
+    spread_cone_semi_minor_px: float = math.nan
+    spread_cone_angle_rad: float = math.nan
+    spread_half_max_x_px: float = math.nan
+    spread_half_max_y_px: float = math.nan
+    spread_half_max_semi_major_px: float = math.nan
+    spread_half_max_semi_minor_px: float = math.nan
+    spread_half_max_angle_rad: float = math.nan
+    red_shift_x_px: float = math.nan
+    red_shift_y_px: float = math.nan
+    blue_shift_x_px: float = math.nan
+    blue_shift_y_px: float = math.nan
+    reflex_x_px: float = math.nan
+    reflex_y_px: float = math.nan
+    view_x_px: float = math.nan
+    view_y_px: float = math.nan
+    eye_turn_x_deg: float = math.nan
+    eye_turn_y_deg: float = math.nan
+    eye_turn_z_deg: float = math.nan
+    relative_power: float = math.nan
+    bound_x_px: float = math.nan
+    bound_y_px: float = math.nan
+    bound_semi_major_px: float = math.nan
+    bound_semi_minor_px: float = math.nan
+    bound_d_mm: float = math.nan
+
+    def row(self) -> dict[str, Any]:
+        """The fields of a line, without those that this scene does not have."""
+        return {n: v for n, v in vars(self).items() if not (n in _OPTIONAL and math.isnan(v))}
+
+
+_OPTIONAL = {field.name for field in fields(FrameLabels) if field.default is not MISSING}
+
+
+@dataclass(frozen=True)
+class Stack:
+    """A stack on disk.
+
+    Attributes:
+        folder: where it lies.
+        labels: one entry an image, in file order.
+        description: content of stack.toml.
+    """
+
+    folder: Path
+    labels: tuple[FrameLabels, ...]
+    description: dict[str, Any]
+
+    def __repr__(self) -> str:
+        return f"<Stack {self.folder}: {len(self.labels)} images>"
+
+    def exposed(self, exposure: str) -> tuple[FrameLabels, ...]:
+        """Labels of the images with one kind of exposure."""
+        return tuple(labels for labels in self.labels if labels.exposure == exposure)
+
+    def image(self, labels: FrameLabels) -> np.ndarray:
+        """The image (RGB) that the labels describe."""
+        return self._read(labels.file_name)
+
+    def linear(self, labels: FrameLabels) -> np.ndarray:
+        """Noise-free radiance (RGB, float32, mW/(mm2 sr)) behind an image.
+
+        Raises:
+            StackError: the stack was rendered without `keep_linear`.
+        """
+        name = linear_name(labels)
+        if not self.path_of(name).is_file():
+            raise StackError(
+                f"{self.folder / name} is missing. Render the stack with exposures.keep_linear = "
+                "true."
+            )
+        return self._read(name)
+
+    def mask(self, labels: FrameLabels) -> np.ndarray:
+        """Mask of the visible spot, 0 or 255."""
+        return self._read(labels.mask_file_name)
+
+    def kinematics(self) -> dict[str, np.ndarray]:
+        """What the robot reported: the columns of kinematics.csv by name, as they are written.
+
+        Raises:
+            InputError: the file is no such table, or has more than finite numbers.
+            OSError: the file is missing or cannot be read.
+        """
+
+        def check(names: Collection[str]) -> None:
+            if tuple(names) != KINEMATICS:
+                raise InputError(
+                    f"its columns must be {', '.join(KINEMATICS)}; got {shortened(list(names))}. "
+                    f"{_AGAIN}"
+                )
+
+        columns: dict[str, list[float]] = {name: [] for name in KINEMATICS}
+        for row, where in csv_rows(self.path_of("kinematics.csv"), check=check):
+            for name, cell in row.items():
+                with in_file(where):
+                    value = number_in(cell, name)
+                    if math.isnan(value):
+                        raise InputError(f"{name} must be a finite number; got {cell!r}. {_AGAIN}")
+                columns[name].append(value)
+        return {name: np.array(values) for name, values in columns.items()}
+
+    def path_of(self, name: str) -> Path:
+        """Path of a file that the labels or the manifest name.
+
+        Raises:
+            StackError: the name leads out of the folder, see `inside`.
+        """
+        with in_file(self.folder, StackError):
+            return inside(self.folder, name)
+
+    def described(self, key: str, kind: type[_Kind]) -> _Kind:
+        """A value of stack.toml.
+
+        Args:
+            key: with its tables, such as "scene.phantom.kind".
+            kind: of the value; a whole number counts as a float.
+
+        Raises:
+            StackError: it is missing or of another kind.
+        """
+        found: Any = self.description
+        for part in key.split("."):
+            found = found.get(part) if isinstance(found, dict) else None
+        if kind is float and type(found) is int:
+            found = float(found)
+        if type(found) is not kind or (isinstance(found, float) and not math.isfinite(found)):
+            raise StackError(
+                f"{self.folder / 'stack.toml'}: {key} must be a finite {kind.__name__}; got "
+                f"{shortened(found)}. Render the stack again."
+            )
+        return found
+
+    def _read(self, name: str) -> np.ndarray:
+        path = self.path_of(name)
+        try:
+            return read_image(path).image
+        except FileNotFoundError as error:
+            raise StackError(f"{path} is missing. Render the stack again.") from error
+        except InputError as error:
+            raise StackError(f"{path} {error}. Render the stack again.") from error
+
+    def images(self, exposure: str) -> Iterator[np.ndarray]:
+        """Images (RGB) of one kind of exposure, in order."""
+        return (self.image(labels) for labels in self.exposed(exposure))
+
+    def verify(self) -> None:
+        """Compare the folder with its manifest.
+
+        Raises:
+            StackError: naming the first file that is missing, changed or unexpected.
+        """
+        for difference in differences(self.folder, self._manifest()):
+            raise StackError(f"{self.folder / difference}.")
+
+    def _manifest(self) -> dict[str, Fingerprint]:
+        try:
+            return read_manifest(self.folder, remedy="Render the stack again.")
+        except FileNotFoundError as error:
+            raise StackError(f"{self.folder / MANIFEST} is missing.") from error
+        except InputError as error:
+            raise StackError(f"{error}") from error
+
+
+class _AnyRow(Strict):
+    model_config = ConfigDict(allow_inf_nan=True)
+
+
+_COLUMNS: dict[str, Any] = {
+    name: (kind, math.nan if name in _OPTIONAL else ...)
+    for name, kind in get_type_hints(FrameLabels, include_extras=True).items()
+}
+_Row = create_model("_Row", __base__=_AnyRow, **_COLUMNS)
+"""A line of metadata.jsonl: the fields of `FrameLabels`."""
+
+
+def read_stack(folder: Path) -> Stack:
+    """Open a stack and read its labels; images are read later, one by one.
+
+    Raises:
+        StackError: the folder is not a stack, has another schema, a label line is broken, or labels
+            and frames do not match; the message names the file and the line.
+    """
+    folder = Path(folder)
+    try:
+        with in_file(folder / "stack.toml", StackError):
+            description = read_toml(folder / "stack.toml")
+            check_schema(description.get("schema"), HISTORY, remedy=_AGAIN)
+        with in_file(folder / "metadata.jsonl", StackError):
+            text = read_text(folder / "metadata.jsonl", most_bytes=_MOST_LABEL_BYTES)
+    except FileNotFoundError as error:
+        raise StackError(
+            f"{folder} is not a stack: {Path(error.filename).name} is missing."
+        ) from error
+    lines = text.removesuffix("\n").split("\n") if text else []
+    labels = tuple(_parse(folder, n, line) for n, line in enumerate(lines, 1))
+    _match(folder, labels)
+    return Stack(folder, labels, description)
+
+
+def _parse(folder: Path, number: int, line: str) -> FrameLabels:
+    with in_file(f"{folder / 'metadata.jsonl'}, line {number}", StackError):
+        row = FrameLabels(**vars(validated(_Row, object_in(line), remedy=_AGAIN)))
+        for name in (row.file_name, row.mask_file_name):
+            inside(folder, name)
+        _check_numbers(row)
+    return row
+
+
+def _check_numbers(row: FrameLabels) -> None:
+    """Refuse numbers with which nothing can be computed; what is unknown is NaN or infinite."""
+    for name, value in vars(row).items():
+        known = isinstance(value, float) and (name == "time_s" or math.isfinite(value))
+        if known and not abs(value) <= _LARGEST:
+            raise InputError(f"{name} must be a number within {_LARGEST:g}; got {value}. {_AGAIN}")
+
+
+def _match(folder: Path, labels: tuple[FrameLabels, ...]) -> None:
+    """Every line has its frame, every frame its line."""
+    frames = {f"frames/{path.name}" for path in (folder / "frames").glob("*.png")}
+    seen: set[str] = set()
+    for number, row in enumerate(labels, 1):
+        where = f"{folder / 'metadata.jsonl'}, line {number}"
+        if row.file_name in seen:
+            raise StackError(f"{where}: {row.file_name} has a line already.")
+        if row.file_name not in frames:
+            raise StackError(f"{where}: {folder / row.file_name} is missing.")
+        seen.add(row.file_name)
+    if unlabelled := sorted(frames - seen):
+        raise StackError(
+            f"{folder / unlabelled[0]} has no line in metadata.jsonl, which ends after line "
+            f"{len(labels)}. Render the stack again."
+        )
+
+
+def linear_name(labels: FrameLabels) -> str:
+    """Name of the kept radiance behind an image."""
+    return f"linear/{Path(labels.file_name).stem}.tiff"
+
+
+# Camera noise has no repeated strings: entropy coding alone makes smaller files than zlib's default
+# strategy, in half of the time. A mask consists of repeated strings.
+_PNG = [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB]
+_PNG += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
+_MASK = [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
+_MASK += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+_TIFF = [cv2.IMWRITE_TIFF_COMPRESSION, 1]  # none: noise-free floats hardly compress
+_LABELS = "metadata.jsonl"
+_IMAGES = ("frames", "masks", "linear")
+
+
+class StackWriter:
+    """Writes a stack; at the end of a `with` block without an error it is complete and renamed.
+
+    After an error, or if the process ends at any moment, the frames that are complete remain. The
+    next writer of that folder keeps them if its description is the same, and else starts again.
+
+    Args:
+        folder: name of the finished stack; must not exist yet.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = Path(folder)
+        self._partial = hidden_beside(self.folder, STOPPED)
+        self._lines: dict[str, str] = {}
+        self._described = False
+        self._one_at_a_time = threading.Lock()
+
+    def __enter__(self) -> Self:
+        """Lock the folder.
+
+        Raises:
+            InputError: the stack exists.
+            BeingWrittenError: another process is writing it.
+            OSError: the folder cannot be written.
+        """
+        refuse_existing(self.folder)
+        self.folder.parent.mkdir(parents=True, exist_ok=True)
+        self._lock = lock(self._partial, of=self.folder)
+        try:
+            refuse_existing(self.folder)  # another process may just have finished it
+        except InputError:
+            os.close(self._lock)
+            raise
+        return self
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether another run writes the stack, or was stopped while it did."""
+        return self._partial.is_dir()
+
+    def describe(
+        self,
+        *,
+        stack: dict[str, Any],
+        microscope: dict[str, Any],
+        kinematics: np.ndarray | None = None,
+    ) -> None:
+        """Write stack.toml, microscope.json and kinematics.csv; keep frames that belong to them.
+
+        Args:
+            stack: everything that determines images and labels: the scene, versions.
+            microscope: the camera.
+            kinematics: n x 7, time (s), tip (mm) and axis that the robot reported.
+        """
+        texts = {
+            "stack.toml": tomli_w.dumps({"schema": SCHEMA, **stack}),
+            "microscope.json": json.dumps({"schema": SCHEMA, **microscope}, indent=1) + "\n",
+        }
+        if kinematics is not None:
+            texts["kinematics.csv"] = _kinematics_csv(kinematics)
+        with errors_named(self._partial, self.folder):
+            if not all(_holds(self._partial / name, text) for name, text in texts.items()):
+                empty(self._partial)
+                for name, text in texts.items():
+                    _write_text(self._partial / name, text)
+            for folder in (self._partial, *(self._partial / name for name in _IMAGES)):
+                sweep(folder)
+            self._lines = self._lines_left()
+            self._described = True
+            _write_text(self._partial / _LABELS, "".join(self._lines.values()))
+
+    def has(self, file_name: str) -> bool:
+        """Whether a stopped run has written an image, its mask and its labels."""
+        return file_name in self._lines
+
+    def add(
+        self,
+        image: np.ndarray,
+        labels: FrameLabels,
+        mask: np.ndarray | None,
+        linear: np.ndarray | None = None,
+    ) -> None:
+        """Write one image (RGB or grey), its labels, and its mask unless another image shares it.
+
+        Images may be added in any order and from several threads; labels are sorted by name.
+
+        Args:
+            image: 8 or 16 bits.
+            labels: its true values.
+            mask: 0 or 255.
+            linear: radiance behind the image, to be kept with it.
+        """
+        with errors_named(self._partial, self.folder):
+            if mask is not None:
+                _write_image(self._partial / labels.mask_file_name, mask, _MASK)
+            if linear is not None:
+                light = linear.astype(np.float32)
+                _write_image(self._partial / linear_name(labels), light, _TIFF)
+            _write_image(self._partial / labels.file_name, image, _PNG)
+            # Last, because a line means that the files it names are complete.
+            self._add_line(labels)
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
+        try:
+            if kind is None:
+                with errors_named(self._partial, self.folder):
+                    self._finish()
+            elif self._described and not self._lines:
+                shutil.rmtree(self._partial)
+            else:  # frames of a stopped run, or nothing at all
+                with suppress(OSError):
+                    self._partial.rmdir()
+        finally:
+            os.close(self._lock)
+
+    def _add_line(self, labels: FrameLabels) -> None:
+        line = json.dumps(labels.row()) + "\n"
+        path = self._partial / _LABELS
+        with self._one_at_a_time:
+            before = path.stat().st_size
+            try:
+                with path.open("a", encoding="utf-8") as file:
+                    file.write(line)
+            except OSError:
+                os.truncate(path, before)  # the next line would end a half one
+                raise
+            self._lines[labels.file_name] = line
+
+    def _finish(self) -> None:
+        lines = [self._lines[name] for name in sorted(self._lines)]
+        _write_text(self._partial / _LABELS, "".join(lines))
+        write_manifest(self._partial, schema=SCHEMA)
+        give_name(self._partial, self.folder)
+
+    def _lines_left(self) -> dict[str, str]:
+        """Label lines of the images that a stopped run has finished, by the image's name."""
+        path = self._partial / _LABELS
+        lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+        # A line that was not finished has no end.
+        whole = [line for line in lines if line.endswith("\n")]
+        return {json.loads(line)["file_name"]: line for line in whole}
+
+
+def _kinematics_csv(rows: np.ndarray) -> str:
+    """To 1 us, 1 nm and 1 nrad: far below a robot's accuracy."""
+    text = io.StringIO()
+    formats, header = ["%.6f"] * 4 + ["%.9f"] * 3, ",".join(KINEMATICS)
+    np.savetxt(text, rows, fmt=formats, delimiter=",", header=header, comments="")
+    return text.getvalue()
+
+
+def _write_image(path: Path, image: np.ndarray, options: list[int]) -> None:
+    ordered = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
+    # OpenCV does not say why it cannot write a file.
+    _, encoded = cv2.imencode(path.suffix, ordered, options)
+    path.parent.mkdir(exist_ok=True)
+    with written_whole(path, replace=True) as partial:
+        partial.write_bytes(encoded.tobytes())
+
+
+def _write_text(path: Path, text: str) -> None:
+    with written_whole(path, replace=True) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def _holds(path: Path, text: str) -> bool:
+    return path.is_file() and path.read_bytes() == text.encode()

@@ -1,0 +1,301 @@
+"""Files that are written whole or not at all, arrays kept in the cache, and damage as one error."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from formats.inputs import InputError
+
+UNFINISHED = ".unfinished"
+STOPPED = ".partial"  # a stopped stack, which `StackWriter` continues
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_TAKEN = {errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR, errno.EISDIR}
+# File systems such as exFAT have no hard links, and some on networks no locks.
+_NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
+_NO_LOCKS = {errno.ENOTSUP, errno.ENOSYS, errno.ENOLCK, errno.EBADF, errno.EINVAL}
+
+
+class BeingWrittenError(InputError):
+    """Another process is writing the same file or folder."""
+
+
+@contextmanager
+def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
+    """Write a file or folder in another place; it gets its name when it is whole.
+
+    Enter this before long work, not after it: it fails at once if the file could not be written,
+    and no other process can start to write the same file. If the block raises, nothing is left.
+
+    Args:
+        path: of the finished file or folder.
+        replace: replace a file of this name in one step; only for a file that eyespot itself has
+            written. Otherwise an existing file or folder is an error, also if it appears while the
+            block runs.
+
+    Yields:
+        A path with the same name in another folder; nothing is there yet.
+
+    Raises:
+        InputError: something of this name exists, or is no file where one is to be replaced.
+        BeingWrittenError: another process is writing it.
+        OSError: it cannot be written; the error has the finished file's name.
+    """
+    path = Path(path)
+    check = refuse_foreign if replace else refuse_existing
+    place = hidden_beside(path, UNFINISHED)
+    handle = lock(place, of=path)
+    try:
+        check(path)
+        empty(place)
+        with errors_named(place / path.name, path):
+            yield place / path.name
+            check(path)
+            give_name(place / path.name, path, replace=replace)
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+        os.close(handle)
+
+
+def hidden_beside(path: Path, ending: str) -> Path:
+    """Where a file or folder is written, and recognised by `is_unfinished`.
+
+    Args:
+        path: of the finished file or folder.
+        ending: `UNFINISHED` or `STOPPED`.
+
+    Raises:
+        InputError: the path has no name, as "." and "..", and so exists.
+    """
+    if path.name in ("", ".."):
+        raise _taken(path)
+    return path.with_name(f".{path.name}{ending}")
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise an InputError if there is a file, folder or link of this name."""
+    if os.path.lexists(path):
+        raise _taken(path)
+
+
+def refuse_foreign(path: Path) -> None:
+    """Raise an InputError if there is a link or folder, which cannot be a file that we wrote."""
+    if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
+        raise InputError(f"{path} is a link or no file, and is not replaced. Move it away.")
+
+
+def require_space(path: Path, needed_bytes: float) -> None:
+    """Raise an InputError if a file or folder of this size does not fit on its disk.
+
+    Args:
+        path: of the file or folder, which need not exist.
+        needed_bytes: its size, rather too small than too large.
+    """
+    folder = next(parent for parent in Path(path).absolute().parents if parent.is_dir())
+    free = shutil.disk_usage(folder).free
+    if free < needed_bytes:
+        raise InputError(
+            f"{path} needs at least {_megabytes(needed_bytes)}, but its disk has "
+            f"{_megabytes(free)} left. Free some space, or choose another disk."
+        )
+
+
+def is_unfinished(name: str) -> bool:
+    """Whether a file name is that of something unfinished, which its writer left or still writes.
+
+    Args:
+        name: without folders.
+    """
+    return name.startswith(".") and name.endswith((UNFINISHED, STOPPED))
+
+
+def sweep(folder: Path) -> None:
+    """Remove what killed writers have left in a folder of eyespot's; stopped stacks are kept."""
+    for left in folder.glob(f".*{UNFINISHED}"):
+        with suppress(InputError):  # it is being written, or is not ours
+            handle = lock(left, of=left)
+            shutil.rmtree(left, ignore_errors=True)
+            os.close(handle)
+
+
+def lock(folder: Path, *, of: Path) -> int:
+    """Lock a folder for this process; it is made if it does not exist.
+
+    Args:
+        folder: the folder; a link is refused.
+        of: what is written there, for the message.
+
+    Returns:
+        A file descriptor. `os.close` removes the lock, and so does the end of the process.
+
+    Raises:
+        BeingWrittenError: another process has locked it.
+        InputError: it is no folder.
+    """
+    while True:
+        try:
+            with suppress(FileExistsError):
+                folder.mkdir()
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        except FileNotFoundError as error:
+            if folder.parent.is_dir():
+                continue  # its writer has just finished
+            raise InputError(
+                f"{folder.parent} is no folder. Make it, or choose another."
+            ) from error
+        except OSError as error:
+            if os.path.lexists(folder) and error.errno in (errno.ENOTDIR, errno.ELOOP):
+                raise InputError(f"{folder} is no folder. Move it away.") from error
+            raise OSError(error.errno, error.strerror, f"{of}") from error
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                os.close(handle)
+                raise BeingWrittenError(
+                    f"{of} is being written by another process. Wait for it to end, or choose "
+                    "another name."
+                ) from error
+        if _is_at(handle, folder):
+            return handle
+        os.close(handle)  # the folder that was locked has another name now, or none
+
+
+def give_name(made: Path, path: Path, *, replace: bool = False) -> None:
+    """Give a finished file or folder its name; an error if there is one of this name already.
+
+    Args:
+        made: where it is, on the same disk.
+        path: its name.
+        replace: replace a file of this name.
+
+    Raises:
+        InputError: something of this name exists, and is not to be replaced.
+    """
+    if replace:
+        os.replace(made, path)
+        return
+    try:
+        if made.is_dir():
+            refuse_existing(path)
+            os.rename(made, path)  # fails if anything but an empty folder has just appeared
+            return
+        try:
+            os.link(made, path)
+        except OSError as error:
+            if error.errno not in _NO_LINKS:
+                raise
+            os.rename(made, path)
+    except OSError as error:
+        if error.errno in _TAKEN:
+            raise _taken(path) from error
+        raise
+
+
+def empty(folder: Path) -> None:
+    """Remove what is in a folder, but not the folder."""
+    for path in folder.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
+@contextmanager
+def errors_named(made: Path, path: Path) -> Iterator[None]:
+    """Give errors of writing the name of the file that the user knows.
+
+    An error of `write` has no name, one of `shutil.copyfile` that of the source first.
+
+    Args:
+        made: where the file or folder is written.
+        path: its name when it is whole.
+    """
+    try:
+        yield
+    except OSError as error:
+        for name in (error.filename2, error.filename):
+            if isinstance(name, str | os.PathLike) and Path(name).is_relative_to(made):
+                known = path / Path(name).relative_to(made)
+                raise OSError(error.errno, error.strerror, f"{known}") from error
+        if error.filename is None and error.errno in _FULL:
+            raise OSError(error.errno, error.strerror, f"{path}") from error
+        raise
+
+
+@contextmanager
+def damage_reported(where: str, remedy: str) -> Iterator[None]:
+    """Turn any error of a third party's decoder about a damaged file into one ValueError.
+
+    Decoders raise all kinds of errors for damage: struct.error, KeyError, zlib.error and others. An
+    InputError goes on with what is wrong, after the place.
+
+    Args:
+        where: of the damage: the file, and the frame where there is one.
+        remedy: what to do about it.
+    """
+    try:
+        yield
+    except MemoryError:
+        raise
+    except InputError as error:
+        raise InputError(f"{where} {error}. {remedy}") from error
+    except Exception as error:
+        said = (
+            " ".join((getattr(error, "strerror", None) or f"{error}").split()).rstrip(".")
+            or type(error).__name__
+        )
+        raise InputError(f"{where}: cannot be read: {said}. {remedy}") from error
+
+
+def _taken(path: Path) -> InputError:
+    return InputError(
+        f"{path} already exists. Choose another name, or --overwrite if the command has it."
+    )
+
+
+def _is_at(handle: int, folder: Path) -> bool:
+    try:
+        there = folder.lstat()
+    except FileNotFoundError:
+        return False
+    return os.path.samestat(os.fstat(handle), there)
+
+
+def _megabytes(size: float) -> str:
+    return f"{size / 1e6:,.1f} MB"
+
+
+def cache_file(folder: str, key: str) -> Path:
+    """Where arrays are kept.
+
+    Args:
+        folder: name of a folder of the cache.
+        key: of all that the arrays depend on, hexadecimal.
+    """
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return caches / "eyespot" / folder / f"{key}.npz"
+
+
+def kept_arrays(path: Path, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Arrays by name from a file; if it is missing or damaged, they are computed and written."""
+    with suppress(InputError), damage_reported(f"{path}", "It is written anew."):
+        with path.open("rb") as file:
+            return dict(np.load(file))
+    values = compute()
+    # A cache that cannot be written costs time, not results; another process may be writing it.
+    with suppress(OSError, InputError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        sweep(path.parent)
+        with written_whole(path, replace=True) as partial:
+            np.savez(partial, **values)
+    return values

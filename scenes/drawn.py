@@ -1,0 +1,247 @@
+"""Frames computed by formula, without rendering; their ellipses are known exactly."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+from typing import Protocol
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.special import ndtr
+
+from scenes.walls.fundus import fundus
+
+Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Light (peak 1) from the elliptical radius (1 on the contour) and the distance from it in px."""
+
+
+def erf_edge(sigma_px: float) -> Profile:
+    """Uniform disc with an edge blurred by a Gaussian."""
+    return lambda t, distance: ndtr(-distance / sigma_px)
+
+
+def domed_edge(sigma_px: float, drop: float) -> Profile:
+    """Disc whose light falls by `drop` from the centre to the rim, with the same blur."""
+    # On the contour, dome times edge is 1/2, so the middle of the edge lies further inside.
+    shift = NormalDist().inv_cdf(0.5 / (1 - drop))
+    return lambda t, distance: (1 - drop * t * t) * ndtr(shift - distance / sigma_px)
+
+
+def flank(width: float) -> Profile:
+    """Plateau with a linear flank, `width` radii wide, as behind a flat glue lens."""
+    return lambda t, distance: np.clip(0.5 + (1 - t) / width, 0, 1)
+
+
+def bell(t: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Gaussian profile."""
+    return np.exp(-math.log(2) * t * t)
+
+
+SHAPE = (480, 640)
+
+_SHAFT_LEVEL = 5.0
+_SOFT_DISC = erf_edge(2.0)
+
+
+class MeasuredEllipse(Protocol):
+    """A measured ellipse, such as `formats.spots.Spot`: centre and semi-axes, px."""
+
+    @property
+    def x_px(self) -> float:
+        """Centre, u."""
+
+    @property
+    def y_px(self) -> float:
+        """Centre, v."""
+
+    @property
+    def semi_major_px(self) -> float:
+        """Longer semi-axis."""
+
+    @property
+    def semi_minor_px(self) -> float:
+        """Shorter semi-axis."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """The half-maximum ellipse of a spot, px and rad."""
+
+    x: float
+    y: float
+    semi_major: float
+    semi_minor: float
+    angle: float = 0.0
+
+    def moved(self, dx: float, dy: float) -> Truth:
+        """The same ellipse, shifted."""
+        return replace(self, x=self.x + dx, y=self.y + dy)
+
+    def errors(self, spot: MeasuredEllipse) -> tuple[float, float, float, float]:
+        """Errors (estimate minus truth) of x, y, semi-major and semi-minor axis, px."""
+        return (
+            spot.x_px - self.x,
+            spot.y_px - self.y,
+            spot.semi_major_px - self.semi_major,
+            spot.semi_minor_px - self.semi_minor,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drawing:
+    """Content of a synthetic frame. Levels refer to the brightest channel; full scale is 255.
+
+    Attributes:
+        truth: the ellipse of the spot.
+        profile: profile of its light.
+        amplitude: peak of its light on the mean wall.
+        ambient: uniform light on the mean wall.
+        noise: standard deviation of each channel.
+        wall: (H, W, 3) reflectance with mean 1 in the brightest channel; None for a uniform wall.
+        lit: (H, W) fraction of the spot's light that arrives, 1 without shadow.
+        seen: (H, W) visible fraction of the wall, 1 without a shaft.
+        glints: (H, W) light that is added to every channel.
+        path_px: (x, y) motion of the spot during the exposure, straight and uniform; the true
+            ellipse lies in the middle of it.
+    """
+
+    truth: Truth
+    profile: Profile = _SOFT_DISC
+    amplitude: float = 180.0
+    ambient: float = 15.0
+    noise: float = 3.0
+    wall: np.ndarray | None = None
+    lit: np.ndarray | None = None
+    seen: np.ndarray | None = None
+    glints: np.ndarray | None = None
+    path_px: tuple[float, float] | None = None
+
+
+def light_of(drawing: Drawing, shape: tuple[int, int] = SHAPE) -> np.ndarray:
+    """Noise-free values of the three channels, neither clipped nor rounded, (H, W, 3)."""
+    if drawing.amplitude == 0:
+        spot = np.zeros(shape)
+    else:
+        spot = drawing.amplitude * drawing.profile(*_radius_and_distance(drawing.truth, shape))
+    if drawing.path_px is not None:
+        spot = _moved(spot, *drawing.path_px)
+    if drawing.lit is not None:
+        spot = spot * drawing.lit
+    image = np.repeat((spot + drawing.ambient)[..., None], 3, axis=2)
+    if drawing.wall is not None:
+        image *= drawing.wall
+    if drawing.seen is not None:
+        image = _SHAFT_LEVEL + (image - _SHAFT_LEVEL) * drawing.seen[..., None]
+    if drawing.glints is not None:
+        image += drawing.glints[..., None]
+    return image
+
+
+def frame_of(
+    drawing: Drawing, rng: np.random.Generator, shape: tuple[int, int] = SHAPE
+) -> np.ndarray:
+    """The camera's 8-bit RGB frame."""
+    image = light_of(drawing, shape)
+    noise = rng.standard_normal(image.shape, dtype=np.float32)
+    noise *= drawing.noise
+    image += noise
+    np.clip(np.rint(image, out=image), 0, 255, out=image)
+    return image.astype(np.uint8)
+
+
+def _radius_and_distance(truth: Truth, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Elliptical radius, and signed distance to the contour (exact to first order)."""
+    v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
+    c, s = math.cos(truth.angle), math.sin(truth.angle)
+    x = ((u - truth.x) * c + (v - truth.y) * s) / truth.semi_major
+    y = ((v - truth.y) * c - (u - truth.x) * s) / truth.semi_minor
+    t = np.maximum(np.hypot(x, y), 1e-9)
+    gradient = np.hypot(x / truth.semi_major, y / truth.semi_minor) / t
+    return t, (t - 1) / np.maximum(gradient, 1e-9)
+
+
+def _moved(light: np.ndarray, x: float, y: float) -> np.ndarray:
+    """Mean of the light over a straight path about its position (a sinc in the spectrum).
+
+    It is exact for frequencies that the pixels resolve. The light must not reach the border.
+    """
+    along_y = np.fft.fftfreq(light.shape[0])[:, None] * y
+    along_x = np.fft.rfftfreq(light.shape[1]) * x
+    spectrum = np.fft.rfft2(light) * np.sinc(along_x + along_y)
+    return np.fft.irfft2(spectrum, s=light.shape)
+
+
+_SCALE_MM_PX = 0.0067
+_RETINA_PX = 2000
+
+
+def any_truth(
+    rng: np.random.Generator, semi_minor: float, axis_ratio: float = 1.1, about: float = 5.0
+) -> Truth:
+    """A random ellipse of a given size near the middle of the frame."""
+    dx, dy = rng.uniform(-about, about, 2)
+    return Truth(
+        x=SHAPE[1] / 2 + dx,
+        y=SHAPE[0] / 2 + dy,
+        semi_major=semi_minor * axis_ratio,
+        semi_minor=semi_minor,
+        angle=rng.uniform(-math.pi / 2, math.pi / 2),
+    )
+
+
+@functools.lru_cache(maxsize=4)
+def _retina(seed: int) -> np.ndarray:
+    return fundus(seed=seed, extent_mm=_RETINA_PX * _SCALE_MM_PX, pixels=_RETINA_PX)
+
+
+def any_wall(rng: np.random.Generator, shape: tuple[int, int] = SHAPE) -> np.ndarray:
+    """A random window of a printed retina, with mean 1 in the brightest channel."""
+    retina = _retina(int(rng.integers(4)))
+    row = rng.integers(retina.shape[0] - shape[0] + 1)
+    column = rng.integers(retina.shape[1] - shape[1] + 1)
+    wall = retina[row : row + shape[0], column : column + shape[1]].astype(float)
+    return wall / wall.mean(axis=(0, 1)).max()
+
+
+def behind_shaft(tip: tuple[float, float], heading: float, width_px: float) -> np.ndarray:
+    """Visible fraction of the wall behind a shaft from the tip in a direction (rad)."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    along = (u - tip[0]) * math.cos(heading) + (v - tip[1]) * math.sin(heading)
+    across = (v - tip[1]) * math.cos(heading) - (u - tip[0]) * math.sin(heading)
+    return 1 - np.clip(np.minimum(along, width_px / 2 - np.abs(across)) + 0.5, 0, 1)
+
+
+def with_shaft(
+    drawing: Drawing, rng: np.random.Generator, reach: float, width_px: float
+) -> Drawing:
+    """A drawing with a shaft. Its tip ends `reach` semi-minor axes before the spot's centre."""
+    truth, heading = drawing.truth, rng.uniform(0, 2 * math.pi)
+    away = reach * truth.semi_minor
+    tip = truth.x + away * math.cos(heading), truth.y + away * math.sin(heading)
+    return replace(drawing, seen=behind_shaft(tip, heading, width_px))
+
+
+def with_quarter_in_shadow(drawing: Drawing, rng: np.random.Generator) -> Drawing:
+    """A drawing with a sector of 90 degrees in shadow; its edges are blurred by 1.5 px."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    direction = np.arctan2(v - drawing.truth.y, u - drawing.truth.x) - rng.uniform(0, 2 * math.pi)
+    lit = (direction % (2 * math.pi) > math.pi / 2).astype(float)
+    return replace(drawing, lit=gaussian_filter(lit, 1.5))
+
+
+def with_glints(
+    drawing: Drawing, rng: np.random.Generator, *, on_edge: bool, number: int = 4
+) -> Drawing:
+    """A drawing with bright discs of 3 to 9 px radius on the contour, or within 1.6 radii."""
+    v, u = np.ogrid[: SHAPE[0], : SHAPE[1]]
+    glints = np.zeros(SHAPE)
+    for _ in range(number):
+        angle, radius = rng.uniform(0, 2 * math.pi), rng.uniform(3, 9)
+        away = drawing.truth.semi_minor * (1.0 if on_edge else rng.uniform(0.2, 1.6))
+        x, y = drawing.truth.x + away * math.cos(angle), drawing.truth.y + away * math.sin(angle)
+        glints[(u - x) ** 2 + (v - y) ** 2 < radius**2] = 250
+    return replace(drawing, glints=gaussian_filter(glints, 1.0))
