@@ -24,8 +24,7 @@ import pytest
 
 from estimator import Frame, Source
 from estimator.console.guide import Guide, Stage, exposure_advice
-from estimator.console.page import tip_px
-from estimator.console.session import Session
+from estimator.console.session import Session, tip_px
 from estimator.run.options import Options
 from estimator.sources.opening import open_source
 from formats.calibration import read_calibration

@@ -49,7 +49,7 @@ def console(
         raise InputError(
             f"the console needs the package {error.name}: pip install 'eyespot[console]'."
         ) from error
-    from estimator.console.page import is_loopback
+    from estimator.console.gate import is_loopback
 
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder. Make it, or choose another one.")

@@ -2,174 +2,30 @@
 
 from __future__ import annotations
 
-import ipaddress
 import math
-import secrets
 import time
 from collections.abc import Callable
-from http.cookies import SimpleCookie
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs
 
-import numpy as np
 from nicegui import app, ui
 from starlette.responses import Response as Reply
 
-from estimator.console.guide import CalibrationPanel, Guide, exposure_advice
-from estimator.console.session import COURSE_S, Session, View
+from estimator.console.gate import Gate
+from estimator.console.guide import (
+    FEWEST_SPOTS,
+    LEAST_MM,
+    Guide,
+    Stage,
+    exposure_advice,
+)
+from estimator.console.session import COURSE_S, Session, View, svg_of
 from estimator.distance.budget import Budget
-from estimator.image import outline_px
 from estimator.run.options import Options
 from estimator.sources.source import Source
 from formats.inputs import InputError
-from formats.microscope import MicroscopeFile
 from formats.poses import PoseTrack
-from formats.spots import NoSpot, Spot
-
-_COOKIE = "eyespot"
-_ASK = """<!doctype html><title>eyespot</title><meta name=viewport content="width=device-width">
-<style>body{font:20px sans-serif;display:grid;place-content:center;height:90vh;gap:1em}
-input,button{font:inherit;padding:.4em}</style>
-<form method=post action=/token><label>Token, as the console printed it:
-<input name=token type=password autofocus></label> <button>Open</button></form>"""
-_MOST_BYTES = 4096
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address can be reached from this machine only."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-class Gate:
-    """ASGI middleware before all pages, pictures and sockets.
-
-    A page of another site that is open in the same browser is refused (by the header Origin), and
-    so is a name that only pretends to be this machine (by the header Host).
-
-    Args:
-        app: behind the gate.
-        token: that is asked for; None on loopback.
-    """
-
-    def __init__(self, app: Any, *, token: str | None) -> None:
-        self._app, self._token = app, token
-
-    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        """Let a request through, or answer it."""
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        headers = {name.decode(): value.decode("latin-1") for name, value in scope["headers"]}
-        host = headers.get("host", "")
-        name = host.rpartition(":")[0].strip("[]") or host
-        own = headers.get("origin", f"http://{host}").partition("://")[2] == host
-        if not own or (self._token is None and not is_loopback(name)):
-            await _refuse(scope, send, 403, b"Forbidden")
-        elif self._token is None or self._knows(headers):
-            await self._app(scope, receive, send)
-        elif scope["type"] == "http" and scope["path"] == "/token" and scope["method"] == "POST":
-            await self._enter(receive, send)
-        else:
-            await _refuse(scope, send, 401, _ASK.encode())
-
-    def _knows(self, headers: dict[str, str]) -> bool:
-        cookie = SimpleCookie(headers.get("cookie", "")).get(_COOKIE)
-        return cookie is not None and secrets.compare_digest(cookie.value, self._token or "")
-
-    async def _enter(self, receive: Any, send: Any) -> None:
-        body, more = b"", True
-        while more and len(body) < _MOST_BYTES:
-            message = await receive()
-            body, more = body + message.get("body", b""), message.get("more_body", False)
-        given = parse_qs(body.decode("latin-1")).get("token", [""])[0]
-        cookie = f"{_COOKIE}={given}; HttpOnly; SameSite=Strict; Path=/"
-        right = secrets.compare_digest(given.encode(), (self._token or "").encode())
-        kept = [(b"set-cookie", cookie.encode("latin-1"))] if right else []
-        await send(
-            {
-                "type": "http.response.start",
-                "status": 303,
-                "headers": [(b"location", b"/"), *kept],
-            }
-        )
-        await send({"type": "http.response.body", "body": b""})
-
-
-async def _refuse(scope: Any, send: Any, status: int, body: bytes) -> None:
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": 1008})
-        return
-    headers = [(b"content-type", b"text/html; charset=utf-8")]
-    await send({"type": "http.response.start", "status": status, "headers": headers})
-    await send({"type": "http.response.body", "body": body})
-
-
-_EXPECTED_PX = 14  # radius of the circle where the spot was expected
-
-
-def svg_of(view: View, microscope: MicroscopeFile | None) -> str:
-    """The contour, its centre, the tip if it is known, and where the spot was expected.
-
-    Args:
-        view: what was measured.
-        microscope: of the frames; None if unknown.
-    """
-    camera = microscope.camera() if microscope else None
-    parts = []
-    distance = view.reading.range
-    if microscope and not microscope.viewing_path and distance and distance.poses:
-        x, y = tip_px(distance.poses[0].tip_mm, microscope) + 0.5
-        parts.append(
-            f'<path d="M{x - 7:.1f} {y - 7:.1f}l14 14m0 -14l-14 14" stroke="#ff5ecb"'
-            ' stroke-width="2" vector-effect="non-scaling-stroke"/>'
-        )
-    if view.expected_px is not None:
-        x, y = (value + 0.5 for value in view.expected_px)
-        parts.append(
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_EXPECTED_PX}" fill="none" stroke="#4aa3ff"'
-            ' stroke-width="1.5" stroke-dasharray="4 3" vector-effect="non-scaling-stroke"/>'
-        )
-    spot = view.reading.result
-    if isinstance(spot, Spot):
-        points, centre = outline_px(spot.ellipse, camera)
-        corners = " ".join(f"{x + 0.5:.1f},{y + 0.5:.1f}" for x, y in points)
-        x, y = centre + 0.5
-        colour = "#ffb000" if view.reading.doubt else "#2bff5e"
-        parts.append(
-            f'<polygon points="{corners}" fill="none" stroke="{colour}" stroke-width="2"'
-            ' vector-effect="non-scaling-stroke"/>'
-            f'<path d="M{x - 6:.1f} {y:.1f}h12M{x:.1f} {y - 6:.1f}v12" stroke="{colour}"'
-            ' stroke-width="1.5" vector-effect="non-scaling-stroke"/>'
-        )
-    return "".join(parts)
-
-
-def tip_px(tip_mm: np.ndarray, microscope: MicroscopeFile) -> np.ndarray:
-    r"""Where a point appears in the frame.
-
-    $u = u_0 + X / s$ and $v = v_0 - Y / s$ with the scale $s = \delta (1 - \kappa (Z + r))$ at the
-    point's height.
-
-    Args:
-        tip_mm: (X, Y, Z) in the eye frame, (3,).
-        microscope: a pinhole or telecentric, without a viewing path.
-
-    Returns:
-        (u, v), px, (2,).
-    """
-    x, y, z = tip_mm
-    height = z + microscope.eye_radius_mm
-    scale = microscope.scale_mm_px * (1 - microscope.inverse_working_distance * height)
-    point = np.array(microscope.principal_point_px) + np.array([x, -y]) / scale
-    camera = microscope.camera()
-    return point if camera is None else camera.all_distorted(point[None])[0]
-
+from formats.spots import NoSpot
 
 _PICTURE_S, _COURSE_S = 0.04, 0.25  # how often a page looks for something new
 _STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
@@ -457,3 +313,76 @@ def _chart(*, robot: bool) -> dict[str, Any]:
             {**line, "name": "distance by the robot", "color": "#d9822b"},
         ],
     }
+
+
+_LOOK_S = 0.25
+
+
+_MEDIA = ("air", "water", "vitreous")
+
+
+_STEPS = (
+    "1. Touch the wall with the tip. 2. Start, and withdraw the tip along the tool by 3 to 6 mm. "
+    "3. Fit: the calibration and its report with the residuals are written beside the bag."
+)
+
+
+class CalibrationPanel:
+    """One window's panel; all windows show the same guide.
+
+    Args:
+        guide: of the session.
+    """
+
+    def __init__(self, guide: Guide) -> None:
+        self._guide = guide
+        with ui.expansion("Calibrate the beam").classes("calibrate"):
+            ui.label(_STEPS).classes("note")
+            with ui.row().classes("controls"):
+                walls = {"plane": "a flat wall", "eyeball": "an eyeball"}
+                self._phantom = ui.select(walls, value="plane").props("dense outlined")
+                self._medium = ui.select(list(_MEDIA), value="air").props("dense outlined")
+                self._start = ui.button("Start at contact", on_click=self._on_start)
+                self._fit = ui.button("Fit", on_click=self._on_fit)
+                self._covered = ui.linear_progress(0.0, show_value=False).classes("covered")
+                self._state = ui.label().classes("note guide")
+            self._said = ui.label().classes("said")
+            self._report = ui.link("Report with residuals", "", new_tab=True).classes("report")
+        ui.timer(_LOOK_S, self._update)
+
+    def _update(self) -> None:
+        guide = self._guide
+        guide.look()
+        self._fit.set_enabled(guide.stage is Stage.WITHDRAWING and guide.enough)
+        self._start.set_enabled(guide.stage is not Stage.FITTING)
+        self._covered.set_value(min(guide.covered_mm / LEAST_MM, guide.spots / FEWEST_SPOTS, 1.0))
+        self._state.set_text(_state(guide))
+        self._said.set_text(guide.said)
+        self._report.set_visibility(guide.stage in (Stage.SAVED, Stage.REFUSED))
+        self._report.props(f'href="/report/{guide.file.stem}"')
+
+    def _on_start(self) -> None:
+        try:
+            self._guide.start()
+        except (InputError, OSError) as error:
+            self._guide.said = f"{error}"
+
+    def _on_fit(self) -> None:
+        try:
+            self._guide.fit(phantom=self._phantom.value, medium=self._medium.value)
+        except (InputError, OSError) as error:
+            self._guide.said = f"{error}"
+
+
+def _state(guide: Guide) -> str:
+    match guide.stage:
+        case Stage.IDLE:
+            return ""
+        case Stage.WITHDRAWING:
+            return f"{guide.covered_mm:.1f} of {LEAST_MM:g} mm or more, {guide.spots} spots"
+        case Stage.FITTING:
+            return "fitting, half a minute"
+        case Stage.SAVED:
+            return f"Saved {guide.file.name}. Start the console with it to read distances."
+        case Stage.REFUSED:
+            return "No good calibration."
