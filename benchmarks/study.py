@@ -129,6 +129,10 @@ class Study:
         }
         claimed = claim(self.folder, settings, command=start)
         weakref.finalize(self, os.close, claimed)
+        say(
+            f"Running {start} into {out}: some minutes with --quick, else an hour or more. If it "
+            "is stopped, the same command continues it."
+        )
 
     def stack(self, name: str, scene: Scene) -> Stack:
         """A scene's stack in stacks/NAME, rendered unless an earlier run finished it."""
@@ -206,7 +210,7 @@ class Study:
         """
         with matplotlib.rc_context(STYLE), published(self.folder) as folder:
             self._write(report(*of, **named), folder)
-        say(f"Wrote {self.folder / 'report.html'}.", result=True)
+        say(f"Wrote {self.folder / 'report.html'}. Open it in a browser.", result=True)
 
     def _write(self, report: Report, folder: Path) -> None:
         scene_toml = scenes.scene_toml(self.scene)

@@ -98,9 +98,10 @@ def render(
         write_preview(settings, image, variant=variant)
         print(f"Wrote {image}.")
         return
-    with progress("Rendering", total=frame_count(settings)) as advance:
-        render_stack(settings, out, variant=variant, progress=advance)
     frames, kinds = frame_count(settings), settings.exposures.kinds
+    say(f"Rendering {frames} frames: up to a minute to prepare, then 0.1 to 1 s each.")
+    with progress("Rendering", total=frames) as advance:
+        render_stack(settings, out, variant=variant, progress=advance)
     exposures = f"{len(kinds)} exposures" if len(kinds) > 1 else f"1 exposure, {kinds[0]}"
     print(f"Wrote {frames * len(kinds)} images ({frames} frames × {exposures}) to {out}.")
     print(f"Next: eyespot fit {shlex.quote(str(out))} --out beam.json")

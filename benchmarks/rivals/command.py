@@ -8,6 +8,8 @@ from typing import Annotated
 from cyclopts import Parameter
 from cyclopts.types import NonNegativeInt, PositiveInt
 
+from estimator.run import OUT
+
 Names = Annotated[
     tuple[str, ...],
     Parameter(
@@ -22,7 +24,7 @@ def run(
     folder: Path,
     /,
     *,
-    out: Path,
+    out: Annotated[Path, OUT],
     names: Names = (),
     splits: Annotated[tuple[str, ...], Parameter("--split", show_default=False)] = (),
     constants: Path | None = None,
@@ -61,7 +63,7 @@ def tune(
     folder: Path,
     /,
     *,
-    out: Path,
+    out: Annotated[Path, OUT],
     names: Names = (),
     every: PositiveInt = 1,
     workers: PositiveInt | None = None,
@@ -85,7 +87,7 @@ def train(
     folder: Path,
     /,
     *,
-    out: Path,
+    out: Annotated[Path, OUT],
     epochs: PositiveInt = 40,
     stop: PositiveInt | None = None,
     seed: NonNegativeInt = 0,

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -85,7 +86,10 @@ def track(
         Console().print(table_of(summary))
         print(f"Wrote {out}" + (f" and {drawn}." if drawn else "."))
         if options.calibration:
-            print(f"Next: eyespot budget {source} --calibration {options.calibration}")
+            words = ("budget", source, "--calibration", str(options.calibration))
+            print(f"Next: eyespot {shlex.join(words)}")
+        else:
+            print("Next: eyespot fit makes the --calibration with which spots become distances.")
     _report_early_end(tracking, frames, out, drawn)
 
 

@@ -41,6 +41,9 @@ _NEEDS = {
     ),
 }
 
+DistanceModel = Literal[
+    "planar", "small_plane", "corrected", "stereographic", "exact", "area", "lens"
+]
 Exposure = Annotated[
     Literal["paper", "metered"] | None,
     Parameter(help="Which exposure to use if the stack has two (default: metered)."),
@@ -139,8 +142,8 @@ class Options(Given):
     """The wall is a plane square to the microscope's axis (default: the file's)."""
     full_scale: Annotated[float | None, Field(gt=0), _MICROSCOPE] = None
     """Value of the brightest light, such as 4095 (default: the file's)."""
-    model: Annotated[str | None, _CALIBRATION] = None
-    """Distance model, such as exact or corrected (default: the calibration's)."""
+    model: Annotated[DistanceModel | None, _CALIBRATION] = None
+    """Distance model (default: the calibration's)."""
     eccentricity_mm: Annotated[float | None, _CALIBRATION] = None
     """Eccentricity of the spots (default: from their positions)."""
     exposure_s: Annotated[float | None, Field(gt=0), _CALIBRATION] = None

@@ -19,7 +19,7 @@ def export(
 
     Args:
         folder: Labelled set or stack.
-        to: Format to write. benchmarks/sets/formats describes the formats.
+        to: Format to write; see docs/datasets.md.
         out: File (hdf5) or folder to write; it must not exist yet.
     """
     from benchmarks.sets.formats.export import export as write
