@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 from cyclopts.types import NonNegativeInt, PositiveInt
 
-from estimator.run import OUT
+from estimator.run.options import OUT
 
 Names = Annotated[
     tuple[str, ...],
