@@ -24,7 +24,7 @@ HEAVY = (
     *("cv2", "equinox", "jax", "jaxtyping", "lineax", "matplotlib", "optimistix", "pandas"),
     *("plotly", "scipy"),
 )
-PACKAGES = ("optics", "scenes", "estimator", "calibration", "benchmarks")
+PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
 COMMANDS = {
     "": {
