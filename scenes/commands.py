@@ -99,7 +99,9 @@ def render(
         print(f"Wrote {image}.")
         return
     frames, kinds = frame_count(settings), settings.exposures.kinds
-    say(f"Rendering {frames} frames: up to a minute to prepare, then 0.1 to 1 s each.")
+    print(
+        f"Rendering {frames} frames: up to a minute to prepare, then 0.1 to 1 s each.", flush=True
+    )
     with progress("Rendering", total=frames) as advance:
         render_stack(settings, out, variant=variant, progress=advance)
     exposures = f"{len(kinds)} exposures" if len(kinds) > 1 else f"1 exposure, {kinds[0]}"
