@@ -23,8 +23,8 @@ from typing import Any
 
 from rosbags.highlevel import AnyReader
 
-from tests.test_estimator_rig_node import RosSession
-from tests.test_estimator_rig_ros2 import LOOPBACK
+from tests.estimator.test_rig_node import RosSession
+from tests.estimator.test_rig_ros2 import LOOPBACK
 
 HOME = Path(__file__).resolve().parents[1]
 PAGE = HOME / "docs" / "tutorials" / "rig.md"

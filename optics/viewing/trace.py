@@ -76,7 +76,7 @@ _STEPS = 16
 _CORRECTIONS = 4
 """Runge-Kutta steps through a layer, and Newton steps for the path's end.
 
-16 steps through Liou and Brennan's lens leave 1e-11 mm (tests/test_optics_viewing.py).
+16 steps through Liou and Brennan's lens leave 1e-11 mm (tests/optics/test_viewing.py).
 """
 
 _ROUNDING = 1e-9  # mm

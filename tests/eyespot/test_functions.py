@@ -15,7 +15,7 @@ from formats.inputs import InputError
 from formats.spots import read_spots
 from tests.command_line import call
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 TABLE = {
     "source.kind": "cone",
     "phantom.kind": "plane",

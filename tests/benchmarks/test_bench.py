@@ -16,7 +16,7 @@ from benchmarks.bench.pixels import doubt_of_pose, share_a_radius
 from estimator import Range, Reading
 from formats.spots import NoSpot, Reason
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 
 
 class Counted:

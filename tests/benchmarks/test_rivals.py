@@ -29,7 +29,7 @@ from scenes.drawn import Drawing, Truth, frame_of
 from scenes.world.labels import true_calibration
 from tests.drawn_sets import write_set
 
-WRITTEN = Path(__file__).parent / "files-0.1" / "small-v1" / "train" / "0000"
+WRITTEN = Path(__file__).parents[1] / "files-0.1" / "small-v1" / "train" / "0000"
 TRUTH = Truth(x=301.3, y=222.8, semi_major=66.2, semi_minor=58.4, angle=0.6)
 # A level that is right for one exposure: that of the drawing.
 HALF = Drawing(truth=TRUTH).ambient + Drawing(truth=TRUTH).amplitude / 2

@@ -18,8 +18,8 @@ from calibration.spots.cone_trials import Prior
 from formats.stack import Stack
 from optics.wall_light.lens import Grid, LensTable
 from scenes import Scene, render_stack
+from tests.calibration.test_few_pixels import saturated_footage
 from tests.spread_disc import lit_by_disc, radii
-from tests.test_calibration_few_pixels import saturated_footage
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

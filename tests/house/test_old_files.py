@@ -23,7 +23,7 @@ from formats.stack import read_stack
 from scenes.description.scene import Scene
 from scenes.description.scene_file import load_scene
 
-OLD = Path(__file__).with_name("files-0.1")
+OLD = Path(__file__).parents[1] / "files-0.1"
 STACK = OLD / "small-v1" / "train" / "0000"
 
 

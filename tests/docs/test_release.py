@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 _MADE = {"generated", "auto_gallery", "jupyter_execute"}
 PAGES = [
     *sorted(path for path in (HOME / "docs").rglob("*.md") if not _MADE & {*path.parts}),

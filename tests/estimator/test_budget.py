@@ -25,8 +25,8 @@ from scenes import load_scene, render_stack
 from scenes.world.labels import true_calibration
 from tests import budget_coverage
 from tests.command_line import call
-from tests.test_estimator_ranger import R_EYE, SCALE, B, K, calibration, covariance_of, spot
-from tests.test_estimator_ranger import microscope as microscope_at
+from tests.estimator.test_ranger import R_EYE, SCALE, B, K, calibration, covariance_of, spot
+from tests.estimator.test_ranger import microscope as microscope_at
 
 HALF_ANGLE = math.atan(1 / K)
 LEANING = (0.0, 0.1, math.sqrt(0.99))  # normal of a plane wall

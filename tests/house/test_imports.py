@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import pytest
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
 MAY_IMPORT_OF_OURS = {

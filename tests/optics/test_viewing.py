@@ -19,7 +19,7 @@ from tests import optiland_paths
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
 SCALE = 0.0067
-OPTILAND = Path(__file__).with_name("optiland_paths.json")
+OPTILAND = Path(__file__).parents[1] / "optiland_paths.json"
 OPEN_MM = 50.0  # pupil that hides nothing
 RETINA = optics.Sphere(12.0)
 

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.sets.read import read_set, rows
 from benchmarks.sets.score.spots import sample_folder
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "datasets.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "datasets.md"
 
 
 def documented_class() -> Any:

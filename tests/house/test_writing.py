@@ -25,7 +25,7 @@ from formats.whole_files import BeingWrittenError, written_whole
 from scenes import load_scene, render_stack, write_preview
 from tests.drawn_sets import MICROSCOPE, labels_of
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 
 
 def stopped_often(*arguments: str) -> dict[str, tuple[int, int]]:

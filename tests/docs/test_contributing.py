@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 EXAMPLES = HOME / "docs" / "contributing" / "examples"
 PARTS = (
     "formats",
@@ -27,16 +27,16 @@ PARTS = (
 
 # What each change adds a test to, and the house's rules that it must keep.
 CHECKS = {
-    "eye": ["tests/test_optics_viewing.py", "-k", "power_and_length"],
-    "format": ["tests/test_benchmarks_export.py", "-k", "table"],
-    "lens": ["tests/test_optics_lens.py", "-k", "flatter_drop or presets"],
+    "eye": ["tests/optics/test_viewing.py", "-k", "power_and_length"],
+    "format": ["tests/benchmarks/test_export.py", "-k", "table"],
+    "lens": ["tests/optics/test_lens.py", "-k", "flatter_drop or presets"],
     "model": [
-        *("tests/test_optics_models.py", "tests/test_optics_transformations.py"),
+        *("tests/optics/test_models.py", "tests/optics/test_transformations.py"),
         *("-k", "telecentric or accounted_for or by_name"),
     ],
-    "source": ["tests/test_estimator_sources.py", "-k", "array"],
+    "source": ["tests/estimator/test_sources.py", "-k", "array"],
 }
-HOUSE = ["tests/test_house_rooms.py", "-k", "face or itself"]
+HOUSE = ["tests/house/test_rooms.py", "-k", "face or itself"]
 
 
 def changed_copy(name: str, folder: Path) -> Path:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
 

@@ -39,10 +39,10 @@ from scenes import Renderer, Scene, render_stack
 from scenes.camera import expose
 from scenes.description.settings import CameraSettings
 from scenes.world.world import World
+from tests.calibration.test_few_pixels import saturated_footage
 from tests.photon_frames import View
 from tests.photon_stacks import Recording, steady_light
 from tests.photons import Drop
-from tests.test_calibration_few_pixels import saturated_footage
 
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
 START = {"half_angle": 1.3 * HALF_ANGLE, "b": 0.7 * B}

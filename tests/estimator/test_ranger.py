@@ -25,7 +25,7 @@ from formats.spots import Spot
 from tests.photon_stacks import Recording, direct_light, half_maximum
 from tests.photons import Drop, counted_light
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 R_EYE, SCALE, K, B = 11.5, 0.0067, 20.0, -5.117
 BEHIND = -28.4  # kappa = -0.059/mm, a phakic eye behind a flat contact lens
 HEIGHTS = (0.0, 11.5, 200.0, math.inf, BEHIND)

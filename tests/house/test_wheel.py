@@ -13,7 +13,7 @@ import pytest
 
 pytestmark = pytest.mark.wheel
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 PACKAGES = ("eyespot", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
 

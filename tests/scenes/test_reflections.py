@@ -8,7 +8,7 @@ from optics.viewing.camera import PathCamera
 from scenes.rendering.render import Renderer
 from scenes.world.labels import spot_labels
 from scenes.world.world import World
-from tests.test_scenes_viewing import eye_file, looked_at
+from tests.scenes.test_viewing import eye_file, looked_at
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -11,7 +11,7 @@ import optics
 from estimator.distance.ranger import Ranger
 from formats.microscope import MicroscopeFile, PathSeries, Retina
 from optics import viewing
-from tests.test_estimator_ranger import B, K, calibration, spot
+from tests.estimator.test_ranger import B, K, calibration, spot
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 PACKAGES = ("eyespot", "optics", "scenes", "estimator", "calibration", "benchmarks")
 MODULES = sorted(
     path.relative_to(HOME).with_suffix("").as_posix().replace("/", ".")

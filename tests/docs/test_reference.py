@@ -27,7 +27,7 @@ from formats.spots import Reason
 from scenes import Scene
 from tests.command_line import WORDS, options_of
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[2]
 SAMPLE = HOME / "benchmarks" / "sets" / "score" / "sample-v2"
 
 
@@ -108,7 +108,7 @@ CITED = re.compile(rf"`((?:{'|'.join(PACKAGES)})(?:\.\w+)+)`")
 
 
 def test_what_pages_cite_exists() -> None:
-    tests = "".join(path.read_text(encoding="utf-8") for path in HOME.glob("tests/test_*.py"))
+    tests = "".join(path.read_text(encoding="utf-8") for path in HOME.glob("tests/*/test_*.py"))
     for path, text in PAGES.items():
         for name in re.findall(r"`(test_\w+)`", text):
             assert f"def {name}(" in tests, f"{path}: {name}"

@@ -195,7 +195,7 @@ def test_what_cannot_be_seen_is_refused_with_a_remedy(viewing, changes, said):
 
 def test_the_command_of_the_page_renders_a_scene_file_that_was_just_made(tmp_path, monkeypatch):
     """Such a file has the default radius and pinhole, with which one cannot look into the eye."""
-    page = (Path(__file__).parents[1] / "docs/viewing.md").read_text().replace("\\\n", "")
+    page = (Path(__file__).parents[2] / "docs/viewing.md").read_text().replace("\\\n", "")
     found = re.search(r"^eyespot (render scene\.toml .*)$", page, re.MULTILINE)
     assert found
     small = {f"microscope.{key}": value for key, value in SMALL.items()} | {"motion.frames": 2}
