@@ -49,7 +49,6 @@ def render_as_jax(
             (fix the seed). It must not compute with JAX, because JAX inside a JAX computation can
             deadlock; JAX raises an error in it instead.
         value_and_jacobian: the same, with the image's derivatives, `shape` and p.
-        shape: shape of the image.
 
     Returns:
         Function from p parameters to an image, float64. If the renderer raises, the function

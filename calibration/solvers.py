@@ -56,8 +56,6 @@ class Minimum(NamedTuple):
     """The last point.
 
     Attributes:
-        x: parameters.
-        at: the normal equations there.
         first: cost at the start.
         gain: by how much another step would lower the cost, to first order.
         steps: number of evaluations after the first.
@@ -88,7 +86,6 @@ def minimise(
     Args:
         evaluate: function that returns the normal equations at a point.
         start: first guess.
-        tolerance: tolerance of the cost.
         most_steps: evaluations after which it ends anyway.
     """
     x, at = start, evaluate(start)
@@ -369,7 +366,6 @@ def covariance_and_lost(
     Args:
         information: Fisher information, priors included, of parameters in units of their size (for
             a nuisance, of its prior's sigma).
-        names: names of the parameters.
         values: values of the parameters, whose signs distinguish products from ratios; by default
             all are positive.
 

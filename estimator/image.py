@@ -99,7 +99,6 @@ def rgb_8bit(image: np.ndarray, response: Response) -> np.ndarray:
 
     Args:
         image: (H, W) or RGB (H, W, 3), of any of the types of a frame.
-        response: of the camera.
     """
     if image.dtype != np.uint8 or response.full_scale is not None:
         scale = 255 / response.full_scale_of(image)

@@ -40,7 +40,6 @@ def log_eyeball(stream: Any, microscope: MicroscopeFile) -> None:
 
     Args:
         stream: `rerun.RecordingStream`.
-        microscope: whose eye it is.
     """
     import rerun
 
@@ -81,7 +80,6 @@ def log_beam(
         path: of the beam in the recording.
         tip_mm: S, (3,).
         axis: unit vector from the tip towards the wall, (3,).
-        distance_mm: |SO|.
         colour: red, green, blue, 0 to 255.
     """
     import rerun
@@ -198,7 +196,6 @@ class Recording:
         """Add a frame; what is added after it belongs to it.
 
         Args:
-            index: of the frame.
             time_s: of the frame; NaN if unknown.
             image: as `rgb_8bit` takes it; None if there is only what was measured.
         """
@@ -219,7 +216,6 @@ class Recording:
         The distance's lower and upper lines are one standard deviation away from it.
 
         Args:
-            result: of the measurement.
             distance: of the spot; None without one.
             doubt: why there is no spot, or why the distance is doubtful; empty if all is well.
         """

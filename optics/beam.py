@@ -87,7 +87,6 @@ def beam_at_spot(
     """Beam that meets the wall at a given spot from a given distance.
 
     Args:
-        surface: the wall.
         eccentricity: c, distance of O from the microscope's axis, mm, in [0, r).
         distance: d = |SO|, mm.
         azimuth: azimuth of O around the microscope's axis, rad.
@@ -121,7 +120,6 @@ def contact_distance(
     $(r\cos\iota - d)^2 + (r\sin\iota + \rho)^2 = r^2$.
 
     Args:
-        surface: the wall.
         incidence: iota, rad.
         rim_radius: rho, radius of the tip's face, mm.
 

@@ -24,7 +24,6 @@ def cone_contour(beam: Beam, surface: Surface, *, points: int = CONTOUR_POINTS) 
 
     Args:
         beam: the cone; its generators start at the virtual apex.
-        surface: the wall.
         points: number of generators, uniform about the axis.
 
     Returns:

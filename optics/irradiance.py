@@ -168,7 +168,6 @@ def _lit_rings(
 
     Args:
         rays: rays by ring and tau.
-        ring: rings to scan.
         inner: first ring lit on the meridian.
         outer: last one; equal to the first if none is lit.
     """
@@ -205,7 +204,6 @@ def vector_irradiance(
     front of it. Light that the cap reflects back into the glue is lost.
 
     Args:
-        lens: the lens.
         medium_index: n0, refractive index of the medium.
         radius: distance of the wall point from the axis, mm.
         distance: s, distance of the wall point from the tip along the axis, mm, positive.
@@ -294,7 +292,6 @@ def _lit_arcs(
 
     Args:
         rays: rays by ring and tau.
-        ring: the rings.
         openings: places at which an arc can be shorter than the scan's cells.
     """
 

@@ -35,7 +35,6 @@ def scan_boundaries(
 
     Args:
         x: positions of the samples, in order.
-        values: their excess.
         count: number of boundaries to find.
 
     Returns:
@@ -79,7 +78,6 @@ def approach_extremes(
     Args:
         excess: the excess along the scan.
         x: positions of the samples, in order.
-        values: their excess.
         count: number of extremes to approach: those that may pass zero farthest.
 
     Returns:
@@ -232,7 +230,6 @@ def trace_backwards(
     """Trace from a wall point through points of the cap to the core's face.
 
     Args:
-        lens: the lens.
         medium_index: n0, refractive index of the medium.
         radius: distance of the wall point from the axis, mm.
         distance: distance of the wall point from the tip's plane, mm.
@@ -313,7 +310,6 @@ class RingRays(eqx.Module):
     to differentiate its steps only to discard the result takes most of the time of compilation.
 
     Attributes:
-        lens: the lens.
         medium_index: n0.
         radius: distance of the wall point from the axis, mm.
         distance: distance of the wall point from the tip's plane, mm.

@@ -53,7 +53,6 @@ def emitted_rays(
     """Trace rays from the core's face through the cap into the medium.
 
     Args:
-        lens: the lens.
         medium_index: n0, refractive index of the medium.
         points: start points on the core's face, mm from its centre.
         directions: components of the directions perpendicular to the axis, inside the glue. Their
@@ -86,7 +85,6 @@ def transmitted_power(lens: GlueLens, *, medium_index: ArrayLike) -> Float[Array
     reflected into the glue or meets the side of the drop.
 
     Args:
-        lens: the lens.
         medium_index: n0, refractive index of the medium.
     """
     node, weight = np.polynomial.legendre.leggauss(_SINES)
@@ -182,7 +180,6 @@ class LensField(eqx.Module):
     """Light of a lens in a medium, by quadrature at every call: exact, differentiable, slow.
 
     Attributes:
-        lens: the lens.
         medium_index: n0.
     """
 
@@ -294,7 +291,6 @@ def irradiance_table(lens: GlueLens, *, medium_index: ArrayLike) -> IrradianceTa
     cannot be traced; differentiate `vector_irradiance` or a `LensField` instead.
 
     Args:
-        lens: the lens.
         medium_index: n0, refractive index of the medium.
     """
     field = LensField(lens, medium_index)
@@ -379,7 +375,6 @@ class EffectiveCone(NamedTuple):
     """The cone d = kR + b that a regression fits to a lens (Zhou et al. 2020, eq. 1).
 
     Attributes:
-        k: slope.
         b: apex offset, mm.
         half_angle: atan(1/k), rad.
         r_squared: R², the fraction of the variance of d that the cone explains.

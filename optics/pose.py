@@ -157,10 +157,7 @@ def refined_pose(
     Args:
         residual: function that returns residuals over their standard deviation.
         misfit_px: function that returns a single number, px.
-        surface: the wall.
-        prior: of the direction.
         tip: start, mm.
-        axis: start.
     """
 
     def residuals(step, tip, axis):
@@ -248,8 +245,6 @@ def pose_from_ellipse(
 
     Args:
         ellipse: measured, px.
-        surface: the wall.
-        microscope: the camera.
         covariance: of (centre u, centre v, semi-major, semi-minor in px; angle in rad).
         half_angle: of the cone, rad.
         apex_offset: b, mm.
@@ -301,8 +296,6 @@ def pose_from_contour(
 
     Args:
         contour: points round the edge, px, in order; not necessarily a whole turn.
-        surface: the wall.
-        microscope: the camera.
         half_angle: of the cone, rad.
         apex_offset: b, mm.
         sigma_px: standard deviation of a point across the contour, px.
@@ -328,8 +321,6 @@ def tip_from_contour(
 
     Args:
         contour: points round the edge, px.
-        surface: the wall.
-        microscope: the camera.
         axis: unit vector of the beam.
         half_angle: of the cone, rad.
         apex_offset: b, mm.

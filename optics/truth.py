@@ -60,7 +60,6 @@ def wall_irradiance(
     Args:
         table: vector irradiance per unit power.
         beam: tip and axis; its cone is not used.
-        surface: the wall.
         radius: rho, distance of the wall point from the axis, mm.
         angle: angle around the axis, rad.
 
@@ -176,8 +175,6 @@ def spread_spots(
     """The ellipses of `spread_contours` in the image, one for each beam.
 
     Args:
-        surface: the wall.
-        microscope: the camera.
         table: vector irradiance of a lens; None for the ideal cone.
         beams: tips, axes and cones, along the leading axis.
         length: L, mm.
@@ -203,7 +200,6 @@ def lit_share(
     that is 4 um off the sphere.
 
     Args:
-        beam: the cone.
         points: on the wall, mm.
         outward: the wall's normals there.
         length: L, mm.
@@ -238,7 +234,6 @@ def spread_contours(
     Args:
         table: vector irradiance of a lens; None for the ideal cone.
         beam: tip, axis and cone.
-        surface: the wall.
         length: L, mm.
 
     Returns:
@@ -373,7 +368,6 @@ class SpotTruth(NamedTuple):
         cone: ellipse of the cone's edge in the image.
         half_max: ellipse of the half-maximum contour in the image.
         contour: the half-maximum contour on the wall.
-        contour_px: its image.
     """
 
     beam: Beam
@@ -407,8 +401,6 @@ def spot_truth(
     cone's edge.
 
     Args:
-        surface: the wall.
-        microscope: the camera.
         table: vector irradiance of a lens, or None for the ideal cone.
         tip: S, mm, eye frame.
         axis: unit vectors from the tip towards the wall.

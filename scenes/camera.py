@@ -208,7 +208,6 @@ def expose(
         linear: light in any linear unit, not negative; any shape, or H x W x 3 for a camera with
             a Bayer filter.
         exposure: full wells per unit of `linear`; the well is full where exposure * linear = 1.
-        settings: the camera.
         rng: random numbers of the temporal noise.
         patterns: fixed patterns of the sensor, of the raw frame's shape
             (`CameraSettings.sensor_shape`); needed if `settings` has PRNU or DSNU.

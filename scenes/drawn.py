@@ -97,7 +97,6 @@ class Drawing:
 
     Attributes:
         truth: the ellipse of the spot.
-        profile: profile of its light.
         amplitude: peak of its light on the mean wall.
         ambient: uniform light on the mean wall.
         noise: standard deviation of each channel.

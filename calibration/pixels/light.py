@@ -65,7 +65,6 @@ class LensLight:
     """The light of a fit's lens, to first order around the parameters of its last table.
 
     Args:
-        footage: the frames.
         names: names of the fit's free parameters.
     """
 
@@ -211,7 +210,6 @@ class FrameLight(NamedTuple):
     """The model of one frame on the n cells of the tiles near its beam, full wells.
 
     Attributes:
-        cells: their numbers.
         light: all light of an even wall.
         direct: the beam's part of it.
         along: distance of the wall from the tip's plane, mm.
@@ -234,8 +232,6 @@ class Light:
     """The light of all frames of a withdrawal on one lattice of cells.
 
     Args:
-        footage: the frames.
-        cells: the cells.
         names: names of the free parameters.
         lens: the light of a fit's lens; None for a cone.
     """
@@ -265,7 +261,6 @@ class Light:
         Args:
             values: of all parameters.
             states: of all frames, see `STATES`.
-            numbers: of the frames.
             slopes: whether to compute the derivatives, which are empty otherwise.
         """
         found = self._frames(values, states, numbers, slopes)

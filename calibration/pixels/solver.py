@@ -84,7 +84,6 @@ class _At(NamedTuple):
     """The model at a point.
 
     Attributes:
-        frames: of each used frame.
         rest: light less the model, for each frame.
         map: t, for all cells.
         information: of the cells' t.
@@ -100,12 +99,8 @@ class Solver:
     """A running fit on one lattice of cells.
 
     Args:
-        footage: the frames.
-        cells: the lattice.
         numbers: of the frames that are used.
-        point: the start.
         names: names of the free parameters.
-        priors: by name.
         lens: the light of a lens; None for a cone.
         progress: called with chi squared at every step.
     """

@@ -64,7 +64,6 @@ class PlaneFit(NamedTuple):
 
         Args:
             semi_minor_px: e1', px.
-            level: level of confidence.
         """
         rows = np.stack([np.asarray(semi_minor_px, float), np.ones(np.shape(semi_minor_px))], -1)
         sigma = np.sqrt(np.einsum("...i,ij,...j->...", rows, self.covariance, rows))
@@ -180,7 +179,6 @@ class PlaneTrialsFit(NamedTuple):
         touch: distance at reading 0 per trial, mm.
         touch_error: its standard error, mm.
         tilt: tilt of the plane: tangents of its normal's angle from z, towards +X and +Y.
-        tilt_error: its standard errors.
         r_squared: coefficient of determination.
         rmse: root mean square error, mm.
         residuals: the line's distance minus reading and touch, per spot in the given order, mm.
@@ -208,7 +206,6 @@ def fit_plane_trials(
     """Fit delta k and b to all trials, with each trial's touch and the plane's tilt.
 
     Args:
-        trials: trials on one plane.
         inverse_working_distance: kappa, 1/mm; 0 is telecentric, where a tilt has no first-order
             effect.
         tilt_sigma: standard deviation of each component of the tilt around 0.

@@ -24,7 +24,6 @@ class Tool(NamedTuple):
     Attributes:
         half_angle: half-angle of each cone, rad.
         apex_offset: b of each cone, mm.
-        cones: number of cones.
         circle_mm: radius of the circle on which the tips lie, mm.
         splay: angle between each cone's axis and the tool's, rad.
     """
@@ -127,10 +126,6 @@ def tool_pose_bound(
     """Least covariance that any unbiased estimator can have (Cramer 1946, Rao 1945).
 
     Args:
-        tool: the tool.
-        pose: its true pose.
-        wall: the eyeball.
-        view: the camera.
         sigma_px: standard deviation across the contour of each of a spot's 128 points, px.
         axis_known: estimate only the tip and the roll.
 
@@ -179,11 +174,8 @@ def fit_tool(
     """Fit the pose to the measured ellipses of all spots.
 
     Args:
-        tool: the tool.
         ellipses: ellipses of the spots, px; the leading axis is over the cones.
         covariances: covariances of `optics.ellipse_mismatch`.
-        wall: the eyeball.
-        view: the camera.
         prior: prior of the axis; the solver starts with it and with its mirror image at the wall.
     """
     whitening = np.linalg.inv(np.linalg.cholesky(np.asarray(covariances)))

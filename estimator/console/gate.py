@@ -38,7 +38,6 @@ class Gate:
     so is a name that only pretends to be this machine (by the header Host).
 
     Args:
-        app: behind the gate.
         token: that is asked for; None on loopback.
     """
 

@@ -27,8 +27,6 @@ def exposure_advice(result: Spot | NoSpot, frame: np.ndarray, response: Response
 
     Args:
         result: what was measured in the frame.
-        frame: the frame.
-        response: of the camera.
     """
     if isinstance(result, NoSpot):
         return ""

@@ -44,11 +44,7 @@ def serve(
     """Serve the page until Ctrl-C.
 
     Args:
-        open_: opens the source.
-        options: of the measurement.
-        folder: of the recordings.
         host: address to listen on.
-        port: to listen on.
         token: that the page asks for; None for none.
         poses: as of `Session`.
 
@@ -101,9 +97,6 @@ class Page:
     """One window; all windows show the same session.
 
     Args:
-        session: that is shown.
-        options: of the measurement.
-        folder: of the recordings.
         overlay: makes the SVG of a view.
     """
 
@@ -328,11 +321,7 @@ _STEPS = (
 
 
 class CalibrationPanel:
-    """One window's panel; all windows show the same guide.
-
-    Args:
-        guide: of the session.
-    """
+    """One window's panel; all windows show the same guide."""
 
     def __init__(self, guide: Guide) -> None:
         self._guide = guide

@@ -130,13 +130,9 @@ class View:
     """A frame and what was measured in it.
 
     Attributes:
-        version: counts the views.
         number: place of the frame in its source, from 0.
-        frame: that was measured.
-        reading: of the frame.
         expected_px: where the spot was expected, (x, y) px; None if it was searched.
         arrived_s: when the frame was read, s since 1970.
-        response: of the camera.
     """
 
     version: int
@@ -160,8 +156,6 @@ class Moment:
 
     Attributes:
         time_s: of the frame, or of its arrival if the frame has no time.
-        distance_mm: measured.
-        sigma_mm: of the distance.
         radius_px: semi-minor axis.
         robot_mm: how far the robot says that the tip has withdrawn along the tool since the first
             pose that was used.
@@ -179,8 +173,6 @@ class Session:
 
     Args:
         open_: opens the source; a live source is opened again after it was lost.
-        reader: new.
-        response: of the camera.
         poses: gives the robot's poses that are known now, on the clock of the source; None without.
 
     Raises:
@@ -420,7 +412,6 @@ def svg_of(view: View, microscope: MicroscopeFile | None) -> str:
     """The contour, its centre, the tip if it is known, and where the spot was expected.
 
     Args:
-        view: what was measured.
         microscope: of the frames; None if unknown.
     """
     camera = microscope.camera() if microscope else None

@@ -553,9 +553,7 @@ def refine_sharp(
 
     Args:
         patch: signal round the spot.
-        ellipse: to start from.
         inliers: rays that make the mean profile.
-        levels: of the spot.
 
     Returns:
         The refined ellipse, or why there is none.

@@ -28,10 +28,8 @@ def channel_for(
 
     Args:
         frame: grey or RGB.
-        window: of the frame.
         stride: px of the frame per pixel of the mask.
         mask: (h, w) uint8 of the window, 1 in the region.
-        full_scale: of the frame.
 
     Returns:
         0, 1, 2 or GREY; the value at which each channel is clipped (`clip_level`, or full scale);
@@ -174,7 +172,6 @@ def bright_regions(
     search.
 
     Args:
-        coarse: the window.
         min_contrast: (peak - background) / background that texture does not reach. A region of less
             must exceed the scatter of the dark part.
         min_area: least area of a region, px^2.
@@ -236,8 +233,6 @@ def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.nda
     The halves of a spot that something dark severs are brightest towards each other.
 
     Args:
-        contours: of the pieces.
-        areas: of the pieces.
         light: (h, w) uint8, 0 outside the pieces.
     """
     order = sorted(range(len(areas)), key=areas.__getitem__)[-2:]

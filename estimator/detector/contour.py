@@ -44,7 +44,6 @@ class Region:
         settings: with which it was found.
         coarse: the window in which it was found, in the channel in which it is to be measured.
         channel: 0, 1, 2 or GREY.
-        full_scale: of the frame.
         clips: value at which each channel is clipped, see `channel_for`.
         saturated: fraction of its pixels that are clipped by channel, see `channel_for`.
         candidates: at least one ellipse of which it may be a part.
@@ -85,7 +84,6 @@ def regions_in(
     Args:
         frame: checked (`image.checked_frame`).
         window: where the spot's body may lie; its edge is followed beyond.
-        settings: of the mode.
     """
     window = window.on_grid(settings.stride)
     values = window.of(frame, settings.stride)
@@ -119,7 +117,6 @@ def region_at(
         last: the spot's contour in the last frame.
         channel: in which it was measured.
         frame: checked (`image.checked_frame`).
-        settings: of the mode.
 
     Returns:
         None where there is nothing like it, where another channel shows it better now, and for a
@@ -165,8 +162,6 @@ def coarse_window(
         values: of the window, every `settings.stride`-th pixel.
         window: of a checked frame.
         channel: 0, 1, 2 or GREY.
-        settings: of the mode.
-        full_scale: of the frame.
     """
     stride = settings.stride
     light = settings.meter.light(values, window, channel, full_scale, stride)

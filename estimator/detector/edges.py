@@ -44,9 +44,7 @@ def refine_broad(
 
     Args:
         patch: signal round the spot.
-        ellipse: to start from.
         inliers: rays that make the mean profile.
-        levels: of the spot.
 
     Returns:
         The refined ellipse, or why there is none.

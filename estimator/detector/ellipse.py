@@ -306,7 +306,6 @@ def red_share(values: np.ndarray, long: slice) -> tuple[float, float]:
 
     Args:
         values: (RAYS,).
-        long: harmonics.
 
     Returns:
         The share of texture in the variance of the long waves; and the power, which so few waves

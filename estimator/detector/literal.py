@@ -118,7 +118,6 @@ def measure_literal(
     Args:
         frame: checked (`image.checked_frame`).
         at: M, the last position or the click (px); None to search the whole frame.
-        settings: of the mode.
     """
     grey = grey_8bit(frame, settings)
     p = settings.patch_half_width_px

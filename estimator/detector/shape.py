@@ -39,8 +39,6 @@ def spot_shape(
 
     Args:
         frame: in which the spot was measured; as `estimator.measure` takes it.
-        spot: of that frame.
-        response: of the camera.
         camera: with which the spot was measured.
 
     Returns:

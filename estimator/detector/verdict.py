@@ -274,7 +274,6 @@ def spot_on(patch: Patch, bell: EdgeFit, smallest_px: float) -> EdgeFit | None:
 
     Args:
         patch: signal round the bell.
-        bell: its fit.
         smallest_px: least semi-minor axis of a spot; smaller sharp blobs are noise.
     """
     half_width, half_height = bell.ellipse.half_extent()
@@ -323,7 +322,6 @@ class Sighting(NamedTuple):
     """A spot and the contour from which it was measured.
 
     Attributes:
-        spot: what was measured.
         fit: half-maximum contour.
         channel: in which it was measured: 0, 1, 2 or `image.GREY`.
     """

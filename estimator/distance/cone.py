@@ -86,7 +86,6 @@ class AreaDistances:
     """Finds distances by area under one microscope. Loads JAX; compiles once a process.
 
     Args:
-        calibration: of a cone.
         microscope: as the file describes it; the spots lie in its undistorted image.
     """
 

@@ -87,7 +87,6 @@ def distance_from_lens(
     """Distance of greatest likelihood.
 
     Args:
-        curve: of the lens.
         radius_mm: semi-minor axis of the half-maximum contour on the wall; NaN is nowhere.
         relative_sigma: of the radius, from the image.
         incidence: of the beam, rad.

@@ -85,7 +85,6 @@ class TipPose:
     Attributes:
         tip_mm: S, (3,).
         axis: unit vector from the tip towards the wall, (3,).
-        distance_mm: |SO|.
         covariance: 5 x 5, of the tip (x, y, z; mm) and of the axis's turns towards `across`, rad;
             None if unknown.
         across: two unit vectors across the axis, (2, 3); None without a covariance.

@@ -223,7 +223,6 @@ def slopes_of(
     dd/dq = -(de/dq)/(de/dd). The spot stays where it is seen.
 
     Args:
-        eye: of one spot.
         axis: unit vector, (3,).
         point: O, (3,), mm.
         distance: d, mm.

@@ -36,7 +36,6 @@ class Blurred(NamedTuple):
     """Cells after a blur.
 
     Attributes:
-        value: of the cells.
         by_variance: their growth with the variance, in squares of a cell's side.
         by_kurtosis: their growth with the kurtosis.
     """
@@ -209,7 +208,6 @@ class SeenLight(NamedTuple):
         bend: its derivative by the blur's variance, 1/px².
         tails: its derivative by the blur's excess kurtosis.
         by_motion: what the motion changed of it.
-        by_blur: what the blur did.
     """
 
     value: Float[np.ndarray, "n"]
@@ -295,13 +293,10 @@ class BeamLight:
         """Irradiance of the cells per unit power, 1/mm², as the camera sees it.
 
         Args:
-            window: the cells.
             motion: of the wall's picture.
-            pose: the pose.
             own: changes of the beam's own parameters, in the terms of `spread`.
             sweep: motion during the exposure; None for a tip at rest.
             blur_px2: variance of the image's blur along each side.
-            kurtosis: its excess kurtosis.
         """
         from optics.wall_light.pose_light import BeamFrame, irradiance_and_slopes
 

@@ -123,7 +123,6 @@ class Window(NamedTuple):
         If only the place does not serve, it is moved by whole cells.
 
         Args:
-            centre_px: the point.
             reach_px: to what must lie within the window.
             way_px: of the point since the frame before.
         """

@@ -53,7 +53,6 @@ class Look(NamedTuple):
     """A frame, and what the robot says of it.
 
     Attributes:
-        picture: the pixels.
         direction: of the beam, from the robot.
         sweep: motion during the exposure, from the robot; None if unknown.
         robot: where the robot says the tool is; None if it does not.
@@ -230,8 +229,6 @@ def scanned_starts(
 
     Args:
         solver: of the frame's window.
-        frame_at: the frame with a pose.
-        spot: in the frame.
         own: changes of the beam's own parameters.
         directions: axes of the beam.
     """
@@ -262,12 +259,7 @@ def scanned_starts(
 
 
 def blurred_starts(frame: FrameState, spot: Outline) -> list[FrameState]:
-    """A frame with the blurs that a sharp edge may have, which looks as wide as the spot's.
-
-    Args:
-        frame: at a pose.
-        spot: in the frame.
-    """
+    """A frame with the blurs that a sharp edge may have, which looks as wide as the spot's."""
     if spot.edge_width_px < _BLURRED_PX:
         return [frame]
     return [
@@ -349,11 +341,7 @@ def explained_alone(
     """Explain a frame by itself.
 
     Args:
-        beam: its light.
-        noise: of the camera.
         reference: the wall without the spot; None if there is no image of it.
-        look: the frame.
-        spot: its outline.
     """
 
     def solver_for(mix: Mix, texture: Texture) -> Solver:
@@ -440,10 +428,8 @@ def explained_with(
     """An explanation of the frames so far, continued by the next one.
 
     Args:
-        belief: that explanation.
         look: the next frame.
         mix: the mixture of channels.
-        spot: the outline in it.
         last_px: where the spot was.
         shake_px: least standard deviation of the image's shake along each side.
 

@@ -55,7 +55,6 @@ def registered(
         line: the frame's model on the cells, fitted without the map.
         known: log reflectance of the cells by earlier frames.
         variance: of `known`.
-        window: the cells.
     """
     used = line.weight > 0
     residual, slopes = line.residual[used], line.slopes[:, used]
@@ -309,7 +308,6 @@ def fit_wherever(
     """As `robust_fit`, wherever the wall is now.
 
     Args:
-        solver: of the window.
         kept: earlier frames with their models.
         frame: the newest one, where its wall is expected.
         own: changes of the beam's own parameters.

@@ -64,7 +64,6 @@ class Motion(NamedTuple):
     Attributes:
         rest: of the change of the tip, mm, and of two turns of the axis, rad.
         slopes: derivatives of what is believed by the later pose.
-        first_slopes: by the first pose.
         precision: 1 over the variances of `rest`.
     """
 
@@ -199,7 +198,6 @@ def halo(light: Float[np.ndarray, "n"], lit: Bool[np.ndarray, "n"]) -> float:
     """Light beside a spot over that farther away, in which no tool and no vessel counts.
 
     Args:
-        light: of the cells.
         lit: cells of the spot.
     """
     spot, grid = lit.reshape(COUNT, COUNT), light.reshape(COUNT, COUNT)
@@ -390,7 +388,6 @@ class FrameState:
     """A frame with what is believed of it.
 
     Attributes:
-        cells: its light.
         pose: tip and axis.
         log_gain: of full wells over irradiance per unit power, mm².
         log_ambient: of the ambient light over the beam's power, 1/mm².
@@ -400,7 +397,6 @@ class FrameState:
         robot: where the robot says the tool is.
         shade: logarithm of the ambient light less that in the middle, in terms of `SHADES`.
         blur_px2: variance of the image's blur.
-        kurtosis: its excess kurtosis.
         shift: of the wall since `cells` were cut, px.
         shift_sigma: its standard deviation before the frame was seen, px. The map begins with the
             first frame, so that hardly any is its own.
@@ -506,9 +502,6 @@ class FrameModel:
     """Models frames on the cells of a window.
 
     Args:
-        beam: the light of the beam.
-        window: the cells.
-        texture: of the wall.
         grain: how the wall's map grows to the right and downwards, 1/px; None if there is no map.
     """
 
@@ -581,7 +574,6 @@ class FrameModel:
         """How the log light of cells changes if the spot moves; also by not at all.
 
         Args:
-            frame: at its state.
             own: changes of the beam's own parameters.
             moves: of the spot to the right and downwards on the wall, and of the distance, mm.
         """

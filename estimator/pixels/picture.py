@@ -71,7 +71,6 @@ def plain_mix(light: Float[np.ndarray, "3"], saturated: Bool[np.ndarray, "3"]) -
     """The luminance, which JPEG keeps best, for light of some colour.
 
     Args:
-        light: of the channels.
         saturated: channels that do not count, unless all are.
     """
     light = np.maximum(light, _LEAST)
@@ -93,7 +92,6 @@ def evener_mix(
     Args:
         channels: light of the frame's channels.
         usable: whether a pixel is neither saturated nor hidden.
-        window: of the solution.
         solution: a fit of the frame alone.
         mix: of that fit, which stays if a channel is dark.
     """
@@ -141,7 +139,6 @@ class Reference:
 
     Args:
         image: H x W x 3.
-        noise: of the camera.
     """
 
     def __init__(self, image: np.ndarray, noise: CameraNoise) -> None:
@@ -168,11 +165,7 @@ class Reference:
 
 
 class ReferenceView:
-    """A reference in one mixture of channels.
-
-    Args:
-        cells: its light.
-    """
+    """A reference in one mixture of channels."""
 
     def __init__(self, cells: CellLight) -> None:
         self._cells = cells
@@ -252,7 +245,6 @@ class Picture:
     """A frame's pixels.
 
     Attributes:
-        noise: of the camera.
         channels: light, full wells.
         ends: light at which a channel is clipped.
         full: whether a channel is clipped.

@@ -164,9 +164,6 @@ class Solver:
     """Fits frames in one window.
 
     Args:
-        beam: the light of the beam.
-        window: the lattice.
-        texture: of the wall.
         reference: what an image without the spot says of a window's cells: information, and its
             product with the best guess of their log reflectance; None without such an image.
         grain: see `FrameModel`.
@@ -232,7 +229,6 @@ class Solver:
 
         Args:
             kept: earlier frames with their models, which change little and stay linear.
-            frame: the newest one.
             own: changes of the beam's own parameters, see `BeamLight`.
             steps: most iterations.
             trust: factors on the weights of the newest frame's cells.

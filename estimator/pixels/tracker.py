@@ -41,8 +41,6 @@ class PoseTracker:
     """Follows the pose of one beam.
 
     Args:
-        beam: its light.
-        noise: of the camera.
         reference: the wall without the spot; None if there is no image of it.
         shake_px: least standard deviation of the image's shake along each side, px.
     """

@@ -58,7 +58,6 @@ def ambient_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, 
     """What errors of the ambient light may have done to the newest pose, in the terms of `POSE`.
 
     Args:
-        solver: of the solution.
         solution: with the newest frame last.
     """
     size = float(np.linalg.norm(solution.frames[-1].shade))
@@ -91,7 +90,6 @@ def bend_covariance(
     """What the bend may do to the newest pose, in the terms of `POSE`.
 
     Args:
-        solver: of the solution.
         solution: with the newest frame last.
         covariance: of the newest pose without the bend.
     """
@@ -140,7 +138,6 @@ def drift_covariance(
     """What a drift of the view may have done to the newest pose, in the terms of `POSE`.
 
     Args:
-        solver: of the solution.
         solution: with the newest frame last.
         drifts_px: shift of the image in each frame since the microscope file was right.
     """
@@ -158,7 +155,6 @@ def shake_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5
     """What a shake of the view by a pixel along each side does to all poses on a map, per px².
 
     Args:
-        solver: of the solution.
         solution: of the map's first frame, which nobody knows the shake of.
     """
     shaken = [drift_covariance(solver, solution, [way]) for way in np.eye(2)]
@@ -208,7 +204,6 @@ def edge_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 
     """What such errors may have done to the newest pose, in the terms of `POSE`.
 
     Args:
-        solver: of the solution.
         solution: with the newest frame last.
     """
     newest = solution.frames[-1]
@@ -281,7 +276,6 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
 
     Args:
         belief: the best explanation; None if there is none.
-        outline: in the frame.
     """
     if belief is None or not belief.solution.converged:
         return RangeFlag.NOT_CONVERGED

@@ -26,7 +26,6 @@ class Silence:
     """The time since the last image of a topic.
 
     Args:
-        topic: of the images.
         clock: s; does not jump.
     """
 
@@ -120,7 +119,6 @@ def messages_of(output: Output, image: Any) -> Messages:
     """The messages of an output; None for a topic on which it has nothing to say.
 
     Args:
-        output: of the rig.
         image: `sensor_msgs/Image` that was measured; the messages get its time and its frame.
     """
     from geometry_msgs import msg as geometry
@@ -179,7 +177,6 @@ def silence_message(said: str, image: Any) -> Any:
     """A status for images that have stopped.
 
     Args:
-        said: what is wrong.
         image: the last one that arrived.
     """
     return _status("STALE", said, {}, _header(image))

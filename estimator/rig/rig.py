@@ -125,7 +125,6 @@ class Rig:
     """Measures images in the order of arrival, with the last spot and the latest poses.
 
     Args:
-        parameters: of the node.
         show: gets every image that was measured, with its reading.
 
     Raises:

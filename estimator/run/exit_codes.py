@@ -136,12 +136,7 @@ def taken() -> int:
 
 
 def note(error: Exception, where: str) -> None:
-    """Count an unexpected exception, and log its traceback if its place in the code is new.
-
-    Args:
-        error: what was raised.
-        where: the frame.
-    """
+    """Count an unexpected exception, and log its traceback if its place in the code is new."""
     global _met
     _met += 1
     place = traceback.extract_tb(error.__traceback__)[-1]

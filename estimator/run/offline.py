@@ -45,7 +45,6 @@ class Tracking:
 
     Attributes:
         records: one a frame, in order; empty if they are written elsewhere.
-        frames: number of frames.
         distances: number of frames with a distance.
         no_spot: number of frames without a spot, by reason.
         most_significant: of the spots that are too faint, see `NoSpot.significance`; None if no
@@ -122,7 +121,6 @@ def track_source(
     a frame without a spot, see `Reader.read`.
 
     Args:
-        source: of the frames.
         reader: new; it has not read a frame.
         poses: on the source's clock.
         draw: gets every frame with its record, see `overlay.overlay_writer`.
@@ -171,7 +169,6 @@ def track_whole_source(
     """The records of all frames of a source, for those who need it whole.
 
     Args:
-        source: of the frames.
         reader: as for `track_source`.
         progress: as for `track_source`.
 
@@ -217,13 +214,7 @@ def _readings(
 
 
 def record_of(frame: Frame, reading: Reading, mode: str) -> SpotRecord:
-    """The line of a spots file for a frame.
-
-    Args:
-        frame: as it was measured.
-        reading: of the frame.
-        mode: of the reader.
-    """
+    """The line of a spots file for a frame."""
     budget = reading.budget
     low, high = budget.interval_mm if budget else (math.nan, math.nan)
     return SpotRecord(

@@ -37,8 +37,6 @@ def annotated(
     """The frame as 8-bit RGB with the ellipse, the frame's number, and the distance or the reason.
 
     Args:
-        frame: as it was measured.
-        record: what was measured.
         response: of the camera; its full scale becomes 255.
         camera: whose distortion was removed from the spot; it is applied again for the drawing.
     """
@@ -66,7 +64,6 @@ def overlay_writer(
 
     Args:
         path: a video (`.mp4`, `.avi`), or a folder of PNGs where the name has no suffix.
-        rate_hz: of the video.
         response: as for `annotated`.
         camera: as for `annotated`.
 

@@ -154,7 +154,6 @@ class Reader:
             time_s: of the frame, on the poses' clock.
             exposure_s: of the frame; NaN if unknown.
             full_scale: at which the source says that its values end; the settings' counts before.
-            poses: of the robot.
             name: of the frame, for the log.
 
         Raises:

@@ -188,9 +188,6 @@ def _rgb(image: np.ndarray) -> np.ndarray:
 def open_camera(digits: str) -> Source:
     """A camera; the time of a frame is that of its arrival, s since 1970.
 
-    Args:
-        digits: its number.
-
     Raises:
         InputError: it cannot be opened.
     """

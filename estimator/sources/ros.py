@@ -245,7 +245,6 @@ def read_frames(path: Path, *, topic: str | None = None) -> Iterator[Frame]:
     the end, and the first stamp that is earlier than one before it.
 
     Args:
-        path: of the bag.
         topic: of the images, raw or compressed; None takes `IMAGE_TOPIC`, or the only one.
 
     Yields:
@@ -311,7 +310,6 @@ def write_bag(
             exist.
         frames: in the order of time.
         poses: in the order of time.
-        ros: version of ROS.
         image_topic: name of the images' topic.
         pose_topic: name of the poses' topic.
 

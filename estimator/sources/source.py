@@ -62,7 +62,6 @@ class Source:
     """Frames in order; iterating opens the file or the camera and reads them one by one.
 
     Attributes:
-        name: what was opened.
         read: starts an iterator over the frames.
         length: number of frames; None for a camera. Of a video it is what its container says.
         rate_hz: frames a second; None if unknown.

@@ -187,7 +187,6 @@ def path_camera(path: ViewingPath, *, scale: ScalarLike, upright: bool = False) 
     """The microscope behind a path.
 
     Args:
-        path: the viewing path.
         scale: delta, mm/px at the retinal pole.
         upright: turn the inverted image of a wide-field lens, as a stereo inverter does.
 
@@ -406,8 +405,6 @@ def wall_point(
     """Point of the wall that pixels see through a path, mm; NaN where the iris or the field ends.
 
     Args:
-        camera: the viewing path.
-        wall: the wall.
         pixels: (u, v), px.
     """
     point = wall.intersect(*camera.ray(pixels)).point
@@ -433,7 +430,6 @@ def local_magnification(
 
     Args:
         camera: a viewing path, or a microscope.
-        wall: the wall.
         eccentricity: c of the points, mm.
         azimuth: of the points, rad.
 
@@ -544,7 +540,6 @@ def focal_depth(path: ViewingPath, *, focus: ScalarLike) -> Float[Array, ""]:
     """Depth of the plane whose paraxial image by the path is a plane inside the eye.
 
     Args:
-        path: the viewing path.
         focus: height of the plane inside the eye above the retinal pole, mm.
 
     Returns:
@@ -565,7 +560,6 @@ def pencils(path: ViewingPath, camera: PathCamera, *, depth: ScalarLike) -> Penc
     """The pencils of a microscope that is focused on a plane.
 
     Args:
-        path: the viewing path.
         camera: the microscope behind it (`path_camera`).
         depth: of the plane in focus in front of the path, mm (`focal_depth`).
     """

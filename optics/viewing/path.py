@@ -95,7 +95,6 @@ class LinesOfSight(NamedTuple):
     Attributes:
         height: distance from the axis at the depth of the pole, mm; negative across the axis.
         slope: growth of the height with the depth.
-        transmittance: of the path.
         status: as in `TracedRays`.
     """
 
@@ -151,7 +150,6 @@ def lines_of_sight(path: ViewingPath, aim: Float[Array, "*batch"]) -> LinesOfSig
     """Trace lines of sight from the microscope to the retina.
 
     Args:
-        path: the viewing path.
         aim: distance from the axis at which the line, before any refraction, would cross the plane
             of the cornea's vertex, mm.
     """

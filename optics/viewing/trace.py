@@ -195,7 +195,6 @@ class Refracting(eqx.Module):
     """A surface, and the medium behind it.
 
     Attributes:
-        surface: the boundary.
         medium: the medium on its far side, seen from the microscope.
     """
 
@@ -235,7 +234,6 @@ class TracedRays(NamedTuple):
 
     Attributes:
         point: a point of the ray inside the eye, mm.
-        direction: unit direction.
         transmittance: fraction of the power that Fresnel's reflections leave.
         status: SEEN, VIGNETTED, REFLECTED or MISSED; the first that holds.
     """

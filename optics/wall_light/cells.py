@@ -82,7 +82,6 @@ def image_lattice(
 
     Args:
         camera: the microscope, without distortion.
-        surface: the wall.
         corner: (u, v) of the first cell's outer corner, px; pixel centres are integers.
         right: way to the next column, px.
         down: way to the next row, px, a quarter turn from `right`.
@@ -134,7 +133,6 @@ def lattice_irradiance(
 
     Args:
         wall: from `image_lattice`.
-        beam: of the source.
         tip: S, mm.
         axis: unit vector from the tip towards the wall.
     """

@@ -105,7 +105,6 @@ class LensTable(eqx.Module):
         values: samples at the parameters `at`.
         slopes: derivatives of the samples with respect to each parameter.
         transmitted_value: fraction of the power that leaves the cap.
-        transmitted_slopes: its derivatives.
         at: parameters for which the table was computed.
         moved: difference of the current parameters from `at`.
         grid: positions of the samples.
@@ -415,7 +414,6 @@ class LensSamples(NamedTuple):
         values: the samples, followed by their derivatives with respect to each free parameter.
         transmitted: fraction of the power that leaves the cap, and its derivatives.
         at: values of the free parameters.
-        grid: positions of the samples.
     """
 
     values: Float[np.ndarray, "p+1 rows columns"]

@@ -108,9 +108,7 @@ def irradiance_and_slopes(
     """Mean irradiance of the cells per unit power, 1/mm², and its derivatives.
 
     Args:
-        lattice: the wall.
         source: the beam's light, a `CellBeam`.
-        beam: the pose.
         own: changes of the beam's own parameters, in the terms of `spread`.
         spread: turns `own` into changes of the parameters that `source.changed` takes.
         steps: places of a beam that moves; None for a beam at rest.

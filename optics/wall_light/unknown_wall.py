@@ -55,7 +55,6 @@ class SpotCells(NamedTuple):
         light: irradiance per unit power, 1/mm², and its derivatives by the five numbers of a pose
             (`BeamFrame`); for each part of the beam.
         seen: cells within the image.
-        side_px: of a cell.
         side_mm: of a cell on the wall.
     """
 
@@ -79,8 +78,6 @@ def spot_cells(
 
     Args:
         parts: a beam, and tables of its derivatives by its own parameters (`LensTable.parts`).
-        camera: the microscope.
-        wall: the wall.
         tip: S, mm.
         axis: unit vector from the tip towards the wall.
         half_maximum_mm: larger semi-axis of the half-maximum ellipse on the wall.

@@ -81,7 +81,6 @@ class NoLlvm:
 
     Attributes:
         refused: the files that were found, each with its reason.
-        remedy: what to do.
     """
 
     refused: tuple[Refused, ...] = ()

@@ -35,7 +35,6 @@ def ellipsoid_mesh(wall: optics.Ellipsoid, surface: dict[str, Any]) -> Any:
     distance on a sphere of the same pole, as on a spherical eyeball.
 
     Args:
-        wall: the ellipsoid.
         surface: dictionary of its material.
     """
     polar = np.pi * np.arange(1, _RINGS) / _RINGS

@@ -25,7 +25,6 @@ def glass_images(
 
     Args:
         scene: a scene of source.kind "photons" with a uniform wall.
-        frame: frame of its motion.
         photons_per_pixel: number of photons that leave the core, per pixel.
         seeds: random seeds, one per image.
     """

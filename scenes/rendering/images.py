@@ -25,7 +25,6 @@ class Images:
 
     Attributes:
         world: the scene and everything derived from it.
-        mitsuba_scene: the loaded scene.
         random: whether light is sampled randomly, so that all pixels differ between images.
         reach: finds the pixels that a pose changes; None if all pixels are rendered each time.
 

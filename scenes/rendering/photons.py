@@ -29,7 +29,6 @@ class Glass:
     Frame of the lens: the vertex is the origin, +z points away from the fibre.
 
     Args:
-        lens: the lens.
         medium_index: refractive index of the medium in front of it.
     """
 

@@ -26,7 +26,6 @@ def unsettler(world: World, mitsuba_scene: Any, *, uniform: np.ndarray) -> Calla
 
     Args:
         world: the scene and everything derived from it.
-        mitsuba_scene: the loaded scene.
         uniform: indirect irradiance per colour channel at the source's mean power, mW/mm2.
     """
     unrest, microscope = world.scene.unrest, world.scene.microscope
@@ -87,7 +86,6 @@ class Reach(NamedTuple):
     """The image in square tiles, each with the camera's rays through it.
 
     Attributes:
-        scene: the scene.
         envelope: radius that contains all light at the tip, mm, and its growth per mm along the
             axis.
         centre: centre of the wall in each tile, n x 3, mm.

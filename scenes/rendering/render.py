@@ -40,7 +40,6 @@ class FineWall(NamedTuple):
     Attributes:
         unlit: radiance without the beam, rows x columns x 3.
         reflectance: of the wall, rows x columns x 3.
-        window: the window.
         factor: number of places along a side of a pixel.
     """
 
@@ -81,7 +80,6 @@ def fine_wall(
     Args:
         images: the images of a scene whose light is not sampled randomly.
         moment: what [unrest] moves.
-        window: the window.
         factor: places along a side of a pixel.
     """
     both = [
@@ -99,7 +97,6 @@ def fine_light(images: Images | ColourImages, poses: Sequence[Pose], wall: FineW
     Args:
         images: the images of a scene whose light is not sampled randomly.
         poses: poses during an exposure.
-        wall: the wall.
     """
     usable = wall.reflectance > _LEAST_REFLECTANCE
     lit = np.zeros_like(wall.unlit)
@@ -182,14 +179,11 @@ class Renderer:
     """One scene, loaded once into Mitsuba; frames are rendered by moving the tip.
 
     Args:
-        scene: the scene.
         variant: Mitsuba's variant.
 
     Attributes:
-        scene: the scene.
         world: the scene and everything derived from it.
         images: gives images for any pose of the tip.
-        mitsuba_scene: the loaded scene.
 
     Raises:
         SceneError: the tip touches the wall, or the spot leaves the window.
@@ -219,7 +213,6 @@ class Renderer:
         the noise of the camera. If spot and tip hardly move, the sharp frame is returned.
 
         Args:
-            frame: number of the frame.
             sharp: the frame rendered at the middle of the exposure.
             exposure_s: exposure time, s.
         """
@@ -295,7 +288,6 @@ class Renderer:
         """The wall in a part of a frame without the beam, finer than pixels.
 
         Args:
-            frame: number of the frame.
             window: top, bottom, left and right, px.
             factor: places along a side of a pixel.
         """
@@ -308,8 +300,6 @@ class Renderer:
         """Light of the beam on that wall during an exposure.
 
         Args:
-            frame: number of the frame.
-            wall: the wall.
             exposure_s: exposure time, s.
             sub_frames: equal parts of the exposure; their middles are averaged.
         """

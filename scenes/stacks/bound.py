@@ -270,7 +270,6 @@ class Bounds:
         """The labels bound_* of one image; without them if the image does not determine an ellipse.
 
         Args:
-            frame: number of the frame.
             radiance: noise-free light during the exposure, H x W x 3.
             exposure_s: exposure time, s.
             sub_frames: number of sub-frames in that light.

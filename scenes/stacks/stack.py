@@ -116,7 +116,6 @@ def render_stack(
     then byte for byte the same as without the stop.
 
     Args:
-        scene: the scene.
         out: the stack's folder; it must not exist. It appears once the stack is complete.
         variant: Mitsuba's variant.
         progress: called after each frame.
@@ -389,8 +388,6 @@ def render_image(
     """One image, as `render_stack` writes it.
 
     Args:
-        scene: the scene.
-        frame: number of the frame.
         exposure: one of the scene's `exposures.kinds`; None: the first of them.
         variant: Mitsuba's variant.
 
@@ -476,7 +473,6 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
     leave the window, unlike in a stack.
 
     Args:
-        scene: the scene.
         variant: Mitsuba's variant.
 
     Returns:

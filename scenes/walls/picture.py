@@ -26,7 +26,6 @@ def wall_image(
     stored (an Exif orientation is not applied). The edge of the image is repeated outside it.
 
     Args:
-        path: path of the image.
         width_mm: the image's width on the map, mm; pixels are square.
         white: reflectance of white in the image.
         extent_mm: width and height of the map, mm.
@@ -130,7 +129,6 @@ def write_random_wall(path: Path, *, seed: int, width_mm: float) -> None:
 
     Args:
         path: of the PNG file, 16 bits, for phantom.wall_image.
-        seed: random seed.
         width_mm: of the picture, a square; its 1024 pixels must resolve the grain of 0.08 mm.
     """
     pixels = 1024

@@ -31,7 +31,6 @@ class Reflections(NamedTuple):
     """Reflexes of a round lamp of even radiance in the pinhole's plane.
 
     Attributes:
-        scene: the scene.
         camera: the microscope behind the path.
         radiance: of the lamp, in the unit of the images, mW/(mm2 sr).
         reflexes: at every surface of the path.
@@ -240,11 +239,7 @@ class Aim(NamedTuple):
 
 
 class Geometry:
-    """The wall, the aim and the microscope of a scene, each derived once.
-
-    Args:
-        scene: the scene.
-    """
+    """The wall, the aim and the microscope of a scene, each derived once."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

@@ -24,7 +24,6 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
 
     Args:
         world: the scene and everything derived from it.
-        frame: number of the frame.
     """
     scene, spots = world.scene, world.truth
 

@@ -45,12 +45,7 @@ class Moment(NamedTuple):
 
 
 class UnrestPath:
-    """What [unrest] moves, by frame and time.
-
-    Args:
-        scene: the scene.
-        frames: number of frames.
-    """
+    """What [unrest] moves, by frame and time."""
 
     def __init__(self, scene: Scene, *, frames: int) -> None:
         settings = scene.unrest
@@ -136,9 +131,6 @@ class World(Geometry):
     """A scene's wall, microscope, light, motion and truth.
 
     A part that is already known can be set before it is first used: `world.light = ...`.
-
-    Args:
-        scene: the scene.
     """
 
     @cached_property
