@@ -443,7 +443,8 @@ def _table(fitted: Fitted, recordings: Sequence[Recording]) -> Table:
     pairs = [
         f"{names[i]} and {names[j]} {rho[i, j]:+.2f}"
         for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
-        if abs(rho[i, j]) > _STRONG  # false for NaN, where a parameter was not fitted
+        # False for NaN, where a parameter was not fitted, and for 1, where one follows the other.
+        if _STRONG < abs(rho[i, j]) < 1 - 1e-9
     ]
     strong = f"Strong correlations: {', '.join(pairs)}." if pairs else None
     table = Table(title=in_terminal(title), caption=strong)

@@ -12,6 +12,7 @@ from enum import Enum
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Group
 from rich.table import Table
 
 from estimator.distance.range import WallMemory
@@ -265,8 +266,8 @@ def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) ->
     }
 
 
-def table_of(summary: dict[str, Any]) -> Table:
-    """The summary as a table."""
+def table_of(summary: dict[str, Any]) -> Group:
+    """The summary as a table, and what it does not show in sentences."""
     table = Table()
     table.add_column(summary["mode"])
     table.add_column("frames", justify="right")
@@ -279,26 +280,20 @@ def table_of(summary: dict[str, Any]) -> Table:
         table.add_row("with a distance", str(summary["distances"]))
     for flag, count in summary["doubtful_distances"].items():
         table.add_row(f"distance {flag.replace('_', ' ')}", str(count))
-    notes = []
-    notes += [
-        f"in {count} of the frames: {_sentence(WallMemory(memory))}"
+    notes = [
+        f"{count} frames: {WallMemory(memory).meaning}"
         for memory, count in summary["wall_memory"].items()
         if memory in _TOLD
     ]
     if summary["unrelated"]:
-        notes.append("every image measured by itself; --sequence follows the spot")
+        notes.append("Every image is measured by itself; --sequence follows the spot.")
     elif "ambiguous" in summary["no_spot"]:
-        notes.append("after a jump a spot is ambiguous; --unrelated ignores jumps")
+        notes.append("After a jump a spot is ambiguous; --unrelated ignores jumps.")
     if summary["most_significant"] is not None:
         notes.append(
-            f"faint spots are up to {summary['most_significant']:.1f} times the noise and texture "
-            "round them"
+            f"Faint spots are up to {summary['most_significant']:.1f} times the noise and texture "
+            "round them."
         )
     if summary["median_pose_age_s"] is not None:
-        notes.append(f"median age of the pose: {1e3 * summary['median_pose_age_s']:.1f} ms")
-    table.caption = "\n".join(notes) or None
-    return table
-
-
-def _sentence(memory: WallMemory) -> str:
-    return memory.meaning[0].lower() + memory.meaning[1:]
+        notes.append(f"Median age of the pose: {1e3 * summary['median_pose_age_s']:.1f} ms.")
+    return Group(table, *notes)
