@@ -16,6 +16,10 @@ import optics
 from scenes.rendering.loaded_scene import wall_shape
 from scenes.rendering.photons import Glass
 
+# float32 does not resolve the direction between two wall points nearer than this. Ignoring such
+# pairs loses 0.2 % of the first reflection of the smallest spot (0.25 mm) onto itself.
+_NEAREST_PAIR_MM = 0.01
+
 SPREAD_NODES = 64
 """Points round each camera ray's point whose light is averaged if the wall spreads light."""
 
