@@ -135,24 +135,22 @@ def _sentences(found: Judgement) -> list[str]:
 
     share = found.hits / found.predictions
     lines = [f"{found.hits} of {found.predictions} predictions held ({100 * share:.1f} %)."]
-    wrong = rows_of(found.causes[found.causes.contradicts])
-    for cause in wrong:
+    wrong = found.causes[found.causes.contradicts]
+    for cause in rows_of(wrong):
         lines.append(
             f"Contradicted: {cause.key} was stated as {cause.stated:.6g} ± "
             f"{cause.stated_sigma:.2g}; the recording says {cause.found:.6g} ± "
             f"{cause.found_sigma:.2g}, {abs(cause.pull):.1f} σ apart."
         )
     if len(wrong) > 1:
-        lines.append(
-            "If one of these is corrected, the others may agree: the first is the likeliest."
-        )
+        lines.append("If one of these is corrected, the others may agree. Begin with the first.")
     if found.misfit > _POOR:
-        best = "With the best values of all keys" if wrong else "Whatever the stated keys are,"
+        best = "With the best values of all keys" if len(wrong) else "Whatever the stated keys are,"
         lines.append(
             f"{best} {found.misfit:.0f} times the noise remains: the plan is linear in its keys, "
             "or something differs that it takes as certain."
         )
-    elif not wrong:
+    elif wrong.empty:
         lines.append("Nothing that was stated is contradicted.")
     if found.no_spot:
         reasons = ", ".join(f"{n} {reason}" for reason, n in found.no_spot.most_common())

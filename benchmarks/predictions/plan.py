@@ -8,7 +8,6 @@ import math
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -19,24 +18,20 @@ from pydantic import ConfigDict, Field
 from pydantic import Strict as StrictType
 
 from benchmarks.sets.read import plain_spot
-from estimator import Ranger, open_source, track_source
-from estimator.run.options import Options
-from formats.calibration import read_calibration
-from formats.inputs import (
-    InputError,
-    Strict,
-    check_schema,
-    in_file,
-    object_in,
-    read_text,
-    validated,
+from estimator import (
+    Ranger,
+    Source,
+    Spot,
+    open_source,
+    read_calibration,
+    read_microscope,
+    track_source,
 )
-from formats.microscope import read_microscope
-from formats.poses import PoseTrack, Quaternion, read_poses, turned
-from formats.spots import Spot
-from formats.whole_files import written_whole
+from estimator.files import PoseTrack, object_in, read_poses, written_whole
+from estimator.run import Options
+from optics import InputError, Strict, check_schema, in_file, read_text, validated
 from scenes import Scene, World, changed, render_stack, scene_toml
-from scenes.world.motion import kinematics
+from scenes.world import kinematics
 
 SCHEMA = 1
 HISTORY = {1: "the first format"}
@@ -172,36 +167,18 @@ def _travelled(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return poses[:, 0], np.linalg.norm(poses[:, 1:4] - poses[0, 1:4], axis=1)
 
 
-def _observed(
-    source: Path | str,
-    *,
-    exposure: str | None,
-    poses: PoseTrack | None = None,
-    ranger: Ranger | None = None,
-    microscope: Path | None = None,
-    eye_from_robot: Quaternion = (0.0, 0.0, 0.0, 1.0),
-) -> Observed:
-    """Measure a recording on its own clock; no distances without a ranger."""
-    frames = open_source(str(source), exposure=exposure)
-    file = microscope or frames.microscope_file
-    reader = Options.of({"microscope": file}).reader()
-    centre = np.array(read_microscope(file).principal_point_px) if file else np.zeros(2)
-    tracking = track_source(frames, reader)
-    records = tracking.records
-    times = np.array([record.time_s for record in records])
-    found, noise = np.full((2, len(records), len(QUANTITIES)), math.nan)
-    for row, spread, record in zip(found, noise, records, strict=True):
-        spot = record.result
-        if not isinstance(spot, Spot):
-            continue
-        row[:ELLIPSE] = spot.ellipse[:ELLIPSE]
-        row[:2] -= centre
-        spread[:ELLIPSE] = np.sqrt(np.diag(spot.covariance)[:ELLIPSE])
-        if ranger is not None:
-            known = poses.at(record.time_s) if poses is not None else None
-            axis = turned(known[0].axis, eye_from_robot) if known else None
-            x, y = (row[:2] + ranger.microscope.principal_point_px).tolist()
-            row[ELLIPSE] = ranger.distance(replace(spot, x_px=x, y_px=y), axis=axis).distance_mm
+def _observed(source: Source, options: Options, poses: PoseTrack | None = None) -> Observed:
+    """Measure a recording on its own clock, as `eyespot track` does."""
+    centre = read_microscope(options.microscope).principal_point_px if options.microscope else 0.0
+    tracking = track_source(source, options.reader(), poses=poses)
+    times = np.array([record.time_s for record in tracking.records])
+    found, noise = np.full((2, len(times), len(QUANTITIES)), math.nan)
+    for row, spread, record in zip(found, noise, tracking.records, strict=True):
+        if isinstance(record.result, Spot):
+            row[:ELLIPSE] = record.result.ellipse[:ELLIPSE]
+            row[:2] -= centre
+            row[ELLIPSE] = record.distance_mm
+            spread[:ELLIPSE] = np.sqrt(np.diag(record.result.covariance)[:ELLIPSE])
     if poses is not None:
         rows = np.array([[pose.time_s, *pose.position_mm] for pose in poses])
         found[:, -1] = np.interp(times, *_travelled(rows), left=math.nan, right=math.nan)
@@ -224,25 +201,19 @@ def measured_as_planned(
     Raises:
         InputError: a file is wrong, or the source cannot be measured or has no times.
     """
+    is_stack = (Path(source) / "stack.toml").is_file()
+    frames = open_source(source, exposure=plan.exposure if is_stack else None)
     own = Path(source) / "kinematics.csv"
     file = poses or (own if own.is_file() else None)
-    turn = Options.of({"eye_from_robot": eye_from_robot}).eye_from_robot
-    assert turn is not None
-    ranger = None
-    if plan.calibration is not None:
-        with tempfile.TemporaryDirectory() as folder:
-            beam, view = Path(folder) / "calibration.json", Path(folder) / "microscope.json"
+    with tempfile.TemporaryDirectory() as folder:
+        beam, view = Path(folder) / "calibration.json", Path(folder) / "microscope.json"
+        view.write_text(json.dumps(plan.microscope), encoding="utf-8")
+        options: dict[str, Any] = {"microscope": microscope or frames.microscope_file or view}
+        if plan.calibration is not None:
             beam.write_text(json.dumps(plan.calibration), encoding="utf-8")
-            view.write_text(json.dumps(plan.microscope), encoding="utf-8")
-            ranger = Ranger(read_calibration(beam), read_microscope(view), model=plan.model)
-    seen = _observed(
-        source,
-        exposure=plan.exposure if (Path(source) / "stack.toml").is_file() else None,
-        poses=read_poses(file) if file else None,
-        ranger=ranger,
-        microscope=microscope,
-        eye_from_robot=turn,
-    )
+            options |= {"mode": "subpixel", "calibration": beam, "model": plan.model}
+            options |= {"eye_from_robot": eye_from_robot} if file else {}
+        seen = _observed(frames, Options.of(options), read_poses(file) if file else None)
     return seen._replace(times_s=seen.times_s - start_s)
 
 
@@ -280,12 +251,19 @@ def predicted(
         render_stack(scene, folder, progress=progress)
         file = folder / "microscope.json"
         microscope, view = json.loads(file.read_text()), read_microscope(file)
-        rehearsed = _observed(folder, exposure=kind)
+        rehearsal = open_source(str(folder), exposure=kind)
+        noise = _observed(rehearsal, Options.of({"microscope": file})).noise
     ranger = Ranger(read_calibration(calibration), view, model=model) if calibration else None
     world = World(scene)
     times = np.asarray(world.times)
     expected = _exact(world, times, ranger)
-    noise = _noise(world, expected, rehearsed.noise, ranger)
+    if ranger is not None:
+        # From the spot's size to the distance: as of the cone, d + |b| over the semi-minor axis.
+        minor = QUANTITIES.index("semi_minor_px")
+        reach = np.abs(expected[:, ELLIPSE] - ranger.calibration.values["b"])
+        noise[:, ELLIPSE] = reach / expected[:, minor] * noise[:, minor]
+    jitter = math.hypot(scene.clocks.kinematics_jitter_s, scene.clocks.camera_jitter_s)
+    noise[:, -1] = np.hypot(np.asarray(world.speed) * jitter, _LEAST_ROBOT_MM)
     beside = np.array(
         [
             [
@@ -360,22 +338,6 @@ def _exact(world: World, times: np.ndarray, ranger: Ranger | None) -> np.ndarray
     still = changed(world.scene, {"clocks.kinematics_jitter_s": 0.0})
     found[:, -1] = np.interp(times, *_travelled(kinematics(still, world.motion)))
     return found
-
-
-def _noise(
-    world: World, expected: np.ndarray, rehearsed: np.ndarray, ranger: Ranger | None
-) -> np.ndarray:
-    """Standard deviations of the measurement, (n, 6); NaN without a spot."""
-    noise = rehearsed.copy()
-    if ranger is not None:
-        # From the spot's size to the distance: as of the cone, d + |b| over the semi-minor axis.
-        minor = QUANTITIES.index("semi_minor_px")
-        reach = np.abs(expected[:, ELLIPSE] - ranger.calibration.values["b"])
-        noise[:, ELLIPSE] = reach / expected[:, minor] * rehearsed[:, minor]
-    clocks = world.scene.clocks
-    jitter = math.hypot(clocks.kinematics_jitter_s, clocks.camera_jitter_s)
-    noise[:, -1] = np.hypot(np.asarray(world.speed) * jitter, _LEAST_ROBOT_MM)
-    return noise
 
 
 # A recording against its plan: hits, misses, and what explains the misses.
