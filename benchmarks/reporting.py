@@ -200,7 +200,7 @@ class Claim:
         if "{" in text:
             text = _Formatter().vformat(self.sentence, (), {**bounds, **self.numbers})
         text = re.sub(r"[+-]?\b(nan|inf)\b", "–", text)
-        text = re.sub(r"(?<![\w.])[+-](?=0(\.0+)?(?![\d.]))", "", text)  # zero has no sign
+        text = re.sub(r"(?<![\w.])[+-](?=0(\.0+)?(?!\.?\d))", "", text)  # zero has no sign
         return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
 
     @property
