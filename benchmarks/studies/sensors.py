@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from operator import add, itemgetter
 from typing import Any, NamedTuple
 
@@ -209,9 +210,8 @@ def _units(vectors: np.ndarray) -> np.ndarray:
 
 # The rendered part: all three sensors read distances from pictures of the same places.
 
-Reading = tuple[Sensor, str, str, float, float, Outcome, float, float]
 READING = "sensor path wall c_mm d_mm outcome error_mm mark_error_px".split()
-"""Row of readings.csv, and its columns; error = estimate - truth.
+"""Columns of readings.csv; error = estimate - truth.
 
 The marks' errors are the largest of the reading's marks: the semi-minor axis for the spot, the
 place of tip and shadow otherwise; empty if nothing was read.
@@ -219,22 +219,31 @@ place of tip and shadow otherwise; empty if nothing was read.
 
 
 class Trial(NamedTuple):
-    """Places with one path, one wall and one eccentricity.
-
-    Attributes:
-        c: mm.
-    """
+    """Places with one path, one wall and one eccentricity (mm), seen by the path's cameras."""
 
     path: str
     wall: str
     c: float
     scene: Scene
     places: list[Place]
+    seen: Views
 
     @property
     def name(self) -> str:
         """For folders and files."""
         return f"{self.path}-{self.wall}-{self.c:g}".replace(" ", "-")
+
+    def row(
+        self,
+        sensor: Sensor,
+        one: Place,
+        outcome: Outcome,
+        d: float = math.nan,
+        off: float = math.nan,
+    ) -> tuple[Any, ...]:
+        """Row of readings.csv of a read distance (mm) with its marks' error (px)."""
+        true = float(one.distance)
+        return sensor, self.path, self.wall, self.c, true, outcome, d - true, off
 
 
 def trials(
@@ -246,6 +255,7 @@ def trials(
     distances: Sequence[float],
 ) -> list[Trial]:
     """All combinations of paths, walls and eccentricities, each with all distances."""
+    cameras = {path: views(path) for path in paths}
     return [
         Trial(
             path,
@@ -253,25 +263,21 @@ def trials(
             c,
             sensor_views.base_scene(scene, path, wall, eccentricity=c),
             [place(eccentricity=c, distance=d) for d in distances],
+            cameras[path],
         )
-        for path in paths
-        for wall in walls
-        for c in eccentricities
+        for path, wall, c in product(paths, walls, eccentricities)
     ]
 
 
-def by_spots(study: Study, every: Sequence[Trial]) -> list[Reading]:
+def by_spots(study: Study, every: Sequence[Trial]) -> list[tuple[Any, ...]]:
     """Readings of the spot: a withdrawal with each trial's distances, tracked and read exactly."""
     named = {trial.name: trial for trial in every}
-    cameras = {path: views(path) for path in dict.fromkeys(trial.path for trial in every)}
 
-    def read(name: str, stack: Stack) -> list[Reading]:
-        spots = track_stack(stack, SUBPIXEL, spots_file=study.spots_file(name))
+    def read(name: str, stack: Stack) -> list[tuple[Any, ...]]:
         trial = named[name]
-        return [
-            _spot_reading(trial, one, cameras[trial.path], row)
-            for one, row in zip(trial.places, rows_of(spots), strict=True)
-        ]
+        spots = track_stack(stack, SUBPIXEL, spots_file=study.spots_file(name))
+        pairs = zip(trial.places, rows_of(spots), strict=True)
+        return [trial.row(Sensor.SPOT, one, *_spot(one, trial.seen, row)) for one, row in pairs]
 
     found = study.measured({name: _withdrawal(t) for name, t in named.items()}, read)
     return [reading for readings in found.values() for reading in readings]
@@ -279,18 +285,19 @@ def by_spots(study: Study, every: Sequence[Trial]) -> list[Reading]:
 
 def by_pictures(
     every: Sequence[Trial],
-) -> tuple[list[Reading], dict[tuple[str, float], Pictures]]:
+) -> tuple[list[tuple[Any, ...]], dict[tuple[str, float], Pictures]]:
     """Readings of shadow and stereo; and the pictures of the first wall by path and distance."""
-    cameras = {path: views(path) for path in dict.fromkeys(trial.path for trial in every)}
     readings, kept = [], {}
     with progress("Photographing", total=sum(len(trial.places) for trial in every)) as advance:
         for trial in every:
-            seen = cameras[trial.path]
-            in_view = outcomes_at(Place(*map(np.stack, zip(*trial.places, strict=True))), seen)
+            places = Place(*map(np.stack, zip(*trial.places, strict=True)))
+            in_view = outcomes_at(places, trial.seen)
             for k, one in enumerate(trial.places):
-                taken = sensor_views.pictures(trial.scene, one, seen)
-                readings.append(_shadow(trial, one, taken, in_view[Sensor.SHADOW][k]))
-                readings.append(_stereo(trial, one, taken, in_view[Sensor.STEREO][k]))
+                taken = sensor_views.pictures(trial.scene, one, trial.seen)
+                for sensor, measure in ((Sensor.SHADOW, _shadow), (Sensor.STEREO, _stereo)):
+                    outcome = in_view[sensor][k]
+                    done = measure(one, taken) if outcome == Outcome.READ else (outcome,)
+                    readings.append(trial.row(sensor, one, *done))
                 if trial.wall == every[0].wall and trial.c == every[0].c:
                     kept[trial.path, float(one.distance)] = taken
                 advance(note=trial.name)
@@ -327,24 +334,14 @@ def _known(one: Place, seen: Views) -> Known:
     return Known(seen, jnp.asarray(RADIUS_MM), jnp.asarray(one.lamp), jnp.asarray(one.axis))
 
 
-def _reading(
-    sensor: Sensor,
-    trial: Trial,
-    one: Place,
-    outcome: Outcome,
-    distance: float = math.nan,
-    mark_error: float = math.nan,
-) -> Reading:
-    d = float(one.distance)
-    return sensor, trial.path, trial.wall, trial.c, d, outcome, distance - d, mark_error
+Read = tuple[Outcome] | tuple[Outcome, float, float]
+"""What became of a reading; the distance, mm, and the error of its marks, px."""
 
 
-def _spot_reading(trial: Trial, one: Place, seen: Views, row: Any) -> Reading:
+def _spot(one: Place, seen: Views, row: Any) -> Read:
     """The reading of a row of `spots_of`."""
-    if not row.result:
-        return _reading(Sensor.SPOT, trial, one, Outcome.NO_SPOT)
     if not row.used:
-        return _reading(Sensor.SPOT, trial, one, Outcome.HIDDEN)
+        return (Outcome.HIDDEN if row.result else Outcome.NO_SPOT,)
     centre = centred(seen.centre, one.spot)
     ellipse = optics.Ellipse(
         centre=jnp.array([row.x_px, row.y_px]),
@@ -353,13 +350,10 @@ def _spot_reading(trial: Trial, one: Place, seen: Views, row: Any) -> Reading:
         angle=jnp.asarray(row.angle_rad),
     )
     distance = float(by_spot(ellipse, _known(one, seen._replace(centre=centre))))
-    off = abs(row.semi_minor_px - row.half_max_semi_minor_px)
-    return _reading(Sensor.SPOT, trial, one, Outcome.READ, distance, off)
+    return Outcome.READ, distance, abs(row.semi_minor_px - row.half_max_semi_minor_px)
 
 
-def _shadow(trial: Trial, one: Place, taken: Pictures, outcome: Outcome) -> Reading:
-    if outcome != Outcome.READ:
-        return _reading(Sensor.SHADOW, trial, one, outcome)
+def _shadow(one: Place, taken: Pictures) -> Read:
     camera, image = taken.seen.centre, sensor_views.grey(taken.centre)
     tip = sensor_views.found_shift(image, sensor_views.tool_outline(one, camera), dark=False)
     shadow = sensor_views.found_shift(image, sensor_views.shadow_outline(one, camera), dark=True)
@@ -369,16 +363,14 @@ def _shadow(trial: Trial, one: Place, taken: Pictures, outcome: Outcome) -> Read
         _known(one, taken.seen),
     )
     off = max(np.linalg.norm(shift) for shift in (tip, shadow))
-    return _reading(Sensor.SHADOW, trial, one, Outcome.READ, float(distance), float(off))
+    return Outcome.READ, float(distance), float(off)
 
 
-def _stereo(trial: Trial, one: Place, taken: Pictures, outcome: Outcome) -> Reading:
-    if outcome != Outcome.READ:
-        return _reading(Sensor.STEREO, trial, one, outcome)
+def _stereo(one: Place, taken: Pictures) -> Read:
     images = [sensor_views.grey(photograph) for photograph in (taken.left, taken.right)]
     height = sensor_views.wall_height(images[0], images[1], one, taken.seen)
     if height is None:
-        return _reading(Sensor.STEREO, trial, one, Outcome.NO_TEXTURE)
+        return (Outcome.NO_TEXTURE,)
     pair = [taken.seen.left, taken.seen.right]
     shifts = [
         sensor_views.found_shift(image, sensor_views.tool_outline(one, camera), dark=False)
@@ -388,8 +380,7 @@ def _stereo(trial: Trial, one: Place, taken: Pictures, outcome: Outcome) -> Read
     (tip,) = sensor_views.in_space(jnp.stack(places)[:, None], taken.seen)
     wall = optics.Sphere(RADIUS_MM - height)
     distance = float(sensor_views.distance_along(wall, tip, _known(one, taken.seen)))
-    off = max(float(np.linalg.norm(shift)) for shift in shifts)
-    return _reading(Sensor.STEREO, trial, one, Outcome.READ, distance, off)
+    return Outcome.READ, distance, max(float(np.linalg.norm(shift)) for shift in shifts)
 
 
 def _image(camera: optics.Camera, point: np.ndarray) -> np.ndarray:
