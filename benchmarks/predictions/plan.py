@@ -18,20 +18,24 @@ from pydantic import ConfigDict, Field
 from pydantic import Strict as StrictType
 
 from benchmarks.sets.read import plain_spot
-from estimator import (
-    Ranger,
-    Source,
-    Spot,
-    open_source,
-    read_calibration,
-    read_microscope,
-    track_source,
+from estimator import Ranger, Source, open_source, track_source
+from estimator.run.options import Options
+from formats.calibration import read_calibration
+from formats.inputs import (
+    InputError,
+    Strict,
+    check_schema,
+    in_file,
+    object_in,
+    read_text,
+    validated,
 )
-from estimator.files import PoseTrack, object_in, read_poses, written_whole
-from estimator.run import Options
-from optics import InputError, Strict, check_schema, in_file, read_text, validated
+from formats.microscope import read_microscope
+from formats.poses import PoseTrack, read_poses
+from formats.spots import Spot
+from formats.whole_files import written_whole
 from scenes import Scene, World, changed, render_stack, scene_toml
-from scenes.world import kinematics
+from scenes.world.motion import kinematics
 
 SCHEMA = 1
 HISTORY = {1: "the first format"}
