@@ -1,14 +1,5 @@
 """Labelled sets: from a spec with distributions to splits of stacks on disk.
 
-card       Data card and pictures of a set
-commands   The commands `eyespot dataset make`, `verify` and `push`
-croissant  The description of a set for data loaders (MLCommons Croissant)
-formats/   Writes sets in other formats: `eyespot export`
-make       Renders a set on one machine or many, estimates its cost, uploads it
-read       Reads a set, writes its manifest, verifies it
-score/     Compares measured spots with the labels of a set: `eyespot score`
-spec       The spec of a set, and the scenes that follow from it; named/ has ours
-
 Files of a set:
 
     SET/set.json              name, licence, seed, spec, versions, and all stacks with their splits,
