@@ -134,17 +134,10 @@ def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Ite
         found["pinhole"] = np.array(PINHOLES)[pinhole]
         found["z_f_mm"] = np.choose(pinhole, [0.0 * r, r, 0.0 * r + 200.0, 0.0 * r + np.inf])
         found["apex_offset_mm"] = -contact_radius / np.tan(half_angle)
-        columns = {
-            "scale": np.full(size, scale),
-            "inverse_working_distance": 1.0 / (found.z_f_mm + r),
-            "radius": r,
-            "half_angle": half_angle,
-            "apex_offset": found.apex_offset_mm,
-            "incidence": np.radians(found.incidence_deg),
-            "incidence_azimuth": np.radians(found.azimuth_deg),
-            "eccentricity": found.c_mm,
-        }
-        eye = Eye(**{name: jnp.asarray(np.array(values)) for name, values in columns.items()})
+        tilt = np.radians(found[["incidence_deg", "azimuth_deg"]].to_numpy()).T
+        beam = half_angle, found.apex_offset_mm, *tilt
+        columns = np.full(size, scale), 1.0 / (found.z_f_mm + r), r, *beam, found.c_mm
+        eye = Eye(*(jnp.asarray(np.array(values)) for values in columns))
         estimates = _estimates(eye, jnp.asarray(found.d_mm.to_numpy()))
         yield found.assign(**{model: np.asarray(estimates[model]) for model in optics.MODELS})
 

@@ -75,17 +75,9 @@ REAL = Links(True, True, True, True, True)
 
 
 class Eye(NamedTuple):
-    """One geometry, or what a model takes it for; mm, rad, 1/mm.
+    """One geometry, or what a model takes it for: `Geometry` with a c (mm).
 
-    Attributes:
-        scale: delta, mm/px at the pole.
-        inverse_working_distance: kappa = 1/(z_F + r), 1/mm.
-        radius: r, mm.
-        half_angle: rad.
-        apex_offset: b, mm.
-        incidence: rad.
-        incidence_azimuth: rad.
-        eccentricity: c, mm.
+    Instead of z_F it has kappa = 1/(z_F + r), 1/mm.
     """
 
     scale: Float[Array, ""]
@@ -343,18 +335,9 @@ def shares(
 
 def eyes(geometry: Geometry, *, c: np.ndarray) -> Eye:
     """The geometry at each eccentricity (mm) as the chain takes it: arrays of n."""
-    r = geometry.eye_radius
-    shared = {
-        "scale": geometry.scale,
-        "inverse_working_distance": 1.0 / (geometry.pinhole_height + r),
-        "radius": r,
-        "half_angle": geometry.half_angle,
-        "apex_offset": geometry.apex_offset,
-        "incidence": geometry.incidence,
-        "incidence_azimuth": geometry.incidence_azimuth,
-        "eccentricity": c,
-    }
-    return Eye(**{n: jnp.broadcast_to(jnp.asarray(v, float), c.shape) for n, v in shared.items()})
+    kappa = 1.0 / (geometry.pinhole_height + geometry.eye_radius)
+    columns = (geometry.scale, kappa, *geometry[2:], c)
+    return Eye(*(jnp.broadcast_to(jnp.asarray(v, float), c.shape) for v in columns))
 
 
 def worths(eye: Eye, *, d: np.ndarray, shift: Shift) -> np.ndarray:
