@@ -49,8 +49,6 @@ from benchmarks.studies.sensor_views import (
     CONE,
     CONTOUR_PX,
     CONVERGENCE_DEG,
-    LAMP_ABOVE_MM,
-    LAMP_RADIUS_MM,
     MARK_PX,
     PATHS,
     PINHOLE_HEIGHT_MM,
@@ -584,7 +582,6 @@ def report(findings: SensorFindings) -> Report:
                     "Errors of the readings; a missing mark was not read.",
                     data="readings.csv",
                 ),
-                _HELP,
             ),
         ],
         data={
@@ -599,22 +596,8 @@ _METHODS = (
     "Spot: the exact spot with the ellipse's centre and area, as `--model area`. Shadow: the line "
     "of sight of the shadow's tip meets the wall; from there a line to the light guide meets the "
     "tip's line of sight at the tip. Stereo: two lines of sight meet at the tip, two more on the "
-    "wall below it. Shadows of instruments were used for the same task by Koyama et al. (2021, "
-    "arXiv 2107.11985) and by Yang et al. (ICRA 2024, “Shadow-Based 3D Pose Estimation of "
-    "Intraocular Instrument Using Only 2D Images”), who report errors of 1 to 2 mm without "
-    "knowing where the light is."
-)
-
-_HELP = (
-    "The labels help shadow and stereo where the literature needs a network: they say how the "
-    "outlines of the instrument's end and of its shadow run, and where they are to within "
-    f"{REACH_PX:g} px. The place is then measured from the picture, as the shift at which the "
-    "picture is steepest across the outline. The wall's height in a pair is the one at which the "
-    "textures of both images agree best; the instrument is left out. The light guide is a disc "
-    f"of {LAMP_RADIUS_MM:g} mm radius, {LAMP_ABOVE_MM:g} mm from the pole, for the shadow, and a "
-    "point for the pair. The spot is an ideal cone's. On the set `static-v1` a lens's bell-shaped "
-    "spot is measured with an error of 1.2 px, a cone's with 0.014 px (RMS of e₁′), "
-    "because the wall is textured; with a lens the spot's advantage is that much smaller."
+    "wall below it. The labels say where marks are to within "
+    f"{REACH_PX:g} px and how outlines run; docs/sensors.md says how the places are then measured."
 )
 
 
