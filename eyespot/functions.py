@@ -184,14 +184,9 @@ def dataset(
     Raises:
         InputError: the spec is wrong.
     """
-    from benchmarks.sets.make import WHOLE, cores, local_workers, rendered_set
-    from benchmarks.sets.spec import load_spec, plan
+    from benchmarks.sets.make import cores, local_workers, make_set
+    from benchmarks.sets.spec import load_spec
 
     settings = load_spec(str(spec), tuple(changes))
     with quiet(bars=progress):
-        return rendered_set(
-            *(settings, Path(out)),
-            workers=local_workers(cores()),
-            shard=WHOLE,
-            total=len(plan(settings)),
-        )
+        return make_set(settings, Path(out), workers=local_workers(cores()))

@@ -42,7 +42,7 @@ def make(
         dry_run: Print the number of frames, size and time; render nothing.
     """
     from benchmarks.sets import make as cluster
-    from benchmarks.sets.make import check, estimate, rendered_set
+    from benchmarks.sets.make import check, estimate, make_set
     from benchmarks.sets.spec import load_spec, plan
 
     settings, part = load_spec(spec, changes), _shard(shard)
@@ -64,7 +64,7 @@ def make(
         if scheduler is not None
         else cluster.local_workers(count, first_core=(part.part - 1) * count)
     )
-    labelled = rendered_set(settings, out, workers=hired, shard=part, total=len(planned))
+    labelled = make_set(settings, out, workers=hired, shard=part)
     if labelled.missing:
         print(f"Shard {shard} of {out} is done; {len(labelled.missing)} stacks are still missing.")
     else:

@@ -23,10 +23,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import dask
-from distributed import Client, LocalCluster, Worker, WorkerPlugin
+from distributed import Client, LocalCluster, Worker, WorkerPlugin, as_completed
 
 import scenes
 from benchmarks.sets import card
@@ -234,47 +234,38 @@ def estimate(planned: Sequence[PlannedStack]) -> Estimate:
     size = seconds = 0.0
     images = tried = 0
     for stacks in groups.values():
-        _Trial.of(stacks[-1].scene, images=1)  # compiles kernels, which a worker does once
-        trial = _Trial.of(stacks[0].scene, images=_TIMED)
+        _trial(stacks[-1].scene, images=1)  # compiles kernels, which a worker does once
+        number, first_s, next_s, image_bytes = _trial(stacks[0].scene, images=_TIMED)
         counts = [
             scenes.frame_count(stack.scene) * len(stack.scene.exposures.kinds) for stack in stacks
         ]
-        seconds += sum(trial.first_s + (count - 1) * trial.next_s for count in counts)
+        seconds += sum(first_s + (count - 1) * next_s for count in counts)
         images += sum(counts)
-        size += sum(counts) * trial.image_bytes
-        tried += trial.images
+        size += sum(counts) * image_bytes
+        tried += number
     return Estimate(len(planned), images, size, seconds, tried)
 
 
-class _Trial(NamedTuple):
-    """Processor seconds and bytes of the first images of a stack."""
+def _trial(scene: scenes.Scene, *, images: int) -> tuple[int, float, float, float]:
+    """Number of the first images of a scene; processor s to the first, of each next; its bytes."""
+    moments: list[float] = []
 
-    images: int
-    first_s: float  # from the scene to its first image
-    next_s: float  # each image after that
-    image_bytes: float
+    def image_done() -> None:
+        moments.append(time.process_time())
+        if len(moments) == images:
+            raise _Enough
 
-    @classmethod
-    def of(cls, scene: scenes.Scene, *, images: int) -> _Trial:
-        """Render the first images of a scene."""
-        moments: list[float] = []
-
-        def image_done() -> None:
-            moments.append(time.process_time())
-            if len(moments) == images:
-                raise _Enough
-
-        with tempfile.TemporaryDirectory() as folder:
-            begin = time.process_time()
-            with suppress(_Enough):
-                scenes.render_stack(scene, Path(folder) / "stack", progress=image_done)
-            # Other threads write the images, so writing ends after the last `image_done`.
-            rest = time.process_time() - moments[0]
-            files = [path for path in Path(folder).rglob("*") if path.is_file()]
-            size = sum(path.stat().st_size for path in files)
-            written = sum(path.parent.name == "frames" for path in files)
-        later = max(len(moments) - 1, 1)
-        return cls(len(moments), moments[0] - begin, rest / later, size / max(written, 1))
+    with tempfile.TemporaryDirectory() as folder:
+        begin = time.process_time()
+        with suppress(_Enough):
+            scenes.render_stack(scene, Path(folder) / "stack", progress=image_done)
+        # Other threads write the images, so writing ends after the last `image_done`.
+        rest = time.process_time() - moments[0]
+        files = [path for path in Path(folder).rglob("*") if path.is_file()]
+        size = sum(path.stat().st_size for path in files)
+        written = sum(path.parent.name == "frames" for path in files)
+    later = max(len(moments) - 1, 1)
+    return len(moments), moments[0] - begin, rest / later, size / max(written, 1)
 
 
 # Uploads a set to a repository of the Hugging Face Hub.
@@ -336,10 +327,6 @@ def _library() -> Any:
     return importlib.import_module("huggingface_hub")
 
 
-if TYPE_CHECKING:
-    from distributed import Client
-
-
 class Shard(NamedTuple):
     """One of several equal parts of a set; the first is 1."""
 
@@ -372,18 +359,15 @@ def make_set(
     *,
     workers: AbstractContextManager[Client],
     shard: Shard = WHOLE,
-    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> LabelledSet:
     """Render the missing stacks of a set; the run that renders the last stack completes the set.
 
     Impossible scenes are found before anything is rendered, and drawn again.
 
     Args:
-        spec: the spec of the set.
         out: the set's folder: new, empty, or with a part of this set.
         workers: see `cluster`; started only if a stack is missing.
         shard: part of the set to render; others may run at the same time on any machine.
-        progress: called with the number of finished stacks and of all stacks of the shard.
 
     Returns:
         The set. It is complete unless stacks of other shards are missing (`LabelledSet.missing`).
@@ -401,39 +385,25 @@ def make_set(
     share = shard.of(planned)
     missing = [stack for stack in share if not _folder(out, stack).is_dir()]
     _claim(out, spec, planned)
-    progress(len(share) - len(missing), len(share))
-    if missing:
-        new = [stack for stack in missing if not StackWriter(_folder(out, stack)).has_begun]
-        require_space(out, sum(scenes.least_bytes(stack.scene) for stack in new))
-        with workers as client:
-            _render(missing, out, client, lambda left: progress(len(share) - left, len(share)))
+    with bar("Rendering stacks", total=len(share)) as advance:
+        advance(len(share) - len(missing))
+        if missing:
+            new = [stack for stack in missing if not StackWriter(_folder(out, stack)).has_begun]
+            require_space(out, sum(scenes.least_bytes(stack.scene) for stack in new))
+            with workers as client:
+                _render(missing, out, client, advance)
     labelled = read_set(out)
     if not labelled.missing:
         _finish(labelled)
     return labelled
 
 
-def rendered_set(
-    spec: SetSpec, out: Path, *, workers: AbstractContextManager[Client], shard: Shard, total: int
-) -> LabelledSet:
-    """As `make_set`, with a bar of `total` stacks."""
-    finished = 0
-    with bar("Rendering stacks", total=total) as advance:
-
-        def show(done: int, _: int) -> None:
-            nonlocal finished
-            advance(done - finished)
-            finished = done
-
-        return make_set(spec, out, workers=workers, shard=shard, progress=show)
-
-
 def _render(
-    missing: Sequence[PlannedStack], out: Path, client: Client, report: Callable[[int], None]
+    missing: Sequence[PlannedStack], out: Path, client: Client, advance: Callable[[], None]
 ) -> None:
     """Render stacks; those that another run renders are waited for, and rendered if it stops."""
     problems: list[str] = []
-    left, done = list(missing), 0
+    left = list(missing)
     while left:
         busy = []
         for stack, error in _tried(left, out, client):
@@ -444,8 +414,7 @@ def _render(
                 if isinstance(error, scenes.RendererUnavailable) or _is_of_disk(error):
                     raise error
                 problems.append(f"{stack.split}/{stack.name}: {error or type(error).__name__}")
-            done += 1
-            report(len(missing) - done)
+            advance()
         if busy and len(left) > len(busy):
             say(f"Waiting for {len(busy)} stacks that other runs render.")
         left = busy
@@ -461,8 +430,6 @@ def _tried(
     stacks: Sequence[PlannedStack], out: Path, client: Client
 ) -> Iterator[tuple[PlannedStack, BaseException | None]]:
     """Each stack when a worker has tried to render it, and the error if there was one."""
-    from distributed import as_completed
-
     # One message with all tasks costs the scheduler half of what a message a task costs.
     futures = client.map(
         render_planned,

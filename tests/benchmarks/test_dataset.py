@@ -11,13 +11,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from distributed import Client
 
+from benchmarks.sets import make
 from benchmarks.sets.make import (
     Shard,
     check,
@@ -71,6 +72,23 @@ def here() -> Iterator[Client]:
 def nobody() -> Iterator[Client]:
     raise AssertionError("there is nothing to render")
     yield
+
+
+def seen_by(watch: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a function see the bar: how many stacks are done, of how many."""
+
+    @contextmanager
+    def bar(what: str, *, total: int) -> Iterator[Callable[..., None]]:
+        done = 0
+
+        def advance(steps: int = 1) -> None:
+            nonlocal done
+            done += steps
+            watch(done, total)
+
+        yield advance
+
+    monkeypatch.setattr(make, "bar", bar)
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -286,7 +304,7 @@ def wait_for(found, process: subprocess.Popen | None = None) -> None:
 
 @pytest.mark.slow
 def test_two_processes_make_the_same_set_though_one_is_killed_again_and_again(
-    spec, whole, tmp_path
+    spec, whole, tmp_path, monkeypatch
 ):
     out = tmp_path / "set"
     killed: list[int] = []
@@ -303,14 +321,15 @@ def test_two_processes_make_the_same_set_though_one_is_killed_again_and_again(
                 killed.append(next(iter(client.run(os.getpid).values())))
                 os.kill(killed[-1], signal.SIGKILL)
 
-        make_set(spec, out, workers=these(), progress=kill_one)
+        seen_by(kill_one, monkeypatch)
+        make_set(spec, out, workers=these())
     assert len(killed) == 3
     verify_set(out)
     assert digests(out) == digests(whole)
 
 
 def test_a_stack_that_another_run_writes_is_waited_for_and_rendered_if_that_run_stops(
-    spec, whole, tmp_path
+    spec, whole, tmp_path, monkeypatch
 ):
     out = tmp_path / "set"
     busy = out / "train" / ".0000.partial"
@@ -335,7 +354,8 @@ def test_a_stack_that_another_run_writes_is_waited_for_and_rendered_if_that_run_
             assert not (out / "train" / "0000").exists()
             other.communicate()
 
-    make_set(spec, out, workers=here(), progress=stop_the_other)
+    seen_by(stop_the_other, monkeypatch)
+    make_set(spec, out, workers=here())
     assert done == [0, 1, 2, 3, 4, 5]
     verify_set(out)
     assert digests(out) == digests(whole)
