@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import shutil
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -69,31 +70,13 @@ def _checked(entry: SetStack) -> int:
 
 def _writer(to: Format) -> Callable[[Sequence[SetStack], Path, Callable[[], None]], None]:
     """The function that writes a format. Only this format's library is loaded."""
+    name, version = ("bags", int(to[-1])) if to.startswith("rosbag") else (to.replace("-", "_"), 0)
     try:
-        match to:
-            case "hdf5":
-                from benchmarks.sets.formats import hdf5
-
-                return hdf5.write
-            case "ome-tiff":
-                from benchmarks.sets.formats import ome_tiff
-
-                return ome_tiff.write
-            case "coco":
-                from benchmarks.sets.formats import coco
-
-                return coco.write
-            case "webdataset":
-                from benchmarks.sets.formats import webdataset
-
-                return webdataset.write
-            case "rosbag1" | "rosbag2":
-                from benchmarks.sets.formats import bags
-
-                return partial(bags.write, ros=1 if to == "rosbag1" else 2)
+        module = importlib.import_module(f"benchmarks.sets.formats.{name}")
     except ModuleNotFoundError as error:
         if error.name not in _EXTRA:
             raise
         raise InputError(
             f"the format {to} needs the package {error.name}: pip install 'eyespot[export]'."
         ) from error
+    return partial(module.write, ros=version) if version else module.write
