@@ -132,9 +132,9 @@ def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
 # Numbers as text.
 
 
-def number(value: float, digits: int = 2, *, sign: bool = False) -> str:
+def number(value: float, digits: int = 2) -> str:
     """The value with a true minus sign; zero has no sign; infinite values and NaN are a dash."""
-    return _typeset(value, f"{'+' if sign else ''}.{digits}f")
+    return _typeset(value, f".{digits}f")
 
 
 class _Formatter(string.Formatter):
@@ -220,19 +220,17 @@ class Column(NamedTuple):
     Attributes:
         heading: with the unit.
         scale: factor from the value to the heading's unit.
-        sign: whether positive numbers have a sign.
     """
 
     heading: str
     digits: int = 3
     scale: float = 1.0
-    sign: bool = False
 
     def cell(self, value: Any) -> str:
         """The value as text: texts and integers unchanged, floats rounded."""
         if isinstance(value, str | Integral):
             return str(value)
-        return number(value * self.scale, self.digits, sign=self.sign)
+        return number(value * self.scale, self.digits)
 
 
 _UNITS = {"_mm_px": "mm/px", "_mm_s": "mm/s", "_mm": "mm", "_px": "px", "_deg": "°"}
