@@ -20,14 +20,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import matplotlib
 import numpy as np
 import optax
 import pandas as pd
-from matplotlib.figure import Figure
 
 from benchmarks.paper import VISIBLE_ENOUGH
-from benchmarks.reporting import BLUE, STYLE, VERMILION, save_figure
 from benchmarks.rivals.learned.network import (
     CELLS,
     NUMBERS,
@@ -345,8 +342,6 @@ def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) 
         "versions": versions() | {name: importlib.metadata.version(name) for name in _LIBRARIES},
     }
     write_json(out / "weights.json", about)
-    with matplotlib.rc_context(STYLE):
-        save_figure(curve_figure(pd.DataFrame(read_curve(out / CURVE))), out / "curve")
     print(f"Wrote {out / 'weights.eqx'}.")
 
 
@@ -364,19 +359,6 @@ def _trained(
             advance(note=f"{note}, size {100 * epoch.size_error:.2f} %")
 
         return train(samples, validation, out, epochs=epochs, stop=stop, seed=seed, show=show)
-
-
-def curve_figure(curve: pd.DataFrame) -> Figure:
-    """Losses and the error of the size by epoch."""
-    figure = Figure(figsize=(7.0, 2.8), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for column, colour in (("train", BLUE), ("validation", VERMILION)):
-        left.plot(curve.epoch, curve[column], color=colour, label=column)
-    left.set(xlabel="epoch", ylabel="loss")
-    left.legend()
-    right.plot(curve.epoch, 100 * curve.size_error, color=VERMILION)
-    right.set(xlabel="epoch", ylabel="RMS error of the radius (%), validation", yscale="log")
-    return figure
 
 
 _SHARE = 0.683  # of the errors within one sigma
