@@ -19,7 +19,6 @@ from formats.spots import NoSpot, Spot, SpotRecord, write_spots
 from formats.stack import FrameLabels, Stack
 from scenes import Scene, SceneError
 from scenes.camera import Camera
-from scenes.description.settings import CameraSettings
 
 # Summaries of errors, and Shapley's fair shares of a whole.
 #
@@ -466,17 +465,13 @@ class Photographer:
         )
 
     def _images(self, way: Way, shot: Shot, light: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
-        quiet = None if shot.seed is not None else _noise_free(self.scene.camera)
-        seed = shot.seed or 0
+        quiet, seed = None, shot.seed or 0
+        if shot.seed is None:  # so many electrons that their number has no noise
+            none = dict.fromkeys(("read_noise_e", "dark_signal_e", "prnu", "dsnu_e"), 0.0)
+            quiet = self.scene.camera.model_copy(update={"full_well_e": 1e12, **none})
         camera = Camera(self.scene, seed=seed, settings=quiet)
         for row, linear in zip(self.stack.exposed(way.exposure), light, strict=True):
             raw = camera.raw(
                 linear, exposure_s=shot.light * row.exposure_s, noise_seed=[seed, row.frame]
             )
             yield camera.written(raw)
-
-
-def _noise_free(camera: CameraSettings) -> CameraSettings:
-    """The same camera with so many electrons that their number has no noise."""
-    quiet = {"full_well_e": 1e12, "read_noise_e": 0.0, "dark_signal_e": 0.0}
-    return camera.model_copy(update=quiet | {"prnu": 0.0, "dsnu_e": 0.0})

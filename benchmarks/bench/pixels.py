@@ -248,16 +248,6 @@ def prepare() -> None:
     load_mitsuba()
 
 
-def drawn_errors(what: Circumstances, rng: np.random.Generator, folder: Path) -> Iterator[Row]:
-    """Render a drawn stack into a folder and read its frames.
-
-    Raises:
-        SceneError: no drawn scene is possible.
-    """
-    stack = drawn_stack(what, rng, folder)
-    yield from frame_errors(stack, drawn_calibration(what, rng), rng)
-
-
 def drawn_stack(what: Circumstances, rng: np.random.Generator, folder: Path) -> Stack:
     """Draw scenes until one is possible, and render it into a folder.
 
@@ -397,7 +387,9 @@ def _drawn(rows: Iterable[tuple[dict[str, Any], Circumstances]], rng: Any) -> pd
         for columns, what in rows:
             own = rng(columns) if callable(rng) else rng
             place = Path(folder) / f"{len(frames)}"
-            frames += [columns | frame for frame in drawn_errors(what, own, place)]
+            stack = drawn_stack(what, own, place)
+            read = frame_errors(stack, drawn_calibration(what, own), own)
+            frames += [columns | frame for frame in read]
     return as_table(frames)
 
 

@@ -411,8 +411,9 @@ def _render(
                 busy.append(stack)
                 continue
             if error is not None:
-                if isinstance(error, scenes.RendererUnavailable) or _is_of_disk(error):
-                    raise error
+                full = isinstance(error, OSError) and error.errno in _FULL
+                if full or isinstance(error, scenes.RendererUnavailable):
+                    raise error  # no other stack can be made either
                 problems.append(f"{stack.split}/{stack.name}: {error or type(error).__name__}")
             advance()
         if busy and len(left) > len(busy):
@@ -441,11 +442,6 @@ def _tried(
     rendering = dict(zip(futures, stacks, strict=True))
     for future in as_completed(rendering):
         yield rendering[future], future.exception()
-
-
-def _is_of_disk(error: BaseException) -> bool:
-    """Whether no other stack can be written either."""
-    return isinstance(error, OSError) and error.errno in _FULL
 
 
 def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:

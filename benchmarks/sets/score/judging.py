@@ -253,7 +253,9 @@ def error_summary(judged: pd.DataFrame, quantity: str) -> dict[str, Any]:
     errors = known[f"error_{quantity}"].to_numpy(float)
     if not errors.size:
         return {"quantity": quantity, "n": 0}
-    z = z_scores(known, quantity)
+    sigmas = known[f"sigma_{quantity}"].to_numpy(float)
+    stated = (sigmas > 0) & np.isfinite(sigmas)
+    z = errors[stated] / sigmas[stated]
     low, high = _rmse_interval(errors, known["stack"].to_numpy(str))
     one, two = (_part(np.abs(z) <= k) for k in (1, 2))
     return {
@@ -271,13 +273,6 @@ def error_summary(judged: pd.DataFrame, quantity: str) -> dict[str, Any]:
         **dict(zip(("within_1_sigma", "within_1_low", "within_1_high"), one, strict=True)),
         **dict(zip(("within_2_sigma", "within_2_low", "within_2_high"), two, strict=True)),
     }
-
-
-def z_scores(judged: pd.DataFrame, quantity: str) -> np.ndarray:
-    """Error/σ of the found images that have both."""
-    errors, sigmas = (judged[f"{of}_{quantity}"].to_numpy(float) for of in ("error", "sigma"))
-    usable = np.isfinite(errors) & (sigmas > 0) & np.isfinite(sigmas)
-    return errors[usable] / sigmas[usable]
 
 
 def _rmse_interval(errors: np.ndarray, stacks: np.ndarray) -> tuple[float, float]:

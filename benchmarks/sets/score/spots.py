@@ -88,18 +88,11 @@ def read_any_spots(path: Path) -> list[SpotRecord]:
     Raises:
         InputError: neither of the two, or a wrong value; the message names the file and the line.
     """
-    if path.suffix.lower() == ".csv" and not _is_of_eyespot(path):
-        return _read_plain(path)
-    return read_spots(path)
-
-
-def _is_of_eyespot(path: Path) -> bool:
     names: list[str] = []
-    next(csv_rows(path, check=names.extend), None)
-    return "schema_version" in names
-
-
-def _read_plain(path: Path) -> list[SpotRecord]:
+    if path.suffix.lower() == ".csv":
+        next(csv_rows(path, check=names.extend), None)
+    if path.suffix.lower() != ".csv" or "schema_version" in names:
+        return read_spots(path)
     records: list[SpotRecord] = []
     for row, where in csv_rows(path, check=_check_columns):
         with in_file(where):
