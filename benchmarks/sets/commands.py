@@ -1,10 +1,10 @@
-"""The commands `eyespot dataset make`, `verify` and `push`, `export` and `score`."""
+"""The commands `eyespot dataset make`, `verify` and `push`."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
@@ -102,90 +102,6 @@ def push(
     from benchmarks.sets.make import push_set
 
     print(f"Wrote {push_set(folder, repository, private=private, endpoint=endpoint)}.")
-
-
-def export(
-    folder: Path,
-    /,
-    *,
-    to: Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"],
-    out: Annotated[Path, OUT],
-) -> None:
-    """Write a labelled set or a single stack in another format.
-
-    Args:
-        folder: Labelled set or stack.
-        to: Format to write; see docs/datasets.md.
-        out: File (hdf5) or folder to write; it must not exist yet.
-    """
-    from benchmarks.sets.formats.export import export as write
-    from estimator.run.progress_bar import progress
-
-    with progress("Exporting", total=None) as advance:
-        write(folder, to=to, out=out, progress=lambda total: advance(note=f"of {total}"))
-    print(f"Wrote {out}.")
-
-
-def score(
-    folder: Path | None = None,
-    spots: tuple[Path, ...] = (),
-    /,
-    *,
-    entries: Path | None = None,
-    mode: Literal["literal", "subpixel", "pixels", "both"] | None = None,
-    calibration: Path | None = None,
-    sample: bool = False,
-    unrelated: bool = False,
-    against: Literal["half_max", "cone"] = "half_max",
-    split: str | None = None,
-    out: Annotated[Path | None, OUT] = None,
-    as_json: Annotated[bool, Parameter("--json")] = False,
-) -> None:
-    """Compare an estimator's spots with the labels of a set.
-
-    Args:
-        folder: Labelled set or stack; not needed with --sample.
-        spots: Spots files with image names relative to the set, or folders with SPLIT/STACK.csv.
-        entries: Folder of a leaderboard. Every spots file, and every folder with spots files, is an
-            entry; see docs/leaderboard.md.
-        mode: Also measure the images with our estimator, and score its spots; both: literal and
-            subpixel.
-        calibration: The beam of --mode pixels, from `eyespot fit` (default: each stack's true one).
-        sample: Score on the small set that comes with eyespot: spots files, --mode, or our
-            sub-pixel mode if no spots are given.
-        unrelated: Let --mode measure every image by itself, for stacks that are no sequences.
-        against: True ellipse to compare with: the half-maximum contour, or the edge of the cone.
-        split: Score only this split, such as test (default: all that have spots).
-        out: Folder for the page report.html, tables and figures; it must not exist yet.
-        as_json: Print the rows of score.csv as JSON.
-    """
-    from benchmarks.sets.score.pages import run, tables
-    from benchmarks.sets.score.spots import sample_folder
-
-    if sample:
-        # The first argument is then a spots file, too.
-        spots, folder = (*([folder] if folder else []), *spots), sample_folder()
-        mode = mode or (None if spots or entries else "subpixel")
-    if folder is None:
-        raise InputError("FOLDER is missing: the set or stack to score on. Or give --sample.")
-    result = run(
-        folder,
-        spots,
-        entries=entries,
-        mode=mode,
-        calibration=calibration,
-        unrelated=unrelated,
-        against=against,
-        split=split,
-        out=out,
-    )
-    if as_json:
-        print(result.table.to_json(orient="records", double_precision=15))
-        return
-    for title, table in tables(result).items():
-        print(title, table.to_string(index=False, na_rep=""), sep="\n", end="\n\n")
-    if any((of.reason == "ambiguous").any() for of in result.judged.values()):
-        print("After a jump a spot is ambiguous; --unrelated measures each image by itself.")
 
 
 def _shard(text: str | None) -> Shard:
