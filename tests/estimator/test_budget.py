@@ -369,9 +369,9 @@ def test_a_spots_file_has_the_interval_which_contains_the_truth_where_the_model_
     # The small-plane model errs by 0.3 to 0.5 mm here; the interval is about the corrected one.
     out = stack / "spots.csv"
     run("track", *options(stack), "--out", out)
-    # In the first frame the robot has not moved yet.
+    # In the first frame the robot has not moved yet, and the true calibration has no errors.
     records, labels = read_spots(out), read_stack(stack / "stack").labels
-    assert [record.largest_cause for record in records] == ["touch", "clock", "clock", "clock"]
+    assert [record.largest_cause for record in records] == ["image", "clock", "clock", "clock"]
     for record, label in zip(records, labels, strict=True):
         assert record.distance_low_mm < label.d_mm < record.distance_high_mm
         assert record.distance_mm < record.distance_low_mm
